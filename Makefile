@@ -1,0 +1,32 @@
+# Everything from a clean clone: `make demo` and `make test` set up their own virtual environment.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: install test lint demo bench clean
+
+install: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	touch $@
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/python -m pytest -n 2 --durations=10
+
+demo: install
+	$(BIN)/twin simulate mjcf/postures/milling.yaml --out out/milling
+	$(BIN)/twin simulate mjcf/postures/upright.yaml --out out/upright
+	$(BIN)/twin simulate mjcf/postures/rigid.yaml --out out/rigid
+
+bench: install
+	$(BIN)/python tools/benchmark.py
+
+clean:
+	rm -rf $(VENV) out
