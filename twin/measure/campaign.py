@@ -1,0 +1,625 @@
+"""Hammer tests on disk: the ``frf-campaign`` HDF5 file, its checks, and the variance its coherence implies.
+
+A campaign is one set of response and excitation channels measured in one or several postures. Time dependence
+is e^{+iωt}; every frequency response function (FRF) is SI per newton. What the file may hold is checked by
+:func:`check_campaign`, once, whichever format it came from.
+"""
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.errors import InputError
+
+FORMAT, VERSION = "frf-campaign", 1
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
+Quantity = Literal["receptance", "mobility", "accelerance"]
+Brakes = Literal["on", "off"]
+
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # the index is the power of s = iω over receptance
+UNITS: dict[str, str] = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s^2)/N"}
+LABEL = re.compile(r"(\d+)([XYZ])([+-])")
+
+VARIANCE_FLOOR_QUANTILE = 0.3
+SENSOR_FLOOR = 1e-4  # of the median RMS accelerance of all channels: amplitude a sensor cannot resolve
+DEAD_CHANNEL = 1e-6  # of the same: a channel below it carries no signal
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Where and in which direction something was measured or hit, n channels.
+
+    Attributes:
+        label: node number, axis, sign, e.g. ``21Z+``.
+        body: body each point is fixed to.
+        position: (n, 3) in m, in that body's frame.
+        direction: (n, 3) unit vectors in that body's frame; they carry the sign of the label.
+    """
+
+    label: tuple[str, ...]
+    body: tuple[str, ...]
+    position: FloatArray
+    direction: FloatArray
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Time records of ne excitations with nh hits each, nt samples, seen by nr sensors.
+
+    Attributes:
+        force: (ne, nh, nt) in N.
+        response: (ne, nh, nr, nt) in m/s².
+        pretrigger_s: time before the trigger in every record.
+        windowed: the records already carry their windows.
+        exponential_window_rate: rate in 1/s of the exponential window they carry (0: none).
+    """
+
+    force: FloatArray
+    response: FloatArray
+    sample_rate_hz: float
+    pretrigger_s: float = 0.0
+    windowed: bool = False
+    exponential_window_rate: float = 0.0
+
+
+@dataclass(frozen=True)
+class PostureFRF:
+    """FRFs of one posture at one force level.
+
+    Attributes:
+        q_deg: (n,) axis positions, degrees for revolute and metres for prismatic axes.
+        brakes: ``"on"``, ``"off"`` or ``None`` where unknown.
+        frequency: (nf,) in Hz, evenly spaced.
+        frf: (nf, nr, ne), SI per newton.
+        coherence: (nf, nr, ne) ordinary coherence γ², ``averages`` hits per average.
+        exponential_window_rate: rate in 1/s of a window still in the FRFs: they are H(s) on s = rate + iω.
+    """
+
+    name: str
+    q_deg: FloatArray
+    brakes: Brakes | None
+    frequency: FloatArray
+    frf: ComplexArray
+    quantity: Quantity
+    coherence: FloatArray | None = None
+    averages: int | None = None
+    peak_force_n: float | None = None
+    exponential_window_rate: float = 0.0
+    hits: Hits | None = None
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """One hammer test: channels and the postures they were measured in, by group name."""
+
+    response: Channels
+    excitation: Channels
+    postures: dict[str, PostureFRF]
+    robot: str | None = None
+    comment: str = ""
+
+    def pair(self, response: int, excitation: int) -> str:
+        """Name of a channel pair, as in ``21Z+/4Y+``."""
+        return f"{self.response.label[response]}/{self.excitation.label[excitation]}"
+
+
+# --- quantities and variance --------------------------------------------------------------------------------
+
+
+def laplace(frequency: ArrayLike, exponential_window_rate: float = 0.0) -> ComplexArray:
+    """s = rate + iω, the line on which FRFs of exponentially windowed signals sample H(s)."""
+    return np.asarray(exponential_window_rate + 2j * np.pi * np.asarray(frequency), dtype=np.complex128)
+
+
+def convert(
+    frf: ComplexArray,
+    frequency: FloatArray,
+    source: Quantity,
+    target: Quantity,
+    exponential_window_rate: float = 0.0,
+) -> ComplexArray:
+    """FRFs (nf, …) of quantity ``source`` as ``target``: multiplied by the difference in powers of s.
+
+    Integrating has no value at s = 0; such a line becomes NaN.
+    """
+    power = QUANTITIES.index(target) - QUANTITIES.index(source)
+    if power == 0:
+        return frf
+    s = laplace(frequency, exponential_window_rate)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(s == 0, np.nan if power < 0 else 0, s**power)
+    return frf * factor.reshape(-1, *[1] * (frf.ndim - 1))
+
+
+def as_quantity(posture: PostureFRF, target: Quantity) -> PostureFRF:
+    """The same posture with its FRFs given as ``target`` (see :func:`convert`)."""
+    frf = convert(posture.frf, posture.frequency, posture.quantity, target, posture.exponential_window_rate)
+    return replace(posture, frf=frf, quantity=target)
+
+
+def _accelerance(posture: PostureFRF) -> ComplexArray:
+    return as_quantity(posture, "accelerance").frf
+
+
+def dead_channels(posture: PostureFRF) -> BoolArray:
+    """(nr, ne) mask of channel pairs without signal: an unplugged sensor, a direction nothing moves in."""
+    rms = np.sqrt(np.mean(np.abs(_accelerance(posture)) ** 2, axis=0))
+    live = rms[rms > 0]
+    return rms <= DEAD_CHANNEL * (np.median(live) if live.size else 1.0)
+
+
+def frf_variance(posture: PostureFRF) -> FloatArray | None:
+    """Variance (nf, nr, ne) of the real, and of the imaginary, part of every line, in the unit of ``frf`` squared.
+
+    |H|² (1 − γ²) / (2 n γ²) from coherence γ² and n averages (Bendat & Piersol, Random Data, chapter 9). |H| near
+    an antiresonance is noise itself and takes the estimate to zero with it, so the variance is floored, as
+    accelerance, at the channel's 30 % quantile and at a sensor floor; it is infinite for dead channels. ``None``
+    where the recording holds no coherence over two averages or more.
+    """
+    if posture.coherence is None or posture.averages is None or posture.averages < 2:
+        return None
+    accelerance = _accelerance(posture)
+    coherence = np.clip(posture.coherence, 1e-6, 1.0)
+    variance = np.abs(accelerance) ** 2 * (1 - coherence) / (2 * posture.averages * coherence)
+    dead = dead_channels(posture)
+    rms = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=0))
+    sensor = (SENSOR_FLOOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
+    variance = np.maximum(
+        variance, np.maximum(np.quantile(variance, VARIANCE_FLOOR_QUANTILE, axis=0), sensor)
+    )
+    power = QUANTITIES.index(posture.quantity) - QUANTITIES.index("accelerance")
+    s = np.abs(laplace(posture.frequency, posture.exponential_window_rate))
+    with np.errstate(divide="ignore"):
+        variance = variance * (s[:, None, None] ** (2 * power))
+    variance[:, dead] = np.inf
+    return variance
+
+
+# --- checks -------------------------------------------------------------------------------------------------
+
+
+def check_campaign(source: str | Path, campaign: Campaign) -> None:
+    """Raise :class:`InputError` where a campaign breaks the contract of its format."""
+    for side, channels in (("response", campaign.response), ("excitation", campaign.excitation)):
+        _check_channels(source, side, channels)
+    if not campaign.postures:
+        raise InputError(source, "postures", "expected at least one posture")
+    axes = {posture.q_deg.size for posture in campaign.postures.values()}
+    if len(axes) > 1:
+        raise InputError(
+            source, "postures", f"q_deg must have one length in all postures, found {sorted(axes)}"
+        )
+    for name, posture in campaign.postures.items():
+        if not name or "/" in name:
+            raise InputError(source, "postures", f"expected names without a slash, found {name!r}")
+        _check_posture(
+            source, f"postures/{name}", posture, len(campaign.response.label), len(campaign.excitation.label)
+        )
+
+
+def _check_channels(source: str | Path, side: str, channels: Channels) -> None:
+    n = len(channels.label)
+    if n == 0:
+        raise InputError(source, f"{side}/label", "expected at least one channel")
+    for label in channels.label:
+        if not LABEL.fullmatch(label):
+            raise InputError(
+                source, f"{side}/label", f"expected node number, axis, sign such as 21Z+, found {label!r}"
+            )
+    repeated = sorted({label for label in channels.label if channels.label.count(label) > 1})
+    if repeated:
+        raise InputError(
+            source, f"{side}/label", f"labels must be unique, {repeated[0]} is there more than once"
+        )
+    if len(channels.body) != n:
+        raise InputError(source, f"{side}/body", f"expected one per label ({n}), found {len(channels.body)}")
+    for field, array in (("position", channels.position), ("direction", channels.direction)):
+        _check_array(source, f"{side}/{field}", array, (n, 3))
+    length = np.linalg.norm(channels.direction, axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1) > 1e-3)
+    if wrong.size:
+        raise InputError(
+            source,
+            f"{side}/direction",
+            f"expected unit vectors, {channels.label[wrong[0]]} has length {length[wrong[0]]:.4g}",
+        )
+
+
+def _check_array(
+    source: str | Path, field: str, array: NDArray[Any], shape: tuple[int | None, ...], names: str = ""
+) -> None:
+    """A None in ``shape`` leaves that axis open; ``names`` says what the axes are."""
+    if len(array.shape) != len(shape) or any(
+        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
+    ):
+        want = ", ".join("any" if n is None else str(n) for n in shape)
+        raise InputError(
+            source, field, f"expected shape ({want}){' = ' + names if names else ''}, found {array.shape}"
+        )
+    if array.size == 0:
+        raise InputError(source, field, "expected data, found an empty array")
+    if not np.isfinite(array).all():
+        raise InputError(source, field, "expected finite numbers, found NaN or infinity")
+
+
+def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int, ne: int) -> None:
+    _check_array(source, f"{field}: q_deg", posture.q_deg, (None,))
+    if posture.brakes not in (None, "on", "off"):
+        raise InputError(source, f"{field}: brakes", f'expected "on" or "off", found {posture.brakes!r}')
+    frequency = posture.frequency
+    _check_array(source, f"{field}/frequency", frequency, (None,))
+    nf = frequency.size
+    if nf < 2:
+        raise InputError(source, f"{field}/frequency", f"expected at least two lines, found {nf}")
+    if frequency[0] < 0:
+        raise InputError(source, f"{field}/frequency", f"expected Hz from 0 upwards, found {frequency[0]:g}")
+    step = np.diff(frequency)
+    if (step <= 0).any():
+        raise InputError(
+            source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted"
+        )
+    # Readable files hold single-precision axes, whose steps scatter by 1e-7 of the highest frequency.
+    if np.ptp(step) > 1e-3 * step.mean() + 1e-6 * frequency[-1]:
+        raise InputError(
+            source,
+            f"{field}/frequency",
+            f"expected even spacing, found steps {step.min():g} to {step.max():g} Hz",
+        )
+    if posture.quantity not in QUANTITIES:
+        raise InputError(
+            source,
+            f"{field}/frf: quantity",
+            f"expected one of {', '.join(QUANTITIES)}, found {posture.quantity!r}",
+        )
+    _check_array(source, f"{field}/frf", posture.frf, (nf, nr, ne), "frequency, response, excitation")
+    if posture.coherence is not None:
+        _check_array(
+            source, f"{field}/coherence", posture.coherence, (nf, nr, ne), "frequency, response, excitation"
+        )
+        low, high = posture.coherence.min(), posture.coherence.max()
+        if high > 1 + 1e-6 or low < -1e-6:
+            raise InputError(
+                source, f"{field}/coherence", f"expected values from 0 to 1, found {low:g} to {high:g}"
+            )
+    if posture.averages is not None and posture.averages < 1:
+        raise InputError(
+            source, f"{field}/coherence: averages", f"expected 1 or more, found {posture.averages}"
+        )
+    if posture.peak_force_n is not None and not posture.peak_force_n > 0:
+        raise InputError(
+            source, f"{field}: peak_force_n", f"expected newtons above 0, found {posture.peak_force_n:g}"
+        )
+    _check_rate(source, field, posture.exponential_window_rate)
+    if posture.hits is not None:
+        hits = posture.hits
+        _check_array(source, f"{field}/hits/force", hits.force, (ne, None, None), "excitation, hit, sample")
+        shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
+        _check_array(
+            source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample"
+        )
+        if not (np.isfinite(hits.sample_rate_hz) and hits.sample_rate_hz > 0):
+            raise InputError(
+                source, f"{field}/hits: sample_rate_hz", f"expected Hz above 0, found {hits.sample_rate_hz:g}"
+            )
+        if not 0 <= hits.pretrigger_s < hits.force.shape[2] / hits.sample_rate_hz:
+            raise InputError(
+                source,
+                f"{field}/hits: pretrigger_s",
+                f"expected seconds within the record, found {hits.pretrigger_s:g}",
+            )
+        _check_rate(source, f"{field}/hits", hits.exponential_window_rate)
+
+
+def _check_rate(source: str | Path, field: str, rate: float) -> None:
+    if not (np.isfinite(rate) and rate >= 0):
+        raise InputError(
+            source, f"{field}: exponential_window_rate", f"expected 1/s from 0 upwards, found {rate:g}"
+        )
+
+
+# --- units --------------------------------------------------------------------------------------------------
+
+_DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a factor
+    "m": (1, 0, 0),
+    "kg": (0, 1, 0),
+    "s": (0, 0, 1),
+    "N": (1, 1, -2),
+    "Hz": (0, 0, -1),
+    "1": (0, 0, 0),
+}
+_SUPERSCRIPT = str.maketrans("⁻⁰¹²³⁴", "-01234")
+_TOKEN = re.compile(
+    r"\s*(?:(?P<unit>kg|Hz|[a-zA-Zµ°%]+|1)(?:\^|\*\*)?(?P<power>[-+]?\d+)?|(?P<mark>[/*·().⋅]))\s*"
+)
+
+
+def _dimension(unit: str) -> tuple[int, ...] | None:
+    """Exponents of m, kg, s in ``unit`` (a / holds for the next factor or bracket), None unless plain SI."""
+    text = re.sub(r"\^\((-?\d+)\)", r"^\1", unit.translate(_SUPERSCRIPT))
+    total, sign, outer, at = np.zeros(3, dtype=int), 1, [1], 0
+    while at < len(text):
+        token = _TOKEN.match(text, at)
+        if token is None:
+            return None
+        at = token.end()
+        match token["mark"]:
+            case "/":
+                sign = -1
+            case "(":
+                outer.append(outer[-1] * sign)
+                sign = 1
+            case ")":
+                if len(outer) == 1:
+                    return None
+                outer.pop()
+                sign = 1
+            case None:
+                if token["unit"] not in _DIMENSION:
+                    return None
+                power = sign * outer[-1] * int(token["power"] or 1)
+                total += power * np.array(_DIMENSION[token["unit"]])
+                sign = 1
+    return tuple(int(n) for n in total)
+
+
+def check_unit(source: str | Path, field: str, unit: str, expected: str) -> None:
+    """Raise :class:`InputError` unless ``unit`` is the SI unit ``expected``, however it is spelt."""
+    if _dimension(unit) != _dimension(expected):
+        raise InputError(source, f"{field}: unit", f"expected {expected}, found {unit!r}")
+
+
+# --- HDF5 ---------------------------------------------------------------------------------------------------
+
+
+def _plain(value: Any) -> Any:
+    """An attribute or string dataset as plain Python: bytes decoded, arrays of one unpacked."""
+    if isinstance(value, np.ndarray):
+        if value.size == 1:
+            return _plain(value.reshape(-1)[0])
+        return [_plain(item) for item in value.tolist()]
+    if isinstance(value, bytes):
+        return value.decode("utf-8", errors="replace")
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    return value
+
+
+class _Node:
+    """A group or dataset of an open file that turns what is missing or malformed into one clear line."""
+
+    def __init__(self, source: Path, item: h5py.Group | h5py.Dataset) -> None:
+        self.source, self.item = source, item
+        self.field = item.name.strip("/")
+
+    def fail(self, name: str, expected: str) -> InputError:
+        return InputError(self.source, name, expected)
+
+    def attribute(self, name: str) -> Any:
+        """Plain value, None where absent."""
+        return _plain(self.item.attrs[name]) if name in self.item.attrs else None
+
+    def text(self, name: str) -> str | None:
+        value = self.attribute(name)
+        return None if value is None else str(value)
+
+    def number(self, name: str, default: float | None = None) -> float | None:
+        value = self.attribute(name)
+        if value is None or isinstance(value, h5py.Empty):
+            return default
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            raise self.fail(f"{self.field}: {name}", f"expected a number, found {value!r}") from None
+
+    def group(self, name: str) -> "_Node":
+        item = self.item.get(name)
+        if not isinstance(item, h5py.Group):
+            raise self.fail(f"{self.field}/{name}".strip("/"), "expected a group, it is missing")
+        return _Node(self.source, item)
+
+    def dataset(self, name: str) -> "_Node":
+        item = self.item.get(name)
+        if not isinstance(item, h5py.Dataset):
+            raise self.fail(f"{self.field}/{name}", "expected a dataset, it is missing")
+        return _Node(self.source, item)
+
+    def has(self, name: str) -> bool:
+        return name in self.item
+
+    def real(self, name: str, unit: str | None = None) -> FloatArray:
+        node = self.dataset(name)
+        if node.item.dtype.kind not in "iuf":
+            raise self.fail(node.field, f"expected real numbers, found {node.item.dtype}")
+        node.check_unit(unit)
+        return np.asarray(node.item[()], dtype=np.float64)
+
+    def check_unit(self, expected: str | None) -> None:
+        unit = self.text("unit")
+        if unit is not None and expected is not None:
+            check_unit(self.source, self.field, unit, expected)
+
+    def complex(self) -> ComplexArray:
+        dtype = self.item.dtype
+        values = self.item[()]
+        if dtype.names is not None and len(dtype.names) == 2:  # {real, imag} pairs, as MATLAB writes them
+            return np.asarray(values[dtype.names[0]] + 1j * values[dtype.names[1]], dtype=np.complex128)
+        if dtype.kind != "c":
+            raise self.fail(self.field, f"expected complex numbers, found {dtype}")
+        return np.asarray(values, dtype=np.complex128)
+
+    def strings(self, name: str) -> tuple[str, ...]:
+        node = self.dataset(name)
+        values = np.atleast_1d(node.item[()])
+        if values.dtype.kind not in "OSU":
+            raise self.fail(node.field, f"expected text, found {node.item.dtype}")
+        return tuple(str(_plain(value)) for value in values.ravel())
+
+
+def read_campaign(path: str | Path) -> Campaign:
+    """Read and check an ``frf-campaign`` HDF5 file; :class:`InputError` says what it lacks."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "expected a file, there is none")
+    try:
+        file = h5py.File(path, "r")
+    except OSError:
+        raise InputError(path, "", "expected an HDF5 file") from None
+    with file:
+        root = _Node(path, file)
+        if root.text("format") != FORMAT:
+            raise InputError(path, "format", f'expected "{FORMAT}", found {root.text("format")!r}')
+        if root.number("version") != VERSION:
+            raise InputError(path, "version", f"expected {VERSION}, found {root.attribute('version')!r}")
+        postures = root.group("postures")
+        campaign = Campaign(
+            response=_read_channels(root.group("response")),
+            excitation=_read_channels(root.group("excitation")),
+            postures={name: _read_posture(name, postures.group(name)) for name in postures.item},
+            robot=root.text("robot") or None,
+            comment=root.text("comment") or "",
+        )
+    check_campaign(path, campaign)
+    return campaign
+
+
+def _read_channels(node: _Node) -> Channels:
+    return Channels(
+        node.strings("label"), node.strings("body"), node.real("position", "m"), node.real("direction")
+    )
+
+
+def _read_posture(name: str, node: _Node) -> PostureFRF:
+    if "q_deg" not in node.item.attrs:
+        raise node.fail(f"{node.field}: q_deg", "expected the axis positions, the attribute is missing")
+    try:
+        q_deg = np.atleast_1d(np.asarray(node.item.attrs["q_deg"], dtype=np.float64))
+    except (TypeError, ValueError):
+        raise node.fail(
+            f"{node.field}: q_deg", f"expected numbers, found {node.attribute('q_deg')!r}"
+        ) from None
+    frf = node.dataset("frf")
+    quantity: Any = frf.text("quantity")
+    if quantity is None:
+        raise node.fail(
+            f"{frf.field}: quantity", f"expected one of {', '.join(QUANTITIES)}, the attribute is missing"
+        )
+    for holder in (frf, node):
+        holder.check_unit(UNITS.get(quantity))
+    coherence, averages = None, node.number("averages")
+    if node.has("coherence"):
+        coherence = node.real("coherence")
+        averages = node.dataset("coherence").number("averages", averages)
+    if averages is not None and averages != int(averages):
+        raise node.fail(f"{node.field}/coherence: averages", f"expected a whole number, found {averages:g}")
+    brakes: Any = node.text("brakes")
+    return PostureFRF(
+        name=name,
+        q_deg=q_deg,
+        brakes=brakes,
+        frequency=node.real("frequency", "Hz"),
+        frf=frf.complex(),
+        quantity=quantity,
+        coherence=coherence,
+        averages=None if averages is None else int(averages),
+        peak_force_n=node.number("peak_force_n"),
+        exponential_window_rate=node.number("exponential_window_rate") or 0.0,
+        hits=_read_hits(node.group("hits")) if node.has("hits") else None,
+    )
+
+
+def _read_hits(node: _Node) -> Hits:
+    rate = node.number("sample_rate_hz")
+    if rate is None:
+        raise node.fail(f"{node.field}: sample_rate_hz", "expected Hz, the attribute is missing")
+    return Hits(
+        force=node.real("force", "N"),
+        response=node.real("response", "m/s^2"),
+        sample_rate_hz=rate,
+        pretrigger_s=node.number("pretrigger_s") or 0.0,
+        windowed=bool(node.number("windowed", 0.0)),
+        exponential_window_rate=node.number("exponential_window_rate") or 0.0,
+    )
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A scratch path beside ``path`` that takes its place when the block ends, and vanishes when it fails."""
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise InputError(path, "", f"expected an existing folder, {path.parent} is none")
+    handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    os.close(handle)
+    try:
+        yield Path(scratch)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(scratch, 0o666 & ~umask)
+        os.replace(scratch, path)
+    finally:
+        Path(scratch).unlink(missing_ok=True)
+
+
+def write_campaign(path: str | Path, campaign: Campaign) -> None:
+    """Check a campaign and write it as ``frf-campaign`` HDF5; the file appears whole or not at all."""
+    check_campaign(path, campaign)
+    with replacing(path) as scratch, h5py.File(scratch, "w") as file:
+        file.attrs.update({"format": FORMAT, "version": VERSION, "comment": campaign.comment})
+        if campaign.robot is not None:
+            file.attrs["robot"] = campaign.robot
+        for side, channels in (("response", campaign.response), ("excitation", campaign.excitation)):
+            group = file.create_group(side)
+            text = h5py.string_dtype()
+            group.create_dataset("label", data=list(channels.label), dtype=text)
+            group.create_dataset("body", data=list(channels.body), dtype=text)
+            group.create_dataset("position", data=channels.position)
+            group.create_dataset("direction", data=channels.direction)
+        postures = file.create_group("postures", track_order=True)
+        for name, posture in campaign.postures.items():
+            _write_posture(postures.create_group(name), posture)
+
+
+def _write_attributes(node: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
+    node.attrs.update({name: value for name, value in values.items() if value is not None})
+
+
+def _write_posture(group: h5py.Group, posture: PostureFRF) -> None:
+    _write_attributes(
+        group,
+        {
+            "q_deg": posture.q_deg,
+            "brakes": posture.brakes,
+            "peak_force_n": posture.peak_force_n,
+            "exponential_window_rate": posture.exponential_window_rate,
+        },
+    )
+    group.create_dataset("frequency", data=posture.frequency)
+    frf = group.create_dataset("frf", data=posture.frf)
+    frf.attrs.update({"quantity": posture.quantity, "unit": UNITS[posture.quantity]})
+    if posture.coherence is not None:
+        coherence = group.create_dataset("coherence", data=posture.coherence)
+        _write_attributes(coherence, {"averages": posture.averages})
+    if posture.hits is not None:
+        hits = group.create_group("hits")
+        hits.create_dataset("force", data=posture.hits.force)
+        hits.create_dataset("response", data=posture.hits.response)
+        _write_attributes(
+            hits,
+            {
+                "sample_rate_hz": posture.hits.sample_rate_hz,
+                "pretrigger_s": posture.hits.pretrigger_s,
+                "windowed": posture.hits.windowed,
+                "exponential_window_rate": posture.hits.exponential_window_rate,
+            },
+        )
