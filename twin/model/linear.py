@@ -1,0 +1,154 @@
+"""The robot linearised about a posture: M, C, K from ``mjd_transitionFD``, and the Jacobians of its test points.
+
+``mjd_transitionFD`` differentiates one step of the discrete simulation. For MuJoCo's Euler and implicit integrators
+the continuous matrices follow from it exactly, without a matrix logarithm: with the velocity rows of the transition
+matrix A = [[·, ·], [A_vq, A_vv]] and the step h,
+
+    M⁻¹C = (A_vv⁻¹ − I) / h,    M⁻¹K = −A_vv⁻¹ A_vq / h.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from twin.robot.mechanism import Mechanism
+from twin.robot.mjcf import EQUIVALENT_HZ, compile_model
+
+FD_EPSILON = 1e-6
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """M ẍ + C ẋ + (K + i·loss) x = Jᵀ f about an equilibrium, x the nv free coordinates.
+
+    Attributes:
+        coordinates: (nv,) joint names, as in the MJCF; those of elastic joints are sites of the vocabulary.
+        M: (nv, nv) mass matrix, kg·m² (kg, kg·m for slides).
+        C: (nv, nv) viscous damping.
+        K: (nv, nv) stiffness, of springs and gravity.
+        loss: (nv, nv) structural damping, the imaginary part of the stiffness for ω > 0.
+        spring: (nv,) stiffness of the spring on each coordinate, 0 where there is none.
+        points: label → (body, point Jacobian (3, nv) in that body's frame).
+        directions: label → unit direction (3,) in the body's frame.
+    """
+
+    coordinates: tuple[str, ...]
+    M: np.ndarray
+    C: np.ndarray
+    K: np.ndarray
+    loss: np.ndarray
+    spring: np.ndarray
+    points: dict[str, tuple[str, np.ndarray]]
+    directions: dict[str, np.ndarray]
+
+    def jacobian(self, labels: Iterable[str]) -> np.ndarray:
+        """Displacement of points along their directions per unit of the coordinates, (n, nv)."""
+        return np.array([self.directions[label] @ self.points[label][1] for label in labels]).reshape(
+            -1, len(self.coordinates)
+        )
+
+    def hold(self, coordinates: Iterable[str]) -> "LinearModel":
+        """The model with some coordinates held still (rotors by brakes or a perfect servo)."""
+        held = set(coordinates)
+        keep = [k for k, name in enumerate(self.coordinates) if name not in held]
+        grid = np.ix_(keep, keep)
+        return replace(
+            self,
+            coordinates=tuple(self.coordinates[k] for k in keep),
+            M=self.M[grid], C=self.C[grid], K=self.K[grid], loss=self.loss[grid], spring=self.spring[keep],
+            points={label: (body, jacobian[:, keep]) for label, (body, jacobian) in self.points.items()},
+        )  # fmt: skip
+
+
+def transition_matrices(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """M⁻¹C and M⁻¹K (nv, nv) at the state in ``data``, exactly recovered from ``mjd_transitionFD``.
+
+    Friction and limits are constraints in MuJoCo, regularised so that they would wreck the linearisation; they are
+    disabled while it is made.
+
+    Raises:
+        ValueError: an integrator for which the recovery does not hold, or a model with activations.
+    """
+    exact = (
+        mujoco.mjtIntegrator.mjINT_EULER,
+        mujoco.mjtIntegrator.mjINT_IMPLICIT,
+        mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    )
+    if model.opt.integrator not in exact:
+        raise ValueError("linearisation needs integrator Euler, implicit or implicitfast")
+    if model.na:
+        raise ValueError("linearisation needs a model without activations")
+    nv, h = model.nv, model.opt.timestep
+    flags = model.opt.disableflags
+    model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    try:
+        A = np.zeros((2 * nv, 2 * nv))
+        mujoco.mj_forward(model, data)
+        mujoco.mjd_transitionFD(model, data, FD_EPSILON, 1, A, None, None, None)
+        mujoco.mj_forward(model, data)  # derived fields are stale after the differences
+        if data.nefc:
+            raise ValueError("linearisation needs a state without active constraints")
+    finally:
+        model.opt.disableflags = flags
+    inverse = np.linalg.inv(A[nv:, nv:])
+    return (inverse - np.eye(nv)) / h, -inverse @ A[nv:, :nv] / h
+
+
+def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Joint-space mass matrix (nv, nv), armature included, at the state of the last ``mj_forward``."""
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    return M
+
+
+def posture_state(model: mujoco.MjModel, mechanism: Mechanism) -> mujoco.MjData:
+    """The commanded posture at rest, deflections zero, with derived quantities computed."""
+    data = mujoco.MjData(model)
+    for i, value in enumerate(mechanism.q):
+        if (motor := mechanism.motor(i)) is not None and not motor.elastic:
+            data.qpos[model.joint(motor.name).qposadr[0]] = value
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def linearise(mechanism: Mechanism, model: mujoco.MjModel | None = None) -> LinearModel:
+    """Linearise a mechanism about its commanded posture.
+
+    Args:
+        mechanism: from :func:`twin.robot.mechanism.assemble`, with drives ``"held"`` or ``"free"``.
+        model: its compiled form, where that is at hand.
+    """
+    if model is None:
+        model = compile_model(mechanism, visual=False, instruments=False)
+    data = posture_state(model, mechanism)
+    nv = model.nv
+    order = sorted(mechanism.joints, key=lambda joint: int(model.joint(joint.name).dofadr[0]))
+    M = mass_matrix(model, data)
+    if nv:
+        damping, stiffness = transition_matrices(model, data)
+        C, K = _symmetric(M @ damping), _symmetric(M @ stiffness)
+    else:
+        C = K = np.zeros((0, 0))
+    loss = np.diag([joint.loss_factor * joint.stiffness[0] for joint in order])
+    C = C - loss / (2 * np.pi * EQUIVALENT_HZ)  # the viscous stand-in that the MJCF carries
+    points = {}
+    for point in mechanism.points:
+        body = model.body(point.body).id
+        rotation = data.xmat[body].reshape(3, 3)
+        jacobian = np.zeros((3, nv))
+        mujoco.mj_jac(model, data, jacobian, None, data.xpos[body] + rotation @ point.position, body)
+        points[point.label] = (point.body, rotation.T @ jacobian)
+    return LinearModel(
+        coordinates=tuple(joint.name for joint in order),
+        M=M, C=C, K=K, loss=loss,
+        spring=np.array([joint.stiffness[0] for joint in order]),
+        points=points,
+        directions={point.label: np.asarray(point.direction) for point in mechanism.points},
+    )  # fmt: skip
+
+
+def _symmetric(A: np.ndarray) -> np.ndarray:
+    # springs, gravity and dampers at rest derive from potentials; what is skew is the differences' rounding
+    return 0.5 * (A + A.T)

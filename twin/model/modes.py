@@ -1,0 +1,63 @@
+"""Modes of a linear model: poles, shapes at joints and test points, which deflections dominate, MAC."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.model.linear import LinearModel
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Oscillating modes in the order of frequency; overdamped (real) poles are left out.
+
+    Attributes:
+        pole: (nm,) λ in rad/s, imaginary part positive.
+        shape: (nv, nm) complex, in the model's coordinates, largest displacement of the coordinates scaled to 1.
+        share: (nv, nm) each coordinate's share of the strain energy of the springs.
+        linear: the model they belong to.
+    """
+
+    pole: np.ndarray
+    shape: np.ndarray
+    share: np.ndarray
+    linear: LinearModel
+
+    def __len__(self) -> int:
+        return len(self.pole)
+
+    @property
+    def frequency_hz(self) -> np.ndarray:
+        """Natural frequencies |λ|/2π (paper, Eq. 21), Hz."""
+        return np.abs(self.pole) / (2 * np.pi)
+
+    @property
+    def damping_percent(self) -> np.ndarray:
+        """Damping ratios −Re λ/|λ|, percent of critical."""
+        return -100 * self.pole.real / np.abs(self.pole)
+
+    def at(self, labels: Iterable[str]) -> np.ndarray:
+        """Shapes at test points along their directions, (n, nm) complex."""
+        return self.linear.jacobian(labels) @ self.shape
+
+    def dominant(self, mode: int, least: float = 0.1) -> list[tuple[str, float]]:
+        """The deflections that hold at least ``least`` of a mode's strain energy, largest first."""
+        order = np.argsort(-self.share[:, mode])
+        return [(self.linear.coordinates[k], float(self.share[k, mode])) for k in order if self.share[k, mode] >= least]
+
+
+def modes(linear: LinearModel) -> Modes:
+    """Complex modes from the state-space form of the linear model (paper, Eqs. 19–22)."""
+    nv = len(linear.coordinates)
+    K = linear.K + 1j * linear.loss if linear.loss.any() else linear.K
+    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(linear.M, np.hstack([K, linear.C]))]])
+    pole, vector = np.linalg.eig(A) if nv else (np.zeros(0, complex), np.zeros((0, 0), complex))
+    keep = np.flatnonzero(pole.imag > 1e-6 * np.abs(pole))
+    keep = keep[np.argsort(np.abs(pole[keep]))]
+    pole, shape = pole[keep], vector[:nv, keep]
+    if len(keep):
+        largest = np.argmax(np.abs(shape), axis=0)
+        shape = shape / shape[largest, np.arange(len(keep))]
+    energy = linear.spring[:, None] * np.abs(shape) ** 2
+    return Modes(pole, shape, energy / np.maximum(energy.sum(axis=0), np.finfo(float).tiny), linear)

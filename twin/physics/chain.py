@@ -1,0 +1,55 @@
+"""The measurement chain between the structure and the recording: channels, gains, delays."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class MeasurementChain:
+    """What stands between motion and numbers; measurement effects edit it.
+
+    Attributes:
+        response_labels: (nr,) accelerometer channels, as ``21Z+``.
+        response_direction: (nr, 3) unit vectors in the body's frame.
+        excitation_labels: (ne,) hammer degrees of freedom.
+        excitation_direction: (ne, 3) unit vectors in the body's frame.
+        response_gain: (nr,) recorded = gain × true.
+        response_delay: (nr,) s, channel late by.
+        torque_gain: (n,) recorded = gain × true.
+        torque_delay: s, torque late against position.
+    """
+
+    response_labels: tuple[str, ...]
+    response_direction: np.ndarray
+    excitation_labels: tuple[str, ...]
+    excitation_direction: np.ndarray
+    response_gain: np.ndarray = field(default_factory=lambda: np.ones(0))
+    response_delay: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    torque_gain: np.ndarray = field(default_factory=lambda: np.ones(0))
+    torque_delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.response_direction = np.array(self.response_direction, float).reshape(-1, 3)
+        self.excitation_direction = np.array(self.excitation_direction, float).reshape(-1, 3)
+        if not self.response_gain.size:
+            self.response_gain = np.ones(len(self.response_labels))
+        if not self.response_delay.size:
+            self.response_delay = np.zeros(len(self.response_labels))
+
+    def responses(self, site: str) -> list[int]:
+        """Indices of the response channel a site ``sensor:LABEL`` names; empty when it is not recorded."""
+        return [k for k, label in enumerate(self.response_labels) if site == f"sensor:{label}"]
+
+    def node_responses(self, site: str) -> list[int]:
+        """Indices of all response channels on the node that ``sensor:NODE`` names."""
+        return [k for k, label in enumerate(self.response_labels) if site == f"sensor:{node_of(label)}"]
+
+    def excitations(self, site: str) -> list[int]:
+        """Indices of the excitation that ``hammer:LABEL`` names."""
+        return [k for k, label in enumerate(self.excitation_labels) if site == f"hammer:{label}"]
+
+
+def node_of(label: str) -> str:
+    """Node of a channel label: ``21Z+`` → ``21``."""
+    return label.rstrip("+-").rstrip("XYZxyz")

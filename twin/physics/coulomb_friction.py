@@ -1,0 +1,29 @@
+"""Dry friction: F_c sgn q̇."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.physics.effect import Effect, Parameter, Values, axis_of
+
+if TYPE_CHECKING:
+    from twin.physics.motion import Motion
+    from twin.robot.mechanism import Mechanism
+
+
+class CoulombFriction(Effect):
+    """Natively: ``frictionloss`` of the motor's joint (a regularised constraint; disabled for modes)."""
+
+    name = "coulomb_friction"
+    sites = ("joint{i}",)
+    parameters = (Parameter("torque", "N·m", nonnegative=True),)
+    seen_in = frozenset({"log"})
+    role = "friction"
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        if motor := mechanism.motor(axis_of(site)):
+            motor.frictionloss += values["torque"]
+
+    def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
+        i = axis_of(site)
+        return {i: values["torque"] * motion.sign(motion.velocity[:, i])}

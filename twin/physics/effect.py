@@ -1,0 +1,144 @@
+"""What one effect states: its law, where it can act, its parameters, and how it is written into the model.
+
+A new effect is one new file with one subclass of :class:`Effect`, listed in ``twin/physics/__init__.py``.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from twin.physics.chain import MeasurementChain
+    from twin.physics.motion import Motion
+    from twin.robot.mechanism import Mechanism
+
+UNIT_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+Values = Mapping[str, Any]
+"""The parameters of one entry: name → number, list of numbers or word."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.
+
+    Attributes:
+        name: as in the robot description.
+        unit: SI unit; ``"1"`` where there is none.
+        null: the value at which the model is the one without the effect (``inf`` for a rigid spring).
+        length: 0 for a number, ``n`` for a list of n numbers, -1 for a list of any length.
+        optional: may be left out of an entry (it then takes ``null``).
+        positive: must be greater than zero.
+        nonnegative: must not be less than zero. With neither, any finite number will do.
+        word: a word, not a number (an axis letter, a joint).
+    """
+
+    name: str
+    unit: str
+    null: float = 0.0
+    length: int = 0
+    optional: bool = False
+    positive: bool = False
+    nonnegative: bool = False
+    word: bool = False
+
+    def check(self, value: object) -> str | None:
+        """Why ``value`` cannot be this parameter, or ``None`` when it can."""
+        if self.word:
+            return None if isinstance(value, str | int) and value != "" else f"expected a word, found {value!r}"
+        items = value if self.length and isinstance(value, list | tuple) else [value]
+        if self.length and not isinstance(value, list | tuple):
+            return f"expected a list of numbers, found {value!r}"
+        if self.length > 0 and len(items) != self.length:
+            return f"expected {self.length} numbers, found {len(items)}"
+        for item in items:
+            if isinstance(item, bool) or not isinstance(item, int | float) or not np.isfinite(item):
+                return f"expected a finite number [{self.unit}], found {item!r}"
+            if self.positive and item <= 0:
+                return f"expected a number > 0 [{self.unit}], found {item!r}"
+            if self.nonnegative and item < 0:
+                return f"expected a number ≥ 0 [{self.unit}], found {item!r}"
+        return None
+
+
+class Effect:
+    """One entry of the vocabulary. Subclasses are stateless; the values live in the robot description.
+
+    Attributes:
+        name: identifier in robot descriptions, ``--without`` and diagnoses.
+        sites: where it can act; ``{i}`` stands for every axis or link number, ``LABEL`` and ``NODE`` for a channel.
+        parameters: in the order of the vocabulary.
+        seen_in: the kinds of recording that can show it.
+        order: entries are applied by increasing order: 0 shapes the tree, 1 hangs bodies on it, 2 acts on
+            joints, 3 acts on what the others added.
+        role: what its torque law is part of: ``"load"`` goes through the gear, ``"friction"`` is what load and
+            warm-up act on, ``"drive"`` is neither.
+        repeatable: several entries may stand at one site.
+    """
+
+    name: ClassVar[str]
+    sites: ClassVar[tuple[str, ...]]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    seen_in: ClassVar[frozenset[Literal["hammer", "levels", "log"]]]
+    order: ClassVar[int] = 2
+    role: ClassVar[Literal["load", "friction", "drive"]] = "drive"
+    repeatable: ClassVar[bool] = False
+
+    def check(self, values: Values) -> str | None:
+        """What is wrong with the parameters taken together, or ``None``."""
+        return None
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        """Write the entry into the mechanism, with native MuJoCo elements wherever they exist.
+
+        The default is for effects that MuJoCo does not express: nothing is written.
+        """
+
+    def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
+        """What the entry adds to the recorded drive torque.
+
+        Args:
+            motion: the state of all axes over time.
+            site: where it acts.
+            values: the entry's parameters.
+
+        Returns:
+            Zero-based axis → torque (nt,) in N·m at the gear output (N on a linear axis). Empty by default.
+        """
+        return {}
+
+    def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
+        """Change how the motion is recorded (gains, delays, directions). The default changes nothing."""
+
+    def is_site(self, site: str, axes: int) -> bool:
+        """Whether ``site`` is one of this effect's sites on a robot with ``axes`` axes."""
+        return any(_matches(pattern, site, axes) for pattern in self.sites)
+
+    def fixed_sites(self, axes: int) -> Iterator[str]:
+        """The sites that depend only on the number of axes (not those of channels)."""
+        for pattern in self.sites:
+            if "{i}" in pattern:
+                yield from (pattern.replace("{i}", str(i + 1)) for i in range(axes))
+            elif not _CHANNEL.search(pattern):
+                yield pattern
+
+
+_CHANNEL = re.compile("LABEL|NODE")
+
+
+def _matches(pattern: str, site: str, axes: int) -> bool:
+    expression = re.escape(pattern).replace(re.escape("{i}"), r"([1-9]\d*)")
+    expression = _CHANNEL.sub(lambda _: r"\\S+", expression)
+    found = re.fullmatch(expression, site)
+    return bool(found) and all(int(number) <= axes for number in found.groups())
+
+
+def axis_of(site: str) -> int:
+    """Zero-based number of the axis or link named in a site: ``joint2.z`` → 1."""
+    found = re.match(r"(?:joint|link)(\d+)", site)
+    if not found:
+        raise ValueError(f"no axis in site {site!r}")
+    return int(found.group(1)) - 1

@@ -1,0 +1,28 @@
+"""Warm-up: all friction of a joint × (1 + a exp(−t/T)), t the campaign's clock."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.physics.effect import Effect, Parameter, Values, axis_of
+
+if TYPE_CHECKING:
+    from twin.physics.motion import Motion
+    from twin.robot.mechanism import Mechanism
+
+
+class FrictionDrift(Effect):
+    """Written as a passive force."""
+
+    name = "friction_drift"
+    sites = ("joint{i}",)
+    parameters = (Parameter("amplitude", "1"), Parameter("time_constant", "s", positive=True))
+    seen_in = frozenset({"log"})
+    order = 3
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        mechanism.passive_force(self.name, site, values)
+
+    def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
+        i = axis_of(site)
+        return {i: values["amplitude"] * np.exp(-motion.time / values["time_constant"]) * motion.friction[:, i]}

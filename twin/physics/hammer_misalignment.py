@@ -1,0 +1,32 @@
+"""A blow off its axis: turned by two angles about the two other axes of the frame."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.physics.effect import Effect, Parameter, Values
+
+if TYPE_CHECKING:
+    from twin.physics.chain import MeasurementChain
+
+
+class HammerMisalignment(Effect):
+    """Acts on one hammer degree of freedom; the other axes are the next two in the order x, y, z, x, y."""
+
+    name = "hammer_misalignment"
+    sites = ("hammer:LABEL",)
+    parameters = (Parameter("angles", "rad", length=2),)
+    seen_in = frozenset({"hammer"})
+
+    def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
+        for column in chain.excitations(site):
+            direction = chain.excitation_direction[column]
+            along = int(np.argmax(np.abs(direction)))
+            for step, angle in enumerate(values["angles"], start=1):
+                axis = np.eye(3)[(along + step) % 3]
+                direction = (
+                    direction * np.cos(angle)
+                    + np.cross(axis, direction) * np.sin(angle)
+                    + axis * (axis @ direction) * (1 - np.cos(angle))
+                )
+            chain.excitation_direction[column] = direction

@@ -1,0 +1,56 @@
+"""Slip that remembers: elastic–perfectly-plastic elements in parallel (Maxwell slip), beside the spring.
+
+On the deflection φ of a flexible joint; on q where the joint is rigid, and in motion logs.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.physics.effect import Effect, Parameter, Values, axis_of
+
+if TYPE_CHECKING:
+    from twin.physics.motion import Motion
+    from twin.robot.mechanism import Mechanism
+
+
+class Hysteresis(Effect):
+    """Natively: one fixed tendon with ``springyield`` per element; its slip is state, ``mjData.plastic``."""
+
+    name = "hysteresis"
+    sites = ("joint{i}.z",)
+    parameters = (
+        Parameter("stiffness", "N·m/rad", length=-1, nonnegative=True),
+        Parameter("yield_torque", "N·m", length=-1, nonnegative=True),
+    )
+    seen_in = frozenset({"levels", "log"})
+    role = "friction"
+
+    def check(self, values: Values) -> str | None:
+        if len(values["stiffness"]) != len(values["yield_torque"]):
+            return "stiffness and yield_torque: expected lists of one length"
+        return None
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        joint = mechanism.joint(site) or mechanism.motor(axis_of(site))
+        if joint is None:
+            return
+        for number, (stiffness, torque) in enumerate(zip(values["stiffness"], values["yield_torque"], strict=True)):
+            if stiffness > 0 and torque > 0:
+                mechanism.tendon(
+                    f"{site}.slip{number + 1}",
+                    {joint.name: 1.0},
+                    stiffness=stiffness,
+                    springyield=torque / stiffness,
+                )
+
+    def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
+        axis = axis_of(site)
+        stiffness, limit = np.array(values["stiffness"], float), np.array(values["yield_torque"], float)
+        steps = np.diff(motion.position[:, axis], prepend=motion.position[0, axis])
+        element = np.zeros_like(stiffness)
+        total = np.empty_like(steps)
+        for k, step in enumerate(steps):
+            element = np.clip(element + stiffness * step, -limit, limit)
+            total[k] = element.sum()
+        return {axis: total}

@@ -1,0 +1,28 @@
+"""A link that bends: a hinge about y or z of its frame, half-way to the next joint (flange).
+
+Points and mass inboard of the hinge stay behind. ``Mechanism.split`` says how the mass is divided.
+"""
+
+from math import inf
+from typing import TYPE_CHECKING
+
+from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of
+
+if TYPE_CHECKING:
+    from twin.robot.mechanism import Mechanism
+
+
+class LinkFlexibility(Effect):
+    """Natively: the link becomes two bodies joined by a sprung hinge."""
+
+    name = "link_flexibility"
+    sites = ("link{i}.y", "link{i}.z")
+    parameters = (
+        Parameter("stiffness", "N·m/rad", inf, positive=True),
+        Parameter("damping", "N·m·s/rad", nonnegative=True),
+    )
+    seen_in = frozenset({"hammer"})
+    order = 0
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        mechanism.split(axis_of(site) + 1, UNIT_VECTORS[site[-1]], site, values["stiffness"], values["damping"])

@@ -1,0 +1,49 @@
+"""A rigid mass the description does not have, on a link or at the flange; com in the frame of the link that carries it."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.physics.effect import Effect, Parameter, Values
+
+if TYPE_CHECKING:
+    from twin.robot.mechanism import Mechanism
+
+
+class Payload(Effect):
+    """Natively: mass and inertia fused into the link's ``inertial``.
+
+    ``inertia`` at its own centre of mass: (xx, yy, zz) or (xx, yy, zz, xy, xz, yz), kg·m².
+    """
+
+    name = "payload"
+    sites = ("flange", "link{i}")
+    parameters = (
+        Parameter("mass", "kg", nonnegative=True),
+        Parameter("com", "m", length=3),
+        Parameter("inertia", "kg·m²", length=-1, optional=True),
+    )
+    seen_in = frozenset({"hammer", "log"})
+    order = 1
+    repeatable = True
+
+    def check(self, values: Values) -> str | None:
+        inertia = values["inertia"]
+        if not inertia:
+            return None
+        if len(inertia) not in (3, 6):
+            return f"inertia: expected 3 or 6 numbers, found {len(inertia)}"
+        principal = np.linalg.eigvalsh(_matrix(inertia))
+        if principal[0] < 0 or principal[0] + principal[1] < principal[2] * (1 - 1e-9):
+            return "inertia: no body of positive mass can have it (triangle inequality)"
+        return None
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        body = f"link{mechanism.robot.axis_count}" if site == "flange" else site
+        if values["mass"] > 0:
+            mechanism.attach(body, values["mass"], np.array(values["com"]), _matrix(values["inertia"] or [0.0] * 3))
+
+
+def _matrix(inertia: list[float]) -> np.ndarray:
+    xx, yy, zz, xy, xz, yz = [*inertia, *[0.0] * (6 - len(inertia))]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -1,0 +1,28 @@
+"""A channel that is late; in a motion log, torque late against position."""
+
+from typing import TYPE_CHECKING
+
+from twin.physics.effect import Effect, Parameter, Values
+
+if TYPE_CHECKING:
+    from twin.physics.chain import MeasurementChain
+    from twin.robot.mechanism import Mechanism
+
+
+class TimeDelay(Effect):
+    """Natively: the ``delay`` of the accelerometer's sensor; in a log it acts on the record."""
+
+    name = "time_delay"
+    sites = ("sensor:LABEL", "log")
+    parameters = (Parameter("delay", "s"),)
+    seen_in = frozenset({"hammer", "log"})
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        if site != "log" and values["delay"] > 0:
+            mechanism.sensor_delay[site.removeprefix("sensor:")] = values["delay"]
+
+    def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
+        if site == "log":
+            chain.torque_delay += values["delay"]
+        else:
+            chain.response_delay[chain.responses(site)] += values["delay"]

@@ -1,0 +1,433 @@
+"""The robot as validated data: links, axes, drives, flange, test points, and the list of physics entries.
+
+The schema of ``robot.yaml``; its keys, units and defaults are the fields below. ``docs/robot.md`` explains them.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from twin.errors import InputError
+from twin.physics import CATALOGUE
+from twin.robot.frames import inertia_matrix
+from twin.yamlfile import read_yaml, write_yaml
+
+
+def _is_number(value: Any) -> Any:
+    if isinstance(value, bool) or isinstance(value, str):
+        raise ValueError(f"expected a number, found {value!r}")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_is_number), Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+Vector = tuple[Number, Number, Number]
+Quaternion = tuple[Number, Number, Number, Number]
+Inertia = tuple[Number, Number, Number, Number, Number, Number]
+
+
+class _Data(BaseModel):
+    model_config = ConfigDict(extra="forbid", validate_assignment=True)
+
+
+class Placement(_Data):
+    """A frame in another: position in m, unit quaternion (w, x, y, z)."""
+
+    position: Vector = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _unit(self) -> Self:
+        if abs(np.linalg.norm(self.quaternion) - 1) > 1e-6:
+            raise ValueError("quaternion must have unit length, order w x y z")
+        return self
+
+
+def check_inertia(inertia: Inertia) -> None:
+    """Raise ``ValueError`` unless a body of positive mass can have this inertia at its centre of mass (kg·m²)."""
+    principal = np.linalg.eigvalsh(inertia_matrix(inertia))
+    if principal[0] <= 0:
+        raise ValueError(
+            f"inertia must be positive definite; its principal moments are {', '.join(f'{p:.6g}' for p in principal)} kg·m²"
+        )
+    if principal[0] + principal[1] < principal[2] * (1 - 1e-9):
+        raise ValueError(
+            f"inertia violates the triangle inequality: {principal[0]:.6g} + {principal[1]:.6g} < {principal[2]:.6g} kg·m²"
+        )
+
+
+class Base(Placement):
+    """The foot, frame ``base``; ``position`` and ``quaternion`` place the first axis's reference frame in it.
+
+    Its mass takes part only in ``base_compliance``; inertia (xx, yy, zz, xy, xz, yz) at the com, kg·m².
+    """
+
+    mass: NonNegative = 0.0
+    com: Vector = (0.0, 0.0, 0.0)
+    inertia: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    mesh: str | None = None
+
+
+class Link(_Data):
+    """A rigid link in its modified-DH frame: mass kg, com m, inertia (xx, yy, zz, xy, xz, yz) at the com, kg·m².
+
+    A link given only by a ``mesh`` (STL, OBJ, DAE; metres after ``mesh_scale``) and a ``density`` (kg/m³) or a
+    ``mass`` gets the rest from the mesh.
+    """
+
+    name: str | None = None
+    mass: Positive | None = None
+    com: Vector | None = None
+    inertia: Inertia | None = None
+    mesh: str | None = None
+    mesh_scale: Positive = 1.0
+    density: Positive | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.inertia is not None:
+            check_inertia(self.inertia)
+        given = (self.com is not None) + (self.inertia is not None)
+        if given == 1 or (given == 2 and self.mass is None):
+            raise ValueError("give mass, com and inertia together, or a mesh with a density or a mass")
+        if given == 0 and (self.mesh is None or (self.mass is None) == (self.density is None)):
+            raise ValueError("needs mass, com and inertia, or a mesh with either a density or a mass")
+        return self
+
+
+class Limits(_Data):
+    """Position (lower, upper) rad or m; largest speed rad/s or m/s; largest acceleration rad/s² or m/s²."""
+
+    position: tuple[Number, Number] | None = None
+    velocity: Positive | None = None
+    acceleration: Positive | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.position is not None and self.position[0] >= self.position[1]:
+            raise ValueError(f"position limits must increase, found {list(self.position)}")
+        return self
+
+
+class Axis(_Data):
+    """An axis in modified (Craig) DH: Rx(alpha) Tx(a) Rz(theta) Tz(d) from the frame before it.
+
+    The position q is added to theta (revolute) or d (prismatic). ``stiffness`` (N·m/rad or N/m) and ``damping``
+    (N·m·s/rad or N·s/m) are the gear's, about (along) z; without a stiffness the axis is rigid.
+    """
+
+    type: Literal["revolute", "prismatic"] = "revolute"
+    name: str | None = None
+    alpha_deg: Number = 0.0
+    a: Number = 0.0
+    theta_deg: Number = 0.0
+    d: Number = 0.0
+    limits: Limits | None = None
+    stiffness: Positive | None = None
+    damping: NonNegative = 0.0
+
+
+class Drive(_Data):
+    """The motor of an axis: ``gear_ratio`` (motor turns per joint turn; rad/m on a linear axis), rotor inertia kg·m².
+
+    ``rotor_mass`` (kg) sits on the axis, on the link before it; 0 where that link's mass already holds the motor.
+    ``coupling`` names axes that turn this motor too: {joint5: 1.0} means motor position/ratio = q_this + 1.0 q₅.
+    """
+
+    gear_ratio: Number = 1.0
+    rotor_inertia: NonNegative = 0.0
+    rotor_mass: NonNegative = 0.0
+    coupling: dict[str, Number] = {}
+    mesh: str | None = None
+
+
+class TestPoint(_Data):
+    """A hammer or accelerometer point: channel label as in UFF58, body frame, position m, unit direction with sign."""
+
+    __test__ = False  # not a test case
+
+    label: str
+    body: str
+    position: Vector
+    direction: Vector
+
+    @model_validator(mode="after")
+    def _unit(self) -> Self:
+        length = float(np.linalg.norm(self.direction))
+        if abs(length - 1) > 1e-3:
+            raise ValueError(f"direction must be a unit vector, its length is {length:.4g}")
+        return self
+
+
+class Entry(BaseModel):
+    """One physics entry: an effect at a site, with its parameters."""
+
+    model_config = ConfigDict(extra="allow")
+    effect: str
+    site: str
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The parameters, defaults filled in."""
+        given = dict(self.model_extra or {})
+        for parameter in CATALOGUE[self.effect].parameters:
+            if parameter.optional and parameter.name not in given:
+                given[parameter.name] = [parameter.null] * parameter.length if parameter.length > 0 else parameter.null
+        return given
+
+
+class Prior(_Data):
+    """Log-normal prior on parameters: one standard deviation is ×/÷ ``factor`` about the described value.
+
+    ``parameter`` may hold ``*``: ``joint*.z.stiffness``. The last that matches counts.
+    """
+
+    parameter: str
+    factor: Annotated[Number, Field(gt=1)]
+    source: str = ""
+
+
+class Tolerances(_Data):
+    """One standard deviation of what a description can be wrong by."""
+
+    mass: NonNegative = 0.03  # relative
+    com: NonNegative = 0.01  # m
+    inertia: NonNegative = 0.03  # relative
+    posture_deg: NonNegative = 0.2
+    channel_gain: NonNegative = 0.01  # relative
+
+
+class Workspace(_Data):
+    """Box the flange must stay in, m, in the base frame."""
+
+    x: tuple[Number, Number]
+    y: tuple[Number, Number]
+    z: tuple[Number, Number]
+
+
+class Robot(_Data):
+    """A serial chain of revolute or prismatic axes, and the physics modelled beyond links, drives and z-springs."""
+
+    name: str
+    description: str = ""
+    gravity: Vector = (0.0, 0.0, -9.81)
+    total_mass: Positive | None = None
+    base: Base = Base()
+    links: list[Link] = Field(min_length=1)
+    axes: list[Axis]
+    drives: list[Drive] = []
+    flange: Placement = Placement()
+    workspace: Workspace | None = None
+    test_points: list[TestPoint] = []
+    accelerometers: list[str] = []
+    physics: list[Entry] = []
+    priors: list[Prior] = []
+    tolerances: Tolerances = Tolerances()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        n = len(self.axes)
+        if not self.drives:
+            self.__dict__["drives"] = [Drive() for _ in range(n)]
+        if not len(self.links) == n == len(self.drives):
+            raise ValueError(
+                f"needs one link and one drive per axis, found {len(self.links)} links, {n} axes, {len(self.drives)} drives"
+            )
+        bodies = {"base", *(f"link{i + 1}" for i in range(n))}
+        labels = [point.label for point in self.test_points]
+        for k, point in enumerate(self.test_points):
+            if point.body not in bodies:
+                raise ValueError(
+                    f"test_points[{k}].body: unknown body {point.body!r}; bodies are base, link1 … link{n}"
+                )
+            if point.label in labels[:k]:
+                raise ValueError(f"test_points[{k}].label: {point.label!r} appears twice")
+        for label in self.accelerometers:
+            if label not in labels:
+                raise ValueError(f"accelerometers: {label!r} is not the label of a test point")
+        for i, drive in enumerate(self.drives):
+            for name in drive.coupling:
+                if name not in self.joint_names or name == f"joint{i + 1}":
+                    raise ValueError(f"drives[{i}].coupling: {name!r} is not another joint of this robot")
+        seen: set[tuple[str, str]] = set()
+        for k, entry in enumerate(self.physics):
+            check_entry(entry, n, f"physics[{k}]")
+            if (entry.effect, entry.site) in seen and not CATALOGUE[entry.effect].repeatable:
+                raise ValueError(f"physics[{k}]: {entry.effect} at {entry.site} appears twice")
+            seen.add((entry.effect, entry.site))
+        return self
+
+    @property
+    def axis_count(self) -> int:
+        """Number of axes n."""
+        return len(self.axes)
+
+    @property
+    def joint_names(self) -> list[str]:
+        """joint1 … jointN."""
+        return [f"joint{i + 1}" for i in range(len(self.axes))]
+
+    def angles(self, q_user: Iterable[float]) -> np.ndarray:
+        """Joint positions (n,) in rad (m) from the user's degrees (metres on prismatic axes)."""
+        return np.array(
+            [np.deg2rad(v) if a.type == "revolute" else v for v, a in zip(q_user, self.axes, strict=True)],
+            float,
+        )
+
+    def degrees(self, q: Iterable[float]) -> list[float]:
+        """The user's degrees (metres on prismatic axes) from joint positions (n,) in rad (m)."""
+        return [float(np.rad2deg(v)) if a.type == "revolute" else float(v) for v, a in zip(q, self.axes, strict=True)]
+
+    def check_posture(self, q: Iterable[float], source: str = "posture", field: str = "q_deg") -> np.ndarray:
+        """Joint positions (n,) as an array.
+
+        Raises:
+            InputError: wrong length, not finite, or outside the axes' limits.
+        """
+        q = np.array(list(q), float)
+        if q.shape != (len(self.axes),):
+            raise InputError(source, field, f"expected {len(self.axes)} values for robot {self.name}, found {q.size}")
+        if not np.isfinite(q).all():
+            raise InputError(source, field, "expected finite numbers")
+        for i, (value, axis) in enumerate(zip(q, self.axes, strict=True)):
+            if axis.limits and axis.limits.position:
+                low, high = axis.limits.position
+                if not low - 1e-9 <= value <= high + 1e-9:
+                    show, unit = (np.rad2deg, "°") if axis.type == "revolute" else (float, " m")
+                    raise InputError(
+                        source, f"{field}[{i}]",
+                        f"joint{i + 1} at {show(value):.6g}{unit} is outside its limits {show(low):.6g} … {show(high):.6g}{unit}",
+                    )  # fmt: skip
+        return q
+
+    def without(self, removals: Iterable[str]) -> "Robot":
+        """A copy without the entries named ``EFFECT`` or ``EFFECT@SITE``.
+
+        Raises:
+            InputError: an effect or site that does not exist. Naming an entry that is not there is no error.
+        """
+        entries = list(self.physics)
+        for removal in removals:
+            effect, _, site = removal.partition("@")
+            try:
+                _check_effect(effect)
+                if site:
+                    _check_site(effect, site, len(self.axes))
+            except ValueError as error:
+                raise InputError("--without", removal, str(error)) from error
+            entries = [e for e in entries if not (e.effect == effect and site in ("", e.site))]
+        return self.model_copy(update={"physics": entries})
+
+
+def check_entry(entry: Entry, axes: int, where: str) -> None:
+    """Raise ``ValueError`` unless the entry names an effect, one of its sites and just its parameters."""
+    try:
+        _check_effect(entry.effect)
+        _check_site(entry.effect, entry.site, axes)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
+    known = {parameter.name: parameter for parameter in CATALOGUE[entry.effect].parameters}
+    given = entry.model_extra or {}
+    for name in given:
+        if name not in known:
+            raise ValueError(f"{where}.{name}: unknown parameter; {entry.effect} takes {', '.join(known)}")
+    for name, parameter in known.items():
+        if name in given:
+            if problem := parameter.check(given[name]):
+                raise ValueError(f"{where}.{name}: {problem}")
+        elif not parameter.optional:
+            raise ValueError(f"{where}: {entry.effect} needs {name} [{parameter.unit}]")
+    if problem := CATALOGUE[entry.effect].check(entry.values):
+        raise ValueError(f"{where}.{problem}")
+
+
+def _check_effect(effect: str) -> None:
+    if effect not in CATALOGUE:
+        raise ValueError(f"unknown effect {effect!r}; known are {', '.join(CATALOGUE)}")
+
+
+def _check_site(effect: str, site: str, axes: int) -> None:
+    if not CATALOGUE[effect].is_site(site, axes):
+        choices = ", ".join(CATALOGUE[effect].sites)
+        raise ValueError(f"unknown site {site!r}; {effect} acts at {choices} (i = 1 … {axes})")
+
+
+def parse_robot(data: dict[str, Any], source: str | Path = "robot") -> Robot:
+    """Validate plain data as a robot description.
+
+    Raises:
+        InputError: one line that names the field.
+    """
+    try:
+        return Robot.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).lstrip(".")
+        message = first["msg"].removeprefix("Value error, ")
+        if first["type"] == "extra_forbidden":
+            message = "unknown field"
+        elif first["type"] == "missing":
+            message = "missing"
+        elif not first["msg"].startswith("Value error") and not isinstance(first["input"], dict | list):
+            message = f"{message[0].lower()}{message[1:]}, found {first['input']!r}"
+        raise InputError(source, where, message) from error
+
+
+SHIPPED = next(
+    folder for folder in (Path(__file__).resolve().parents[level] / "mjcf" for level in (1, 2)) if folder.is_dir()
+)
+"""Folder of the shipped descriptions: inside an installed package, or at the top of a clone."""
+
+
+def load_robot(name: str | Path, relative_to: str | Path | None = None) -> Robot:
+    """Load a shipped description (``kr90``), a ``robot.yaml`` or a URDF.
+
+    Args:
+        name: shipped name or path.
+        relative_to: folder that a relative path is looked up in before the working folder.
+
+    Raises:
+        InputError: no such robot, or the file breaks the schema.
+    """
+    candidates = [Path(name)] if relative_to is None else [Path(relative_to) / name, Path(name)]
+    path = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if path is None:
+        path = SHIPPED / f"{name}.yaml"
+        if Path(name).suffix or len(Path(name).parts) > 1 or not path.is_file():
+            shipped = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.yaml")))
+            raise InputError(name, "", f"no such robot; give a robot.yaml, a URDF or one of: {shipped}")
+    if path.suffix.lower() in (".urdf", ".xml"):
+        from twin.robot.urdf import import_urdf
+
+        return import_urdf(path)
+    robot = parse_robot(read_yaml(path), path)
+    meshes = [*robot.links, *robot.drives, robot.base]
+    for holder in meshes:
+        if holder.mesh is not None:
+            holder.__dict__["mesh"] = str(_find_mesh(holder.mesh, path))
+    if any(link.inertia is None for link in robot.links) or robot.total_mass is not None:
+        from twin.robot.mesh_inertia import complete_inertias
+
+        complete_inertias(robot, path)
+    return robot
+
+
+def _find_mesh(mesh: str, description: Path) -> Path:
+    for folder in (description.parent, SHIPPED):
+        if (folder / mesh).is_file():
+            return (folder / mesh).resolve()
+    raise InputError(description, "mesh", f"{mesh} not found beside the description")
+
+
+def save_robot(path: str | Path, robot: Robot) -> None:
+    """Write a description that :func:`load_robot` reads back, with every documented key present."""
+    data = robot.model_dump(mode="json")
+    for holder in (*data["links"], *data["drives"], data["base"]):
+        if holder.get("mesh"):
+            mesh = Path(holder["mesh"])
+            holder["mesh"] = str(mesh.relative_to(SHIPPED) if mesh.is_relative_to(SHIPPED) else mesh)
+    write_yaml(path, data)

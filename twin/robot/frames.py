@@ -1,0 +1,73 @@
+"""Frames: modified (Craig) Denavit–Hartenberg placement, quaternions (w, x, y, z), inertia as six numbers."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from twin.robot.description import Axis
+
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def rotation_x(angle: float) -> np.ndarray:
+    """Rotation matrix (3, 3) about x by ``angle`` rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def rotation_z(angle: float) -> np.ndarray:
+    """Rotation matrix (3, 3) about z by ``angle`` rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def axis_placement(axis: "Axis", q: float) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and quaternion (4,) of frame i in frame i−1: Rx(α) Tx(a) Rz(θ) Tz(d).
+
+    Craig, Introduction to Robotics; the commanded ``q`` (rad or m) is added to θ of a revolute, to d of a prismatic axis.
+    """
+    alpha, theta, d = np.deg2rad(axis.alpha_deg), np.deg2rad(axis.theta_deg), axis.d
+    if axis.type == "prismatic":
+        d += q
+    else:
+        theta += q
+    position = np.array([axis.a, -np.sin(alpha) * d, np.cos(alpha) * d])
+    ca, sa, ct, st = np.cos(alpha / 2), np.sin(alpha / 2), np.cos(theta / 2), np.sin(theta / 2)
+    return position, np.array([ca * ct, sa * ct, -sa * st, ca * st])
+
+
+def matrix_of(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternion (w, x, y, z) with w ≥ 0 of a rotation matrix (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
+
+
+def rotate(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """A vector (3,) turned by a unit quaternion."""
+    return matrix_of(quaternion) @ vector
+
+
+def inertia_matrix(six: Sequence[float]) -> np.ndarray:
+    """Inertia (3, 3) from (xx, yy, zz, xy, xz, yz); products are matrix elements, I_xy = −Σ m x y."""
+    xx, yy, zz, xy, xz, yz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], float)
+
+
+def inertia_six(matrix: np.ndarray) -> list[float]:
+    """(xx, yy, zz, xy, xz, yz) of an inertia matrix (3, 3)."""
+    return [float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]

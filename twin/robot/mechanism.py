@@ -1,0 +1,355 @@
+"""The robot in one posture as plain data: bodies, joints, springs, instruments — before it becomes MJCF.
+
+``assemble`` lays out base → motor1 → link1 → motor2 → …; the physics entries then edit the mechanism, each through
+the ``write`` of its effect. Nothing here knows MuJoCo's API.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import erfc, sqrt
+from typing import Any, Literal
+
+import numpy as np
+
+from twin.physics import CATALOGUE
+from twin.robot.description import Robot
+from twin.robot.frames import IDENTITY, axis_placement, inertia_matrix, rotate
+
+Drives = Literal["held", "free", "servo"]
+
+
+@dataclass
+class Joint:
+    """A degree of freedom of a body. Hinges take rad, N·m; slides m, N.
+
+    Attributes:
+        axis: unit vector in the body's frame.
+        stiffness: k₁, k₂, k₃ of k₁x + k₂x² + k₃x³.
+        damping: d₁, d₂, d₃ of d₁v + d₂v|v| + d₃v³.
+        elastic: a deflection, whose rest position is chosen so that the commanded posture is the equilibrium;
+            otherwise a motor's coordinate.
+        springref: rest position of a motor's spring.
+        loss_factor: η of structural damping, k₁(1 + iη); beyond MuJoCo, used in the frequency domain.
+        dead_zone: total width of a gap in series with the spring, rad.
+        range: lower and upper stop, or ``None``.
+    """
+
+    name: str
+    axis: tuple[float, float, float]
+    kind: Literal["hinge", "slide"] = "hinge"
+    stiffness: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    damping: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    armature: float = 0.0
+    frictionloss: float = 0.0
+    elastic: bool = True
+    springref: float = 0.0
+    loss_factor: float = 0.0
+    dead_zone: float = 0.0
+    range: tuple[float, float] | None = None
+
+
+@dataclass
+class Body:
+    """A rigid body. ``position`` and ``quaternion`` (w, x, y, z) place it in its parent; inertia is at the com."""
+
+    name: str
+    parent: str
+    position: np.ndarray
+    quaternion: np.ndarray
+    mass: float = 0.0
+    com: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    joints: list[Joint] = field(default_factory=list)
+    mesh: str | None = None
+    kind: Literal["base", "motor", "link", "tip", "part"] = "part"
+
+
+@dataclass
+class Point:
+    """A hammer or accelerometer point: position and direction (unit, sign included) in the body's frame."""
+
+    label: str
+    body: str
+    position: np.ndarray
+    direction: np.ndarray
+
+
+@dataclass
+class Tendon:
+    """A linear combination of joint coordinates that carries a spring, inertia or friction."""
+
+    name: str
+    joints: dict[str, float]
+    stiffness: float = 0.0
+    springlength: tuple[float, float] = (0.0, 0.0)
+    springyield: float = 0.0
+    damping: float = 0.0
+    armature: float = 0.0
+    frictionloss: float = 0.0
+
+
+@dataclass
+class PassiveMotor:
+    """A passive drive element on a joint: cogging (amplitude N·m, order, phase rad) or LuGre friction."""
+
+    name: str
+    joint: str
+    cogging: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lugre: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PassiveForce:
+    """A torque law MuJoCo does not have: ``effect.torque`` is applied against the motion of the motors at every step."""
+
+    effect: str
+    site: str
+    values: Mapping[str, Any]
+
+
+@dataclass
+class Mechanism:
+    """A robot in one posture, ready to be written as MJCF.
+
+    Attributes:
+        robot: the description it was made from.
+        q: (n,) commanded joint positions, rad (m).
+        drives: ``held`` rotors (brakes on, or a perfect servo), ``free`` rotors, or rotors driven by a ``servo``.
+        bodies: name → body, parents before children.
+        splits: link number (1-based) → (origin, normal) of the plane that divides it, in the link's frame.
+        accelerometers: labels of the response channels.
+        sensor_delay: s, per accelerometer label.
+        servo_gains: zero-based axis → position gain N·m/rad and velocity gain N·m·s/rad, where the description says so.
+    """
+
+    robot: Robot
+    q: np.ndarray
+    brakes: Literal["on", "off"]
+    drives: Drives
+    bodies: dict[str, Body] = field(default_factory=dict)
+    tendons: list[Tendon] = field(default_factory=list)
+    passive_motors: list[PassiveMotor] = field(default_factory=list)
+    passive_forces: list[PassiveForce] = field(default_factory=list)
+    points: list[Point] = field(default_factory=list)
+    splits: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    accelerometers: tuple[str, ...] = ()
+    sensor_delay: dict[str, float] = field(default_factory=dict)
+    servo_gains: dict[int, tuple[float, float]] = field(default_factory=dict)
+
+    def joint(self, name: str) -> Joint | None:
+        """The joint of that name, or ``None`` where the model is rigid (or the rotor held)."""
+        for body in self.bodies.values():
+            for joint in body.joints:
+                if joint.name == name:
+                    return joint
+        return None
+
+    def motor(self, axis: int) -> Joint | None:
+        """The rotor's coordinate of a zero-based axis, or ``None`` while it is held."""
+        return self.joint(f"motor{axis + 1}")
+
+    @property
+    def joints(self) -> list[Joint]:
+        """All joints, body by body."""
+        return [joint for body in self.bodies.values() for joint in body.joints]
+
+    def carrier(self, body: str, position: np.ndarray) -> str:
+        """The body that carries a point given in ``body``'s frame: the outboard half where a link is split."""
+        if body.startswith("link") and (split := self.splits.get(int(body[4:]))) is not None:
+            origin, normal = split
+            if normal @ (np.asarray(position) - origin) > 0:
+                return f"{body}.tip"
+        return body
+
+    def axis_kind(self, axis: int) -> Literal["hinge", "slide"]:
+        """Kind of the joint about (along) z of a zero-based axis."""
+        return "slide" if self.robot.axes[axis].type == "prismatic" else "hinge"
+
+    def spring(
+        self,
+        body: str,
+        name: str,
+        axis: tuple[float, float, float],
+        stiffness: float,
+        damping: float,
+        kind: Literal["hinge", "slide"] = "hinge",
+    ) -> Joint:
+        """Give a body an elastic degree of freedom."""
+        joint = Joint(name, axis, kind, [stiffness, 0.0, 0.0], [damping, 0.0, 0.0])
+        self.bodies[body].joints.append(joint)
+        return joint
+
+    def part(self, link: str, position: np.ndarray, mass: float) -> str:
+        """Add a small body of its own at a point of a link; returns its name."""
+        carrier = self.carrier(link, position)
+        name = f"{link}.part{sum(body.kind == 'part' for body in self.bodies.values()) + 1}"
+        ball = np.eye(3) * 0.4 * mass * 0.05**2  # a ball of 5 cm radius; it only translates
+        self.bodies[name] = Body(name, carrier, position - self.offset(carrier), IDENTITY.copy(), mass, inertia=ball)
+        return name
+
+    def tendon(self, name: str, joints: dict[str, float], **options: float) -> None:
+        """Add a fixed tendon; options are the fields of :class:`Tendon`."""
+        self.tendons.append(Tendon(name, joints, **options))  # type: ignore[arg-type]
+
+    def passive_motor(self, name: str, joint: str, **options: tuple[float, ...]) -> None:
+        """Add cogging or LuGre friction to a joint; options are the fields of :class:`PassiveMotor`."""
+        self.passive_motors.append(PassiveMotor(name, joint, **options))  # type: ignore[arg-type]
+
+    def passive_force(self, effect: str, site: str, values: Mapping[str, Any]) -> None:
+        """Leave a torque law to the stepping loop, because MuJoCo has no element for it."""
+        self.passive_forces.append(PassiveForce(effect, site, values))
+
+    def attach(self, body: str, mass: float, com: np.ndarray, inertia: np.ndarray) -> None:
+        """Fuse a rigid mass (com and inertia at com in ``body``'s frame) into the body that carries it."""
+        carrier = self.bodies[self.carrier(body, com)]
+        carrier.mass, carrier.com, carrier.inertia = fuse(
+            (carrier.mass, carrier.com, carrier.inertia),
+            (mass, np.asarray(com) - self.offset(carrier.name), inertia),
+        )
+
+    def split(self, link: int, axis: tuple[float, float, float], name: str, stiffness: float, damping: float) -> None:
+        """Give a link a bending hinge half-way to the next joint (flange); a second call adds a second axis.
+
+        The mass is divided as if it were a normal (Gaussian) cloud with the link's mass, centre of mass and
+        inertia, cut by the plane through the hinge across the line to the next joint: both halves are physically
+        consistent, they add up to the link exactly, and nothing needs to be known of its shape.
+        """
+        if link in self.splits:
+            self.spring(f"link{link}.tip", name, axis, stiffness, damping)
+            return
+        body = self.bodies[f"link{link}"]
+        child = self.bodies.get(f"motor{link + 1}")
+        reach = child.position if child else np.array(self.robot.flange.position)
+        origin, normal = reach / 2, reach / np.linalg.norm(reach)
+        inboard, outboard = cut((body.mass, body.com, body.inertia), origin, normal)
+        body.mass, body.com, body.inertia = inboard
+        mass, com, inertia = outboard
+        tip = Body(f"link{link}.tip", body.name, origin, IDENTITY.copy(), mass, com - origin, inertia, kind="tip")
+        self.splits[link] = (origin, normal)
+        bodies = dict(self.bodies)
+        self.bodies.clear()
+        for key, item in bodies.items():
+            self.bodies[key] = item
+            if key == body.name:
+                self.bodies[tip.name] = tip
+        self.spring(tip.name, name, axis, stiffness, damping)
+        if child:
+            child.parent, child.position = tip.name, child.position - origin
+
+    def offset(self, body: str) -> np.ndarray:
+        """Origin of a body's own frame, in the frame its points are given in (a link's tip starts half-way)."""
+        return self.splits[int(body[4:-4])][0] if body.endswith(".tip") else np.zeros(3)
+
+
+Inertial = tuple[float, np.ndarray, np.ndarray]
+"""Mass kg, centre of mass (3,) m, inertia at it (3, 3) kg·m²."""
+
+
+def fuse(first: Inertial, second: Inertial) -> Inertial:
+    """The inertial of two rigid bodies welded together, all in one frame."""
+    mass = first[0] + second[0]
+    if mass == 0:
+        return 0.0, first[1], first[2] + second[2]
+    com = (first[0] * first[1] + second[0] * second[1]) / mass
+    inertia = sum(part[2] + part[0] * _steiner(part[1] - com) for part in (first, second))
+    return mass, com, np.asarray(inertia)
+
+
+def cut(inertial: Inertial, origin: np.ndarray, normal: np.ndarray) -> tuple[Inertial, Inertial]:
+    """Divide an inertial by a plane as if it were a Gaussian cloud; returns the parts (behind, in front).
+
+    Moments of a normal distribution truncated at the plane, from its mass, mean and covariance.
+    """
+    mass, com, inertia = inertial
+    covariance = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
+    spread = np.sqrt(normal @ covariance @ normal)
+    depth = normal @ (com - origin) / spread
+    toward = covariance @ normal / spread
+    parts = []
+    for side in (-1.0, 1.0):
+        share = erfc(-side * depth / sqrt(2)) / 2
+        if mass * share < 1e-9:  # all of it lies on the other side
+            parts.append((1e-9, origin.copy(), np.eye(3) * 1e-12))
+            continue
+        hazard = np.exp(-0.5 * depth**2) / np.sqrt(2 * np.pi) / share
+        mean = com + side * hazard * toward
+        narrowed = covariance - np.outer(toward, toward) * hazard * (hazard + side * depth)
+        parts.append((mass * share, mean, mass * share * (np.trace(narrowed) * np.eye(3) - narrowed)))
+    return parts[0], parts[1]
+
+
+def _steiner(r: np.ndarray) -> np.ndarray:
+    return float(r @ r) * np.eye(3) - np.outer(r, r)
+
+
+def assemble(
+    robot: Robot,
+    q: np.ndarray,
+    *,
+    brakes: Literal["on", "off"] = "on",
+    drives: Drives = "held",
+) -> Mechanism:
+    """Lay out the robot in a posture and apply its physics entries.
+
+    Args:
+        robot: validated description.
+        q: (n,) joint positions, rad (m).
+        brakes: with ``"off"`` a ``servo_compliance`` frees the rotor it acts on; with ``"on"`` it cannot.
+        drives: ``"held"`` for modes and hammer tests, ``"servo"`` for replay, ``"free"`` for unheld rotors.
+    """
+    q = robot.check_posture(q)
+    mechanism = Mechanism(robot, q, brakes, drives, accelerometers=tuple(robot.accelerometers))
+    base = robot.base
+    mechanism.bodies["base"] = Body(
+        "base", "", np.zeros(3), IDENTITY.copy(), base.mass, np.array(base.com), inertia_matrix(base.inertia),
+        mesh=base.mesh, kind="base",
+    )  # fmt: skip
+    parent = "base"
+    for i, (link, axis, drive) in enumerate(zip(robot.links, robot.axes, robot.drives, strict=True)):
+        prismatic = axis.type == "prismatic"
+        kind: Literal["hinge", "slide"] = "slide" if prismatic else "hinge"
+        z = (0.0, 0.0, 1.0)
+        held = drives == "held"
+        position, quaternion = axis_placement(axis, q[i] if held else 0.0)
+        if i == 0:
+            position = np.array(base.position) + rotate(np.array(base.quaternion), position)
+            quaternion = _product(np.array(base.quaternion), quaternion)
+        motor = Body(f"motor{i + 1}", parent, position, quaternion, drive.rotor_mass, kind="motor", mesh=drive.mesh)
+        if not held:
+            coupled = bool(drive.coupling)
+            inertia = drive.gear_ratio**2 * drive.rotor_inertia
+            limits = axis.limits.position if axis.limits else None
+            motor.joints.append(
+                Joint(motor.name, z, kind, elastic=False, range=limits, armature=0.0 if coupled else inertia)
+            )
+            if coupled:
+                turns = {motor.name: 1.0} | {name.replace("joint", "motor"): r for name, r in drive.coupling.items()}
+                mechanism.tendons.append(Tendon(f"drive{i + 1}", turns, armature=inertia))
+        body = Body(
+            f"link{i + 1}", motor.name, np.zeros(3), IDENTITY.copy(), link.mass, np.array(link.com),
+            inertia_matrix(link.inertia), mesh=link.mesh, kind="link",
+        )  # fmt: skip
+        if axis.stiffness is not None:
+            body.joints.append(Joint(f"joint{i + 1}.z", z, kind, [axis.stiffness, 0.0, 0.0], [axis.damping, 0.0, 0.0]))
+        mechanism.bodies[motor.name], mechanism.bodies[body.name] = motor, body
+        parent = body.name
+    entries = sorted(robot.physics, key=lambda entry: CATALOGUE[entry.effect].order)
+    for entry in entries:
+        CATALOGUE[entry.effect].write(mechanism, entry.site, entry.values)
+    for point in robot.test_points:
+        carrier = mechanism.carrier(point.body, np.array(point.position))
+        mechanism.points.append(
+            Point(
+                point.label,
+                carrier,
+                np.array(point.position) - mechanism.offset(carrier),
+                np.array(point.direction),
+            )
+        )
+    return mechanism
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternion product, (w, x, y, z)."""
+    w, v = a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
+    return np.concatenate([[w], v])

@@ -1,0 +1,253 @@
+"""A mechanism written as MJCF with MjSpec, compiled, and saved in menagerie style."""
+
+import ctypes
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from twin.robot.frames import inertia_six, quaternion_of
+from twin.robot.mechanism import Body, Joint, Mechanism
+from twin.yamlfile import atomic_write
+
+TIMESTEP_S = 0.001
+EQUIVALENT_HZ = 15.0
+"""Structural damping is written as the viscous damper that dissipates as much at this frequency."""
+
+ROTOR_MASS = 1e-6  # kg: MuJoCo refuses moving bodies without mass; a link's mass already holds its motor's
+SERVO_HZ = 30.0  # bandwidth of the position servo where the description gives no gains
+SERVO_DAMPING = 0.7
+
+_COLOURS = {"base": (0.25, 0.25, 0.27, 1), "link": (0.95, 0.45, 0.08, 1), "motor": (0.16, 0.16, 0.18, 1)}
+
+
+def compile_model(mechanism: Mechanism, *, visual: bool = True, instruments: bool = True) -> mujoco.MjModel:
+    """The mechanism as a compiled model whose commanded posture is the equilibrium under gravity.
+
+    Args:
+        mechanism: from :func:`twin.robot.mechanism.assemble`.
+        visual: with meshes.
+        instruments: with hammer actuators and accelerometers; without them stepping is faster.
+    """
+    spec = build_spec(mechanism, visual=visual, instruments=instruments)
+    return spec.compile()
+
+
+def build_spec(mechanism: Mechanism, *, visual: bool = True, instruments: bool = True) -> mujoco.MjSpec:
+    """The mechanism as an MjSpec, springs referenced so that the commanded posture is the equilibrium.
+
+    Raises:
+        ValueError: MuJoCo refuses the model.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = mechanism.robot.name
+    spec.compiler.degree = False
+    spec.compiler.balanceinertia = False
+    spec.option.timestep = TIMESTEP_S
+    spec.option.gravity = mechanism.robot.gravity
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # the sparse Cholesky of mujoco-core 4.0.0 is wrong
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
+    spec.stat.center, spec.stat.extent = (0.8, 0.0, 1.0), 3.0
+    _defaults(spec)
+    bodies = {"": spec.worldbody}
+    for body in mechanism.bodies.values():
+        bodies[body.name] = _add_body(spec, bodies[body.parent], body, visual)
+    for point in mechanism.points:
+        z = np.asarray(point.direction)
+        x = np.eye(3)[np.argmin(np.abs(z))]
+        y = np.cross(z, x) / np.linalg.norm(np.cross(z, x))
+        frame = np.column_stack([np.cross(y, z), y, z])
+        bodies[point.body].add_site(
+            spec.find_default("point"), name=point.label, pos=point.position, quat=quaternion_of(frame)
+        )
+    for tendon in mechanism.tendons:
+        fixed = spec.add_tendon(name=tendon.name)
+        for name, coefficient in tendon.joints.items():
+            fixed.wrap_joint(name, coefficient)
+        fixed.stiffness, fixed.damping = [tendon.stiffness, 0, 0], [tendon.damping, 0, 0]
+        fixed.springlength, fixed.springyield = tendon.springlength, tendon.springyield
+        fixed.armature, fixed.frictionloss = tendon.armature, tendon.frictionloss
+    _add_drives(spec, mechanism)
+    if instruments:
+        _add_instruments(spec, mechanism)
+    _balance(spec, mechanism)
+    return spec
+
+
+def save_mjcf(path: str | Path, spec: mujoco.MjSpec) -> None:
+    """Write the spec as an XML file that any MuJoCo loads, at 12 significant digits.
+
+    Meshes are referenced relative to the file.
+    """
+    path = Path(path).resolve()
+    with _xml_precision(17):
+        text = spec.to_xml()
+    text = re.sub(r"(?<=[\s\"])-?\d+\.?\d*(?:e[-+]?\d+)?(?=[\s\"])", lambda n: f"{float(n.group()):.12g}", text)
+    text = re.sub(r'file="([^"]+)"', lambda f: f'file="{_relative(Path(f.group(1)), path.parent)}"', text)
+    with atomic_write(path) as stream:
+        stream.write(text)
+
+
+def _relative(target: Path, folder: Path) -> str:
+    import os
+
+    return os.path.relpath(target, folder)
+
+
+@contextmanager
+def _xml_precision(digits: int) -> Iterator[None]:
+    # MuJoCo prints six digits by default, too few for lightly damped modes; its own tests use these two functions.
+    library = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
+    before = library._mjPRIVATE__get_xml_precision()
+    library._mjPRIVATE__set_xml_precision(digits)
+    try:
+        yield
+    finally:
+        library._mjPRIVATE__set_xml_precision(before)
+
+
+def _defaults(spec: mujoco.MjSpec) -> None:
+    visual = spec.add_default("visual", spec.default)
+    visual.geom.type = mujoco.mjtGeom.mjGEOM_MESH
+    visual.geom.contype = visual.geom.conaffinity = 0
+    visual.geom.group = 2
+    for kind, colour in _COLOURS.items():
+        spec.add_default(kind, visual).geom.rgba = colour
+    point = spec.add_default("point", spec.default)
+    point.site.type = mujoco.mjtGeom.mjGEOM_CYLINDER
+    point.site.size = [0.012, 0.02, 0.012]
+    point.site.rgba = (0.1, 0.6, 0.9, 1)
+    point.site.group = 3
+    spec.add_default("hammer", spec.default)
+
+
+def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: bool) -> mujoco.MjsBody:
+    item = parent.add_body(name=body.name, pos=body.position, quat=body.quaternion)
+    if body.mass > 0 or body.joints:
+        item.explicitinertial = True
+        item.mass = max(body.mass, ROTOR_MASS)
+        item.ipos = body.com
+        if np.trace(body.inertia) > 0:
+            item.fullinertia = inertia_six(body.inertia)
+        else:
+            item.inertia = [item.mass * 1e-3] * 3
+    for joint in body.joints:
+        damping = list(joint.damping)
+        damping[0] += joint.loss_factor * joint.stiffness[0] / (2 * np.pi * EQUIVALENT_HZ)
+        added = item.add_joint(
+            name=joint.name,
+            type=mujoco.mjtJoint.mjJNT_SLIDE if joint.kind == "slide" else mujoco.mjtJoint.mjJNT_HINGE,
+            axis=joint.axis,
+            stiffness=[0, 0, 0] if joint.dead_zone else joint.stiffness,
+            damping=damping,
+            armature=joint.armature,
+            frictionloss=joint.frictionloss,
+            springref=joint.springref,
+        )
+        if joint.range is not None:
+            added.range = joint.range
+    if body.mesh and visual:
+        if not spec.mesh(Path(body.mesh).stem):
+            spec.add_mesh(name=Path(body.mesh).stem, file=body.mesh)
+        item.add_geom(spec.find_default(body.kind), meshname=Path(body.mesh).stem)
+    return item
+
+
+def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
+    for passive in mechanism.passive_motors:
+        motor = spec.add_actuator(name=passive.name, target=passive.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, cogging=passive.cogging, lugre=passive.lugre)
+    if mechanism.drives != "servo":
+        return
+    for i, axis in enumerate(mechanism.robot.axes):
+        kp, kv = mechanism.servo_gains.get(i, (None, None))
+        if kp is None or kv is None:
+            drive = mechanism.robot.drives[i]
+            inertia = drive.gear_ratio**2 * drive.rotor_inertia or 1.0
+            omega = 2 * np.pi * SERVO_HZ
+            kp, kv = inertia * omega**2, 2 * SERVO_DAMPING * inertia * omega
+        actuator = spec.add_actuator(name=f"motor{i + 1}", target=f"motor{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=kp, kv=kv)
+        if axis.limits and axis.limits.position:
+            actuator.ctrlrange = axis.limits.position
+    key = spec.add_key(name="posture")
+    key.qpos = key.ctrl = []
+
+
+def _add_instruments(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
+    for point in mechanism.points:
+        hammer = spec.add_actuator(
+            spec.find_default("hammer"),
+            name=f"hammer {point.label}", target=point.label, trntype=mujoco.mjtTrn.mjTRN_SITE, gear=[0, 0, 1, 0, 0, 0],
+        )  # fmt: skip
+        hammer.set_to_motor()
+    for label in mechanism.accelerometers:
+        # framelinacc, since the accelerometer sensor also feels gravity turn with the tilt
+        sensor = spec.add_sensor(
+            name=label, type=mujoco.mjtSensor.mjSENS_FRAMELINACC, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=label,
+        )  # fmt: skip
+        if delay := mechanism.sensor_delay.get(label):
+            sensor.delay, sensor.nsample = delay, int(np.ceil(delay / TIMESTEP_S)) + 1
+    for i in range(mechanism.robot.axis_count):
+        for joint in (f"motor{i + 1}", f"joint{i + 1}.z"):
+            if mechanism.joint(joint):
+                spec.add_sensor(
+                    name=f"position {joint}", type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+                    objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint,
+                )  # fmt: skip
+
+
+def _balance(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
+    """Set every spring's rest position so that the commanded posture carries gravity; write it as a keyframe."""
+    springs = [joint for joint in mechanism.joints if joint.elastic]
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    addresses = {joint.name: model.joint(joint.name).qposadr[0] for joint in mechanism.joints}
+    qpos = np.zeros(model.nq)
+    for i, value in enumerate(mechanism.q):
+        if (motor := mechanism.motor(i)) is not None and not motor.elastic:
+            qpos[addresses[motor.name]] = value
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    for joint in springs:
+        torque = float(data.qfrc_bias[model.joint(joint.name).dofadr[0]])
+        if joint.dead_zone:
+            _dead_band(spec, joint, torque)
+        else:
+            spec.joint(joint.name).springref = _rest(joint, torque)
+    if mechanism.drives == "servo":
+        key = spec.key("posture")
+        key.qpos, key.ctrl = qpos, np.zeros(model.nu)
+        key.ctrl[: len(mechanism.q)] = 0
+        ctrl = np.zeros(model.nu)
+        for i, value in enumerate(mechanism.q):
+            ctrl[model.actuator(f"motor{i + 1}").ctrladr[0] if model.nu else 0] = value
+        key.ctrl = ctrl
+
+
+def _rest(joint: Joint, torque: float) -> float:
+    """Rest position (rad, m) at which the spring at zero deflection balances a bias torque: k(−ref) = −torque."""
+    k1, k2, k3 = joint.stiffness
+    if k1 == 0:
+        return 0.0
+    rest = torque / k1
+    if k2 or k3:
+        roots = np.roots([k3, -k2, k1, -torque])
+        real = roots[np.abs(roots.imag) < 1e-9 * max(1.0, abs(rest))].real
+        rest = float(real[np.argmin(np.abs(real - rest))])
+    return rest
+
+
+def _dead_band(spec: mujoco.MjSpec, joint: Joint, torque: float) -> None:
+    """Replace the hinge's spring by a fixed tendon with a dead band, loaded by ``torque`` at zero deflection."""
+    tendon = spec.add_tendon(name=f"{joint.name}.gap")
+    tendon.wrap_joint(joint.name, 1.0)
+    tendon.stiffness = joint.stiffness
+    rest = _rest(joint, torque)
+    half = joint.dead_zone / 2
+    centre = rest + np.sign(torque) * half
+    tendon.springlength = (centre - half, centre + half)

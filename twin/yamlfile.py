@@ -1,0 +1,101 @@
+"""YAML 1.2 in and out: ``6.1e6`` and ``2e-4`` are numbers, ``on`` is a word; files are written whole or not at all."""
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedSeq
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.scalarstring import DoubleQuotedScalarString
+
+from twin.errors import InputError
+
+# Words that YAML 1.1 readers would take for booleans; quoted on writing so that every reader agrees.
+_YAML_1_1_BOOLEANS = {"on", "off", "yes", "no", "y", "n", "true", "false"}
+
+
+def read_yaml(path: str | Path) -> dict[str, Any]:
+    """Read a YAML 1.2 mapping.
+
+    Raises:
+        InputError: the file is missing, is not YAML, or is not a mapping.
+    """
+    path = Path(path)
+    try:
+        with path.open(encoding="utf-8") as stream:
+            data = YAML(typ="safe", pure=True).load(stream)
+    except OSError as error:
+        raise InputError(path, "", f"cannot be read ({error.strerror})") from error
+    except (YAMLError, UnicodeDecodeError) as error:
+        problem = getattr(error, "problem", None) or "not text in UTF-8"
+        mark = getattr(error, "problem_mark", None)
+        raise InputError(path, f"line {mark.line + 1}" if mark else "", f"not valid YAML: {problem}") from error
+    if not isinstance(data, dict):
+        raise InputError(path, "", "expected a mapping of keys to values at the top level")
+    return data
+
+
+def write_yaml(path: str | Path, data: dict[str, Any]) -> None:
+    """Write plain data (dicts, lists, numbers, strings, ``None``) as YAML 1.2, atomically.
+
+    Lists of scalars and mappings inside lists that hold only scalars stay on one line.
+    """
+    writer = YAML()
+    writer.width = 110
+    writer.default_flow_style = False
+    writer.indent(mapping=2, sequence=4, offset=2)
+    writer.representer.add_representer(float, _represent_float)
+    writer.representer.add_representer(type(None), _represent_none)
+    with atomic_write(path) as stream:
+        writer.dump(_styled(data), stream)
+
+
+class atomic_write:
+    """Context manager: a text stream beside ``path`` that replaces it only when all went well."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+
+    def __enter__(self) -> Any:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        handle, self.aside = tempfile.mkstemp(dir=self.path.parent, prefix=f".{self.path.name}.")
+        os.fchmod(handle, 0o644)
+        self.stream = os.fdopen(handle, "w", encoding="utf-8")
+        return self.stream
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        self.stream.close()
+        if kind is None:
+            os.replace(self.aside, self.path)
+        else:
+            os.unlink(self.aside)
+
+
+def _styled(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _styled(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        items = CommentedSeq(_styled(item) for item in value)
+        if all(not isinstance(item, dict | list) for item in value):
+            items.fa.set_flow_style()
+        return items
+    if isinstance(value, str):
+        return DoubleQuotedScalarString(value) if value.lower() in _YAML_1_1_BOOLEANS else value
+    if isinstance(value, bool) or value is None or isinstance(value, int):
+        return value
+    return float(value)
+
+
+def _represent_float(representer: Any, value: float) -> Any:
+    text = repr(value)
+    mantissa, _, exponent = text.partition("e")
+    if exponent and "." not in mantissa:  # readers of YAML 1.1 need the point to see a number
+        text = f"{mantissa}.0e{exponent}"
+    text = {"inf": ".inf", "-inf": "-.inf", "nan": ".nan"}.get(text, text)
+    return representer.represent_scalar("tag:yaml.org,2002:float", text)
+
+
+def _represent_none(representer: Any, _: None) -> Any:
+    return representer.represent_scalar("tag:yaml.org,2002:null", "null")
