@@ -26,6 +26,7 @@ Axis = Literal["x", "y", "z"]
 SHOULDER_HEIGHT, A1, A2 = 0.675, 0.35, 1.35  # m: joint 1's frame above the floor, common normals 1-2 and 2-3
 FLANGE = (1.615, -0.041, 0.0)  # m, in link 3's frame
 POSTURES = {"milling": (0, 70, -100), "upright": (0, 135, -100), "rigid": (0, 135, -140)}  # degrees
+OUT = Path("mjcf/meshes/kr90")
 
 
 # Outlines --------------------------------------------------------------------------------------------
@@ -127,7 +128,13 @@ def can(start: float, end: float, axis: Axis, center: tuple[float, float], radiu
     """Servo motor from its mounting flange at `start` to its encoder cap at `end`, on either side of it."""
     # share of the length, side and corner radius in units of `radius`
     flange = [(0.0, 2.05, 0.40), (0.02, 2.15, 0.45), (0.06, 2.15, 0.45)]
-    stator = [(0.06, 1.85, 0.45), (0.55, 1.85, 0.45), (0.56, 1.74, 0.40), (0.58, 1.74, 0.40), (0.59, 1.85, 0.45)]
+    stator = [
+        (0.06, 1.85, 0.45),
+        (0.55, 1.85, 0.45),
+        (0.56, 1.74, 0.40),
+        (0.58, 1.74, 0.40),
+        (0.59, 1.85, 0.45),
+    ]
     cap = [(0.80, 1.85, 0.45), (0.82, 1.76, 0.88), (0.97, 1.76, 0.88), (1.0, 1.50, 0.75)]
     sections = [
         (start + share * (end - start), rounded(side * radius, side * radius, corner * radius, center, 5))
@@ -205,7 +212,7 @@ def link1() -> list[Solid]:
             "z",
         ),
         prism(cheek, -0.115, 0.07, "y", chamfer=0.018),
-        turned([(-0.13, 0.225), (-0.11, 0.235), (-0.10, 0.235)], "y", (0.0, A1)),  # gear of joint 2, towards the arm
+        turned([(-0.13, 0.225), (-0.11, 0.235), (-0.10, 0.235)], "y", (0.0, A1)),  # gear of joint 2
         turned([(0.06, 0.20), (0.085, 0.20), (0.095, 0.19)], "y", (0.0, A1)),  # and the seat of its motor
         *bolts(10, 0.175, 0.085, 0.107, "y", (0.0, A1)),
         prism(rounded(0.25, 0.25, 0.05, (-0.13, 0.16)), -0.06, -0.02, "z"),  # seat of motor 1
@@ -248,7 +255,8 @@ def link2() -> list[Solid]:
         (1.26, 0.300, 0.170, 0.055),
         (1.34, 0.320, 0.155, 0.05),
     ]
-    bend = np.linspace(0, 1, 11)
+    s = np.linspace(0, 1, 11)
+    path = np.c_[0.10 + 1.20 * s, 0.215 - 0.10 * s - 0.02 * np.sin(2 * np.pi * s), np.full(11, 0.235)]
     return [
         prism(lower, 0.125, 0.335, "z", chamfer=0.018),
         turned([(0.325, 0.165), (0.345, 0.165), (0.36, 0.145)], "z"),
@@ -258,13 +266,13 @@ def link2() -> list[Solid]:
         *(
             loft(
                 [
-                    (0.24, rounded(0.035, 0.02, 0.009, (s * 0.135, 0.328))),
-                    (0.62, rounded(0.03, 0.02, 0.009, (s * 0.092, 0.322))),
-                    (1.16, rounded(0.03, 0.02, 0.009, (s * 0.088, 0.316))),
+                    (0.24, rounded(0.035, 0.02, 0.009, (side * 0.135, 0.328))),
+                    (0.62, rounded(0.03, 0.02, 0.009, (side * 0.092, 0.322))),
+                    (1.16, rounded(0.03, 0.02, 0.009, (side * 0.088, 0.316))),
                 ],
                 "x",
             )
-            for s in (-1, 1)
+            for side in (-1, 1)
         ),
         *(
             prism(rounded(h, 0.024, 0.008, (0.0, 0.32)), x, x + 0.03, "x", chamfer=0.004)
@@ -274,10 +282,7 @@ def link2() -> list[Solid]:
         turned([(0.315, 0.125), (0.335, 0.125), (0.347, 0.11)], "z", (A2, 0.0)),
         *bolts(10, 0.15, 0.32, 0.338, "z", (A2, 0.0)),
         # energy supply along the back of the arm, in two clamps
-        hose(
-            np.c_[0.10 + 1.20 * bend, 0.215 - 0.10 * bend - 0.02 * np.sin(2 * np.pi * bend), 0.235 + 0 * bend],
-            0.026,
-        ),
+        hose(path, 0.026),
         *(
             prism(rounded(0.10, 0.09, 0.015, (y, 0.235)), x, x + 0.045, "x", chamfer=0.005)
             for x, y in ((0.42, 0.155), (0.98, 0.15))
@@ -384,8 +389,8 @@ def placements(q_deg: ArrayLike) -> dict[str, NDArray[np.float64]]:
     first = shift([0, 0, SHOULDER_HEIGHT]) @ z[0]
     second = first @ shift([A1, 0, 0]) @ turn(np.pi / 2, [1, 0, 0]) @ z[1]
     third = second @ shift([A2, 0, 0]) @ z[2]
-    poses = {f"{kind}{i}": pose for kind in ("link", "motor") for i, pose in enumerate((first, second, third), start=1)}
-    return {"base": np.eye(4), **poses}
+    poses = enumerate((first, second, third), start=1)
+    return {"base": np.eye(4)} | {f"{kind}{i}": pose for i, pose in poses for kind in ("link", "motor")}
 
 
 def write(path: Path, content: bytes) -> None:
@@ -410,9 +415,8 @@ def draw(path: Path) -> None:
     figure = plt.figure(figsize=(18, 13))
     for column, (name, q_deg) in enumerate(POSTURES.items()):
         poses = placements(q_deg)
-        triangles = np.vstack(
-            [trimesh.transform_points(vertices, poses[body])[faces] for body, (vertices, faces) in fine.items()]
-        )
+        placed = {body: trimesh.transform_points(fine[body][0], poses[body]) for body in fine}
+        triangles = np.vstack([placed[body][faces] for body, (_, faces) in fine.items()])
         low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         for row, azimuth in enumerate((-60, 125)):
             axes = figure.add_subplot(2, 3, 1 + column + 3 * row, projection="3d", proj_type="ortho")
@@ -428,7 +432,7 @@ def draw(path: Path) -> None:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder for the STL files.", file_okay=False)] = Path("mjcf/meshes/kr90"),
+    out: Annotated[Path, typer.Option(help="Folder for the STL files.", file_okay=False)] = OUT,
     preview: Annotated[Path | None, typer.Option(help="PNG of the assembled robot.", dir_okay=False)] = None,
 ) -> None:
     """Write the KR90's shapes as binary STL, one file per body."""
