@@ -93,7 +93,7 @@ def test_the_assembled_robot_stands_on_the_floor(q_deg):
 
 
 def test_neighbours_meet_at_their_joint_without_a_gap():
-    """Along each axis the faces at the joint meet, but for bolt heads (12 mm): none floats or is run through."""
+    """Along each axis the faces at the joint meet, but for bolt heads (12 mm): nothing floats or collides."""
 
     def along(body, frame, radius):
         """Coordinates along the axis of `frame` near it, on the side away from the counterbalance rod."""
