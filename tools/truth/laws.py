@@ -1,0 +1,141 @@
+"""Constitutive laws of a joint beyond a linear spring and damper: in frequency, and in time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from tools.truth.chain import Array
+from tools.truth.effects import Effect
+
+Complex = NDArray[np.complex128]
+
+
+class JointLaw(Protocol):
+    """A joint torque beside the linear spring `k` of its hinge, as a function of deflection, rate and history."""
+
+    def rest(self, torque: float) -> float:
+        """Deflection that carries a static torque, spring included."""
+
+    def tangent(self, torque: float) -> tuple[float, float]:
+        """Stiffness and damping added to the spring at vanishing amplitude about that rest."""
+
+    def start(self, shape: tuple[int, ...]) -> Array:
+        """State of the law at rest, for motions of this shape."""
+
+    def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
+        """Torque added to the spring's, and the new state, when deflection and rate become x, v."""
+
+
+def frequency_terms(effect: Effect, stiffness: Array) -> list[tuple[str, Callable[[Complex], Complex]]]:
+    """(coordinate, s ↦ stiffness added) of an effect that depends on frequency; `stiffness` (n, 3) z, x, y."""
+    if effect.kind == "structural_damping":
+        loss = 1j * effect["loss_factor"] * stiffness[effect.joint, "zxy".index(effect.axis)]
+        return [(effect.site, lambda s: np.full(s.shape, loss))]
+    if effect.kind == "fractional_damper":
+        return [(effect.site, lambda s: effect["coefficient"] * s ** effect["order"])]
+    return []
+
+
+def joint_law(effect: Effect, stiffness: Array) -> JointLaw | None:
+    """The nonlinear law of an effect at its hinge, beside the linear spring there."""
+    if effect.kind == "hardening_stiffness":
+        return Hardening(stiffness[effect.joint, 0], effect["cubic"])
+    if effect.kind == "backlash":
+        return Backlash(stiffness[effect.joint, 0], effect["gap"])
+    if effect.kind == "hysteresis":
+        return Slip(stiffness[effect.joint, 0], effect.array("stiffness"), effect.array("yield_torque"))
+    if effect.kind == "eddy_current_damper":
+        return QuadraticDrag(stiffness[effect.joint, 0], effect["coefficient"])
+    return None
+
+
+@dataclass(frozen=True)
+class Hardening:
+    """kφ + k₃φ³, φ from the unloaded spring."""
+
+    k: float
+    cubic: float
+
+    def rest(self, torque: float) -> float:
+        bound = abs(torque) / self.k + 1e-12
+        return float(brentq(lambda x: self.k * x + self.cubic * x**3 - torque, -bound, bound, xtol=1e-16))
+
+    def tangent(self, torque: float) -> tuple[float, float]:
+        return 3 * self.cubic * self.rest(torque) ** 2, 0.0
+
+    def start(self, shape: tuple[int, ...]) -> Array:
+        return np.zeros((0, *shape))
+
+    def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
+        return self.cubic * x**3, state
+
+
+@dataclass(frozen=True)
+class Backlash:
+    """k · dead zone of φ, total width `gap`; the damper stays beside it."""
+
+    k: float
+    gap: float
+
+    def rest(self, torque: float) -> float:
+        return torque / self.k + np.sign(round(torque, 6)) * self.gap / 2
+
+    def tangent(self, torque: float) -> tuple[float, float]:
+        return (0.0 if round(torque, 6) else -self.k * float(self.gap > 0)), 0.0
+
+    def start(self, shape: tuple[int, ...]) -> Array:
+        return np.zeros((0, *shape))
+
+    def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
+        half = self.gap / 2
+        return -self.k * np.clip(x, -half, half), state
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Elastic–perfectly-plastic elements beside the spring, relaxed at rest."""
+
+    k: float
+    stiffness: Array
+    yield_torque: Array
+
+    def rest(self, torque: float) -> float:
+        return torque / self.k
+
+    def tangent(self, torque: float) -> tuple[float, float]:
+        return float(self.stiffness.sum()), 0.0
+
+    def start(self, shape: tuple[int, ...]) -> Array:
+        """Element torques and, last, the deflection they were reached at (NaN before the first step)."""
+        return np.concatenate([np.zeros((self.stiffness.size, *shape)), np.full((1, *shape), np.nan)])
+
+    def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
+        lead = (slice(None), *(None,) * x.ndim)
+        moved = np.where(np.isnan(state[-1]), 0.0, x - state[-1])
+        limit = self.yield_torque[lead]
+        torque = np.clip(state[:-1] + self.stiffness[lead] * moved, -limit, limit)
+        return torque.sum(0), np.concatenate([torque, x[None]])
+
+
+@dataclass(frozen=True)
+class QuadraticDrag:
+    """c φ̇|φ̇|, as of an eddy-current damper."""
+
+    k: float
+    coefficient: float
+
+    def rest(self, torque: float) -> float:
+        return torque / self.k
+
+    def tangent(self, torque: float) -> tuple[float, float]:
+        return 0.0, 0.0
+
+    def start(self, shape: tuple[int, ...]) -> Array:
+        return np.zeros((0, *shape))
+
+    def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
+        return self.coefficient * v * np.abs(v), state

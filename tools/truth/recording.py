@@ -1,0 +1,381 @@
+"""Hammer-test campaigns: what accelerometers and hammer record of the true robot, written as `frf-campaign`.
+
+The chain of measurement is part of the truth: off-axis blows, turned, mis-scaled and late sensors, pulse
+spectrum, sensor noise, averaging, coherence, windows. The answer goes into a JSON file of its own.
+"""
+
+import json
+import os
+import re
+from dataclasses import asdict, dataclass, field, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tools.truth.blows import half_sine, strike, transform
+from tools.truth.chain import POSTURES_DEG, Array, Chain, Tolerances, flange_position, kr90, perturb
+from tools.truth.effects import EFFECTS, Effect, TruthError, draw
+from tools.truth.elastic import AXES, Structure, assemble, rotation_about
+from tools.truth.laws import Complex
+
+STEP_HZ = 4096.0  # time step of simulated blows: 1e-4 of a smooth FRF, with a gap too
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A hammer or sensor point: label node-axis-sign, body, position (3,) m and axis in the body's frame."""
+
+    label: str
+    body: str
+    position: tuple[float, float, float]
+
+    @property
+    def direction(self) -> Array:
+        return AXES[self.label[-2].lower()] * (-1.0 if self.label[-1] == "-" else 1.0)
+
+    @property
+    def node(self) -> str:
+        return self.label[:-2]
+
+
+FLANGE = (1.615, -0.041, 0.0)
+HAMMER = (  # Places that a hammer reaches; the paper gives no coordinates.
+    Channel("1X+", "link1", (-0.42, 0.0, -0.10)),
+    Channel("2Y+", "link1", (0.0, -0.40, -0.15)),
+    Channel("3Y-", "link1", (0.25, 0.36, 0.02)),
+    Channel("4Y+", "link1", (0.32, -0.36, 0.05)),
+    Channel("5Z-", "link1", (-0.30, 0.12, 0.16)),
+    Channel("6Y+", "link2", (0.25, -0.16, 0.22)),
+    Channel("7Z-", "link2", (0.30, 0.04, 0.44)),
+    Channel("8Y+", "link2", (0.72, -0.13, 0.25)),
+    Channel("9Z-", "link2", (0.72, 0.05, 0.42)),
+    Channel("10Y-", "link2", (1.10, 0.13, 0.22)),
+    Channel("11Z-", "link2", (1.15, 0.0, 0.40)),
+    Channel("12X-", "link2", (1.54, 0.0, 0.20)),
+    Channel("13Z+", "link2", (1.30, 0.06, 0.04)),
+    Channel("14Y+", "link3", (0.20, -0.22, -0.05)),
+    Channel("15Z+", "link3", (0.22, 0.0, -0.24)),
+    Channel("16Y-", "link3", (0.60, 0.15, 0.0)),
+    Channel("17Z-", "link3", (0.66, -0.02, 0.18)),
+    Channel("18Y-", "link3", (1.00, 0.11, 0.0)),
+    Channel("19Z-", "link3", (1.05, -0.03, 0.15)),
+    Channel("20Z+", "link3", (1.36, -0.04, -0.12)),
+    Channel("21X-", "link3", FLANGE),
+    Channel("21Y+", "link3", FLANGE),
+    Channel("21Z+", "link3", FLANGE),
+)
+SENSORS = tuple(Channel(f"21{axis}+", "link3", FLANGE) for axis in "XYZ")
+
+
+@dataclass(frozen=True)
+class Posture:
+    """`brakes`: "on" (rotors held whatever the servo), "off", or None: off and not recorded."""
+
+    name: str
+    q_deg: tuple[float, ...]
+    brakes: str | None = "off"
+
+
+@dataclass(frozen=True)
+class Test:
+    """How the campaign is measured.
+
+    Lines at start + k·spacing Hz; the record lasts 1/spacing s. `noise` is the sensors' one-sided amplitude density,
+    m/s²/√Hz, `scatter` the relative spread of one hit's FRF. Coherence is either the one that the noise level
+    implies ("expected") or what an analyser estimates from the averages ("estimated": scattered, and its variance
+    too small by (n−1)/n). `levels_n`: peak forces, one group of the file each; empty: one level, `peak_n`, and no
+    level recorded. `decay` 1/s: exponential window left in the FRFs.
+    """
+
+    start_hz: float = 5.0
+    spacing_hz: float = 0.125
+    lines: int = 200
+    averages: int = 5
+    noise: float = 3e-5
+    scatter: float = 0.005
+    coherence: str = "expected"
+    peak_n: float = 300.0
+    pulse_s: float = 0.008
+    levels_n: tuple[float, ...] = ()
+    decay: float = 0.0
+    hits: int = 0
+    hit_rate_hz: float = 1024.0
+    double_hits: float = 0.0
+
+    @property
+    def frequency(self) -> Array:
+        return self.start_hz + self.spacing_hz * np.arange(self.lines)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The robot as it is: the chain, the concealed effects, and what belongs to this recording alone."""
+
+    chain: Chain
+    effects: tuple[Effect, ...] = ()
+    posture_error: dict[str, Array] = field(default_factory=dict)
+    gain: dict[str, float] = field(default_factory=dict)
+    sag: bool = True
+
+    @property
+    def nonlinear(self) -> bool:
+        return any(EFFECTS[e.kind].shows == "levels" or e.kind in ("backlash", "hysteresis") for e in self.effects)
+
+
+def draw_truth(
+    seed: int,
+    effects: tuple[Effect, ...],
+    postures: tuple[Posture, ...],
+    tolerances: Tolerances | None = None,
+    *,
+    chain: Chain | None = None,
+    sag: bool = True,
+) -> Truth:
+    """A truth near `chain` (default KR90). One stream of `seed` each for robot, effects and recording."""
+    tolerances, chain = tolerances or Tolerances(), chain or kr90()
+    robot, sizes, recording = streams(seed)[:3]
+    true = perturb(chain, robot, tolerances)
+    return Truth(
+        true,
+        tuple(draw(e, chain, sizes) for e in effects),
+        {p.name: np.deg2rad(tolerances.posture_deg) * recording.uniform(-1, 1, chain.n) for p in postures},
+        {c.label: 1 + tolerances.gain * recording.uniform(-1, 1) for c in SENSORS},
+        sag,
+    )
+
+
+def streams(seed: int) -> list[np.random.Generator]:
+    """Independent generators: robot, effect sizes, recording, noise, postures, trajectories."""
+    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(6)]
+
+
+def draw_postures(count: int, rng: np.random.Generator, chain: Chain | None = None) -> tuple[Posture, ...]:
+    """The paper's three postures, then random ones: in the joint ranges, the flange in the workspace, q₁ spread."""
+    chain = chain or kr90()
+    found = [Posture(name, q) for name, q in POSTURES_DEG.items()][:count]
+    low, high = np.rad2deg(chain.range_.T)
+    low[0], high[0] = -90.0, 90.0
+    while len(found) < count:
+        q = np.round(rng.uniform(low + 5, high - 5))
+        tip = flange_position(chain, np.deg2rad(q))
+        if np.all((tip > chain.workspace[:, 0]) & (tip < chain.workspace[:, 1])) and abs(q[2] + 40) > 15:
+            found.append(Posture(f"posture{len(found) + 1}", tuple(float(x) for x in q)))
+    return tuple(found)
+
+
+def rows(truth: Truth, structure: Structure) -> tuple[Array, Array]:
+    """Sensitive directions of the sensors (nr, n) and of the blows (ne, n), misalignments included."""
+    turned: dict[str, Array] = {}
+    for e in truth.effects:
+        if e.kind == "sensor_misalignment":
+            a, b, c = e.array("angles")
+            turn = rotation_about(AXES["z"], c) @ rotation_about(AXES["y"], b) @ rotation_about(AXES["x"], a)
+            turned[e.site] = turn.T
+        elif e.kind == "hammer_misalignment":
+            others = [axis for axis in "xyz" if axis != e.site[-2].lower()]
+            turns = [rotation_about(AXES[x], v) for x, v in zip(others, e.array("angles"), strict=True)]
+            turned[e.site] = turns[1] @ turns[0]
+
+    def row(channel: Channel, site: str) -> Array:
+        direction = turned.get(site, np.eye(3)) @ channel.direction
+        return structure.row(structure.locate(channel.body, np.array(channel.position), direction))
+
+    return (
+        np.array([row(c, f"sensor:{c.node}") for c in SENSORS]),
+        np.array([row(c, f"hammer:{c.label}") for c in HAMMER]),
+    )
+
+
+def channel_factor(truth: Truth, s: Complex) -> Complex:
+    """What each sensor channel multiplies its signal with, (nf, nr): gains and delays."""
+    factor = np.tile([truth.gain.get(c.label, 1.0) for c in SENSORS], (len(s), 1)).astype(complex)
+    for i, c in enumerate(SENSORS):
+        for e in truth.effects:
+            if e.site == f"sensor:{c.label}" and e.kind == "sensor_gain":
+                factor[:, i] *= e["gain"]
+            elif e.site == f"sensor:{c.label}" and e.kind == "time_delay":
+                factor[:, i] *= np.exp(-s * e["delay"])
+    return factor
+
+
+def structure_at(truth: Truth, posture: Posture) -> Structure:
+    q = np.deg2rad(posture.q_deg) + truth.posture_error.get(posture.name, 0.0)
+    return assemble(truth.chain, q, truth.effects, brakes_on=posture.brakes == "on", sag=truth.sag)
+
+
+def accelerance(truth: Truth, posture: Posture, test: Test, peak_n: float | None = None) -> Complex:
+    """Noise-free FRFs (nf, nr, ne), (m/s²)/N; at force `peak_n` when the truth is nonlinear."""
+    structure = structure_at(truth, posture)
+    response, excitation = rows(truth, structure)
+    s = test.decay + 2j * np.pi * test.frequency
+    if structure.laws:
+        force = half_sine(np.full(len(excitation), peak_n or test.peak_n), test.pulse_s, STEP_HZ)
+        signal = strike(structure, response, excitation, force, STEP_HZ, round(STEP_HZ / test.spacing_hz))
+        frf = transform(signal, STEP_HZ, test.frequency, test.decay)
+        frf /= transform(force, STEP_HZ, test.frequency, test.decay)[:, None, :]
+    else:
+        frf = structure.receptance(s, response, excitation) * (s**2)[:, None, None]
+    return frf * channel_factor(truth, s)[:, :, None]
+
+
+def average(frf: Complex, test: Test, peak_n: float, rng: np.random.Generator) -> tuple[Complex, Array]:
+    """H1 estimate and coherence (nf, nr, ne) over the test's hits, noise in the responses."""
+    pulse = transform(half_sine(np.array([peak_n]), test.pulse_s, 8 * STEP_HZ), 8 * STEP_HZ, test.frequency)
+    duration = 1 / test.spacing_hz
+    seen = -np.expm1(-2 * test.decay * duration) / (2 * test.decay) if test.decay else duration
+    variance = test.noise**2 * seen / 2 / np.abs(pulse[:, None, :]) ** 2 + (test.scatter * np.abs(frf)) ** 2
+    shape = (test.averages, *frf.shape)
+    noise = np.sqrt(variance / 2) * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
+    single = frf + noise
+    mean = single.mean(0)
+    power = (np.abs(single) ** 2).mean(0)
+    if test.coherence == "estimated":
+        return mean, np.abs(mean) ** 2 / power
+    return mean, np.abs(frf) ** 2 / (np.abs(frf) ** 2 + variance)
+
+
+def raw_hits(
+    truth: Truth, posture: Posture, test: Test, peak_n: float, rng: np.random.Generator
+) -> tuple[Array, Array, float]:
+    """Force (ne, nh, nt), responses (ne, nh, nr, nt) and the pretrigger: blows differ, some bounce."""
+    structure = structure_at(truth, posture)
+    if structure.dynamic or any(e.kind == "time_delay" for e in truth.effects):
+        raise TruthError("raw hits: expected effects with a law in time; this one is defined in frequency only")
+    response, excitation = rows(truth, structure)
+    ne, nh = len(excitation), test.hits
+    each = np.repeat(excitation, nh, 0)
+    every = round(STEP_HZ / test.hit_rate_hz)
+    samples = round(test.hit_rate_hz / test.spacing_hz)
+    columns = []
+    for _ in range(ne * nh):
+        peak, width = peak_n * rng.uniform(0.8, 1.2), test.pulse_s * rng.uniform(0.9, 1.1)
+        pulse = half_sine(np.array([peak]), width, STEP_HZ)[:, 0]
+        second = int(rng.uniform(0.03, 0.08) * STEP_HZ) if rng.random() < test.double_hits else 0
+        wave = np.zeros(int(0.1 * STEP_HZ))
+        wave[: len(pulse)] = pulse
+        if second:
+            wave[second : second + len(pulse)] += rng.uniform(0.2, 0.5) * pulse
+        columns.append(wave)
+    force = np.array(columns).T
+    before = samples // 64
+    signal = strike(structure, response, each, force, STEP_HZ, (samples - before) * every)[::every]
+    signal *= channel_factor(truth, np.zeros(1))[0].real[None, :, None]
+    out_force, out = np.zeros((samples, ne * nh)), np.zeros((samples, len(response), ne * nh))
+    out[before:] = signal
+    kept = force[::every]
+    out_force[before : before + len(kept)] = kept
+    out += rng.normal(scale=test.noise * np.sqrt(test.hit_rate_hz / 2), size=out.shape)
+    return (
+        out_force.T.reshape(ne, nh, samples),
+        out.transpose(2, 1, 0).reshape(ne, nh, len(response), samples),
+        before / test.hit_rate_hz,
+    )
+
+
+def h1(force: Array, response: Array, test: Test, pretrigger_s: float) -> tuple[Complex, Array]:
+    """H1 and coherence (nf, nr, ne) of raw hits, window of rate `decay` from the trigger on both channels."""
+    before = round(pretrigger_s * test.hit_rate_hz)
+    f = transform(force[..., before:].transpose(2, 0, 1), test.hit_rate_hz, test.frequency, test.decay)
+    x = transform(response[..., before:].transpose(3, 0, 1, 2), test.hit_rate_hz, test.frequency, test.decay)
+    cross = (x * f.conj()[..., None]).mean(2).transpose(0, 2, 1)
+    own, other = (np.abs(f) ** 2).mean(2)[:, None, :], (np.abs(x) ** 2).mean(2).transpose(0, 2, 1)
+    return cross / own, np.abs(cross) ** 2 / (own * other)
+
+
+def write_campaign(
+    path: Path,
+    truth: Truth,
+    postures: tuple[Posture, ...],
+    test: Test,
+    rng: np.random.Generator,
+    *,
+    robot: str | None = "kr90",
+    answer: Path | None = None,
+) -> None:
+    """Record the campaign into `path`, and the truth into `answer` when given; nothing is half-written."""
+    check(truth, test)
+    aside = path.with_name(path.name + ".part")
+    try:
+        with h5py.File(aside, "w") as file:
+            file.attrs.update(format="frf-campaign", version=1, comment="hammer test, roving hammer")
+            if robot:
+                file.attrs["robot"] = robot
+            for name, channels in (("response", SENSORS), ("excitation", HAMMER)):
+                group = file.create_group(name)
+                group["label"] = [c.label for c in channels]
+                group["body"] = [c.body for c in channels]
+                group["position"] = np.array([c.position for c in channels])
+                group["direction"] = np.array([c.direction for c in channels])
+            for posture in postures:
+                for level in test.levels_n or (None,):
+                    _write_posture(file, truth, posture, test, level, rng)
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+    if answer:
+        write_answer(answer, {"truth": truth, "postures": postures, "test": test})
+
+
+def _write_posture(
+    file: h5py.File, truth: Truth, posture: Posture, test: Test, level: float | None, rng: np.random.Generator
+) -> None:
+    group = file.create_group(f"postures/{posture.name}" + (f"@{level:g}N" if level else ""))
+    group.attrs["q_deg"] = np.array(posture.q_deg)
+    if posture.brakes:
+        group.attrs["brakes"] = posture.brakes
+    if level:
+        group.attrs["peak_force_n"] = level
+    peak = level or test.peak_n
+    if test.hits:
+        force, response, pretrigger = raw_hits(truth, posture, test, peak, rng)
+        frf, coherence = h1(force, response, test, pretrigger)
+        raw = group.create_group("hits")
+        raw.attrs.update(
+            sample_rate_hz=test.hit_rate_hz, pretrigger_s=pretrigger, windowed=False, exponential_window_rate=0.0
+        )
+        raw.create_dataset("force", data=force, dtype="f4")
+        raw.create_dataset("response", data=response, dtype="f4")
+    else:
+        frf, coherence = average(accelerance(truth, posture, test, peak), test, peak, rng)
+    group["frequency"] = test.frequency
+    group["frf"] = frf
+    group["frf"].attrs.update(quantity="accelerance", unit="(m/s^2)/N")
+    group["coherence"] = coherence
+    group["coherence"].attrs["averages"] = test.hits or test.averages
+    group.attrs["exponential_window_rate"] = test.decay
+
+
+def check(truth: Truth, test: Test) -> None:
+    labels = {f"sensor:{c.label}" for c in SENSORS} | {f"hammer:{c.label}" for c in HAMMER}
+    labels |= {f"sensor:{c.node}" for c in SENSORS}
+    for e in truth.effects:
+        if EFFECTS[e.kind].shows == "log" or e.site == "log":
+            raise TruthError(f"{e.kind}@{e.site}: expected an effect that a hammer test shows; this one is for `log`")
+        if re.match("sensor:|hammer:", e.site) and e.site not in labels:
+            raise TruthError(f"{e.kind}@{e.site}: expected one of {', '.join(sorted(labels))}")
+    if truth.nonlinear and not (test.levels_n or test.hits):
+        raise TruthError("a nonlinear effect: expected force levels (--force-levels 100 600), or raw hits (--hits 3)")
+    if truth.nonlinear and any(EFFECTS[e.kind].shows == "frf" and e.kind in FREQUENCY_ONLY for e in truth.effects):
+        raise TruthError("a nonlinear effect: expected no effect beside it that is defined in frequency only")
+
+
+FREQUENCY_ONLY = ("structural_damping", "fractional_damper")
+
+
+def write_answer(path: Path, content: dict[str, Any]) -> None:
+    """Everything concealed, as JSON."""
+    aside = path.with_name(path.name + ".part")
+    aside.write_text(json.dumps(content, default=plain, indent=1), encoding="utf-8")
+    os.replace(aside, path)
+
+
+def plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    raise TypeError(f"not for JSON: {type(value)}")
