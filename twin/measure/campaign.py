@@ -176,9 +176,7 @@ def frf_variance(posture: PostureFRF) -> FloatArray | None:
     dead = dead_channels(posture)
     rms = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=0))
     sensor = (SENSOR_FLOOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
-    variance = np.maximum(
-        variance, np.maximum(np.quantile(variance, VARIANCE_FLOOR_QUANTILE, axis=0), sensor)
-    )
+    variance = np.maximum(variance, np.maximum(np.quantile(variance, VARIANCE_FLOOR_QUANTILE, axis=0), sensor))
     power = QUANTITIES.index(posture.quantity) - QUANTITIES.index("accelerance")
     s = np.abs(laplace(posture.frequency, posture.exponential_window_rate))
     with np.errstate(divide="ignore"):
@@ -198,9 +196,7 @@ def check_campaign(source: str | Path, campaign: Campaign) -> None:
         raise InputError(source, "postures", "expected at least one posture")
     axes = {posture.q_deg.size for posture in campaign.postures.values()}
     if len(axes) > 1:
-        raise InputError(
-            source, "postures", f"q_deg must have one length in all postures, found {sorted(axes)}"
-        )
+        raise InputError(source, "postures", f"q_deg must have one length in all postures, found {sorted(axes)}")
     for name, posture in campaign.postures.items():
         if not name or "/" in name:
             raise InputError(source, "postures", f"expected names without a slash, found {name!r}")
@@ -215,14 +211,10 @@ def _check_channels(source: str | Path, side: str, channels: Channels) -> None:
         raise InputError(source, f"{side}/label", "expected at least one channel")
     for label in channels.label:
         if not LABEL.fullmatch(label):
-            raise InputError(
-                source, f"{side}/label", f"expected node number, axis, sign such as 21Z+, found {label!r}"
-            )
+            raise InputError(source, f"{side}/label", f"expected node number, axis, sign such as 21Z+, found {label!r}")
     repeated = sorted({label for label in channels.label if channels.label.count(label) > 1})
     if repeated:
-        raise InputError(
-            source, f"{side}/label", f"labels must be unique, {repeated[0]} is there more than once"
-        )
+        raise InputError(source, f"{side}/label", f"labels must be unique, {repeated[0]} is there more than once")
     if len(channels.body) != n:
         raise InputError(source, f"{side}/body", f"expected one per label ({n}), found {len(channels.body)}")
     for field, array in (("position", channels.position), ("direction", channels.direction)):
@@ -245,9 +237,7 @@ def _check_array(
         want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
     ):
         want = ", ".join("any" if n is None else str(n) for n in shape)
-        raise InputError(
-            source, field, f"expected shape ({want}){' = ' + names if names else ''}, found {array.shape}"
-        )
+        raise InputError(source, field, f"expected shape ({want}){' = ' + names if names else ''}, found {array.shape}")
     if array.size == 0:
         raise InputError(source, field, "expected data, found an empty array")
     if not np.isfinite(array).all():
@@ -267,9 +257,7 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         raise InputError(source, f"{field}/frequency", f"expected Hz from 0 upwards, found {frequency[0]:g}")
     step = np.diff(frequency)
     if (step <= 0).any():
-        raise InputError(
-            source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted"
-        )
+        raise InputError(source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted")
     # Readable files hold single-precision axes, whose steps scatter by 1e-7 of the highest frequency.
     if np.ptp(step) > 1e-3 * step.mean() + 1e-6 * frequency[-1]:
         raise InputError(
@@ -285,30 +273,20 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         )
     _check_array(source, f"{field}/frf", posture.frf, (nf, nr, ne), "frequency, response, excitation")
     if posture.coherence is not None:
-        _check_array(
-            source, f"{field}/coherence", posture.coherence, (nf, nr, ne), "frequency, response, excitation"
-        )
+        _check_array(source, f"{field}/coherence", posture.coherence, (nf, nr, ne), "frequency, response, excitation")
         low, high = posture.coherence.min(), posture.coherence.max()
         if high > 1 + 1e-6 or low < -1e-6:
-            raise InputError(
-                source, f"{field}/coherence", f"expected values from 0 to 1, found {low:g} to {high:g}"
-            )
+            raise InputError(source, f"{field}/coherence", f"expected values from 0 to 1, found {low:g} to {high:g}")
     if posture.averages is not None and posture.averages < 1:
-        raise InputError(
-            source, f"{field}/coherence: averages", f"expected 1 or more, found {posture.averages}"
-        )
+        raise InputError(source, f"{field}/coherence: averages", f"expected 1 or more, found {posture.averages}")
     if posture.peak_force_n is not None and not posture.peak_force_n > 0:
-        raise InputError(
-            source, f"{field}: peak_force_n", f"expected newtons above 0, found {posture.peak_force_n:g}"
-        )
+        raise InputError(source, f"{field}: peak_force_n", f"expected newtons above 0, found {posture.peak_force_n:g}")
     _check_rate(source, field, posture.exponential_window_rate)
     if posture.hits is not None:
         hits = posture.hits
         _check_array(source, f"{field}/hits/force", hits.force, (ne, None, None), "excitation, hit, sample")
         shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
-        _check_array(
-            source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample"
-        )
+        _check_array(source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample")
         if not (np.isfinite(hits.sample_rate_hz) and hits.sample_rate_hz > 0):
             raise InputError(
                 source, f"{field}/hits: sample_rate_hz", f"expected Hz above 0, found {hits.sample_rate_hz:g}"
@@ -324,9 +302,7 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
 
 def _check_rate(source: str | Path, field: str, rate: float) -> None:
     if not (np.isfinite(rate) and rate >= 0):
-        raise InputError(
-            source, f"{field}: exponential_window_rate", f"expected 1/s from 0 upwards, found {rate:g}"
-        )
+        raise InputError(source, f"{field}: exponential_window_rate", f"expected 1/s from 0 upwards, found {rate:g}")
 
 
 # --- units --------------------------------------------------------------------------------------------------
@@ -340,9 +316,7 @@ _DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a facto
     "1": (0, 0, 0),
 }
 _SUPERSCRIPT = str.maketrans("⁻⁰¹²³⁴", "-01234")
-_TOKEN = re.compile(
-    r"\s*(?:(?P<unit>kg|Hz|[a-zA-Zµ°%]+|1)(?:\^|\*\*)?(?P<power>[-+]?\d+)?|(?P<mark>[/*·().⋅]))\s*"
-)
+_TOKEN = re.compile(r"\s*(?:(?P<unit>kg|Hz|[a-zA-Zµ°%]+|1)(?:\^|\*\*)?(?P<power>[-+]?\d+)?|(?P<mark>[/*·().⋅]))\s*")
 
 
 def _dimension(unit: str) -> tuple[int, ...] | None:
@@ -495,9 +469,7 @@ def read_campaign(path: str | Path) -> Campaign:
 
 
 def _read_channels(node: _Node) -> Channels:
-    return Channels(
-        node.strings("label"), node.strings("body"), node.real("position", "m"), node.real("direction")
-    )
+    return Channels(node.strings("label"), node.strings("body"), node.real("position", "m"), node.real("direction"))
 
 
 def _read_posture(name: str, node: _Node) -> PostureFRF:
@@ -506,15 +478,11 @@ def _read_posture(name: str, node: _Node) -> PostureFRF:
     try:
         q_deg = np.atleast_1d(np.asarray(node.item.attrs["q_deg"], dtype=np.float64))
     except (TypeError, ValueError):
-        raise node.fail(
-            f"{node.field}: q_deg", f"expected numbers, found {node.attribute('q_deg')!r}"
-        ) from None
+        raise node.fail(f"{node.field}: q_deg", f"expected numbers, found {node.attribute('q_deg')!r}") from None
     frf = node.dataset("frf")
     quantity: Any = frf.text("quantity")
     if quantity is None:
-        raise node.fail(
-            f"{frf.field}: quantity", f"expected one of {', '.join(QUANTITIES)}, the attribute is missing"
-        )
+        raise node.fail(f"{frf.field}: quantity", f"expected one of {', '.join(QUANTITIES)}, the attribute is missing")
     for holder in (frf, node):
         holder.check_unit(UNITS.get(quantity))
     coherence, averages = None, node.number("averages")
