@@ -1,6 +1,6 @@
 """Slip that remembers: elastic–perfectly-plastic elements in parallel (Maxwell slip), beside the spring.
 
-On the deflection φ of a flexible joint; on q where the joint is rigid, and in motion logs.
+On the deflection φ while the rotor is held (hammer tests); on q when it moves (motion logs).
 """
 
 from typing import TYPE_CHECKING
@@ -32,7 +32,7 @@ class Hysteresis(Effect):
         return None
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        joint = mechanism.joint(site) or mechanism.motor(axis_of(site))
+        joint = mechanism.motor(axis_of(site)) or mechanism.joint(site)
         if joint is None:
             return
         for number, (stiffness, torque) in enumerate(zip(values["stiffness"], values["yield_torque"], strict=True)):

@@ -1,6 +1,7 @@
 """A mechanism written as MJCF with MjSpec, compiled, and saved in menagerie style."""
 
 import ctypes
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,8 +37,17 @@ def compile_model(mechanism: Mechanism, *, visual: bool = True, instruments: boo
     return spec.compile()
 
 
-def build_spec(mechanism: Mechanism, *, visual: bool = True, instruments: bool = True) -> mujoco.MjSpec:
-    """The mechanism as an MjSpec, springs referenced so that the commanded posture is the equilibrium.
+def build_spec(
+    mechanism: Mechanism, *, visual: bool = True, instruments: bool = True, balanced: bool = True
+) -> mujoco.MjSpec:
+    """The mechanism as an MjSpec.
+
+    Args:
+        mechanism: from :func:`twin.robot.mechanism.assemble`.
+        visual: with meshes.
+        instruments: with hammer actuators and accelerometers.
+        balanced: springs referenced so that the commanded posture is the equilibrium; otherwise they rest at zero
+            deflection and the robot sags, as a moving robot does.
 
     Raises:
         ValueError: MuJoCo refuses the model.
@@ -74,7 +84,8 @@ def build_spec(mechanism: Mechanism, *, visual: bool = True, instruments: bool =
     _add_drives(spec, mechanism)
     if instruments:
         _add_instruments(spec, mechanism)
-    _balance(spec, mechanism)
+    if balanced:
+        _balance(spec, mechanism)
     return spec
 
 
@@ -86,16 +97,18 @@ def save_mjcf(path: str | Path, spec: mujoco.MjSpec) -> None:
     path = Path(path).resolve()
     with _xml_precision(17):
         text = spec.to_xml()
-    text = re.sub(r"(?<=[\s\"])-?\d+\.?\d*(?:e[-+]?\d+)?(?=[\s\"])", lambda n: f"{float(n.group()):.12g}", text)
-    text = re.sub(r'file="([^"]+)"', lambda f: f'file="{_relative(Path(f.group(1)), path.parent)}"', text)
+    text = re.sub(r"(?<=[\s\"])-?\d+\.?\d*(?:e[-+]?\d+)?(?=[\s\"])", lambda n: _short(float(n.group())), text)
+    text = re.sub(r'file="([^"]+)"', lambda f: f'file="{os.path.relpath(f.group(1), path.parent)}"', text)
     with atomic_write(path) as stream:
         stream.write(text)
 
 
-def _relative(target: Path, folder: Path) -> str:
-    import os
-
-    return os.path.relpath(target, folder)
+def _short(value: float) -> str:
+    """A number at 12 significant digits; what MuJoCo holds in single precision (colours) at the digits that has."""
+    if abs(value) < 1e-14:
+        return "0"
+    single = np.float32(value)
+    return f"{single:.7g}" if abs(float(single) - value) < 1e-15 * abs(value) else f"{value:.12g}"
 
 
 @contextmanager
@@ -160,7 +173,13 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
 def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
     for passive in mechanism.passive_motors:
         motor = spec.add_actuator(name=passive.name, target=passive.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        motor.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, cogging=passive.cogging, lugre=passive.lugre)
+        motor.set_to_dcmotor(
+            motorconst=[1e-9, 0.0],
+            resistance=1.0,
+            cogging=passive.cogging,
+            lugre=passive.lugre,
+            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
+        )  # the motor constant must be positive: 1e-9 brakes the joint by 1e-18 N·m·s/rad
     if mechanism.drives != "servo":
         return
     for i, axis in enumerate(mechanism.robot.axes):
@@ -174,8 +193,6 @@ def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
         actuator.set_to_position(kp=kp, kv=kv)
         if axis.limits and axis.limits.position:
             actuator.ctrlrange = axis.limits.position
-    key = spec.add_key(name="posture")
-    key.qpos = key.ctrl = []
 
 
 def _add_instruments(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
@@ -212,6 +229,9 @@ def _balance(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
         if (motor := mechanism.motor(i)) is not None and not motor.elastic:
             qpos[addresses[motor.name]] = value
     data.qpos[:] = qpos
+    if mechanism.drives == "servo":
+        for i, value in enumerate(mechanism.q):
+            data.ctrl[model.actuator_ctrladr[model.actuator(f"motor{i + 1}").id]] = value
     mujoco.mj_forward(model, data)
     for joint in springs:
         torque = float(data.qfrc_bias[model.joint(joint.name).dofadr[0]])
@@ -220,13 +240,13 @@ def _balance(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
         else:
             spec.joint(joint.name).springref = _rest(joint, torque)
     if mechanism.drives == "servo":
-        key = spec.key("posture")
-        key.qpos, key.ctrl = qpos, np.zeros(model.nu)
-        key.ctrl[: len(mechanism.q)] = 0
+        missing = data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator
         ctrl = np.zeros(model.nu)
         for i, value in enumerate(mechanism.q):
-            ctrl[model.actuator(f"motor{i + 1}").ctrladr[0] if model.nu else 0] = value
-        key.ctrl = ctrl
+            servo = model.actuator(f"motor{i + 1}").id
+            error = missing[model.joint(f"motor{i + 1}").dofadr[0]] / model.actuator_gainprm[servo, 0]
+            ctrl[model.actuator_ctrladr[servo]] = value + error
+        spec.add_key(name="posture", qpos=qpos, ctrl=ctrl)
 
 
 def _rest(joint: Joint, torque: float) -> float:

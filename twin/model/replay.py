@@ -1,0 +1,209 @@
+"""Motion of the twin: inverse dynamics along a trajectory, and replay in MuJoCo's time stepping under servo drives."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from twin.measure.motion_log import MotionRun
+from twin.measure.signals import lowpass
+from twin.physics import CATALOGUE
+from twin.physics.motion import Motion
+from twin.robot.description import Robot
+from twin.robot.mechanism import assemble
+from twin.robot.mjcf import build_spec, compile_model
+
+STEP_S = 0.0005
+SMOOTH_HZ = (8.0, 10.0)  # taper for positions recorded without velocity and acceleration
+SLIDING = 1e-3  # rad/s (m/s): a passive friction law changes sign over this speed in time stepping
+_ROLES = {"load": 0, "friction": 1, "drive": 2}
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What the twin did along a trajectory, at the trajectory's instants.
+
+    Attributes:
+        time: (nt,) s.
+        position: (nt, n) motors at the gear output, rad (m).
+        link_position: (nt, n) motor plus the deflection about z, rad (m).
+        torque: (nt, n) of the drives at the gear output, N·m (N), mean over the sample before each instant.
+        qpos: (nt, nq) all coordinates of the model.
+        model: the MuJoCo model that was stepped.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    link_position: np.ndarray
+    torque: np.ndarray
+    qpos: np.ndarray
+    model: mujoco.MjModel
+
+
+def motion_of(run: MotionRun) -> Motion:
+    """Positions, velocities and accelerations of a run; those it does not hold are differentiated."""
+    even = np.arange(len(run.time)) / run.sample_rate_hz + run.time[0]
+    velocity, acceleration = run.velocity, run.acceleration
+    if velocity is None or acceleration is None:
+        position = run.position
+        if np.abs(run.time - even).max() > 0.1 / run.sample_rate_hz:
+            position = CubicSpline(run.time, position)(even)
+        stop = min(SMOOTH_HZ[1], 0.4 * run.sample_rate_hz)
+        smooth = [lowpass(position, run.sample_rate_hz, 0.8 * stop, stop, k) for k in (1, 2)]
+        velocity = smooth[0] if velocity is None else velocity
+        acceleration = smooth[1] if acceleration is None else acceleration
+    return Motion(run.time, run.position, velocity, acceleration)
+
+
+def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
+    """Torque (nt, n) through the gears of the rigid robot, without rotors and friction, by MuJoCo's inverse dynamics."""
+    payloads = [entry for entry in robot.physics if entry.effect == "payload"]
+    rigid = robot.model_copy(
+        update={
+            "axes": [axis.model_copy(update={"stiffness": None, "limits": None}) for axis in robot.axes],
+            "drives": [drive.model_copy(update={"rotor_inertia": 0.0, "coupling": {}}) for drive in robot.drives],
+            "physics": payloads,
+        }
+    )
+    model = compile_model(assemble(rigid, motion.position[0], drives="free"), visual=False, instruments=False)
+    data = mujoco.MjData(model)
+    torque = np.empty_like(motion.position)
+    for k in range(len(torque)):
+        data.qpos, data.qvel, data.qacc = motion.position[k], motion.velocity[k], motion.acceleration[k]
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse
+    return torque
+
+
+def inverse_dynamics(robot: Robot, motion: Motion) -> np.ndarray:
+    """Drive torque (nt, n) at the gear output: rigid body, rotors, and every entry's law (paper, Eq. 4).
+
+    ``motion.load`` and ``motion.friction`` are filled on the way, for laws that depend on them.
+    """
+    motion.load = rigid_torque(robot, motion)
+    motion.friction = np.zeros_like(motion.load)
+    total = motion.load + _rotor_torque(robot, motion)
+    entries = [(CATALOGUE[entry.effect], entry) for entry in robot.physics]
+    for effect, entry in sorted(entries, key=lambda pair: (_ROLES[pair[0].role], pair[0].order)):
+        for axis, torque in effect.torque(motion, entry.site, entry.values).items():
+            total[:, axis] += torque
+            if effect.role == "load":
+                motion.load[:, axis] += torque
+            elif effect.role == "friction":
+                motion.friction[:, axis] += torque
+    return total
+
+
+def _rotor_torque(robot: Robot, motion: Motion) -> np.ndarray:
+    torque = np.zeros_like(motion.acceleration)
+    for i, drive in enumerate(robot.drives):
+        turns = {i: 1.0} | {robot.joint_names.index(name): ratio for name, ratio in drive.coupling.items()}
+        spin = sum(ratio * motion.acceleration[:, axis] for axis, ratio in turns.items())
+        for axis, ratio in turns.items():
+            torque[:, axis] += ratio * drive.gear_ratio**2 * drive.rotor_inertia * spin
+    return torque
+
+
+def replay(robot: Robot, run: MotionRun, *, progress: Callable[[int], None] | None = None) -> Replay:
+    """Track a trajectory with servo actuators on the motor bodies and record torque and link motion.
+
+    The servo is a position and velocity loop with the inverse dynamics fed forward, as a robot controller's; it
+    starts at the trajectory's first state with the springs wound up by the load of that instant.
+
+    Args:
+        robot: description.
+        run: trajectory or motion log; its torque is not used.
+        progress: called with the number of samples finished since the last call.
+
+    Raises:
+        InputError: the trajectory leaves the axes' limits.
+    """
+    motion = motion_of(run)
+    for k in (int(np.argmax(motion.position[:, i])) for i in range(robot.axis_count)):
+        robot.check_posture(motion.position[k], run.name, "position")
+    for k in (int(np.argmin(motion.position[:, i])) for i in range(robot.axis_count)):
+        robot.check_posture(motion.position[k], run.name, "position")
+    feedforward = inverse_dynamics(robot, motion)
+    mechanism = assemble(robot, motion.position[0], brakes="off", drives="servo")
+    model = build_spec(mechanism, instruments=False, balanced=False).compile()
+    substeps = max(1, int(np.ceil(1 / (run.sample_rate_hz * STEP_S))))
+    model.opt.timestep = 1 / (run.sample_rate_hz * substeps)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data = mujoco.MjData(model)
+    n, nt = robot.axis_count, len(run.time)
+    names = [f"motor{i + 1}" for i in range(n)]
+    servo = np.array([model.actuator(name).id for name in names])
+    control = model.actuator_ctrladr[servo]
+    motor = np.array([model.joint(name).qposadr[0] for name in names])
+    motor_dof = np.array([model.joint(name).dofadr[0] for name in names])
+    gear = [model.joint(f"joint{i + 1}.z").qposadr[0] if mechanism.joint(f"joint{i + 1}.z") else -1 for i in range(n)]
+    kp, kv = model.actuator_gainprm[servo, 0], -model.actuator_biasprm[servo, 2]
+    reference = CubicSpline(run.time, np.hstack([motion.position, motion.velocity, feedforward]))
+    instants = run.time[0] + np.arange((nt - 1) * substeps + 1) / (run.sample_rate_hz * substeps)
+    path = reference(instants)
+    q, qd, torque_ff = path[:, :n], path[:, n : 2 * n], path[:, 2 * n :]
+    data.time = run.time[0]
+    data.qpos[motor], data.qvel[motor_dof] = q[0], qd[0]
+    _wind_up(model, data, mechanism.joints, motion.acceleration[0], motor_dof)
+    out = Replay(run.time, np.empty((nt, n)), np.empty((nt, n)), np.empty((nt, n)), np.empty((nt, model.nq)), model)
+    load = CubicSpline(run.time, np.hstack([motion.load, motion.friction])) if mechanism.passive_forces else None
+    for k in range(nt):
+        mean = np.zeros(n)
+        for step in range(max(0, (k - 1) * substeps), k * substeps) if k else range(1):
+            # implicitfast takes the velocity loop at the end of the step
+            data.ctrl[control] = q[step] + (kv * qd[min(step + 1, len(qd) - 1)] + torque_ff[step]) / kp
+            if load is not None:
+                here = load(instants[step])
+                state = Motion(
+                    np.array([data.time]), data.qpos[motor][None], data.qvel[motor_dof][None],
+                    np.zeros((1, n)), here[None, :n], here[None, n:], lambda v: np.tanh(v / SLIDING),
+                )  # fmt: skip
+                data.qfrc_applied[motor_dof] = -passive_torque(mechanism.passive_forces, state)
+            speed = data.qvel[motor_dof]
+            if k == 0:
+                mujoco.mj_forward(model, data)
+                mean = data.actuator_force[servo].copy()
+            else:
+                mujoco.mj_step(model, data)
+                mean += (data.actuator_force[servo] - kv * (data.qvel[motor_dof] - speed)) / substeps
+        out.torque[k] = mean
+        out.qpos[k] = data.qpos
+        if progress:
+            progress(1)
+    out.position[:] = out.qpos[:, motor]
+    out.link_position[:] = out.position
+    for i, address in enumerate(gear):
+        if address >= 0:
+            out.link_position[:, i] += out.qpos[:, address]
+    return out
+
+
+def passive_torque(forces: list, state: Motion) -> np.ndarray:
+    """The torque (n,) by which laws that MuJoCo does not have resist the motors at one instant.
+
+    This is the passive-force hook: any effect whose ``write`` calls ``Mechanism.passive_force`` is evaluated here at
+    every step, with the same law that explains recorded torque.
+    """
+    total = np.zeros(state.position.shape[1])
+    for force in forces:
+        for axis, torque in CATALOGUE[force.effect].torque(state, force.site, force.values).items():
+            total[axis] += float(torque[0])
+    return total
+
+
+def _wind_up(
+    model: mujoco.MjModel, data: mujoco.MjData, joints: list, acceleration: np.ndarray, motor_dof: np.ndarray
+) -> None:
+    """Deflect the springs so that the motion starts without ringing: static balance, load of the first instant."""
+    elastic = [model.joint(joint.name).id for joint in joints if joint.elastic]
+    address, dof = model.jnt_qposadr[elastic], model.jnt_dofadr[elastic]
+    stiffness = model.jnt_stiffness[elastic]
+    wound = stiffness > 0
+    for _ in range(5):
+        data.qacc[:] = 0
+        data.qacc[motor_dof] = acceleration
+        mujoco.mj_inverse(model, data)
+        # qfrc_inverse is what the spring lacks of carrying the load
+        data.qpos[address[wound]] -= data.qfrc_inverse[dof[wound]] / stiffness[wound]
