@@ -1,8 +1,8 @@
 """From the FRFs of a posture to its modes: chart, automatic choice, refinement, and what the data do not hold.
 
-Poly-reference LSCF gives candidates; the maximum-likelihood fit of :mod:`twin.measure.modal_fit` sharpens them and puts a
-deviation on each. A candidate whose removal the data would not notice goes, one that the residual asks for is added, both by
-the Bayesian information criterion, so that weak modes below strong ones are found and noise is not.
+Poly-reference LSCF gives candidates; the maximum-likelihood fit of :mod:`twin.measure.modal_fit` sharpens them and
+puts a deviation on each. A candidate whose removal the data would not notice goes, one that the residual asks for is
+added, both by the Bayesian information criterion, so that weak modes below strong ones are found and noise is not.
 """
 
 from dataclasses import dataclass, replace
@@ -33,6 +33,7 @@ Method = Literal["plscf", "lsce"]
 
 MAX_ORDER = 60
 MAX_REFERENCES = 4  # a chart of more is drawn from their principal combinations
+MOST_ORDERS = 30  # a higher chart takes every other order
 LINES_PER_ORDER = 4  # a chart's order stays below the number of lines over this
 BAND_LINES = 1600  # a band with more lines is split, so that low modes are not crowded into a corner of the circle
 BAND_RATIO = 5.0
@@ -42,6 +43,7 @@ USABLE_COHERENCE = 0.5
 REWEIGHTINGS = 3  # rounds of fit and residual variance where the recording states none
 NOISE_LINES = 30  # at least, in a block that a variance is estimated from
 MOST_ADDED = 12
+FAR, OVERDAMPED = 2.0, 0.5  # ratio to the end of the band and damping ratio from which a pole is no mode
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,7 @@ def identify_modes(
     labels: tuple[tuple[str, ...], tuple[str, ...]] = ((), ()),
     source: str = "",
 ) -> ModalResult:
-    """Modes of one posture between ``fmin`` and ``fmax`` (Hz; by default all that is usable), without being told how many.
+    """Modes of one posture between ``fmin`` and ``fmax`` (Hz; by default all that is usable), not told how many.
 
     Args:
         posture: FRFs of any quantity; coherence and averages, where present, weight every line.
@@ -181,9 +183,7 @@ def identify_modes(
         raise InputError(source, f"postures/{posture.name}/frf", "expected a response, every channel is zero")
     step = (posture.frequency[-1] - posture.frequency[0]) / (posture.frequency.size - 1)
     if (high - low) / step < 16:
-        raise InputError(
-            source, f"postures/{posture.name}", f"expected 16 lines or more from {low:g} to {high:g} Hz"
-        )
+        raise InputError(source, f"postures/{posture.name}", f"expected 16 lines or more from {low:g} to {high:g} Hz")
     inside = (posture.frequency >= low) & (posture.frequency <= high)
     synthesised = np.zeros_like(accelerance.frf[inside])
     modes: list[Mode] = []
@@ -306,7 +306,7 @@ class _Band:
             whole = (frf * weight).reshape(-1, frf.shape[2])
             principal = np.linalg.eigh(whole.conj().T @ whole)[1][:, -MAX_REFERENCES:]
         top = max(2, min(max_order, self.frequency.size // LINES_PER_ORDER))
-        orders = range(1, top + 1)
+        orders = range(top % 2 + 2 if top > MOST_ORDERS else 1, top + 1, 2 if top > MOST_ORDERS else 1)
         found = (
             plscf(frf @ principal, self.frequency, orders, np.sqrt(np.mean(weight**2, axis=2)))
             if method == "plscf"
@@ -342,8 +342,9 @@ class _Band:
     def _pruned(self, fit: ModalFit) -> ModalFit:
         """Without modes that explain nothing, and without halves of one mode."""
         while fit.model.poles.size:
-            weakest = int(np.argmin(fit.wald))
-            if fit.wald[weakest] < self._price(fit):
+            away = np.maximum(self.frequency[0] / fit.frequency, fit.frequency / self.frequency[-1])
+            weakest = int(np.argmin(np.where((away > FAR) | (fit.damping > OVERDAMPED), 0, fit.wald)))
+            if fit.wald[weakest] < self._price(fit) or away[weakest] > FAR or fit.damping[weakest] > OVERDAMPED:
                 fit = self._refitted(*without(fit, weakest))
                 continue
             for mode in self._doubtful(fit):
@@ -379,7 +380,8 @@ class _Band:
                 np.append(fit.model.poles, pole), np.concatenate([fit.model.participation, participation[None]])
             )
             more = self._pruned(more)
-            if more.model.poles.size <= fit.model.poles.size or fit.chi2 - more.chi2 < self._price(more):
+            added = more.model.poles.size - fit.model.poles.size
+            if fit.chi2 - more.chi2 < self._price(more) * max(added, 0.1):
                 return fit
             fit = more
         return fit

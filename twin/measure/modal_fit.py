@@ -2,9 +2,9 @@
 
     G_oi(s) = s² [ Σ_r ψ_or L_ri / (s − λ_r) + conj(ψ_or L_ri) / (s − λ_r*) + lower_oi / s² + upper_oi ]
 
-is fitted to accelerance with every line weighted by one over its variance. Poles λ and participation factors L are found
-by Gauss–Newton on the variable projection (Golub & Pereyra 1973) that eliminates shapes ψ and residual terms, which are
-linear. s = rate + iω puts the poles of exponentially windowed records back where they were.
+is fitted to accelerance with every line weighted by one over its variance. Poles λ and participation factors L are
+found by Gauss–Newton on the variable projection (Golub & Pereyra 1973) that eliminates shapes ψ and residual terms,
+which are linear. s = rate + iω puts the poles of exponentially windowed records back where they were.
 """
 
 from dataclasses import dataclass
@@ -151,7 +151,7 @@ class _State:
 
 def _linear(data: _Data, poles: ComplexArray, participation: ComplexArray) -> _State:
     """Shapes and residual terms for given poles and participation factors."""
-    nm, ni, no = poles.size, data.ni, data.no
+    nm, ni = poles.size, data.ni
     h = _functions(poles, data.s)
     k, columns = h.shape[1], 2 * nm + RESIDUAL_TERMS * ni
     gram, moment = data.gram(h), data.moment(h)

@@ -1,8 +1,8 @@
 """From frequency response functions to poles of every model order: pLSCF and LSCE, one and many references.
 
 Both fit G(s) = B(z) A(z)⁻¹ with matrix polynomials in z = e^{sΔt}: pLSCF on the frequency lines, LSCE on the impulse
-response. A₀ = I sends the roots that only fit noise outside the unit circle, where they are recognised by their negative
-damping. Shapes and participation factors are the null vectors of A at its roots.
+response. A₀ = I sends the roots that only fit noise outside the unit circle, where they are recognised by their
+negative damping. Shapes and participation factors are the null vectors of A at its roots.
 """
 
 from collections.abc import Iterable
@@ -135,7 +135,7 @@ def _roots(
     companion[ni:, :-ni] = np.eye((n - 1) * ni)
     w = np.linalg.eigvals(companion)  # of the reversed polynomial: 1/z, monic because A₀ = I
     w = w[np.abs(w) > 1e-3]
-    z = 1 / w
+    z = np.asarray(1 / w, dtype=np.complex128)
     poles = circle.poles(z)
     keep = (poles.real < 0) & (poles.imag > 0)
     keep &= (np.abs(poles) >= 2 * np.pi * frequency[0]) & (np.abs(poles) <= 2 * np.pi * frequency[-1])
@@ -149,7 +149,7 @@ def _roots(
     right = vh[:, -1, :].conj()
     shape = right if b is None else np.einsum("rk,oki,ri->ro", power, b, right, optimize=True)
     norm = np.linalg.norm(shape, axis=1, keepdims=True)
-    return Poles(order, poles, shape / np.where(norm > 0, norm, 1), participation)
+    return Poles(order, poles, np.asarray(shape / np.where(norm > 0, norm, 1), dtype=np.complex128), participation)
 
 
 def impulse_response(frf: ComplexArray, frequency: FloatArray) -> tuple[ComplexArray | FloatArray, float, float]:
@@ -189,5 +189,5 @@ def lsce(frf: ComplexArray, frequency: FloatArray, orders: Iterable[int]) -> lis
         rows = response.shape[0] - p
         blocks = np.stack([response[k : k + rows] for k in range(p + 1)], axis=2)  # (row, no, k, ni)
         h = blocks.reshape(-1, (p + 1) * ni)
-        result.append(_roots(_denominator(h.conj().T @ h, ni), None, circle, frequency, p))
+        result.append(_roots(_denominator(np.asarray(h.conj().T @ h), ni), None, circle, frequency, p))
     return result

@@ -1,0 +1,389 @@
+"""From hammer hits to FRFs, and the checks that tell whether to believe them.
+
+Which hits count and why not (double, overloaded, quiet) is a table. Windows are applied to force and response alike: an
+exponential of rate σ moves every FRF from H(iω) to H(σ + iω), exactly, and the rate travels with the FRFs so that every
+later estimate is free of it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.measure.campaign import (
+    BoolArray,
+    Brakes,
+    Campaign,
+    Channels,
+    ComplexArray,
+    FloatArray,
+    Hits,
+    PostureFRF,
+    as_quantity,
+    frf_variance,
+)
+
+Estimator = Literal["H1", "H2", "Hv"]
+
+DOUBLE_HIT = 0.1  # of the peak force, outside the blow
+QUIET_HIT = 0.3  # of the median peak force of the excitation
+QUIET_NOISE = 10.0  # times the RMS force before the trigger
+FLAT_TOP = 4  # equal samples at the extreme of a record that mean an overload
+END_LEVEL = 5e-3  # of the response after the blow that may be left at the end of the record
+SAME_POINT = 5e-3  # m
+SAME_DIRECTION = 0.99  # |cosine|
+
+
+@dataclass(frozen=True)
+class HitRow:
+    """What became of one hit; ``reason`` is empty for an accepted one."""
+
+    excitation: int
+    hit: int
+    peak_n: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class HitTable:
+    """All hits of a posture; ``print`` shows what was rejected and why."""
+
+    rows: tuple[HitRow, ...]
+
+    def accepted(self, excitation: int) -> list[int]:
+        """Indices of the hits that count."""
+        return [row.hit for row in self.rows if row.excitation == excitation and not row.reason]
+
+    def __str__(self) -> str:
+        bad = [row for row in self.rows if row.reason]
+        head = f"{len(self.rows) - len(bad)} of {len(self.rows)} hits accepted"
+        return "\n".join(
+            [head] + [f"  excitation {r.excitation} hit {r.hit}: {r.peak_n:.1f} N, {r.reason}" for r in bad]
+        )
+
+
+def judge_hits(hits: Hits) -> HitTable:
+    """Accept or reject every hit: double, overloaded (force or response), quiet."""
+    ne, nh, _ = hits.force.shape
+    force = _without_offset(hits.force, hits)
+    peak = np.abs(force).max(axis=2)
+    rows = []
+    for e in range(ne):
+        typical = np.median(peak[e])
+        for h in range(nh):
+            reason = ""
+            before = force[e, h, : _trigger(hits)]
+            noise = np.sqrt(np.mean(before**2)) if before.size > 8 else 0.0
+            if peak[e, h] < QUIET_HIT * typical or peak[e, h] <= QUIET_NOISE * noise:
+                reason = f"quiet: the median is {typical:.1f} N"
+            elif _flat_top(hits.force[e, h]):
+                reason = "overload of the force"
+            elif clipped := [r for r, record in enumerate(hits.response[e, h]) if _flat_top(record)]:
+                reason = f"overload of response {clipped[0]}"
+            elif (second := _second_blow(force[e, h])) > DOUBLE_HIT:
+                reason = f"double hit: the second has {100 * second:.0f} % of the first"
+            rows.append(HitRow(e, h, float(peak[e, h]), reason))
+    return HitTable(tuple(rows))
+
+
+def _trigger(hits: Hits) -> int:
+    """Samples that are surely before the blow."""
+    return int(0.8 * hits.pretrigger_s * hits.sample_rate_hz)
+
+
+def _without_offset(records: FloatArray, hits: Hits) -> FloatArray:
+    n = _trigger(hits)
+    return records - records[..., :n].mean(axis=-1, keepdims=True) if n > 8 and not hits.windowed else records
+
+
+def _flat_top(record: FloatArray) -> bool:
+    """A run of equal samples at an extreme: the converter ran out of range."""
+    size = np.abs(record)
+    if size.max() == 0:
+        return False
+    at = np.concatenate([[0], (size >= size.max() * (1 - 1e-9)).astype(int), [0]])
+    edges = np.flatnonzero(np.diff(at))
+    return bool((edges[1::2] - edges[::2]).max() >= FLAT_TOP)
+
+
+def _blow(force: FloatArray) -> tuple[int, int]:
+    """First and last sample of the main blow, at a tenth of its peak, with a blow's length of margin."""
+    size = np.abs(force)
+    top = int(size.argmax())
+    low = size < DOUBLE_HIT * size[top]
+    before, after = np.flatnonzero(low[:top]), np.flatnonzero(low[top:])
+    start = int(before[-1]) if before.size else 0
+    end = top + int(after[0]) if after.size else size.size - 1
+    width = end - start
+    return max(start - width, 0), min(end + width, size.size - 1)
+
+
+def _second_blow(force: FloatArray) -> float:
+    """Largest same-sign force outside the main blow, as a share of its peak."""
+    start, end = _blow(force)
+    top = force[int(np.abs(force).argmax())]
+    rest = np.concatenate([force[:start], force[end + 1 :]]) / top
+    return float(rest.max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """FRFs from hits.
+
+    Attributes:
+        frequency: (nf,) Hz.
+        frf: (nf, nr, ne) accelerance.
+        coherence: (nf, nr, ne).
+        averages: hits per average, the fewest of all excitations.
+        exponential_window_rate: 1/s, still in the FRFs.
+        table: which hits counted.
+    """
+
+    frequency: FloatArray
+    frf: ComplexArray
+    coherence: FloatArray
+    averages: int
+    exponential_window_rate: float
+    table: HitTable
+
+
+def spectra(
+    hits: Hits,
+    estimator: Estimator = "H1",
+    *,
+    exponential_window_rate: float | None = None,
+    force_window: bool = True,
+    fmax: float | None = None,
+    source: str = "",
+) -> Spectra:
+    """Average the accepted hits of every excitation.
+
+    H1 = S_fx/S_ff for noise on the response, H2 = S_xx/S_xf for noise on the force, Hv the geometric mean that halves
+    the difference (Rocklin, Crowley & Vold 1985). Records that carry their windows get no others.
+
+    Args:
+        hits: time records.
+        exponential_window_rate: rate in 1/s of the exponential put on force and response; by default what
+            :func:`needed_window_rate` finds.
+        force_window: set the force to zero outside the blow.
+        fmax: highest line kept, Hz.
+        source: file named in errors.
+
+    Raises:
+        InputError: when no hit of an excitation is left.
+    """
+    table = judge_hits(hits)
+    ne, _, nr, nt = hits.response.shape
+    if hits.windowed:
+        rate = hits.exponential_window_rate
+    else:
+        rate = needed_window_rate(hits) if exponential_window_rate is None else exponential_window_rate
+    time = np.arange(nt) / hits.sample_rate_hz - hits.pretrigger_s
+    window = np.ones(nt) if hits.windowed else np.exp(-rate * time)
+    frequency = np.asarray(np.fft.rfftfreq(nt, 1 / hits.sample_rate_hz), dtype=np.float64)
+    lines = frequency <= (frequency[-1] if fmax is None else fmax)
+    frf = np.empty((int(lines.sum()), nr, ne), dtype=complex)
+    coherence = np.empty(frf.shape)
+    for e in range(ne):
+        kept = table.accepted(e)
+        if not kept:
+            raise InputError(source, f"hits of excitation {e}", "expected at least one hit that can be used")
+        force = _without_offset(hits.force[e, kept], hits)
+        if force_window and not hits.windowed:
+            force = np.stack([_gated(record) for record in force])
+        f = np.fft.rfft(force * window)[:, lines]
+        x = np.fft.rfft(_without_offset(hits.response[e, kept], hits) * window)[:, :, lines]
+        sff = np.sum(np.abs(f) ** 2, axis=0)
+        sxx = np.sum(np.abs(x) ** 2, axis=0)
+        sfx = np.sum(f.conj()[:, None] * x, axis=0)
+        tiny = np.finfo(float).tiny
+        h1, h2 = sfx / np.maximum(sff, tiny), sxx * sfx / np.maximum(np.abs(sfx) ** 2, tiny)
+        match estimator:
+            case "H1":
+                h = h1
+            case "H2":
+                h = h2
+            case "Hv":
+                h = np.sqrt(np.abs(h1) * np.abs(h2)) * np.exp(1j * np.angle(sfx))
+        frf[:, :, e] = h.T
+        gamma2 = np.abs(sfx) ** 2 / np.maximum(sff * sxx, tiny)
+        coherence[:, :, e] = np.minimum(gamma2, 1).T
+    averages = min(len(table.accepted(e)) for e in range(ne))
+    return Spectra(frequency[lines], frf, coherence, averages, rate, table)
+
+
+def needed_window_rate(hits: Hits) -> float:
+    """Rate in 1/s of the exponential that takes the responses to END_LEVEL by the end of the record.
+
+    0 where they decay that far on their own. A record that ends before the response does leaks, and leakage shifts
+    damping by several per cent at 0.5 Hz resolution; the exponential is exact (see module docstring).
+    """
+    nt = hits.response.shape[-1]
+    power = np.mean(_without_offset(hits.response, hits) ** 2, axis=(0, 1, 2))
+    start = int(hits.pretrigger_s * hits.sample_rate_hz)
+    piece = max((nt - start) // 10, 1)
+    noise = power[: _trigger(hits)].mean() if _trigger(hits) > 8 else 0.0
+    first, last = (max(p.mean() - noise, 0.0) for p in (power[start : start + piece], power[-piece:]))
+    level = np.sqrt(last / first) if first > 0 else 0.0
+    return float(np.log(level / END_LEVEL) / (nt / hits.sample_rate_hz)) if level > END_LEVEL else 0.0
+
+
+def _gated(force: FloatArray) -> FloatArray:
+    """The blow alone, with cosine flanks over its margins."""
+    start, end = _blow(force)
+    flank = max((end - start) // 6, 1)
+    gate = np.zeros(force.size)
+    gate[start : end + 1] = 1
+    ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(flank) + 0.5) / flank)
+    if start > 0:
+        gate[start : start + flank] = ramp
+    gate[end + 1 - flank : end + 1] = np.minimum(gate[end + 1 - flank : end + 1], ramp[::-1])
+    return force * gate
+
+
+def posture_from_hits(
+    name: str,
+    q_deg: FloatArray,
+    brakes: Brakes | None,
+    hits: Hits,
+    estimator: Estimator = "H1",
+    *,
+    exponential_window_rate: float | None = None,
+    fmax: float | None = None,
+    source: str = "",
+) -> tuple[PostureFRF, HitTable]:
+    """FRFs of one posture from its hits, ready for a campaign, and the table of its hits."""
+    found = spectra(hits, estimator, exponential_window_rate=exponential_window_rate, fmax=fmax, source=source)
+    peaks = [row.peak_n for row in found.table.rows if not row.reason]
+    posture = PostureFRF(
+        name=name,
+        q_deg=q_deg,
+        brakes=brakes,
+        frequency=found.frequency,
+        frf=found.frf,
+        quantity="accelerance",
+        coherence=found.coherence,
+        averages=found.averages,
+        peak_force_n=float(np.median(peaks)),
+        exponential_window_rate=found.exponential_window_rate,
+        hits=hits,
+    )
+    return posture, found.table
+
+
+# --- checks -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Check:
+    """One number that says whether FRFs are to be believed.
+
+    Attributes:
+        kind: ``driving point``, ``reciprocity`` or ``linearity``.
+        subject: channel pairs or postures it is about.
+        value: what :func:`driving_points`, :func:`reciprocity`, :func:`linearity` define.
+        passed: whether a test engineer would accept it.
+    """
+
+    kind: str
+    subject: str
+    value: float
+    passed: bool
+
+    def __str__(self) -> str:
+        return f"{'ok  ' if self.passed else 'FAIL'} {self.kind} {self.subject}: {self.value:.3g}"
+
+
+def _same(a: Channels, i: int, b: Channels, j: int) -> float:
+    """Cosine between two channels at one point of one body, 0 when they are not at one point along one line."""
+    if a.body[i] != b.body[j] or np.linalg.norm(a.position[i] - b.position[j]) > SAME_POINT:
+        return 0.0
+    cosine = float(a.direction[i] @ b.direction[j])
+    return cosine if abs(cosine) > SAME_DIRECTION else 0.0
+
+
+def driving_pairs(campaign: Campaign) -> Iterator[tuple[int, int, float]]:
+    """Response and excitation index, and sign, of every driving point."""
+    for r in range(len(campaign.response.label)):
+        for e in range(len(campaign.excitation.label)):
+            if cosine := _same(campaign.response, r, campaign.excitation, e):
+                yield r, e, float(np.sign(cosine))
+
+
+def driving_points(campaign: Campaign, posture: PostureFRF) -> list[Check]:
+    """Share of the quadrature energy of every driving point that has the sign of a passive structure.
+
+    Im accelerance > 0 (Re mobility > 0): a wrong sign on a blow or sensor gives 0 instead of 1.
+    """
+    accelerance = as_quantity(posture, "accelerance").frf
+    checks = []
+    for r, e, sign in driving_pairs(campaign):
+        quadrature = sign * accelerance[:, r, e].imag
+        energy = np.sum(quadrature**2)
+        share = float(np.sum(quadrature[quadrature > 0] ** 2) / energy) if energy > 0 else 1.0
+        checks.append(Check("driving point", campaign.pair(r, e), share, share > 0.9))
+    return checks
+
+
+def reciprocity(campaign: Campaign, posture: PostureFRF) -> list[Check]:
+    """RMS of H_ab − H_ba over the RMS of their mean, for every pair of points measured both ways."""
+    driving = list(driving_pairs(campaign))
+    checks = []
+    for n, (r, e, sign) in enumerate(driving):
+        for r2, e2, sign2 in driving[n + 1 :]:
+            if r == r2 or e == e2:
+                continue
+            ab, ba = sign2 * posture.frf[:, r, e2], sign * posture.frf[:, r2, e]
+            size = np.linalg.norm(ab + ba) / 2
+            value = float(np.linalg.norm(ab - ba) / size) if size > 0 else 0.0
+            checks.append(
+                Check("reciprocity", f"{campaign.pair(r, e2)} and {campaign.pair(r2, e)}", value, value < 0.1)
+            )
+    return checks
+
+
+def force_levels(campaign: Campaign) -> list[list[PostureFRF]]:
+    """Postures measured at several force levels, lowest force first."""
+    groups: list[list[PostureFRF]] = []
+    for posture in campaign.postures.values():
+        for group in groups:
+            same = group[0].frf.shape == posture.frf.shape and np.allclose(group[0].q_deg, posture.q_deg)
+            if same and group[0].brakes == posture.brakes:
+                group.append(posture)
+                break
+        else:
+            groups.append([posture])
+    levelled = [[p for p in group if p.peak_force_n is not None] for group in groups]
+    return [sorted(group, key=lambda p: p.peak_force_n or 0.0) for group in levelled if len(group) > 1]
+
+
+def linearity(campaign: Campaign, band: tuple[float, float] | None = None) -> list[Check]:
+    """Homogeneity of FRFs over force levels: mean |H_hi − H_lo|² over its variance, 1 for a linear structure.
+
+    Without a stated variance it is the RMS difference over the RMS, and 0 for a linear structure.
+    """
+    checks = []
+    for group in force_levels(campaign):
+        for low, high in pairwise(group):
+            value, limit = _homogeneity(low, high, band)
+            subject = f"{low.name} ({low.peak_force_n:.0f} N) and {high.name} ({high.peak_force_n:.0f} N)"
+            checks.append(Check("linearity", subject, value, value < limit))
+    return checks
+
+
+def _homogeneity(low: PostureFRF, high: PostureFRF, band: tuple[float, float] | None) -> tuple[float, float]:
+    """The statistic and the limit it is judged against."""
+    high = as_quantity(high, low.quantity)
+    lines: BoolArray = np.ones(low.frequency.size, dtype=bool)
+    if band is not None:
+        lines = (low.frequency >= band[0]) & (low.frequency <= band[1])
+    difference = np.abs(high.frf - low.frf)[lines] ** 2
+    variances: Sequence[FloatArray | None] = [frf_variance(low), frf_variance(high)]
+    if variances[0] is None or variances[1] is None:
+        return float(np.sqrt(difference.sum() / np.sum(np.abs(low.frf[lines]) ** 2))), 0.05
+    total = 2 * (variances[0] + variances[1])[lines]
+    live = np.isfinite(total) & (total > 0)
+    return float(np.mean(difference[live] / total[live])), 3.0
