@@ -228,6 +228,61 @@ def test_loss_factor_of_a_single_hinge_halves_into_its_damping_ratio():
     assert abs(peak[0, 0, 0]) == pytest.approx(1 / (KR90.stiffness[0, 0] * 0.03), rel=1e-9)
 
 
+def test_a_resonator_stills_its_own_place_at_its_frequency():
+    """An undamped absorber is an antiresonance of the point that carries it, along its axis."""
+    place, axis = np.array([0.9, 0.1, 0.2]), "y"
+    text = "attached_resonator@link3:mass=20,frequency_hz=14,damping_ratio=0,position=0.9|0.1|0.2,axis=y"
+    structure = assemble(KR90, MILLING, (parse(text),), sag=False)
+    row = structure.row(structure.locate("link3", place, AXES[axis]))[None]
+    s = 2j * np.pi * np.array([13.0, 14.0])
+    near, at = np.abs(structure.receptance(s, row, row)[:, 0, 0])
+    assert at < 0.01 * near  # gravity stiffness of the moving mass leaves a little
+
+
+def test_a_bending_link_swings_its_far_half_alone():
+    """With every joint rigid, M and the points' levers are the far part's about the hinge."""
+    rigid = replace(KR90, stiffness=np.full((3, 3), np.inf))
+    structure = assemble(rigid, MILLING, (parse("link_flexibility@link3.z:stiffness=1e7,damping=0"),), sag=False)
+    middle = KR90.flange / 2
+    _, far = cut(KR90.links[2], AXES["x"], middle[0])
+    lever = far.com - middle
+    inertia = far.inertia[2, 2] + far.mass * (lever[0] ** 2 + lever[1] ** 2)
+    assert structure.mass[0, 0] == pytest.approx(inertia, rel=1e-12)
+    near_point = structure.locate("link3", np.array([0.5, 0.1, 0.0]), AXES["y"])
+    far_point = structure.locate("link3", np.array([1.2, 0.1, 0.0]), AXES["y"])
+    assert structure.row(near_point)[0] == 0
+    assert structure.row(far_point)[0] == pytest.approx(1.2 - middle[0], rel=1e-12)
+
+
+def test_a_base_on_springs_carries_the_whole_robot():
+    rigid = replace(KR90, stiffness=np.full((3, 3), np.inf))
+    structure = assemble(rigid, MILLING, (parse("base_compliance@base.z:stiffness=1e7,damping=0"),), sag=False)
+    assert structure.mass[0, 0] == pytest.approx(512 + 249 + 223)
+
+
+@pytest.mark.parametrize(
+    ("text", "stiffness"),
+    [
+        ("fractional_damper@joint1.z:coefficient=5e4,order=0.5", lambda s, k, c: k + c * s + 5e4 * s**0.5),
+        (
+            "posture_stiffness@joint1.z:amplitude=0.2,phase=0.3",
+            lambda s, k, c: k * (1 + 0.2 * np.sin(MILLING[1] + 0.3)) + c * s,
+        ),
+        (  # cascade servo: proportional and integral, in series with the gear
+            "servo_compliance@joint1:stiffness=1e7,damping=2e3,inertia=0,integral_time=0.05",
+            lambda s, k, c: 1 / (1 / (k + c * s) + 1 / (1e7 * (1 + 1 / (0.05 * s)) + 2e3 * s)),
+        ),
+    ],
+)  # fmt: skip
+def test_a_single_hinge_has_the_closed_form_of_its_law(text, stiffness):
+    structure = assemble(only(0), MILLING, (parse(text),))
+    row = structure.row(structure.locate("link3", KR90.flange, AXES["z"]))[None]
+    inertia = structure.mass[-1, -1]
+    found = structure.receptance(S, row, row)[:, 0, 0]
+    expected = row[0, -1] ** 2 / (inertia * S**2 + stiffness(S, KR90.stiffness[0, 0], KR90.damping[0, 0]))
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
 def test_a_cut_link_is_the_link_and_both_parts_are_bodies():
     link, height = KR90.links[1], 0.675
     near, far = cut(link, AXES["x"], height)

@@ -73,8 +73,8 @@ EFFECTS: dict[str, Kind] = {
     ),
     "structural_damping": Kind(JOINT_XYZ, {"loss_factor": (0.005, 0.05)}, "frf", ("damping",)),
     "hardening_stiffness": Kind(JOINT_Z, {"cubic": (3e12, 1e14)}, "levels"),
-    "backlash": Kind(JOINT_Z, {"gap": (2e-5, 3e-4)}, "both"),
-    "hysteresis": Kind(JOINT_Z, {"stiffness": (5e5, 3e6), "yield_torque": (20, 300)}, "both"),
+    "backlash": Kind(JOINT_Z, {"gap": (1e-5, 1.5e-4)}, "both"),
+    "hysteresis": Kind(JOINT_Z, {"stiffness": (3e5, 2e6), "yield_torque": (8, 80)}, "both"),
     "viscous_friction": Kind(JOINT, {"coefficient": (5, 300)}, "log"),
     "coulomb_friction": Kind(JOINT, {"torque": (3, 100)}, "log"),
     "asymmetric_friction": Kind(JOINT, {"torque_difference": (SIGNED, 60), "viscous_difference": (SIGNED, 60)}, "log"),
@@ -92,11 +92,22 @@ EFFECTS: dict[str, Kind] = {
     "sensor_misalignment": Kind(r"sensor:\d+", {"angles": (SIGNED, 0.15)}, "chain"),
     "hammer_misalignment": Kind(r"hammer:\S+", {"angles": (SIGNED, 0.2)}, "chain"),
     # Outside the catalogue: what a diagnosis must locate and must not misname.
-    "eddy_current_damper": Kind(JOINT_Z, {"coefficient": (1e6, 3e7)}, "levels"),
+    "eddy_current_damper": Kind(JOINT_Z, {"coefficient": (3e5, 1e7)}, "levels"),
     "posture_stiffness": Kind(JOINT_Z, {"amplitude": (0.1, 0.4), "phase": (SIGNED, 3.1)}, "frf"),
     "fractional_damper": Kind(JOINT_XYZ, {"coefficient": (1e4, 1e5), "order": (0.3, 0.7)}, "frf"),
 }
-LENGTHS = {"coefficients": 3, ("sensor_misalignment", "angles"): 3, ("hammer_misalignment", "angles"): 2}
+# A blow deflects a joint by 1e-5 to 2e-4 rad, a motion log sees travel of 1e-4 rad and more.
+LOG_RANGES: dict[str, dict[str, tuple[float, float]]] = {
+    "backlash": {"gap": (1e-4, 2e-3)},
+    "hysteresis": {"stiffness": (3e4, 1e6), "yield_torque": (8, 200)},
+}
+LENGTHS = {  # parameters that are lists
+    ("gravity_compensator", "coefficients"): 3,
+    ("sensor_misalignment", "angles"): 3,
+    ("hammer_misalignment", "angles"): 2,
+    ("payload", "com"): 3,
+    ("attached_resonator", "position"): 3,
+}
 
 
 def parse(text: str) -> Effect:
@@ -125,20 +136,21 @@ def parse(text: str) -> Effect:
     return Effect(kind, found[1], parameters)
 
 
-def draw(effect: Effect, chain: Chain, rng: np.random.Generator) -> Effect:
-    """The effect with every parameter not given drawn over its usual range; checks the site against the chain."""
+def draw(effect: Effect, chain: Chain, rng: np.random.Generator, *, log: bool = False) -> Effect:
+    """The effect with every parameter not given drawn over its usual range (in a motion log: `LOG_RANGES`)."""
     spec, given = EFFECTS[effect.kind], dict(effect.parameters)
+    ranges = LOG_RANGES.get(effect.kind, spec.ranges) if log else spec.ranges
     if re.match(r"joint|link", effect.site) and not 0 <= effect.joint < chain.n:
         raise TruthError(f"{effect.kind}@{effect.site}: the chain has joints 1 to {chain.n}")
     if effect.kind == "hysteresis" and not given:
-        return Effect(effect.kind, effect.site, many_slip_elements(spec, rng))
-    for name, (low, high) in spec.ranges.items():
-        length = LENGTHS.get(name, LENGTHS.get((effect.kind, name), 0))  # type: ignore[call-overload]
-        size = (length,) if length else ()
-        value: Array = np.exp(rng.uniform(np.log(high / 10 if low < 0 else low), np.log(high), size))
+        return Effect(effect.kind, effect.site, many_slip_elements(ranges, rng))
+    for name, (low, high) in ranges.items():
+        length = LENGTHS.get((effect.kind, name))
+        size = () if length is None else (length,)
+        size_drawn: Array = np.exp(rng.uniform(np.log(high / 10 if low < 0 else low), np.log(high), size))
         if low < 0:
-            value = value * rng.choice([-1.0, 1.0], size)
-        given.setdefault(name, value.tolist())
+            size_drawn = size_drawn * rng.choice([-1.0, 1.0], size)
+        given.setdefault(name, size_drawn.tolist())
     if effect.kind == "base_compliance" and len(effect.axis) == 1 and "stiffness" not in effect.parameters:
         given["stiffness"] = float(np.exp(rng.uniform(np.log(5e6), np.log(5e7))))  # N/m, not N·m/rad
     if effect.kind == "gravity_compensator" and "coefficients" not in effect.parameters:
@@ -152,12 +164,22 @@ def draw(effect: Effect, chain: Chain, rng: np.random.Generator) -> Effect:
         along = rng.uniform(0.2, 0.9) * chain.ends()[effect.joint] + rng.uniform(-0.15, 0.15, 3)
         given.setdefault("axis", str(rng.choice(["x", "y", "z"])))
         given.setdefault("position", along.tolist())
+    for name, value in given.items():
+        found, length = np.size(value), LENGTHS.get((effect.kind, name), 1)
+        if found != length and effect.kind != "hysteresis" and name != "inertia":
+            raise TruthError(
+                f"{effect.kind}@{effect.site}: {name}: expected {length} numbers joined by |, found {found}"
+            )
+    if effect.kind == "hysteresis" and np.size(given["stiffness"]) != np.size(given["yield_torque"]):
+        raise TruthError(f"hysteresis@{effect.site}: expected as many yield_torque as stiffness")
     return Effect(effect.kind, effect.site, given)
 
 
-def many_slip_elements(spec: Kind, rng: np.random.Generator, count: int = 15) -> dict[str, Value]:
+def many_slip_elements(
+    ranges: dict[str, tuple[float, float]], rng: np.random.Generator, count: int = 15
+) -> dict[str, Value]:
     """Iwan's distribution: equal stiffnesses whose yield torques grow as a power of the index."""
-    stiffness, torque = (np.exp(rng.uniform(*np.log(spec.ranges[n]))) for n in ("stiffness", "yield_torque"))
+    stiffness, torque = (np.exp(rng.uniform(*np.log(ranges[n]))) for n in ("stiffness", "yield_torque"))
     share = ((np.arange(count) + 0.5) / count) ** rng.uniform(1, 2.5)
     return {
         "stiffness": np.full(count, stiffness / count).tolist(),

@@ -23,8 +23,8 @@ from tools.truth.chain import (
     second_moments,
     symmetric,
 )
-from tools.truth.effects import Effect
-from tools.truth.laws import Complex, JointLaw, frequency_terms, joint_law
+from tools.truth.effects import Effect, TruthError
+from tools.truth.laws import Complex, JointLaw, frequency_term, joint_law
 
 AXES = {"x": np.array([1.0, 0.0, 0.0]), "y": np.array([0.0, 1.0, 0.0]), "z": np.array([0.0, 0.0, 1.0])}
 
@@ -240,10 +240,17 @@ def _assemble(
     hessian = upper + np.triu(upper, 1).T
 
     index = {name: i for i, name in enumerate(b.names)}
+    laws: dict[int, JointLaw] = {}
     for e in effects:
-        for site, term in frequency_terms(e, stiffness):
-            if site in index:
-                dynamic.setdefault(index[site], []).append(term)
+        term, law = frequency_term(e, stiffness), joint_law(e, stiffness)
+        if (term or law) and e.site not in index:
+            raise TruthError(f"{e.kind}@{e.site}: expected a site that is soft in this robot; {e.site} is rigid")
+        if term:
+            dynamic.setdefault(index[e.site], []).append(term)
+        if law:
+            if index[e.site] in laws:
+                raise TruthError(f"{e.kind}@{e.site}: expected one nonlinear effect at a joint; this is the second")
+            laws[index[e.site]] = law
 
     def locate(body: str, position: Array, direction: Array) -> Point:
         if body == "base":
@@ -264,7 +271,7 @@ def _assemble(
         load,
         locate,
         {i: tuple(terms) for i, terms in dynamic.items()},
-        {index[e.site]: law for e in effects if (law := joint_law(e, stiffness)) and e.site in index},
+        laws,
     )
 
 

@@ -30,14 +30,14 @@ class JointLaw(Protocol):
         """Torque added to the spring's, and the new state, when deflection and rate become x, v."""
 
 
-def frequency_terms(effect: Effect, stiffness: Array) -> list[tuple[str, Callable[[Complex], Complex]]]:
-    """(coordinate, s ↦ stiffness added) of an effect that depends on frequency; `stiffness` (n, 3) z, x, y."""
+def frequency_term(effect: Effect, stiffness: Array) -> Callable[[Complex], Complex] | None:
+    """s ↦ stiffness added at the effect's hinge, if it depends on frequency; `stiffness` (n, 3) z, x, y."""
     if effect.kind == "structural_damping":
         loss = 1j * effect["loss_factor"] * stiffness[effect.joint, "zxy".index(effect.axis)]
-        return [(effect.site, lambda s: np.full(s.shape, loss))]
+        return lambda s: np.full(s.shape, loss)
     if effect.kind == "fractional_damper":
-        return [(effect.site, lambda s: effect["coefficient"] * s ** effect["order"])]
-    return []
+        return lambda s: effect["coefficient"] * s ** effect["order"]
+    return None
 
 
 def joint_law(effect: Effect, stiffness: Array) -> JointLaw | None:

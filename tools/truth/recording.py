@@ -10,6 +10,7 @@ import re
 from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import h5py
 import numpy as np
@@ -79,14 +80,15 @@ class Posture:
 
 
 @dataclass(frozen=True)
-class Test:
+class HammerTest:
     """How the campaign is measured.
 
     Lines at start + k·spacing Hz; the record lasts 1/spacing s. `noise` is the sensors' one-sided amplitude density,
     m/s²/√Hz, `scatter` the relative spread of one hit's FRF. Coherence is either the one that the noise level
     implies ("expected") or what an analyser estimates from the averages ("estimated": scattered, and its variance
     too small by (n−1)/n). `levels_n`: peak forces, one group of the file each; empty: one level, `peak_n`, and no
-    level recorded. `decay` 1/s: exponential window left in the FRFs.
+    level recorded. `window` 1/s: rate of the exponential window left in the
+    FRFs; by default none, or five per record where blows are simulated in time, whose ends would leak.
     """
 
     start_hz: float = 5.0
@@ -99,7 +101,7 @@ class Test:
     peak_n: float = 300.0
     pulse_s: float = 0.008
     levels_n: tuple[float, ...] = ()
-    decay: float = 0.0
+    window: float | None = None
     hits: int = 0
     hit_rate_hz: float = 1024.0
     double_hits: float = 0.0
@@ -107,6 +109,14 @@ class Test:
     @property
     def frequency(self) -> Array:
         return self.start_hz + self.spacing_hz * np.arange(self.lines)
+
+    @property
+    def peaks(self) -> tuple[float, ...]:
+        return self.levels_n or (self.peak_n,)
+
+    @property
+    def decay(self) -> float:
+        return (5 * self.spacing_hz if self.levels_n or self.hits else 0.0) if self.window is None else self.window
 
 
 @dataclass(frozen=True)
@@ -118,6 +128,7 @@ class Truth:
     posture_error: dict[str, Array] = field(default_factory=dict)
     gain: dict[str, float] = field(default_factory=dict)
     sag: bool = True
+    seed: int | None = None
 
     @property
     def nonlinear(self) -> bool:
@@ -132,23 +143,32 @@ def draw_truth(
     *,
     chain: Chain | None = None,
     sag: bool = True,
+    log: bool = False,
 ) -> Truth:
-    """A truth near `chain` (default KR90). One stream of `seed` each for robot, effects and recording."""
+    """A truth near `chain` (default KR90). Robot, recording and each effect have a random stream of their own.
+
+    So the same seed is the same robot in a campaign and in a log, and an effect's size does not depend on what is
+    beside it.
+    """
     tolerances, chain = tolerances or Tolerances(), chain or kr90()
-    robot, sizes, recording = streams(seed)[:3]
+    robot, _, recording = streams(seed)[:3]
     true = perturb(chain, robot, tolerances)
     return Truth(
         true,
-        tuple(draw(e, chain, sizes) for e in effects),
+        tuple(
+            draw(e, chain, np.random.default_rng([seed, crc32(f"{e.kind}@{e.site}".encode())]), log=log)
+            for e in effects
+        ),
         {p.name: np.deg2rad(tolerances.posture_deg) * recording.uniform(-1, 1, chain.n) for p in postures},
         {c.label: 1 + tolerances.gain * recording.uniform(-1, 1) for c in SENSORS},
         sag,
+        seed,
     )
 
 
 def streams(seed: int) -> list[np.random.Generator]:
-    """Independent generators: robot, effect sizes, recording, noise, postures, trajectories."""
-    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(6)]
+    """Independent generators: robot, postures, recording, noise, trajectories."""
+    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)]
 
 
 def draw_postures(count: int, rng: np.random.Generator, chain: Chain | None = None) -> tuple[Posture, ...]:
@@ -205,22 +225,26 @@ def structure_at(truth: Truth, posture: Posture) -> Structure:
     return assemble(truth.chain, q, truth.effects, brakes_on=posture.brakes == "on", sag=truth.sag)
 
 
-def accelerance(truth: Truth, posture: Posture, test: Test, peak_n: float | None = None) -> Complex:
-    """Noise-free FRFs (nf, nr, ne), (m/s²)/N; at force `peak_n` when the truth is nonlinear."""
+def accelerance(truth: Truth, posture: Posture, test: HammerTest) -> Complex:
+    """Noise-free FRFs (nlevel, nf, nr, ne), (m/s²)/N, one for each of the test's force levels."""
     structure = structure_at(truth, posture)
     response, excitation = rows(truth, structure)
     s = test.decay + 2j * np.pi * test.frequency
+    ne, levels = len(excitation), len(test.peaks)
     if structure.laws:
-        force = half_sine(np.full(len(excitation), peak_n or test.peak_n), test.pulse_s, STEP_HZ)
-        signal = strike(structure, response, excitation, force, STEP_HZ, round(STEP_HZ / test.spacing_hz))
+        force = half_sine(np.repeat(test.peaks, ne), test.pulse_s, STEP_HZ)
+        blows = np.tile(excitation, (levels, 1))
+        signal = strike(structure, response, blows, force, STEP_HZ, round(STEP_HZ / test.spacing_hz))
         frf = transform(signal, STEP_HZ, test.frequency, test.decay)
         frf /= transform(force, STEP_HZ, test.frequency, test.decay)[:, None, :]
+        frf = frf.reshape(len(s), len(response), levels, ne).transpose(2, 0, 1, 3)
     else:
         frf = structure.receptance(s, response, excitation) * (s**2)[:, None, None]
+        frf = np.broadcast_to(frf, (levels, *frf.shape))
     return frf * channel_factor(truth, s)[:, :, None]
 
 
-def average(frf: Complex, test: Test, peak_n: float, rng: np.random.Generator) -> tuple[Complex, Array]:
+def average(frf: Complex, test: HammerTest, peak_n: float, rng: np.random.Generator) -> tuple[Complex, Array]:
     """H1 estimate and coherence (nf, nr, ne) over the test's hits, noise in the responses."""
     pulse = transform(half_sine(np.array([peak_n]), test.pulse_s, 8 * STEP_HZ), 8 * STEP_HZ, test.frequency)
     duration = 1 / test.spacing_hz
@@ -233,11 +257,13 @@ def average(frf: Complex, test: Test, peak_n: float, rng: np.random.Generator) -
     power = (np.abs(single) ** 2).mean(0)
     if test.coherence == "estimated":
         return mean, np.abs(mean) ** 2 / power
-    return mean, np.abs(frf) ** 2 / (np.abs(frf) ** 2 + variance)
+    # A channel without signal or noise has no coherence to speak of: 1 there, as without noise.
+    total = np.abs(frf) ** 2 + variance
+    return mean, 1 - np.divide(variance, total, out=np.zeros_like(total), where=total > 0)
 
 
 def raw_hits(
-    truth: Truth, posture: Posture, test: Test, peak_n: float, rng: np.random.Generator
+    truth: Truth, posture: Posture, test: HammerTest, peak_n: float, rng: np.random.Generator
 ) -> tuple[Array, Array, float]:
     """Force (ne, nh, nt), responses (ne, nh, nr, nt) and the pretrigger: blows differ, some bounce."""
     structure = structure_at(truth, posture)
@@ -274,7 +300,7 @@ def raw_hits(
     )
 
 
-def h1(force: Array, response: Array, test: Test, pretrigger_s: float) -> tuple[Complex, Array]:
+def h1(force: Array, response: Array, test: HammerTest, pretrigger_s: float) -> tuple[Complex, Array]:
     """H1 and coherence (nf, nr, ne) of raw hits, window of rate `decay` from the trigger on both channels."""
     before = round(pretrigger_s * test.hit_rate_hz)
     f = transform(force[..., before:].transpose(2, 0, 1), test.hit_rate_hz, test.frequency, test.decay)
@@ -288,7 +314,7 @@ def write_campaign(
     path: Path,
     truth: Truth,
     postures: tuple[Posture, ...],
-    test: Test,
+    test: HammerTest,
     rng: np.random.Generator,
     *,
     robot: str | None = "kr90",
@@ -309,8 +335,16 @@ def write_campaign(
                 group["position"] = np.array([c.position for c in channels])
                 group["direction"] = np.array([c.direction for c in channels])
             for posture in postures:
-                for level in test.levels_n or (None,):
-                    _write_posture(file, truth, posture, test, level, rng)
+                exact = None if test.hits else accelerance(truth, posture, test)
+                for i, level in enumerate(test.peaks):
+                    name = posture.name + (f"@{level:g}N" if test.levels_n else "")
+                    group = file.create_group(f"postures/{name}")
+                    group.attrs.update(q_deg=np.array(posture.q_deg), exponential_window_rate=test.decay)
+                    if posture.brakes:
+                        group.attrs["brakes"] = posture.brakes
+                    if test.levels_n:
+                        group.attrs["peak_force_n"] = level
+                    _fill(group, truth, posture, test, level, None if exact is None else exact[i], rng)
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
@@ -318,36 +352,32 @@ def write_campaign(
         write_answer(answer, {"truth": truth, "postures": postures, "test": test})
 
 
-def _write_posture(
-    file: h5py.File, truth: Truth, posture: Posture, test: Test, level: float | None, rng: np.random.Generator
+def _fill(
+    group: h5py.Group,
+    truth: Truth,
+    posture: Posture,
+    test: HammerTest,
+    peak_n: float,
+    exact: Complex | None,
+    rng: np.random.Generator,
 ) -> None:
-    group = file.create_group(f"postures/{posture.name}" + (f"@{level:g}N" if level else ""))
-    group.attrs["q_deg"] = np.array(posture.q_deg)
-    if posture.brakes:
-        group.attrs["brakes"] = posture.brakes
-    if level:
-        group.attrs["peak_force_n"] = level
-    peak = level or test.peak_n
-    if test.hits:
-        force, response, pretrigger = raw_hits(truth, posture, test, peak, rng)
+    if exact is None:
+        force, response, pretrigger = raw_hits(truth, posture, test, peak_n, rng)
         frf, coherence = h1(force, response, test, pretrigger)
         raw = group.create_group("hits")
-        raw.attrs.update(
-            sample_rate_hz=test.hit_rate_hz, pretrigger_s=pretrigger, windowed=False, exponential_window_rate=0.0
-        )
+        raw.attrs.update(sample_rate_hz=test.hit_rate_hz, pretrigger_s=pretrigger)
+        raw.attrs.update(windowed=False, exponential_window_rate=0.0)
         raw.create_dataset("force", data=force, dtype="f4")
         raw.create_dataset("response", data=response, dtype="f4")
     else:
-        frf, coherence = average(accelerance(truth, posture, test, peak), test, peak, rng)
+        frf, coherence = average(exact, test, peak_n, rng)
     group["frequency"] = test.frequency
-    group["frf"] = frf
+    group["frf"], group["coherence"] = frf, coherence
     group["frf"].attrs.update(quantity="accelerance", unit="(m/s^2)/N")
-    group["coherence"] = coherence
     group["coherence"].attrs["averages"] = test.hits or test.averages
-    group.attrs["exponential_window_rate"] = test.decay
 
 
-def check(truth: Truth, test: Test) -> None:
+def check(truth: Truth, test: HammerTest) -> None:
     labels = {f"sensor:{c.label}" for c in SENSORS} | {f"hammer:{c.label}" for c in HAMMER}
     labels |= {f"sensor:{c.node}" for c in SENSORS}
     for e in truth.effects:
@@ -357,7 +387,7 @@ def check(truth: Truth, test: Test) -> None:
             raise TruthError(f"{e.kind}@{e.site}: expected one of {', '.join(sorted(labels))}")
     if truth.nonlinear and not (test.levels_n or test.hits):
         raise TruthError("a nonlinear effect: expected force levels (--force-levels 100 600), or raw hits (--hits 3)")
-    if truth.nonlinear and any(EFFECTS[e.kind].shows == "frf" and e.kind in FREQUENCY_ONLY for e in truth.effects):
+    if truth.nonlinear and any(e.kind in FREQUENCY_ONLY for e in truth.effects):
         raise TruthError("a nonlinear effect: expected no effect beside it that is defined in frequency only")
 
 
@@ -367,15 +397,18 @@ FREQUENCY_ONLY = ("structural_damping", "fractional_damper")
 def write_answer(path: Path, content: dict[str, Any]) -> None:
     """Everything concealed, as JSON."""
     aside = path.with_name(path.name + ".part")
-    aside.write_text(json.dumps(content, default=plain, indent=1), encoding="utf-8")
+    aside.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
     os.replace(aside, path)
 
 
 def plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
+    """Dataclasses, arrays and tuples as JSON holds them; infinite stiffness as null."""
     if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    raise TypeError(f"not for JSON: {type(value)}")
+        value = asdict(value)
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
