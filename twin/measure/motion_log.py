@@ -4,7 +4,7 @@ A trajectory is a motion log without torque. Positions are the motor encoder div
 motor torque times the gear ratio, both at the gear output.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import h5py
@@ -142,7 +142,7 @@ def _checked(
             raise InputError(
                 path, f"{where}/{key}", f"not finite at sample {int(np.argwhere(~np.isfinite(values))[0, 0])}"
             )
-    return MotionRun(name, time, sample_rate_hz=rate, **series)  # type: ignore[arg-type]
+    return MotionRun(name, time, sample_rate_hz=rate, **series)
 
 
 def _read_csv(path: Path) -> MotionLog:
@@ -183,8 +183,3 @@ def _write_csv(path: Path, log: MotionLog) -> None:
 
 def _text(value: object) -> str | None:
     return value.decode() if isinstance(value, bytes) else None if value is None else str(value)
-
-
-def with_torque(run: MotionRun, torque: FloatArray) -> MotionRun:
-    """The run with another torque (nt, n)."""
-    return replace(run, torque=torque)

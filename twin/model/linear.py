@@ -104,11 +104,13 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 def posture_state(model: mujoco.MjModel, mechanism: Mechanism) -> mujoco.MjData:
-    """The commanded posture at rest, deflections zero, with derived quantities computed."""
+    """The commanded posture at rest, deflections zero; rotors that are free are held up by applied torques."""
     data = mujoco.MjData(model)
-    for i, value in enumerate(mechanism.q):
-        if (motor := mechanism.motor(i)) is not None and not motor.elastic:
-            data.qpos[model.joint(motor.name).qposadr[0]] = value
+    rotors = [i for i in range(len(mechanism.q)) if (motor := mechanism.motor(i)) is not None and not motor.elastic]
+    data.qpos[[model.joint(f"motor{i + 1}").qposadr[0] for i in rotors]] = mechanism.q[rotors]
+    mujoco.mj_forward(model, data)
+    dof = [model.joint(f"motor{i + 1}").dofadr[0] for i in rotors]
+    data.qfrc_applied[dof] = (data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator)[dof]
     mujoco.mj_forward(model, data)
     return data
 

@@ -58,7 +58,7 @@ def motion_of(run: MotionRun) -> Motion:
 
 
 def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
-    """Torque (nt, n) through the gears of the rigid robot, without rotors and friction, by MuJoCo's inverse dynamics."""
+    """Torque (nt, n) through the gears of the rigid robot, without rotors and friction, from mj_inverse."""
     payloads = [entry for entry in robot.physics if entry.effect == "payload"]
     rigid = robot.model_copy(
         update={

@@ -131,9 +131,9 @@ _CHANNEL = re.compile("LABEL|NODE")
 
 def _matches(pattern: str, site: str, axes: int) -> bool:
     expression = re.escape(pattern).replace(re.escape("{i}"), r"([1-9]\d*)")
-    expression = _CHANNEL.sub(lambda _: r"\\S+", expression)
+    expression = _CHANNEL.sub(lambda _: r"\S+", expression)
     found = re.fullmatch(expression, site)
-    return bool(found) and all(int(number) <= axes for number in found.groups())
+    return found is not None and all(int(number) <= axes for number in found.groups())
 
 
 def axis_of(site: str) -> int:

@@ -1,4 +1,4 @@
-"""A rigid mass the description does not have, on a link or at the flange; com in the frame of the link that carries it."""
+"""A rigid mass beyond the description, on a link or at the flange; com in the frame of that (the last) link."""
 
 from typing import TYPE_CHECKING
 

@@ -3,7 +3,7 @@
 The schema of ``robot.yaml``; its keys, units and defaults are the fields below. ``docs/robot.md`` explains them.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -17,7 +17,7 @@ from twin.yamlfile import read_yaml, write_yaml
 
 
 def _is_number(value: Any) -> Any:
-    if isinstance(value, bool) or isinstance(value, str):
+    if isinstance(value, bool | str):
         raise ValueError(f"expected a number, found {value!r}")
     return value
 
@@ -30,11 +30,13 @@ Quaternion = tuple[Number, Number, Number, Number]
 Inertia = tuple[Number, Number, Number, Number, Number, Number]
 
 
-class _Data(BaseModel):
+class Data(BaseModel):
+    """Validated plain data: unknown fields are refused."""
+
     model_config = ConfigDict(extra="forbid", validate_assignment=True)
 
 
-class Placement(_Data):
+class Placement(Data):
     """A frame in another: position in m, unit quaternion (w, x, y, z)."""
 
     position: Vector = (0.0, 0.0, 0.0)
@@ -47,17 +49,15 @@ class Placement(_Data):
         return self
 
 
-def check_inertia(inertia: Inertia) -> None:
+def check_inertia(inertia: Sequence[float]) -> None:
     """Raise ``ValueError`` unless a body of positive mass can have this inertia at its centre of mass (kg·m²)."""
     principal = np.linalg.eigvalsh(inertia_matrix(inertia))
     if principal[0] <= 0:
-        raise ValueError(
-            f"inertia must be positive definite; its principal moments are {', '.join(f'{p:.6g}' for p in principal)} kg·m²"
-        )
+        found = ", ".join(f"{moment:.6g}" for moment in principal)
+        raise ValueError(f"inertia must be positive definite; its principal moments are {found} kg·m²")
     if principal[0] + principal[1] < principal[2] * (1 - 1e-9):
-        raise ValueError(
-            f"inertia violates the triangle inequality: {principal[0]:.6g} + {principal[1]:.6g} < {principal[2]:.6g} kg·m²"
-        )
+        low, middle, high = principal
+        raise ValueError(f"inertia violates the triangle inequality: {low:.6g} + {middle:.6g} < {high:.6g} kg·m²")
 
 
 class Base(Placement):
@@ -72,7 +72,7 @@ class Base(Placement):
     mesh: str | None = None
 
 
-class Link(_Data):
+class Link(Data):
     """A rigid link in its modified-DH frame: mass kg, com m, inertia (xx, yy, zz, xy, xz, yz) at the com, kg·m².
 
     A link given only by a ``mesh`` (STL, OBJ, DAE; metres after ``mesh_scale``) and a ``density`` (kg/m³) or a
@@ -98,8 +98,15 @@ class Link(_Data):
             raise ValueError("needs mass, com and inertia, or a mesh with either a density or a mass")
         return self
 
+    @property
+    def inertial(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Mass kg, centre of mass (3,) m, inertia at it (3, 3) kg·m², once a mesh's share is worked out."""
+        if self.mass is None or self.com is None or self.inertia is None:
+            raise ValueError("the link is given by a mesh that has not been read; use load_robot")
+        return self.mass, np.array(self.com), inertia_matrix(self.inertia)
 
-class Limits(_Data):
+
+class Limits(Data):
     """Position (lower, upper) rad or m; largest speed rad/s or m/s; largest acceleration rad/s² or m/s²."""
 
     position: tuple[Number, Number] | None = None
@@ -113,7 +120,7 @@ class Limits(_Data):
         return self
 
 
-class Axis(_Data):
+class Axis(Data):
     """An axis in modified (Craig) DH: Rx(alpha) Tx(a) Rz(theta) Tz(d) from the frame before it.
 
     The position q is added to theta (revolute) or d (prismatic). ``stiffness`` (N·m/rad or N/m) and ``damping``
@@ -131,7 +138,7 @@ class Axis(_Data):
     damping: NonNegative = 0.0
 
 
-class Drive(_Data):
+class Drive(Data):
     """The motor of an axis: ``gear_ratio`` (motor turns per joint turn; rad/m on a linear axis), rotor inertia kg·m².
 
     ``rotor_mass`` (kg) sits on the axis, on the link before it; 0 where that link's mass already holds the motor.
@@ -145,7 +152,7 @@ class Drive(_Data):
     mesh: str | None = None
 
 
-class TestPoint(_Data):
+class TestPoint(Data):
     """A hammer or accelerometer point: channel label as in UFF58, body frame, position m, unit direction with sign."""
 
     __test__ = False  # not a test case
@@ -180,7 +187,7 @@ class Entry(BaseModel):
         return given
 
 
-class Prior(_Data):
+class Prior(Data):
     """Log-normal prior on parameters: one standard deviation is ×/÷ ``factor`` about the described value.
 
     ``parameter`` may hold ``*``: ``joint*.z.stiffness``. The last that matches counts.
@@ -191,7 +198,7 @@ class Prior(_Data):
     source: str = ""
 
 
-class Tolerances(_Data):
+class Tolerances(Data):
     """One standard deviation of what a description can be wrong by."""
 
     mass: NonNegative = 0.03  # relative
@@ -201,7 +208,7 @@ class Tolerances(_Data):
     channel_gain: NonNegative = 0.01  # relative
 
 
-class Workspace(_Data):
+class Workspace(Data):
     """Box the flange must stay in, m, in the base frame."""
 
     x: tuple[Number, Number]
@@ -209,7 +216,7 @@ class Workspace(_Data):
     z: tuple[Number, Number]
 
 
-class Robot(_Data):
+class Robot(Data):
     """A serial chain of revolute or prismatic axes, and the physics modelled beyond links, drives and z-springs."""
 
     name: str
@@ -234,9 +241,11 @@ class Robot(_Data):
         if not self.drives:
             self.__dict__["drives"] = [Drive() for _ in range(n)]
         if not len(self.links) == n == len(self.drives):
-            raise ValueError(
-                f"needs one link and one drive per axis, found {len(self.links)} links, {n} axes, {len(self.drives)} drives"
-            )
+            counts = f"{len(self.links)} links, {n} axes, {len(self.drives)} drives"
+            raise ValueError(f"needs one link and one drive per axis, found {counts}")
+        if not self.test_points:
+            self.__dict__["test_points"] = self._flange_points()
+            self.__dict__["accelerometers"] = [point.label for point in self.test_points]
         bodies = {"base", *(f"link{i + 1}" for i in range(n))}
         labels = [point.label for point in self.test_points]
         for k, point in enumerate(self.test_points):
@@ -260,6 +269,15 @@ class Robot(_Data):
                 raise ValueError(f"physics[{k}]: {entry.effect} at {entry.site} appears twice")
             seen.add((entry.effect, entry.site))
         return self
+
+    def _flange_points(self) -> list[TestPoint]:
+        """Node 1 at the flange, along the axes of the last link: what a robot without test points is tested at."""
+        body, position = f"link{len(self.axes)}", self.flange.position
+        directions = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        return [
+            TestPoint(label=f"1{letter}+", body=body, position=position, direction=direction)
+            for letter, direction in zip("XYZ", directions, strict=True)
+        ]
 
     @property
     def axis_count(self) -> int:
@@ -300,7 +318,8 @@ class Robot(_Data):
                     show, unit = (np.rad2deg, "°") if axis.type == "revolute" else (float, " m")
                     raise InputError(
                         source, f"{field}[{i}]",
-                        f"joint{i + 1} at {show(value):.6g}{unit} is outside its limits {show(low):.6g} … {show(high):.6g}{unit}",
+                        f"joint{i + 1} at {show(value):.6g}{unit} is outside its limits "
+                        f"{show(low):.6g} … {show(high):.6g}{unit}",
                     )  # fmt: skip
         return q
 
@@ -365,16 +384,22 @@ def parse_robot(data: dict[str, Any], source: str | Path = "robot") -> Robot:
     try:
         return Robot.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).lstrip(".")
-        message = first["msg"].removeprefix("Value error, ")
-        if first["type"] == "extra_forbidden":
-            message = "unknown field"
-        elif first["type"] == "missing":
-            message = "missing"
-        elif not first["msg"].startswith("Value error") and not isinstance(first["input"], dict | list):
-            message = f"{message[0].lower()}{message[1:]}, found {first['input']!r}"
+        where, message = first_problem(error)
         raise InputError(source, where, message) from error
+
+
+def first_problem(error: ValidationError) -> tuple[str, str]:
+    """Field and message of the first problem that validation found, for one line."""
+    first = error.errors()[0]
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).lstrip(".")
+    message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "extra_forbidden":
+        message = "unknown field"
+    elif first["type"] == "missing":
+        message = "missing"
+    elif not first["msg"].startswith("Value error") and not isinstance(first["input"], dict | list):
+        message = f"{message[0].lower()}{message[1:]}, found {first['input']!r}"
+    return where, message
 
 
 SHIPPED = next(
@@ -405,7 +430,7 @@ def load_robot(name: str | Path, relative_to: str | Path | None = None) -> Robot
 
         return import_urdf(path)
     robot = parse_robot(read_yaml(path), path)
-    meshes = [*robot.links, *robot.drives, robot.base]
+    meshes: list[Link | Drive | Base] = [*robot.links, *robot.drives, robot.base]
     for holder in meshes:
         if holder.mesh is not None:
             holder.__dict__["mesh"] = str(_find_mesh(holder.mesh, path))

@@ -26,7 +26,7 @@ def rotation_z(angle: float) -> np.ndarray:
 def axis_placement(axis: "Axis", q: float) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) and quaternion (4,) of frame i in frame i−1: Rx(α) Tx(a) Rz(θ) Tz(d).
 
-    Craig, Introduction to Robotics; the commanded ``q`` (rad or m) is added to θ of a revolute, to d of a prismatic axis.
+    Craig, Introduction to Robotics; ``q`` (rad or m) is added to θ of a revolute, to d of a prismatic axis.
     """
     alpha, theta, d = np.deg2rad(axis.alpha_deg), np.deg2rad(axis.theta_deg), axis.d
     if axis.type == "prismatic":

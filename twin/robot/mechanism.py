@@ -61,6 +61,7 @@ class Body:
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     joints: list[Joint] = field(default_factory=list)
     mesh: str | None = None
+    mesh_scale: float = 1.0
     kind: Literal["base", "motor", "link", "tip", "part"] = "part"
 
 
@@ -100,7 +101,7 @@ class PassiveMotor:
 
 @dataclass(frozen=True)
 class PassiveForce:
-    """A torque law MuJoCo does not have: ``effect.torque`` is applied against the motion of the motors at every step."""
+    """A torque law MuJoCo does not have: ``effect.torque`` resists the motors at every step."""
 
     effect: str
     site: str
@@ -325,9 +326,10 @@ def assemble(
             if coupled:
                 turns = {motor.name: 1.0} | {name.replace("joint", "motor"): r for name, r in drive.coupling.items()}
                 mechanism.tendons.append(Tendon(f"drive{i + 1}", turns, armature=inertia))
+        mass, com, inertia_at_com = link.inertial
         body = Body(
-            f"link{i + 1}", motor.name, np.zeros(3), IDENTITY.copy(), link.mass, np.array(link.com),
-            inertia_matrix(link.inertia), mesh=link.mesh, kind="link",
+            f"link{i + 1}", motor.name, np.zeros(3), IDENTITY.copy(), mass, com, inertia_at_com,
+            mesh=link.mesh, mesh_scale=link.mesh_scale, kind="link",
         )  # fmt: skip
         if axis.stiffness is not None:
             body.joints.append(Joint(f"joint{i + 1}.z", z, kind, [axis.stiffness, 0.0, 0.0], [axis.damping, 0.0, 0.0]))

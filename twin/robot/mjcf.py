@@ -164,9 +164,17 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
         if joint.range is not None:
             added.range = joint.range
     if body.mesh and visual:
-        if not spec.mesh(Path(body.mesh).stem):
-            spec.add_mesh(name=Path(body.mesh).stem, file=body.mesh)
-        item.add_geom(spec.find_default(body.kind), meshname=Path(body.mesh).stem)
+        name = Path(body.mesh).stem
+        if not spec.mesh(name):
+            mesh = spec.add_mesh(name=name, scale=[body.mesh_scale] * 3)
+            if Path(body.mesh).suffix.lower() == ".dae":  # a format MuJoCo does not read
+                import trimesh
+
+                shape = trimesh.load_mesh(body.mesh)
+                mesh.uservert, mesh.userface = shape.vertices.ravel(), shape.faces.ravel()
+            else:
+                mesh.file = body.mesh
+        item.add_geom(spec.find_default(body.kind), meshname=name)
     return item
 
 

@@ -1,0 +1,57 @@
+"""What the tests share: the paper's robot and postures, and a way to run the command as a user would."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twin.robot.description import Robot, load_robot, parse_robot
+
+POSTURES = {"milling": (0, 70, -100), "upright": (0, 135, -100), "rigid": (0, 135, -140)}
+
+
+@pytest.fixture(scope="session")
+def kr90() -> Robot:
+    return load_robot("kr90")
+
+
+@pytest.fixture(scope="session")
+def milling(kr90: Robot) -> np.ndarray:
+    return kr90.angles(POSTURES["milling"])
+
+
+@pytest.fixture(scope="session")
+def with_entry(kr90: Robot) -> Callable[..., Robot]:
+    """kr90 with one more physics entry, or with only the given effects kept before it is added."""
+
+    def add(effect: str, site: str, keep: tuple[str, ...] | None = None, **values: object) -> Robot:
+        data = kr90.model_dump(mode="json")
+        if keep is not None:
+            data["physics"] = [entry for entry in data["physics"] if entry["effect"] in keep]
+        data["physics"].append({"effect": effect, "site": site, **values})
+        return parse_robot(data)
+
+    return add
+
+
+@pytest.fixture
+def twin(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., SimpleNamespace]:
+    """Run ``twin ARGS…`` in this process: exit code, standard output, standard error, JSON where it printed that."""
+    from twin.cli import main
+
+    def run(*arguments: str | Path) -> SimpleNamespace:
+        monkeypatch.setattr("sys.argv", ["twin", *map(str, arguments)])
+        capsys.readouterr()
+        code = 0
+        try:
+            main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        printed = capsys.readouterr()
+        data = json.loads(printed.out) if "--json" in arguments and code == 0 else None
+        return SimpleNamespace(code=code, out=printed.out, err=printed.err, json=data)
+
+    return run

@@ -1,0 +1,258 @@
+"""Every effect: null is the model without it, native MuJoCo elements do what the law says, sites and parameters hold."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+
+from twin.measure.motion_log import MotionRun
+from twin.model.frf import frf, measurement_chain
+from twin.model.linear import linearise, posture_state
+from twin.model.modes import modes
+from twin.model.replay import inverse_dynamics, motion_of, replay
+from twin.physics import CATALOGUE
+from twin.robot.description import Robot
+from twin.robot.mechanism import assemble, cut
+from twin.robot.mjcf import build_spec, compile_model
+
+STRUCTURE = {
+    "transverse_compliance": ("joint1.x", {"stiffness": 6.1e6, "damping": 40}),
+    "base_compliance": ("base.ry", {"stiffness": 2e7, "damping": 1e3}),
+    "link_flexibility": ("link3.y", {"stiffness": 5e6, "damping": 100}),
+    "servo_compliance": ("joint1", {"stiffness": 2e7, "damping": 1e4}),
+    "payload": ("flange", {"mass": 40, "com": [1.7, 0, 0]}),
+    "attached_resonator": (
+        "link2",
+        {"mass": 15, "frequency_hz": 14, "damping_ratio": 0.03, "axis": "y", "position": [0.9, 0.1, 0.2]},
+    ),
+    "structural_damping": ("joint2.z", {"loss_factor": 0.05}),
+}
+
+
+def linear_of(robot: Robot, q: np.ndarray, brakes: str = "on"):  # type: ignore[no-untyped-def]
+    return linearise(assemble(robot, q, brakes=brakes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("effect", STRUCTURE)
+def test_structural_effects_change_the_modes_and_vanish_when_removed(
+    kr90: Robot, with_entry: Callable[..., Robot], milling: np.ndarray, effect: str
+) -> None:
+    site, values = STRUCTURE[effect]
+    base = kr90.without([f"{effect}@{site}"])
+    robot = with_entry(effect, site, **values) if base is not kr90 and effect != "transverse_compliance" else kr90
+    brakes = "off" if effect == "servo_compliance" else "on"
+    before, after = modes(linear_of(base, milling, brakes)), modes(linear_of(robot, milling, brakes))
+    assert abs(after.pole[:4] / before.pole[:4] - 1).max() > 1e-3
+    again = modes(linear_of(robot.without([f"{effect}@{site}"]), milling, brakes))
+    np.testing.assert_allclose(again.pole, before.pole, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("base_compliance", {"stiffness": 1e14, "damping": 0}),
+        ("link_flexibility", {"stiffness": 1e14, "damping": 0}),
+        ("servo_compliance", {"stiffness": 1e14, "damping": 0}),
+        ("payload", {"mass": 0, "com": [0, 0, 0]}),
+        ("attached_resonator", STRUCTURE["attached_resonator"][1] | {"mass": 1e-7}),
+        ("structural_damping", {"loss_factor": 0}),
+    ],
+)
+def test_towards_the_null_value_the_model_is_the_one_without(
+    kr90: Robot, with_entry: Callable[..., Robot], milling: np.ndarray, effect: str, values: dict[str, object]
+) -> None:
+    robot = with_entry(effect, STRUCTURE[effect][0], **values)
+    frequency = np.linspace(5, 60, 50)
+    labels = [point.label for point in kr90.test_points]
+    plain = frf(linear_of(kr90, milling), frequency, labels, labels)
+    found = frf(linear_of(robot, milling, "off"), frequency, labels, labels)
+    assert np.linalg.norm(found - plain) < 1e-5 * np.linalg.norm(plain)
+
+
+def test_brakes_that_are_on_rule_the_servo_out(with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    robot = with_entry("servo_compliance", "joint1", stiffness=2e7, damping=1e4)
+    assert len(linear_of(robot, milling, "on").coordinates) == 9
+    assert len(linear_of(robot, milling, "off").coordinates) == 10
+
+
+def test_base_yaw_is_an_alias_of_joint_1_torsion(with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    """Springs in series about one axis: 1/k = 1/k₁ + 1/k₂, but for the foot's own small inertia."""
+    k1 = 5.0e6
+    serial = with_entry("base_compliance", "base.rz", stiffness=2 * k1, damping=0)
+    softer = with_entry("payload", "link1", mass=0, com=[0, 0, 0])
+    softer.axes[0].__dict__.update(stiffness=k1 * 2 / 3)
+    frequency = np.linspace(5, 30, 100)
+    a, b = (frf(linear_of(r, milling), frequency, ["21Z+"], ["21Z+"], "receptance") for r in (serial, softer))
+    assert np.linalg.norm(np.abs(a) - np.abs(b)) < 0.1 * np.linalg.norm(b)
+
+
+def test_a_resonator_puts_its_own_mode_beside_the_robot_s(
+    with_entry: Callable[..., Robot], milling: np.ndarray
+) -> None:
+    """A light one rings at its own frequency and damping ratio, and pulls on the link it sits on."""
+    light = STRUCTURE["attached_resonator"][1] | {"mass": 0.01}
+    found = modes(linear_of(with_entry("attached_resonator", "link2", **light), milling))
+    assert len(found) == 10
+    own = int(np.argmin(abs(found.frequency_hz - 14)))
+    assert found.frequency_hz[own] == pytest.approx(14, rel=1e-3)
+    assert found.damping_percent[own] == pytest.approx(3, rel=1e-2)
+
+
+def test_cut_halves_add_up_and_are_physically_consistent(kr90: Robot) -> None:
+    from twin.robot.frames import inertia_matrix
+
+    link = kr90.links[1]
+    assert link.mass and link.com and link.inertia
+    whole = (link.mass, np.array(link.com), inertia_matrix(link.inertia))
+    inboard, outboard = cut(whole, np.array([0.675, 0, 0]), np.array([1.0, 0, 0]))
+    assert inboard[0] + outboard[0] == pytest.approx(whole[0])
+    moment = sum(mass * com for mass, com, _ in (inboard, outboard))
+    np.testing.assert_allclose(moment, whole[0] * whole[1], atol=1e-9)
+    about_origin = sum(
+        inertia + mass * (com @ com * np.eye(3) - np.outer(com, com)) for mass, com, inertia in (inboard, outboard)
+    )
+    expected = whole[2] + whole[0] * (whole[1] @ whole[1] * np.eye(3) - np.outer(whole[1], whole[1]))
+    np.testing.assert_allclose(about_origin, expected, rtol=1e-9)
+    assert inboard[1][0] < 0.675 < outboard[1][0]
+    for _, _, inertia in (inboard, outboard):
+        principal = np.linalg.eigvalsh(inertia)
+        assert principal[0] > 0
+        assert principal[0] + principal[1] > principal[2]
+
+
+def torque_at(robot: Robot, q: np.ndarray, joint: str, deflection: float) -> float:
+    """Passive torque of the compiled model on one deflection, gravity's share at zero deflection taken off."""
+    robot = robot.model_copy(update={"gravity": (0.0, 0.0, 0.0)})
+    mechanism = assemble(robot, q)
+    model = compile_model(mechanism, visual=False)
+    data = posture_state(model, mechanism)
+    data.qpos[model.joint(joint).qposadr[0]] = deflection
+    mujoco.mj_forward(model, data)
+    return float(-data.qfrc_passive[model.joint(joint).dofadr[0]])
+
+
+def test_hardening_is_the_native_cubic(with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    robot = with_entry("hardening_stiffness", "joint2.z", cubic=4e12)
+    for phi in (-1e-3, 5e-4):
+        assert torque_at(robot, milling, "joint2.z", phi) == pytest.approx(6.9e6 * phi + 4e12 * phi**3, rel=1e-9)
+
+
+def test_backlash_is_a_dead_zone_of_the_total_gap(with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    robot = with_entry("backlash", "joint2.z", gap=2e-4)
+    for phi, expected in ((0.5e-4, 0), (-0.9e-4, 0), (3e-4, 6.9e6 * 2e-4), (-3e-4, -6.9e6 * 2e-4)):
+        assert torque_at(robot, milling, "joint2.z", phi) == pytest.approx(expected, abs=1e-6)
+
+
+def test_gravity_preloads_the_gap(with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    """The commanded posture is the equilibrium on the loaded flank: the linear model is the one without a gap."""
+    plain = modes(linear_of(with_entry("payload", "link1", mass=0, com=[0, 0, 0]), milling))
+    gap = modes(linear_of(with_entry("backlash", "joint2.z", gap=2e-4), milling))
+    np.testing.assert_allclose(gap.pole, plain.pole, rtol=1e-6)
+
+
+def test_slip_elements_are_springs_until_they_yield_and_remember(
+    with_entry: Callable[..., Robot], milling: np.ndarray
+) -> None:
+    """Maxwell slip natively: loading to twice the yield deflection and back leaves −k·yield at zero."""
+    robot = with_entry("hysteresis", "joint2.z", stiffness=[1e6], yield_torque=[100.0])
+    mechanism = assemble(robot.model_copy(update={"gravity": (0.0, 0.0, 0.0)}), milling)
+    model = compile_model(mechanism, visual=False)
+    model.opt.timestep = 1e-7  # the step that updates the slip hardly moves the joint
+    data = posture_state(model, mechanism)
+    address, dof = model.joint("joint2.z").qposadr[0], model.joint("joint2.z").dofadr[0]
+    torque = []
+    for phi in (0.5e-4, 2e-4, 0.0):
+        data.qpos[:], data.qvel[:] = 0, 0
+        data.qpos[address] = phi
+        mujoco.mj_step(model, data)
+        data.qpos[:], data.qvel[:] = 0, 0
+        data.qpos[address] = phi
+        mujoco.mj_forward(model, data)
+        torque.append(float(-data.qfrc_passive[dof]) - 6.9e6 * phi)
+    np.testing.assert_allclose(torque, [50, 100, -100], rtol=1e-6)
+
+
+DRIVE = {
+    "viscous_friction": ("joint1", {"coefficient": 500}),
+    "coulomb_friction": ("joint1", {"torque": 200}),
+    "asymmetric_friction": ("joint1", {"torque_difference": 80, "viscous_difference": 60}),
+    "stribeck_friction": ("joint1", {"static_excess": 100, "velocity": 0.1}),
+    "load_dependent_friction": ("joint2", {"coefficient": 0.05}),
+    "gravity_compensator": ("joint2", {"coefficients": [-3000, 200, 100]}),
+    "cable_stiffness": ("joint2", {"stiffness": 300, "rest": 0.5}),
+    "torque_ripple": ("joint1", {"amplitude": 60, "order": 12, "phase": 0.4}),
+    "rotor_inertia": ("joint1", {"inertia": 300}),
+    "joint_coupling": ("joint2", {"from": "joint3", "ratio": 0.5, "inertia": 200, "friction": [100, 0]}),
+    "friction_drift": ("joint1", {"amplitude": 0.5, "time_constant": 2}),
+    "hysteresis": ("joint1.z", {"stiffness": [1e6], "yield_torque": [150]}),
+}
+
+
+@pytest.fixture(scope="module")
+def run() -> MotionRun:
+    rate, w = 250.0, 2 * np.pi * 0.25
+    t = np.arange(0, 4, 1 / rate)
+    amplitude, phase, centre = np.array([0.4, 0.25, 0.35]), np.array([0.0, 0.7, 1.4]), np.array([0.0, 1.3, -1.5])
+    angle = w * t[:, None] + phase
+    return MotionRun(
+        "sine", t, centre + amplitude * np.sin(angle), rate,
+        velocity=amplitude * w * np.cos(angle), acceleration=-amplitude * w**2 * np.sin(angle),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", DRIVE)
+def test_replay_shows_the_torque_of_the_law(with_entry: Callable[..., Robot], run: MotionRun, effect: str) -> None:
+    """The change an entry makes to the drive torque in MuJoCo's time stepping is the law's, away from reversals."""
+    site, values = DRIVE[effect]
+    keep = ("viscous_friction",) if effect == "friction_drift" else ()
+    plain = with_entry("payload", "link1", keep=keep, mass=0, com=[0, 0, 0])
+    robot = with_entry(effect, site, keep=keep, **values)
+    for description in (plain, robot):
+        for axis in description.axes:  # rigid joints: what remains is the law
+            axis.__dict__.update(stiffness=None)
+    law = inverse_dynamics(robot, motion_of(run)) - inverse_dynamics(plain, motion_of(run))
+    stepped = replay(robot, run).torque - replay(plain, run).torque
+    steady = (np.abs(run.velocity) > 0.15 * np.abs(run.velocity).max(axis=0)).all(axis=1)
+    steady[:50] = False
+    error = np.sqrt(np.mean((stepped - law)[steady] ** 2))
+    assert np.abs(law).max() > 10
+    assert error < 0.03 * np.sqrt(np.mean(law[steady] ** 2)) + 0.5
+
+
+def test_measurement_effects_act_on_the_recording(with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    frequency = np.linspace(5, 50, 20)
+    response, excitation = ["21X+", "21Y+", "21Z+"], ["21Y+", "5Z-"]
+
+    def recorded(effect: str, site: str, **values: object) -> np.ndarray:
+        robot = with_entry(effect, site, **values)
+        linear = linear_of(robot, milling)
+        return frf(linear, frequency, measurement_chain(linear, robot, response, excitation))
+
+    true = recorded("sensor_gain", "sensor:21Z+", gain=1.0)
+    np.testing.assert_allclose(recorded("sensor_gain", "sensor:21Z+", gain=1.1)[:, 2], 1.1 * true[:, 2])
+    late = recorded("time_delay", "sensor:21X+", delay=1e-3)
+    np.testing.assert_allclose(late[:, 0], true[:, 0] * np.exp(-2j * np.pi * frequency * 1e-3)[:, None])
+    turned = recorded("sensor_misalignment", "sensor:21", angles=[0, 0, np.pi / 2])
+    np.testing.assert_allclose(turned[:, 0], -true[:, 1], atol=1e-12)
+    np.testing.assert_allclose(turned[:, 1], true[:, 0], atol=1e-12)
+    linear = linear_of(with_entry("sensor_gain", "sensor:21Z+", gain=1.0), milling)
+    across = frf(linear, frequency, response, ["21X+", "21Z+"])
+    about_z = recorded("hammer_misalignment", "hammer:21Y+", angles=[np.pi / 2, 0])
+    np.testing.assert_allclose(about_z[:, :, 0], -across[:, :, 0], atol=1e-12)
+    about_x = recorded("hammer_misalignment", "hammer:21Y+", angles=[0, np.pi / 2])
+    np.testing.assert_allclose(about_x[:, :, 0], across[:, :, 1], atol=1e-12)
+
+
+def test_sensor_delay_is_native(with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    spec = build_spec(assemble(with_entry("time_delay", "sensor:21X+", delay=3e-3), milling), visual=False)
+    assert spec.sensor("21X+").delay == pytest.approx(3e-3)
+    spec.compile()
+
+
+def test_the_catalogue_has_the_vocabulary_s_identifiers() -> None:
+    assert len(CATALOGUE) == 26
+    for effect in CATALOGUE.values():
+        assert effect.__doc__
+        assert effect.seen_in <= {"hammer", "levels", "log"}
+        assert list(effect.fixed_sites(3)) or all("LABEL" in s or "NODE" in s for s in effect.sites)

@@ -1,0 +1,130 @@
+"""The ``twin`` command: one thin function per command; everything it calls is imported when it is called."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from twin.errors import InputError
+
+app = typer.Typer(
+    help="A MuJoCo digital twin of milling robots: simulate, fit, identify and diagnose soft joints.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Robot = Annotated[
+    str | None,
+    typer.Option(
+        "--robot",
+        help="Shipped name (kr90, kr90_identified), a robot.yaml or a URDF; wins over the robot a file names.",
+        show_default="the file's, else kr90",
+    ),
+]
+Without = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--without", metavar="EFFECT[@SITE]", help="Remove physics entries from the robot; may be given several times."
+    ),
+]
+Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for everything that is written.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else on standard output.")]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
+
+
+@app.callback()
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
+) -> None:
+    if version:
+        import twin
+
+        print(twin.__version__)
+        raise typer.Exit
+
+
+@app.command()
+def simulate(
+    posture: Annotated[Path, typer.Argument(help="posture.yaml: robot, posture, hammer, replay.")],
+    robot: Robot = None,
+    without: Without = None,
+    out: Out = None,
+    json: Json = False,
+    seed: Seed = 0,
+) -> None:
+    """Modes, a hammer test in time and a replay of one posture.
+
+    Prints the modes and writes robot.xml (MJCF for any MuJoCo viewer), hammer.h5 (simulated FRFs), figures, modes.rrd
+    (mode animation, see twin view) and simulate.json into the output folder, out/POSTURE by default. With --json
+    files are written only where --out says so. A posture file:
+
+        robot: kr90
+
+        posture: {name: milling, q_deg: [0, 70, -100], brakes: "on"}
+
+        hammer: false                 # modes only; left out: 3 hits of 300 N at every test point
+
+        replay: trajectory.h5         # optional motion log or trajectory
+    """
+    from twin.commands.simulate import simulate as run
+
+    if out is None and not json:
+        out = Path("out") / posture.stem
+    with _progress() as progress:
+        found = run(posture, robot=robot, without=without, out=out, seed=seed, progress=progress)
+    _show(found, json)
+
+
+@app.command()
+def view(
+    path: Annotated[Path, typer.Argument(help="An output folder, a .rrd, a robot.yaml or URDF, or a recording.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write a .rrd instead of opening a viewer.")
+    ] = None,
+) -> None:
+    """Look at modes, replays and robots in the rerun viewer.
+
+    Opens the animations of an output folder or a .rrd. A robot is shown in its middle posture, moving in its modes.
+    """
+    from twin.commands.view import view as run
+
+    print(run(path, out))
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[str, int], Callable[[int], None]]]:
+    """Progress bars on standard error, gone when the work is done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+
+        def start(description: str, total: int) -> Callable[[int], None]:
+            task = bars.add_task(description, total=total)
+            return lambda count: bars.advance(task, count)
+
+        yield start
+
+
+def _show(result: Any, json: bool) -> None:
+    if json:
+        from twin.provenance import to_json
+
+        print(to_json(result.data()))
+    else:
+        print(result)
+
+
+def main() -> None:
+    """Entry point: bad input ends in one line on standard error and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        print(f"twin: {error}", file=sys.stderr)
+        sys.exit(2)

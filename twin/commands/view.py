@@ -1,0 +1,60 @@
+"""``twin view``: open, or write, what can be looked at in the rerun viewer."""
+
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError
+
+
+def view(path: str | Path, out: Path | None = None) -> str:
+    """Open an output folder, a ``.rrd``, a robot or a motion recording; with ``out`` write a ``.rrd`` instead.
+
+    Returns:
+        One line that says what was opened or written.
+
+    Raises:
+        InputError: nothing there to look at, or no viewer can be opened.
+    """
+    from twin.report import scene
+
+    path = Path(path)
+    if path.is_dir() or path.suffix == ".rrd":
+        if out is not None:
+            raise InputError(path, "--out", "is already a rerun recording; --out is for robots and logs")
+        return scene.view(path)
+    target = out or Path("out") / f"{path.stem}.rrd"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix in (".h5", ".csv"):
+        _write_log(path, target)
+    else:
+        _write_robot(path, target)
+    return f"wrote {target}" if out is not None else scene.view(target)
+
+
+def _write_robot(path: Path, target: Path) -> None:
+    from twin.model.linear import linearise
+    from twin.model.modes import modes
+    from twin.report import scene
+    from twin.robot.description import load_robot
+    from twin.robot.mechanism import assemble
+
+    robot = load_robot(path)
+    middle = [np.mean(axis.limits.position) if axis.limits and axis.limits.position else 0.0 for axis in robot.axes]
+    mechanism = assemble(robot, np.array(middle))
+    scene.write_modes(target, mechanism, modes(linearise(mechanism)))
+
+
+def _write_log(path: Path, target: Path) -> None:
+    from twin.measure.motion_log import read_motion_log, require_axes
+    from twin.model.replay import replay
+    from twin.report import scene
+    from twin.robot.description import load_robot
+    from twin.robot.mechanism import assemble
+
+    log = read_motion_log(path)
+    robot = load_robot(log.robot or "kr90", relative_to=path.parent)
+    require_axes(log, robot.axis_count)
+    found = replay(robot, next(iter(log.runs.values())))
+    mechanism = assemble(robot, found.position[0], brakes="off", drives="servo")
+    scene.write_replay(target, mechanism, found.time, found.qpos, found.torque)
