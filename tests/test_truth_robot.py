@@ -19,7 +19,7 @@ from tools.truth.chain import (
     second_moments,
 )
 from tools.truth.effects import Effect, TruthError, draw, parse
-from tools.truth.elastic import AXES, assemble, cut
+from tools.truth.elastic import AXES, assemble, slabs
 
 # Table 7 recomputed by two independent codes from Tables 5 and 6, rotors held.
 TABLE_7 = {
@@ -49,7 +49,7 @@ def pinocchio_chain(chain: Chain, hinges: str = "z") -> pin.Model:
 
 
 def response_rows(structure, chain=KR90):
-    return np.array([structure.row(structure.locate("link3", chain.flange, AXES[a])) for a in "xyz"])
+    return np.array([structure.row("link3", chain.flange, AXES[a]) for a in "xyz"])
 
 
 def frf(effects=(), chain=KR90, q=MILLING, **options):
@@ -202,10 +202,10 @@ def test_base_yaw_and_joint_1_torsion_are_springs_in_series():
 
 def test_a_massless_servo_is_a_spring_in_series_with_the_gear():
     undamped = replace(KR90, damping=0 * KR90.damping)
-    soft = frf([parse("servo_compliance@joint2:stiffness=1e7,damping=0,inertia=0")], undamped)
+    soft = frf([parse("servo_compliance@joint2:stiffness=1e7,damping=0,inertia=0")], undamped, sag=False)
     stiffness = KR90.stiffness.copy()
     stiffness[1, 0] = 1 / (1 / 1e7 + 1 / stiffness[1, 0])
-    assert apart(soft, frf((), replace(undamped, stiffness=stiffness))) < 1e-6
+    assert apart(soft, frf((), replace(undamped, stiffness=stiffness), sag=False)) < 1e-9
 
 
 def test_brakes_hold_the_rotor_whatever_the_servo():
@@ -233,7 +233,7 @@ def test_a_resonator_stills_its_own_place_at_its_frequency():
     place, axis = np.array([0.9, 0.1, 0.2]), "y"
     text = "attached_resonator@link3:mass=20,frequency_hz=14,damping_ratio=0,position=0.9|0.1|0.2,axis=y"
     structure = assemble(KR90, MILLING, (parse(text),), sag=False)
-    row = structure.row(structure.locate("link3", place, AXES[axis]))[None]
+    row = structure.row("link3", place, AXES[axis])[None]
     s = 2j * np.pi * np.array([13.0, 14.0])
     near, at = np.abs(structure.receptance(s, row, row)[:, 0, 0])
     assert at < 0.01 * near  # gravity stiffness of the moving mass leaves a little
@@ -244,14 +244,26 @@ def test_a_bending_link_swings_its_far_half_alone():
     rigid = replace(KR90, stiffness=np.full((3, 3), np.inf))
     structure = assemble(rigid, MILLING, (parse("link_flexibility@link3.z:stiffness=1e7,damping=0"),), sag=False)
     middle = KR90.flange / 2
-    _, far = cut(KR90.links[2], AXES["x"], middle[0])
+    _, far = slabs(KR90.links[2], [middle[0]])
     lever = far.com - middle
     inertia = far.inertia[2, 2] + far.mass * (lever[0] ** 2 + lever[1] ** 2)
     assert structure.mass[0, 0] == pytest.approx(inertia, rel=1e-12)
-    near_point = structure.locate("link3", np.array([0.5, 0.1, 0.0]), AXES["y"])
-    far_point = structure.locate("link3", np.array([1.2, 0.1, 0.0]), AXES["y"])
-    assert structure.row(near_point)[0] == 0
-    assert structure.row(far_point)[0] == pytest.approx(1.2 - middle[0], rel=1e-12)
+    assert structure.row("link3", np.array([0.5, 0.1, 0.0]), AXES["y"])[0] == 0
+    assert structure.row("link3", np.array([1.2, 0.1, 0.0]), AXES["y"])[0] == pytest.approx(1.2 - middle[0], rel=1e-12)
+
+
+def test_a_link_of_many_segments_is_a_cantilever():
+    """Weightless tip force: δ = F L³ / 3EI with EI = kL; the parts' masses add up to the link's."""
+    rigid = replace(KR90, stiffness=np.full((3, 3), np.inf))
+    text = "link_flexibility@link3.z:stiffness=1e7,damping=0,segments=20"
+    structure = assemble(rigid, MILLING, (parse(text),), sag=False)
+    length = KR90.flange[0]
+    row = structure.row("link3", np.array([length, 0.0, 0.0]), AXES["y"])
+    deflection = row @ np.linalg.solve(np.diag(np.full(20, 20 * 1e7)), row)
+    assert deflection == pytest.approx(length**3 / (3 * 1e7 * length), rel=1e-3)
+    heights = [length * (i + 0.5) / 20 for i in range(20)]
+    assert sum(part.mass for part in slabs(KR90.links[2], heights)) == pytest.approx(KR90.links[2].mass, rel=1e-12)
+    assert np.linalg.eigvalsh(structure.mass)[0] > 0
 
 
 def test_a_base_on_springs_carries_the_whole_robot():
@@ -276,7 +288,7 @@ def test_a_base_on_springs_carries_the_whole_robot():
 )  # fmt: skip
 def test_a_single_hinge_has_the_closed_form_of_its_law(text, stiffness):
     structure = assemble(only(0), MILLING, (parse(text),))
-    row = structure.row(structure.locate("link3", KR90.flange, AXES["z"]))[None]
+    row = structure.row("link3", KR90.flange, AXES["z"])[None]
     inertia = structure.mass[-1, -1]
     found = structure.receptance(S, row, row)[:, 0, 0]
     expected = row[0, -1] ** 2 / (inertia * S**2 + stiffness(S, KR90.stiffness[0, 0], KR90.damping[0, 0]))
@@ -285,7 +297,7 @@ def test_a_single_hinge_has_the_closed_form_of_its_law(text, stiffness):
 
 def test_a_cut_link_is_the_link_and_both_parts_are_bodies():
     link, height = KR90.links[1], 0.675
-    near, far = cut(link, AXES["x"], height)
+    near, far = slabs(link, [height])
     points = np.random.default_rng(0).multivariate_normal(link.com, second_moments(link.inertia) / link.mass, 400_000)
     beyond = points[points[:, 0] > height]
     assert far.mass / link.mass == pytest.approx(len(beyond) / len(points), rel=0.01)

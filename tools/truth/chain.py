@@ -6,11 +6,12 @@ velocities), vectorised over leading axes of `q`. SI and radians.
 
 from dataclasses import dataclass, replace
 from math import pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 

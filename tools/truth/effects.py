@@ -60,7 +60,7 @@ SIGNED = -1.0  # as lower bound: magnitude in [upper/10, upper], sign drawn
 EFFECTS: dict[str, Kind] = {
     "transverse_compliance": Kind(r"joint\d+\.[xy]", {"stiffness": (4e6, 2e7), "damping": (5e1, 1e4)}, "frf"),
     "base_compliance": Kind(r"base\.(r?[xyz])", {"stiffness": (1e7, 6e7), "damping": (1e3, 1e4)}, "frf"),
-    "link_flexibility": Kind(r"link\d+\.[yz]", {"stiffness": (4e6, 2e7), "damping": (5e1, 5e3)}, "frf"),
+    "link_flexibility": Kind(r"link\d+\.[yz]", {"stiffness": (4e6, 2e7), "damping": (5e1, 5e3)}, "frf", ("segments",)),
     "servo_compliance": Kind(
         JOINT, {"stiffness": (5e6, 3e7), "damping": (3e3, 3e4)}, "frf", ("inertia", "integral_time")
     ),

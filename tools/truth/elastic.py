@@ -6,10 +6,11 @@ potential. Rotors are held unless the servo is soft.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eig
 from scipy.special import ndtr
 
@@ -30,31 +31,22 @@ AXES = {"x": np.array([1.0, 0.0, 0.0]), "y": np.array([0.0, 1.0, 0.0]), "z": np.
 
 
 @dataclass(frozen=True)
-class Point:
-    """A place on the robot: world position and direction, and the coordinates that move it (mask)."""
-
-    position: Array
-    direction: Array
-    path: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
 class Structure:
     """The robot about one posture. n coordinates, `names` such as `joint1.z`; nb bodies.
 
-    `screws` (n, 6): angular and linear velocity of the point at the world's origin, per unit rate. `path` (nb, n).
+    `screws` (n, 6): angular and linear velocity of the point at the world's origin, per unit rate. `zones`: the
+    parts of each link that move as one, from its near end.
     `dynamic`: for each coordinate with a frequency-dependent stiffness, s ↦ stiffness added (s = σ + iω, ω > 0).
     `laws`: nonlinear joint torques by coordinate. `preload` (n,): torque that the spring carries at rest.
     """
 
     names: tuple[str, ...]
     screws: Array
-    path: NDArray[np.bool_]
     mass: Array
     damping: Array
     stiffness: Array
     preload: Array
-    locate: Callable[[str, Array, Array], Point]
+    zones: tuple[tuple["Zone", ...], ...]
     dynamic: dict[int, tuple[Callable[[Complex], Complex], ...]] = field(default_factory=dict)
     laws: dict[int, JointLaw] = field(default_factory=dict)
 
@@ -68,10 +60,16 @@ class Structure:
         keep = keep[np.argsort(abs(roots[keep]))]
         return abs(roots[keep]) / (2 * np.pi), -roots[keep].real / abs(roots[keep]), vectors[:n, keep]
 
-    def row(self, point: Point) -> Array:
-        """Displacement of a point along its direction per unit of every coordinate, (n,)."""
-        moved = self.screws[:, 3:] + np.cross(self.screws[:, :3], point.position)
-        return moved @ point.direction * point.path
+    def row(self, body: str, position: Array, direction: Array) -> Array:
+        """Displacement (n,) of a point along a direction, both in the body's frame, per unit of every coordinate."""
+        if body == "base":
+            return np.zeros(len(self.names))
+        zones = self.zones[int(body.removeprefix("link")) - 1]
+        frame = next(zone.frame for zone in zones if position[0] < zone.end)
+        place = frame.origin + frame.turn @ position
+        moved = self.screws[:, 3:] + np.cross(self.screws[:, :3], place)
+        on_path = np.isin(np.arange(len(self.names)), frame.path)
+        return moved @ (frame.turn @ direction) * on_path
 
     def receptance(self, s: Complex, response: Array, excitation: Array) -> Complex:
         """Displacement per force (nf, nr, ne) at s = σ + iω (nf,), for rows (nr, n) and (ne, n)."""
@@ -88,48 +86,86 @@ class Structure:
             dk, dc = law.tangent(self.preload[i])
             k[i, i] += dk
             c[i, i] += dc
-        return Structure(self.names, self.screws, self.path, self.mass, c, k, self.preload, self.locate, self.dynamic)
+        return replace(self, damping=c, stiffness=k, laws={})
+
+
+class Frame(NamedTuple):
+    """A body's axes (3, 3) and origin in the base frame, and the coordinates on its path."""
+
+    turn: Array
+    origin: Array
+    path: tuple[int, ...]
+
+
+class Zone(NamedTuple):
+    """The part of a link up to x = `end` of its frame that moves as one body."""
+
+    end: float
+    frame: Frame
 
 
 class _Builder:
-    """Collects coordinates and bodies along the chain, in world axes, at given rest deflections."""
+    """Collects coordinates and bodies along the chain, in base axes, at given rest deflections."""
 
     def __init__(self, rest: dict[str, float]) -> None:
         self.rest = rest
         self.names: list[str] = []
         self.screws: list[Array] = []
-        self.k: list[float] = []
-        self.c: list[float] = []
-        self.armature: list[float] = []
-        self.turn, self.origin = np.eye(3), np.zeros(3)
-        self.path: list[int] = []
-        self.bodies: list[tuple[float, Array, Array, list[int]]] = []
+        self.springs: list[tuple[float, float, float]] = []  # stiffness, damping, armature
+        self.bodies: list[tuple[Link, Frame]] = []
+        self.dynamic: dict[int, list[Callable[[Complex], Complex]]] = {}
 
-    def coordinate(
-        self, name: str, axis: Array, k: float, c: float, *, at: Array | None = None, slide=False, armature=0.0
-    ) -> int:
-        """A hinge (or slide) about `axis` of the present frame through the point `at` of it."""
-        direction = self.turn @ axis
-        point = self.origin + self.turn @ (np.zeros(3) if at is None else at)
-        screw = np.concatenate([np.zeros(3), direction] if slide else [direction, np.cross(point, direction)])
-        u = self.rest.get(name, 0.0)
-        if slide:
-            self.origin = self.origin + direction * u
-        elif u:
-            r = rotation_about(direction, u)
-            self.turn, self.origin = r @ self.turn, point + r @ (self.origin - point)
-        self.path = [*self.path, len(self.names)]
+    def hinge(
+        self,
+        frame: Frame,
+        name: str,
+        axis: Array,
+        k: float,
+        c: float,
+        *,
+        at: Array | float = 0.0,
+        armature: float = 0.0,
+    ) -> Frame:
+        """The frame behind a hinge about `axis` of `frame` through the point `at` of it."""
+        direction = frame.turn @ axis
+        point = frame.origin + frame.turn @ np.broadcast_to(at, 3)
+        turn = rotation_about(direction, self.rest.get(name, 0.0))
+        path = self._add(frame, name, np.concatenate([direction, np.cross(point, direction)]), (k, c, armature))
+        return Frame(turn @ frame.turn, point + turn @ (frame.origin - point), path)
+
+    def slide(self, frame: Frame, name: str, axis: Array, k: float, c: float) -> Frame:
+        """The frame behind a slide along `axis` of `frame`."""
+        direction = frame.turn @ axis
+        path = self._add(frame, name, np.concatenate([np.zeros(3), direction]), (k, c, 0.0))
+        return Frame(frame.turn, frame.origin + direction * self.rest.get(name, 0.0), path)
+
+    def _add(self, frame: Frame, name: str, screw: Array, spring: tuple[float, float, float]) -> tuple[int, ...]:
         self.names.append(name)
         self.screws.append(screw)
-        self.k.append(k)
-        self.c.append(c)
-        self.armature.append(armature)
-        return len(self.names) - 1
+        self.springs.append(spring)
+        return (*frame.path, len(self.names) - 1)
 
-    def body(self, link: Link) -> None:
-        if link.mass > 0:
-            inertia = self.turn @ link.inertia @ self.turn.T
-            self.bodies.append((link.mass, self.origin + self.turn @ link.com, inertia, self.path))
+    def matrices(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Screws (n, 6), M, C, K (n, n) and the weight's load on the springs (n,)."""
+        n = len(self.names)
+        screws, springs = np.array(self.screws).reshape(n, 6), np.array(self.springs).reshape(n, 3)
+        path = np.zeros((len(self.bodies), n, 1))
+        for row, (_, frame) in zip(path, self.bodies, strict=True):
+            row[list(frame.path)] = 1
+        masses = np.array([link.mass for link, _ in self.bodies])
+        coms = np.array([frame.origin + frame.turn @ link.com for link, frame in self.bodies])
+        inertias = np.array([frame.turn @ link.inertia @ frame.turn.T for link, frame in self.bodies])
+        jw = screws[None, :, :3] * path
+        jv = (screws[None, :, 3:] + np.cross(screws[None, :, :3], coms[:, None])) * path
+        mass = np.einsum("b,bik,bjk->ij", masses, jv, jv) + np.einsum("bik,bkl,bjl->ij", jw, inertias, jw)
+        # Potential −Σ m g·p: its gradient is the load on the springs, its Hessian the gravity stiffness. For i at
+        # or inboard of j on a path, ∂²p/∂u_i∂u_j = ω_i × ∂p/∂u_j.
+        weight = masses[:, None] * GRAVITY
+        swing = np.cross(jw[:, :, None], jv[:, None])
+        upper = np.triu(-np.einsum("bk,bijk->ij", weight, swing))
+        gravity = upper + np.triu(upper, 1).T
+        k, c, armature = (np.diag(column) for column in springs.T)
+        return screws, mass + armature, c, k + gravity, np.einsum("bk,bjk->j", weight, jv)
 
 
 def rotation_about(axis: Array, angle: float) -> Array:
@@ -148,8 +184,9 @@ def assemble(
 ) -> Structure:
     """The structure at commanded angles q (n,) rad.
 
-    With `sag` the robot rests where its springs carry its weight; without, the commanded posture is the
-    equilibrium (spring references adjusted) and the weight still enters the stiffness. Brakes rule the servo out.
+    With `sag` the robot rests where its springs carry its weight (rotors where the controller put them); without,
+    the commanded posture is the equilibrium (spring references adjusted) and the weight still enters the stiffness.
+    Brakes rule the servo out.
     """
     structure = _assemble(chain, q, effects, brakes_on, {})
     if not sag:
@@ -157,122 +194,108 @@ def assemble(
     deflection = np.linalg.solve(structure.stiffness, structure.preload)
     for i, law in structure.laws.items():
         deflection[i] = law.rest(structure.preload[i])
-    return _assemble(chain, q, effects, brakes_on, dict(zip(structure.names, deflection, strict=True)))
+    rest = {name: u for name, u in zip(structure.names, deflection, strict=True) if not name.startswith("servo")}
+    return _assemble(chain, q, effects, brakes_on, rest)
 
 
 def _assemble(
     chain: Chain, q: Array, effects: tuple[Effect, ...], brakes_on: bool, rest: dict[str, float]
 ) -> Structure:
-    b = _Builder(rest)
-    by_kind: dict[str, list[Effect]] = {}
-    for e in effects:
-        by_kind.setdefault(e.kind, []).append(e)
+    builder = _Builder(rest)
     stiffness, damping = joint_springs(chain, q, effects)
-
-    for name in ("x", "y", "z", "rx", "ry", "rz"):
-        for e in by_kind.get("base_compliance", []):
-            if e.axis == name:
-                slide = len(name) == 1
-                b.coordinate(e.site, AXES[name[-1]], e["stiffness"], e["damping"], slide=slide)
-
-    inboard: list[tuple[Array, Array, list[int]]] = []  # frame and path of each link's near and far part
-    outboard: list[tuple[Array, Array, list[int]]] = []
-    dynamic: dict[int, list[Callable[[Complex], Complex]]] = {}
-    ends = chain.ends()
+    frame = _base(builder, effects)
+    zones: list[list[Zone]] = []
     for i in range(chain.n):
         placement, offset = constant_transform(*chain.dh[i])
-        b.origin, b.turn = b.origin + b.turn @ offset, b.turn @ placement @ rotation_about(AXES["z"], q[i])
-        for e in by_kind.get("servo_compliance", []):
-            if e.joint == i and not brakes_on:
-                rotor = e.parameters.get("inertia", chain.gear_ratio[i] ** 2 * chain.rotor_inertia[i])
-                soft = b.coordinate(f"servo{i + 1}", AXES["z"], e["stiffness"], e["damping"], armature=float(rotor))
-                if "integral_time" in e.parameters:  # cascade servo: PI in the loop, stiff when slow
-                    dynamic.setdefault(soft, []).append(lambda s, k=e["stiffness"], t=e["integral_time"]: k / (t * s))
+        turn = frame.turn @ placement @ rotation_about(AXES["z"], q[i])
+        frame = Frame(turn, frame.origin + frame.turn @ offset, frame.path)
+        if not brakes_on:
+            frame = _servo(builder, frame, chain, i, effects)
         for a, axis in enumerate("zxy"):
             if np.isfinite(stiffness[i, a]):
-                b.coordinate(f"joint{i + 1}.{axis}", AXES[axis], stiffness[i, a], damping[i, a])
-        link = loaded(chain.links[i], i, chain, by_kind.get("payload", []))
-        bends = [e for e in by_kind.get("link_flexibility", []) if e.joint == i]
-        middle = ends[i] / 2
-        near, far = cut(link, AXES["x"], middle[0]) if bends else (link, link)
-        inboard.append((b.turn, b.origin, b.path))
-        b.body(near)
-        if bends:
-            for e in bends:
-                b.coordinate(e.site, AXES[e.axis], e["stiffness"], e["damping"], at=middle)
-            b.body(far)
-        outboard.append((b.turn, b.origin, b.path))
-        for e in by_kind.get("attached_resonator", []):
-            if e.joint == i:
-                position = e.array("position")
-                trunk = (b.turn, b.origin, b.path)
-                if bends and position[0] < middle[0]:
-                    b.turn, b.origin, b.path = inboard[i]
-                w = 2 * np.pi * e["frequency_hz"]
-                b.coordinate(
-                    f"resonator@{e.site}.{e.parameters['axis']}",
-                    AXES[str(e.parameters["axis"])],
-                    e["mass"] * w**2,
-                    2 * e["damping_ratio"] * e["mass"] * w,
-                    slide=True,
-                )
-                b.body(Link(e["mass"], position, np.zeros((3, 3))))
-                b.turn, b.origin, b.path = trunk
+                frame = builder.hinge(frame, f"joint{i + 1}.{axis}", AXES[axis], stiffness[i, a], damping[i, a])
+        zones.append(_link(builder, frame, chain, i, effects))
+        frame = zones[i][-1].frame
+        _resonators(builder, zones[i], i, effects)
 
-    n = len(b.names)
-    screws = np.array(b.screws).reshape(n, 6)
-    path = np.zeros((len(b.bodies), n), bool)
-    for row, (_, _, _, indices) in zip(path, b.bodies, strict=True):
-        row[indices] = True
-    masses = np.array([body[0] for body in b.bodies])
-    coms = np.array([body[1] for body in b.bodies])
-    inertias = np.array([body[2] for body in b.bodies])
-    jw = screws[None, :, :3] * path[:, :, None]
-    jv = (screws[None, :, 3:] + np.cross(screws[None, :, :3], coms[:, None])) * path[:, :, None]
-    mass = np.einsum("b,bik,bjk->ij", masses, jv, jv) + np.einsum("bik,bkl,bjl->ij", jw, inertias, jw)
-    mass += np.diag(b.armature)
-    # Potential −Σ m g·p: its gradient is the load on the springs, its Hessian the gravity stiffness. For i at or
-    # inboard of j on a path, ∂²p/∂u_i∂u_j = ω_i × ∂p/∂u_j.
-    weight = masses[:, None] * GRAVITY
-    load = np.einsum("bk,bjk->j", weight, jv)
-    swing = np.cross(screws[None, :, None, :3], jv[:, None, :, :]) * path[:, :, None, None]
-    upper = np.triu(-np.einsum("bk,bijk->ij", weight, swing))
-    hessian = upper + np.triu(upper, 1).T
-
-    index = {name: i for i, name in enumerate(b.names)}
+    index = {name: i for i, name in enumerate(builder.names)}
     laws: dict[int, JointLaw] = {}
     for e in effects:
         term, law = frequency_term(e, stiffness), joint_law(e, stiffness)
         if (term or law) and e.site not in index:
             raise TruthError(f"{e.kind}@{e.site}: expected a site that is soft in this robot; {e.site} is rigid")
         if term:
-            dynamic.setdefault(index[e.site], []).append(term)
+            builder.dynamic.setdefault(index[e.site], []).append(term)
         if law:
             if index[e.site] in laws:
                 raise TruthError(f"{e.kind}@{e.site}: expected one nonlinear effect at a joint; this is the second")
             laws[index[e.site]] = law
 
-    def locate(body: str, position: Array, direction: Array) -> Point:
-        if body == "base":
-            return Point(position, direction, np.zeros(n, bool))
-        i = int(body.removeprefix("link")) - 1
-        turn, origin, indices = (inboard if position[0] < ends[i][0] / 2 else outboard)[i]
-        moved = np.zeros(n, bool)
-        moved[indices] = True
-        return Point(origin + turn @ position, turn @ direction, moved)
+    screws, m, c, k, load = builder.matrices()
+    dynamic = {i: tuple(terms) for i, terms in builder.dynamic.items()}
+    return Structure(tuple(builder.names), screws, m, c, k, load, tuple(tuple(z) for z in zones), dynamic, laws)
 
-    return Structure(
-        tuple(b.names),
-        screws,
-        path,
-        mass,
-        np.diag(b.c),
-        np.diag(b.k) + hessian,
-        load,
-        locate,
-        {i: tuple(terms) for i, terms in dynamic.items()},
-        laws,
-    )
+
+def _base(builder: _Builder, effects: tuple[Effect, ...]) -> Frame:
+    frame = Frame(np.eye(3), np.zeros(3), ())
+    for name in ("x", "y", "z", "rx", "ry", "rz"):
+        for e in effects:
+            if e.kind == "base_compliance" and e.axis == name:
+                joint = builder.slide if len(name) == 1 else builder.hinge
+                frame = joint(frame, e.site, AXES[name[-1]], e["stiffness"], e["damping"])
+    return frame
+
+
+def _servo(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple[Effect, ...]) -> Frame:
+    """A rotor on its servo spring, N²J about the joint's axis; with `integral_time` a PI loop, stiff when slow."""
+    for e in effects:
+        if e.kind != "servo_compliance" or e.joint != i:
+            continue
+        rotor = e["inertia"] if "inertia" in e.parameters else chain.gear_ratio[i] ** 2 * chain.rotor_inertia[i]
+        frame = builder.hinge(frame, f"servo{i + 1}", AXES["z"], e["stiffness"], e["damping"], armature=rotor)
+        if "integral_time" in e.parameters:
+            rate = e["stiffness"] / e["integral_time"]
+            builder.dynamic.setdefault(frame.path[-1], []).append(lambda s, rate=rate: rate / s)  # type: ignore[misc]
+    return frame
+
+
+def _link(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple[Effect, ...]) -> list[Zone]:
+    """The link's bodies: one, or the parts between its bending hinges, each with the payloads placed on it.
+
+    A link bends in one hinge half-way, or as a beam in `segments` equal ones, each in the middle of a segment and
+    as many times stiffer: a moment turns the end by the same angle.
+    """
+    end = chain.ends()[i]
+    bends: dict[float, list[tuple[Effect, int, int]]] = {}
+    for e in effects:
+        if e.kind == "link_flexibility" and e.joint == i:
+            count = int(e.parameters.get("segments", 1))  # type: ignore[arg-type]
+            for number in range(count):
+                bends.setdefault((number + 0.5) / count, []).append((e, count, number))
+    places = sorted(bends)
+    limits = [-np.inf, *(end[0] * place for place in places), np.inf]
+    zones: list[Zone] = []
+    parts = slabs(chain.links[i], limits[1:-1])
+    for part, place, (start, stop) in zip(parts, [0.0, *places], pairwise(limits), strict=True):
+        for e, count, number in bends.get(place, []):
+            name = e.site + (f"#{number + 1}" if count > 1 else "")
+            k, c = count * e["stiffness"], count * e["damping"]
+            frame = builder.hinge(frame, name, AXES[e.axis], k, c, at=place * end)
+        zones.append(Zone(stop, frame))
+        here = [e for e in effects if e.kind == "payload" and start <= e.array("com")[0] < stop]
+        builder.bodies.append((loaded(part, i, chain, here), frame))
+    return zones
+
+
+def _resonators(builder: _Builder, zones: list[Zone], i: int, effects: tuple[Effect, ...]) -> None:
+    for e in effects:
+        if e.kind == "attached_resonator" and e.joint == i:
+            position, axis = e.array("position"), str(e.parameters["axis"])
+            trunk = next(zone.frame for zone in zones if position[0] < zone.end)
+            w = 2 * np.pi * e["frequency_hz"]
+            k, c = e["mass"] * w**2, 2 * e["damping_ratio"] * e["mass"] * w
+            frame = builder.slide(trunk, f"resonator@{e.site}.{axis}", AXES[axis], k, c)
+            builder.bodies.append((Link(e["mass"], position, np.zeros((3, 3))), frame))
 
 
 def joint_springs(chain: Chain, q: Array, effects: tuple[Effect, ...]) -> tuple[Array, Array]:
@@ -290,41 +313,43 @@ def joint_springs(chain: Chain, q: Array, effects: tuple[Effect, ...]) -> tuple[
 
 
 def loaded(link: Link, i: int, chain: Chain, payloads: list[Effect]) -> Link:
-    """The link with the payloads that it carries."""
+    """Link i (or its part) with the payloads that it carries."""
     for e in payloads:
-        if (chain.n - 1 if e.site == "flange" else e.joint) != i:
-            continue
-        own = np.zeros((3, 3))
-        if "inertia" in e.parameters:
-            own = symmetric(*np.pad(e.array("inertia"), (0, 6 - e.array("inertia").size)))
-        link = merge(link, Link(e["mass"], e.array("com"), own))
+        if (chain.n - 1 if e.site == "flange" else e.joint) == i:
+            own = e.array("inertia") if "inertia" in e.parameters else np.zeros(6)
+            own = symmetric(*np.pad(own, (0, 6 - own.size)))
+            link = body_of(moments_of(link) + moments_of(Link(e["mass"], e.array("com"), own)))
     return link
 
 
-def merge(a: Link, b: Link) -> Link:
-    mass = a.mass + b.mass
-    apart = a.com - b.com
-    reduced = a.mass * b.mass / mass
-    inertia = a.inertia + b.inertia + inertia_from(reduced * np.outer(apart, apart))
-    return Link(mass, (a.mass * a.com + b.mass * b.com) / mass, inertia)
+def moments_of(link: Link) -> Array:
+    """∫ (1, r)(1, r)ᵀ dm, (4, 4), about the frame's origin: bodies add by it."""
+    r = np.append(1.0, link.com)
+    moments = link.mass * np.outer(r, r)
+    moments[1:, 1:] += second_moments(link.inertia)
+    return moments
 
 
-def cut(link: Link, normal: Array, height: float) -> tuple[Link, Link]:
-    """The two parts of a link on either side of the plane normal·r = height.
+def body_of(moments: Array) -> Link:
+    mass, com = moments[0, 0], moments[0, 1:] / moments[0, 0]
+    return Link(mass, com, inertia_from(moments[1:, 1:] - mass * np.outer(com, com)))
+
+
+def slabs(link: Link, heights: list[float]) -> list[Link]:
+    """The parts of a link between the planes x = heights (rising), from the near end.
 
     The link's mass is spread as the normal density with its mass, centre of mass and inertia, and cut there: the
     parts add up to the link exactly, and each is a physical body.
     """
-    moments = second_moments(link.inertia) / link.mass
-    along = moments @ normal
-    variance = normal @ along
-    depth = (height - normal @ link.com) / np.sqrt(variance)
-    density = np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
-    parts = []
-    for sign in (-1.0, 1.0):
-        share = ndtr(-sign * depth)
-        mills = density / share
-        com = link.com + sign * mills * along / np.sqrt(variance)
-        spread = moments - np.outer(along, along) / variance * mills * (mills - sign * depth)
-        parts.append(Link(share * link.mass, com, inertia_from(share * link.mass * spread)))
-    return parts[0], parts[1]
+    beyond = [moments_of(link)]
+    spread = second_moments(link.inertia) / link.mass
+    along = spread[0] / np.sqrt(spread[0, 0])
+    for height in heights:
+        depth = (height - link.com[0]) / np.sqrt(spread[0, 0])
+        share = ndtr(-depth)
+        mills = np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi) / share
+        second = spread - np.outer(along, along) * mills * (mills - depth)
+        beyond.append(
+            moments_of(Link(share * link.mass, link.com + mills * along, inertia_from(share * link.mass * second)))
+        )
+    return [body_of(near - far) for near, far in pairwise([*beyond, np.zeros((4, 4))])]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from tools.truth.chain import Array
 from tools.truth.effects import Effect
 
-Complex = NDArray[np.complex128]
+Complex = NDArray[Any]
 
 
 class JointLaw(Protocol):

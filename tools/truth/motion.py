@@ -274,7 +274,7 @@ def compensator(chain: Chain, q: Array, law: str) -> Array:
         if law == "series":
             out[:, i] = cosines(chain.compensator[i], q[:, i])
         elif law == "gas":
-            grid = np.linspace(*chain.range_[i], 200)
+            grid = np.linspace(chain.range_[i, 0], chain.range_[i, 1], 200)
             wanted, shape = cosines(chain.compensator[i], grid), gas_spring(grid)
             out[:, i] = gas_spring(q[:, i]) * (wanted @ shape) / (shape @ shape)
         else:

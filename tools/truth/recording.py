@@ -200,7 +200,7 @@ def rows(truth: Truth, structure: Structure) -> tuple[Array, Array]:
 
     def row(channel: Channel, site: str) -> Array:
         direction = turned.get(site, np.eye(3)) @ channel.direction
-        return structure.row(structure.locate(channel.body, np.array(channel.position), direction))
+        return structure.row(channel.body, np.array(channel.position), direction)
 
     return (
         np.array([row(c, f"sensor:{c.node}") for c in SENSORS]),
