@@ -1,0 +1,165 @@
+"""The modal table: frequencies, dampings and, where known, shapes per posture, as YAML 1.2."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import YAMLError
+
+from twin.errors import InputError
+from twin.measure.campaign import FloatArray, replacing
+from twin.measure.modal import ModalResult
+
+
+@dataclass(frozen=True)
+class TableMode:
+    """One mode; ``None`` and an empty shape where the table does not say."""
+
+    frequency_hz: float
+    damping_percent: float | None = None
+    frequency_std_hz: float | None = None
+    damping_std_percent: float | None = None
+    shape: dict[str, complex] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TablePosture:
+    """Axis positions (degrees, metres for prismatic axes) and the modes there."""
+
+    q_deg: FloatArray
+    modes: tuple[TableMode, ...]
+
+
+@dataclass(frozen=True)
+class ModalTable:
+    """Modes of one robot by posture."""
+
+    postures: dict[str, TablePosture]
+    robot: str | None = None
+
+    @classmethod
+    def of(cls, results: Mapping[str, ModalResult], robot: str | None = None, shapes: bool = True) -> "ModalTable":
+        """The table of identified modes."""
+        postures = {}
+        for name, result in results.items():
+            modes = tuple(
+                TableMode(
+                    mode.frequency_hz,
+                    mode.damping_percent,
+                    mode.frequency_std_hz,
+                    mode.damping_std_percent,
+                    {k: complex(v) for k, v in zip(result.shape_label, shape, strict=bool(result.shape_label))}
+                    if shapes
+                    else {},
+                )
+                for mode, shape in zip(result.modes, result.shapes, strict=True)
+            )
+            postures[name] = TablePosture(result.q_deg, modes)
+        return cls(postures, robot)
+
+
+def read_modal_table(path: str | Path) -> ModalTable:
+    """Read and check a modal table; :class:`InputError` says what it lacks."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "expected a file, there is none")
+    try:
+        # Pure Python: the C parser is a YAML 1.1 one, for which 2e-4 is a word and on is true.
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise InputError(path, "", f"expected YAML: {error}") from None
+    if not isinstance(content, dict) or not isinstance(content.get("postures"), dict) or not content["postures"]:
+        raise InputError(path, "postures", "expected a mapping of posture names to q_deg and modes")
+    robot = content.get("robot")
+    return ModalTable(
+        {str(name): _read_posture(path, f"postures.{name}", value) for name, value in content["postures"].items()},
+        None if robot is None else str(robot),
+    )
+
+
+def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
+    if not isinstance(value, dict):
+        raise InputError(path, where, "expected q_deg and modes")
+    q = value.get("q_deg")
+    if not isinstance(q, list) or not q or not all(_is_number(x) for x in q):
+        raise InputError(path, f"{where}.q_deg", f"expected a list of numbers, found {q!r}")
+    modes = value.get("modes")
+    if not isinstance(modes, list):
+        raise InputError(path, f"{where}.modes", f"expected a list of modes, found {modes!r}")
+    read = tuple(_read_mode(path, f"{where}.modes[{n}]", mode) for n, mode in enumerate(modes))
+    return TablePosture(np.array(q, dtype=np.float64), read)
+
+
+def _read_mode(path: Path, where: str, value: Any) -> TableMode:
+    if not isinstance(value, dict):
+        raise InputError(path, where, f"expected frequency_hz and damping_percent, found {value!r}")
+
+    def number(name: str) -> float | None:
+        entry = value.get(name)
+        if entry is not None and not _is_number(entry):
+            raise InputError(path, f"{where}.{name}", f"expected a number, found {entry!r}")
+        return None if entry is None else float(entry)
+
+    frequency = number("frequency_hz")
+    if frequency is None or frequency <= 0:
+        raise InputError(path, f"{where}.frequency_hz", f"expected Hz above 0, found {value.get('frequency_hz')!r}")
+    damping = number("damping_percent")
+    if damping is not None and damping < 0:
+        raise InputError(path, f"{where}.damping_percent", f"expected per cent from 0 upwards, found {damping:g}")
+    shape = value.get("shape") or {}
+    if not isinstance(shape, dict):
+        raise InputError(path, f"{where}.shape", f"expected labels with [re, im], found {shape!r}")
+    for label, pair in shape.items():
+        if not (isinstance(pair, list) and len(pair) == 2 and all(_is_number(x) for x in pair)):
+            raise InputError(path, f"{where}.shape.{label}", f"expected [re, im], found {pair!r}")
+    return TableMode(
+        frequency,
+        damping,
+        number("frequency_std_hz"),
+        number("damping_std_percent"),
+        {str(label): complex(*pair) for label, pair in shape.items()},
+    )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def write_modal_table(path: str | Path, table: ModalTable) -> None:
+    """Write a modal table, one mode per line; the file appears whole or not at all."""
+    content = CommentedMap({"robot": table.robot, "postures": CommentedMap()})
+    for name, posture in table.postures.items():
+        q = CommentedSeq([_short(x) for x in posture.q_deg])
+        q.fa.set_flow_style()
+        modes = CommentedSeq([_row(mode) for mode in posture.modes])
+        content["postures"][name] = CommentedMap({"q_deg": q, "modes": modes})
+    yaml = YAML()
+    yaml.width = 10**6
+    with replacing(path) as scratch, scratch.open("w", encoding="utf-8") as file:
+        yaml.dump(content, file)
+
+
+def _row(mode: TableMode) -> CommentedMap:
+    row = CommentedMap(
+        {
+            "frequency_hz": _short(mode.frequency_hz),
+            "damping_percent": None if mode.damping_percent is None else _short(mode.damping_percent),
+        }
+    )
+    for name in ("frequency_std_hz", "damping_std_percent"):
+        value = getattr(mode, name)
+        if value is not None:
+            row[name] = _short(value)
+    if mode.shape:
+        row["shape"] = CommentedMap({k: [_short(v.real), _short(v.imag)] for k, v in mode.shape.items()})
+    row.fa.set_flow_style()
+    return row
+
+
+def _short(value: float) -> float:
+    """Eight significant digits: more than any test resolves."""
+    return float(f"{value:.8g}")

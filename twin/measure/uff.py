@@ -1,0 +1,460 @@
+"""Universal files: FRFs and coherence as data set 58 (text or binary), mode shapes as data set 55, through pyuff.
+
+The moving hammer is the reference of data set 58, the sensor its response; the sign of a direction belongs to the label
+and the stored direction carries it, so FRFs are taken over as they are. What data set 58 has no field for (posture,
+window, averages, brakes, force level, bodies) travels as ``key=value`` words in its ID lines.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass, field
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyuff
+
+from twin.errors import InputError
+from twin.measure.campaign import (
+    Campaign,
+    Channels,
+    FloatArray,
+    PostureFRF,
+    Quantity,
+    check_campaign,
+    check_unit,
+    replacing,
+)
+from twin.measure.modal import ModalResult
+from twin.measure.modal_table import TableMode
+
+FRF_FUNCTION, COHERENCE_FUNCTION = 4, 6
+FREQUENCY_DATA = 18
+FORCE_DATA = (9, 13)  # reaction and excitation force
+ORDINATE: dict[int, tuple[Quantity, str]] = {
+    8: ("receptance", "m"),
+    11: ("mobility", "m/s"),
+    12: ("accelerance", "m/s^2"),
+}
+BINARY_HEADER = re.compile(
+    rb"(?P<start>    58b.{24}).{12}(?P<rest>[^\n]*\n(?:[^\n]*\n){6}(?P<type> {9}\d)(?P<count>[ \d]{10}))"
+)
+NO_TEXT = ("", "NONE", "UNKNOWN")
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a node is: the body it is fixed to and its position (3,) in m in that body's frame."""
+
+    body: str
+    position: FloatArray
+
+
+@dataclass
+class _Functions:
+    """FRFs and coherence of one posture as they come, by (response, excitation) label."""
+
+    words: dict[str, str]
+    bodies: dict[int, str] = field(default_factory=dict)
+    frf: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
+    coherence: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
+
+
+# --- reading ----------------------------------------------------------------------------------------------
+
+
+def read_uff(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    q_deg: FloatArray | None = None,
+    points: dict[int, Point] | None = None,
+    robot: str | None = None,
+) -> Campaign:
+    """Read FRFs, and coherence where there is one, from one universal file or many that belong together.
+
+    Data sets of one posture are told by their ``posture=`` word; without it all of a file are one posture of the file's
+    name, and all of several files one posture of the first file's.
+
+    Args:
+        paths: files.
+        q_deg: axis positions, for files that do not say.
+        points: nodes by number; without them nodes are taken from data sets 15 or 2411, and body and position of a node
+            that is in neither are ``base`` and the origin.
+        robot: name for the campaign.
+
+    Raises:
+        InputError: for what is not SI, no FRF, incomplete, doubled, or breaks the contract of a campaign.
+    """
+    files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
+    source = files[0]
+    groups: dict[str, _Functions] = {}
+    nodes = dict(points or {})
+    for file in files:
+        for number, dataset in enumerate(_datasets(file), 1):
+            if dataset.get("type") in (15, 2411) and points is None:
+                nodes |= {
+                    int(n): Point("base", np.array([x, y, z], dtype=np.float64))
+                    for n, x, y, z in zip(*(dataset[k] for k in ("node_nums", "x", "y", "z")), strict=True)
+                }
+            elif dataset.get("type") == 164:
+                _check_units(file, dataset)
+            elif dataset.get("type") == 58 and int(dataset["func_type"]) in (FRF_FUNCTION, COHERENCE_FUNCTION):
+                words = _words(dataset)
+                group = groups.setdefault(words.get("posture", source.stem), _Functions(words))
+                for side, node in (("response", "rsp_node"), ("excitation", "ref_node")):
+                    if f"{side}_body" in words:
+                        group.bodies[int(dataset[node])] = words[f"{side}_body"]
+                _take(file, f"data set {number}", dataset, group)
+    if not any(group.frf for group in groups.values()):
+        raise InputError(source, "", "expected data sets 58 with frequency response functions, there is none")
+    response, excitation = _labels(groups.values(), 0), _labels(groups.values(), 1)
+    bodies = {node: body for group in groups.values() for node, body in group.bodies.items()}
+    nodes |= {n: Point(bodies[n], nodes[n].position if n in nodes else np.zeros(3)) for n in bodies if points is None}
+    campaign = Campaign(
+        _channels(response, nodes),
+        _channels(excitation, nodes),
+        {name: _posture(source, name, group, response, excitation, q_deg) for name, group in groups.items()},
+        robot=robot or next(iter(groups.values())).words.get("robot"),
+    )
+    check_campaign(source, campaign)
+    return campaign
+
+
+def _datasets(path: Path) -> list[dict[str, Any]]:
+    if not path.is_file():
+        raise InputError(path, "", "expected a file, there is none")
+    try:
+        with redirect_stdout(StringIO()):
+            file = pyuff.UFF(str(path))
+            wanted = [n for n, kind in enumerate(file.get_set_types()) if kind in (15, 55, 58, 164, 2411)]
+            return [file.read_sets(n) for n in wanted]
+    except Exception as error:
+        raise InputError(path, "", f"expected a universal file: {error}") from None
+
+
+def _words(dataset: dict[str, Any]) -> dict[str, str]:
+    text = " ".join(str(dataset.get(f"id{n}", "")) for n in range(1, 6))
+    return dict(word.split("=", 1) for word in text.split() if "=" in word)
+
+
+def _check_units(path: Path, dataset: dict[str, Any]) -> None:
+    factors = [float(dataset.get(name, 1.0)) for name in ("length", "force")]
+    if int(dataset["units_code"]) != 1 and not np.allclose(factors, 1.0):
+        raise InputError(path, "data set 164", f"expected SI units (code 1), found code {dataset['units_code']}")
+
+
+def _label(path: Path, where: str, node: Any, direction: Any) -> str:
+    direction = int(direction)
+    if not 1 <= abs(direction) <= 3:
+        raise InputError(path, where, f"expected a direction from 1 to 3 or -1 to -3, found {direction}")
+    return f"{int(node)}{'XYZ'[abs(direction) - 1]}{'+' if direction > 0 else '-'}"
+
+
+def _take(path: Path, where: str, dataset: dict[str, Any], group: _Functions) -> None:
+    """File one data set 58 under its channel pair."""
+    pair = (
+        _label(path, f"{where} response", dataset["rsp_node"], dataset["rsp_dir"]),
+        _label(path, f"{where} reference", dataset["ref_node"], dataset["ref_dir"]),
+    )
+    where = f"{where} ({'/'.join(pair)})"
+    if int(dataset["func_type"]) == FRF_FUNCTION:
+        kind = int(dataset["ordinate_spec_data_type"])
+        if kind not in ORDINATE:
+            raise InputError(
+                path, where, f"expected a response of type 8, 11 or 12 (displacement to acceleration), found {kind}"
+            )
+        denominator = int(dataset["orddenom_spec_data_type"])
+        if denominator not in FORCE_DATA:
+            raise InputError(path, where, f"expected a reference of type 13 (excitation force), found {denominator}")
+        unit = str(dataset.get("ordinate_axis_units_lab", "")).strip()
+        if unit.upper() not in NO_TEXT:
+            expected = ORDINATE[kind][1]
+            check_unit(path, where, unit, f"({expected})/N" if "N" in unit or unit.startswith("1/") else expected)
+        unit = str(dataset.get("orddenom_axis_units_lab", "")).strip()
+        if unit.upper() not in NO_TEXT:
+            check_unit(path, where, unit, "N")
+        if not np.iscomplexobj(dataset["data"]):
+            raise InputError(path, where, "expected complex data, found real")
+    abscissa = int(dataset["abscissa_spec_data_type"])
+    if abscissa not in (0, 1, FREQUENCY_DATA):
+        raise InputError(path, where, f"expected an abscissa of type 18 (frequency), found {abscissa}")
+    kept = group.frf if int(dataset["func_type"]) == FRF_FUNCTION else group.coherence
+    if pair in kept:
+        raise InputError(path, where, "expected every channel pair once")
+    kept[pair] = dataset
+
+
+def _labels(groups: Iterable[_Functions], side: int) -> tuple[str, ...]:
+    """Labels of one side, in the order of the files."""
+    return tuple(dict.fromkeys(pair[side] for group in groups for pair in group.frf))
+
+
+def _channels(labels: tuple[str, ...], nodes: dict[int, Point]) -> Channels:
+    origin = Point("base", np.zeros(3))
+    parts = [_parts(label) for label in labels]
+    return Channels(
+        labels,
+        tuple(nodes.get(node, origin).body for node, _ in parts),
+        np.array([nodes.get(node, origin).position for node, _ in parts]),
+        np.array([np.sign(direction) * np.eye(3)[abs(direction) - 1] for _, direction in parts]),
+    )
+
+
+def _parts(label: str) -> tuple[int, int]:
+    """Node and signed direction 1 … 3 of a label."""
+    node, axis, sign = label[:-2], label[-2], label[-1]
+    return int(node), ("XYZ".index(axis) + 1) * (1 if sign == "+" else -1)
+
+
+def _posture(
+    source: Path,
+    name: str,
+    group: _Functions,
+    response: tuple[str, ...],
+    excitation: tuple[str, ...],
+    q_deg: FloatArray | None,
+) -> PostureFRF:
+    """Assemble one posture; every channel pair must be there, on one frequency axis, in one quantity."""
+    where = f"posture {name}"
+    for pair in ((r, e) for r in response for e in excitation):
+        if pair not in group.frf:
+            raise InputError(source, where, f"expected the FRF {'/'.join(pair)}, it is missing")
+    first = next(iter(group.frf.values()))
+    frequency = np.asarray(first["x"], dtype=np.float64)
+    kinds = {int(dataset["ordinate_spec_data_type"]) for dataset in group.frf.values()}
+    if len(kinds) > 1:
+        raise InputError(source, where, f"expected FRFs of one quantity, found types {sorted(kinds)}")
+    for pair, dataset in [*group.frf.items(), *group.coherence.items()]:
+        x = np.asarray(dataset["x"])
+        if x.shape != frequency.shape or not np.allclose(x, frequency, rtol=1e-5, atol=1e-9):
+            raise InputError(source, where, f"expected one frequency axis, {'/'.join(pair)} has another")
+    if group.coherence and set(group.coherence) != set(group.frf):
+        raise InputError(source, where, "expected the coherence of every FRF or of none")
+
+    def stacked(functions: dict[tuple[str, str], dict[str, Any]]) -> Any:
+        return np.stack([[functions[r, e]["data"] for e in excitation] for r in response]).transpose(2, 0, 1)
+
+    words = group.words
+    if q_deg is None:
+        try:
+            q_deg = np.array([float(q) for q in words["q_deg"].split(",")])
+        except (KeyError, ValueError):
+            raise InputError(source, f"{where}: q_deg", "expected axis positions, the file does not say") from None
+    brakes: Any = words.get("brakes")
+    try:
+        return PostureFRF(
+            name=name,
+            q_deg=np.asarray(q_deg, dtype=np.float64),
+            brakes=brakes,
+            frequency=frequency,
+            frf=np.asarray(stacked(group.frf), dtype=np.complex128),
+            quantity=ORDINATE[kinds.pop()][0],
+            coherence=np.asarray(stacked(group.coherence).real, dtype=np.float64) if group.coherence else None,
+            averages=int(words["averages"]) if "averages" in words else None,
+            peak_force_n=float(words["peak_force_n"]) if "peak_force_n" in words else None,
+            exponential_window_rate=float(words.get("exponential_window_rate", 0.0)),
+        )
+    except ValueError as error:
+        raise InputError(source, where, f"expected numbers in the ID lines: {error}") from None
+
+
+# --- writing ----------------------------------------------------------------------------------------------
+
+
+def write_uff(path: str | Path, campaign: Campaign, *, binary: bool = False) -> None:
+    """Write FRFs and coherence of all postures as data sets 58 (58b when ``binary``), with units and nodes.
+
+    Directions are kept as signed axes and node positions to six digits, which is what the format holds; time records
+    are not part of it.
+    """
+    check_campaign(path, campaign)
+    sets = [_units(), _nodes(path, campaign)]
+    for posture in campaign.postures.values():
+        for e, excitation in enumerate(campaign.excitation.label):
+            for r, response in enumerate(campaign.response.label):
+                common = _common(campaign, posture, r, e, response, excitation, binary)
+                kind = next(k for k, (quantity, _) in ORDINATE.items() if quantity == posture.quantity)
+                what = {
+                    "ordinate_spec_data_type": kind,
+                    "ordinate_axis_units_lab": ORDINATE[kind][1],
+                    "orddenom_spec_data_type": FORCE_DATA[1],
+                    "orddenom_axis_lab": "Force",
+                    "orddenom_axis_units_lab": "N",
+                }
+                sets.append({**common, "func_type": FRF_FUNCTION, "data": posture.frf[:, r, e], **what})
+                if posture.coherence is not None:
+                    nothing = {"ordinate_spec_data_type": 0, "orddenom_spec_data_type": 0}
+                    data = posture.coherence[:, r, e]
+                    sets.append({**common, "func_type": COHERENCE_FUNCTION, "data": data, **nothing})
+    _write_sets(path, sets)
+
+
+def _write_sets(path: str | Path, sets: list[dict[str, Any]]) -> None:
+    with replacing(path) as scratch, redirect_stdout(StringIO()):
+        pyuff.UFF(str(scratch)).write_sets(sets, mode="overwrite")
+        if any(dataset.get("binary") for dataset in sets):
+            scratch.write_bytes(BINARY_HEADER.sub(_true_size, scratch.read_bytes()))
+
+
+def _true_size(header: re.Match[bytes]) -> bytes:
+    """Header of a binary data set with its size in bytes; pyuff 2.5 states half of it for complex data."""
+    size = int(header["count"]) * (16 if int(header["type"]) == 6 else 8)
+    return header["start"] + b"%12d" % size + header["rest"]
+
+
+def _units() -> dict[str, Any]:
+    return dict(
+        pyuff.prepare_164(
+            units_code=1, units_description="SI", temp_mode=2, length=1.0, force=1.0, temp=1.0, temp_offset=273.15
+        )
+    )
+
+
+def _nodes(path: str | Path, campaign: Campaign) -> dict[str, Any]:
+    """Data set 15; every node in the frame of its body."""
+    position: dict[int, FloatArray] = {}
+    for channels in (campaign.response, campaign.excitation):
+        for label, at in zip(channels.label, channels.position, strict=True):
+            node = _parts(label)[0]
+            if np.linalg.norm(position.setdefault(node, at) - at) > 1e-3:
+                raise InputError(path, label, f"expected one position for all channels of node {node}")
+    xyz = np.array(list(position.values()))
+    zeros = [0] * len(position)
+    return dict(
+        pyuff.prepare_15(
+            node_nums=list(position), def_cs=zeros, disp_cs=zeros, color=zeros, x=xyz[:, 0], y=xyz[:, 1], z=xyz[:, 2]
+        )
+    )
+
+
+def _common(
+    campaign: Campaign, posture: PostureFRF, r: int, e: int, response: str, excitation: str, binary: bool
+) -> dict[str, Any]:
+    """Every field FRF and coherence share; pyuff leaves none to chance."""
+    state = {
+        "exponential_window_rate": f"{posture.exponential_window_rate:.9g}",
+        "averages": posture.averages,
+        "brakes": posture.brakes,
+        "peak_force_n": None if posture.peak_force_n is None else f"{posture.peak_force_n:.9g}",
+    }
+    lines: list[dict[str, Any]] = [
+        {"posture": posture.name, "robot": campaign.robot},
+        {"q_deg": ",".join(f"{q:.10g}" for q in posture.q_deg)},
+        {"response_body": campaign.response.body[r], "excitation_body": campaign.excitation.body[e]},
+        state,
+    ]
+    ids = [" ".join(f"{k}={v}" for k, v in words.items() if v is not None)[:80] or "NONE" for words in lines]
+    (response_node, response_direction), (node, direction) = _parts(response), _parts(excitation)
+    frequency = posture.frequency
+    return {
+        "type": 58,
+        "binary": int(binary),
+        "id1": ids[0],
+        "id2": ids[1],
+        "id3": "NONE",
+        "id4": ids[2],
+        "id5": ids[3],
+        "func_id": 0,
+        "ver_num": 0,
+        "load_case_id": 0,
+        "rsp_ent_name": "NONE",
+        "rsp_node": response_node,
+        "rsp_dir": response_direction,
+        "ref_ent_name": "NONE",
+        "ref_node": node,
+        "ref_dir": direction,
+        "ord_data_type": 6,
+        "num_pts": frequency.size,
+        "abscissa_spacing": 1,
+        "abscissa_min": float(frequency[0]),
+        "abscissa_inc": float(frequency[1] - frequency[0]),
+        "z_axis_value": 0.0,
+        "abscissa_spec_data_type": FREQUENCY_DATA,
+        "abscissa_len_unit_exp": 0,
+        "abscissa_force_unit_exp": 0,
+        "abscissa_temp_unit_exp": 0,
+        "abscissa_axis_lab": "Frequency",
+        "abscissa_axis_units_lab": "Hz",
+        "ordinate_len_unit_exp": 0,
+        "ordinate_force_unit_exp": 0,
+        "ordinate_temp_unit_exp": 0,
+        "ordinate_axis_lab": "NONE",
+        "ordinate_axis_units_lab": "NONE",
+        "orddenom_len_unit_exp": 0,
+        "orddenom_force_unit_exp": 0,
+        "orddenom_temp_unit_exp": 0,
+        "orddenom_axis_lab": "NONE",
+        "orddenom_axis_units_lab": "NONE",
+        "z_axis_spec_data_type": 0,
+        "z_axis_len_unit_exp": 0,
+        "z_axis_force_unit_exp": 0,
+        "z_axis_temp_unit_exp": 0,
+        "z_axis_axis_lab": "NONE",
+        "z_axis_axis_units_lab": "NONE",
+        "x": frequency,
+        "spec_data_type": 0,
+    }
+
+
+def write_uff_modes(path: str | Path, result: ModalResult) -> None:
+    """Write the mode shapes of one posture as data sets 55 (complex modes) over the nodes of its labels."""
+    if not result.shape_label or not result.modes:
+        raise InputError(path, result.name, "expected modes with channel labels")
+    parts = [_parts(label) for label in result.shape_label]
+    nodes = sorted({node for node, _ in parts})
+    sets = []
+    for number, (mode, shape) in enumerate(zip(result.modes, result.shapes, strict=True), 1):
+        at = np.zeros((3, len(nodes)), dtype=complex)
+        for (node, direction), value in zip(parts, shape, strict=True):
+            at[abs(direction) - 1, nodes.index(node)] = np.sign(direction) * value
+        ratio = mode.damping_percent / 100
+        eigenvalue = 2 * np.pi * mode.frequency_hz * complex(-ratio, np.sqrt(1 - ratio**2))
+        sets.append(
+            pyuff.prepare_55(
+                id1=f"posture={result.name}"[:80],
+                id2=f"frequency_hz={mode.frequency_hz:.9g} damping_percent={mode.damping_percent:.9g}",
+                id3="NONE",
+                id4="NONE",
+                id5="NONE",
+                model_type=1,
+                analysis_type=3,
+                data_ch=2,
+                spec_data_type=8,
+                data_type=5,
+                n_data_per_node=3,
+                load_case=1,
+                mode_n=number,
+                eig=eigenvalue,
+                modal_a=0j,
+                modal_b=0j,
+                node_nums=nodes,
+                r1=at[0],
+                r2=at[1],
+                r3=at[2],
+            )
+        )
+    _write_sets(path, sets)
+
+
+def read_uff_modes(path: str | Path) -> list[TableMode]:
+    """Modes in data sets 55: normal modes (analysis type 2) and complex modes (3, 7), shapes by positive label."""
+    path = Path(path)
+    modes = []
+    for number, dataset in enumerate((d for d in _datasets(path) if d.get("type") == 55), 1):
+        kind = int(dataset["analysis_type"])
+        if kind == 2:
+            frequency, damping = float(dataset["freq"]), float(dataset["modal_damp_vis"])
+        elif kind in (3, 7):
+            size = abs(complex(dataset["eig"]))
+            frequency, damping = size / (2 * np.pi), -complex(dataset["eig"]).real / size
+        else:
+            raise InputError(path, f"data set 55 number {number}", f"expected modes (type 2, 3, 7), found type {kind}")
+        shape = {
+            f"{int(node)}{axis}+": complex(value)
+            for axis, key in zip("XYZ", ("r1", "r2", "r3"), strict=True)
+            for node, value in zip(dataset["node_nums"], dataset[key], strict=True)
+        }
+        modes.append(TableMode(frequency, 100 * damping, shape=shape))
+    return modes
