@@ -286,8 +286,8 @@ Made from kr90.yaml by `python tools/make_identified.py`; change those two, not 
 Table A1 itself is physically inconsistent. These links have positive definite pseudo-inertias, Table 5's masses, and
 A1's nine natural frequencies; under that they minimise the sum of relative differences to A1 (rotor terms removed),
 loosely tied to Table 5 where A1 says nothing. What cannot agree: π3² ≤ π2 (M2 + M3) caps π3 at {bound:.0f} kg·m, and π7
-must follow π3 to leave the yaw inertia, and with it the first mode, as A1 has it. Gravity at joint 2 is thereby {lost:.0f} N·m × cos q2 short of A1's: no
-consistent robot of these masses comes closer than {least:.0f}. Products in the table are +Σ m x y.
+must follow π3 to leave the yaw inertia, and with it the first mode, as A1 has it. Gravity at joint 2 is thereby
+{lost:.0f} N·m × cos q2 below A1's; the cap leaves no less than {least:.0f}. Products in the table are +Σ m x y.
 """
     comment = "\n".join(f"# {line}".rstrip() for line in [*head.splitlines(), "", *statement(robot)])
     chapters = re.split(r"(?m)^(?=[a-z_]+:)", kr90_text)
