@@ -127,6 +127,7 @@ def _defaults(spec: mujoco.MjSpec) -> None:
     visual = spec.add_default("visual", spec.default)
     visual.geom.type = mujoco.mjtGeom.mjGEOM_MESH
     visual.geom.contype = visual.geom.conaffinity = 0
+    visual.geom.density = 0
     visual.geom.group = 2
     for kind, colour in _COLOURS.items():
         spec.add_default(kind, visual).geom.rgba = colour
@@ -135,7 +136,8 @@ def _defaults(spec: mujoco.MjSpec) -> None:
     point.site.size = [0.012, 0.02, 0.012]
     point.site.rgba = (0.1, 0.6, 0.9, 1)
     point.site.group = 3
-    spec.add_default("hammer", spec.default)
+    hammer = spec.add_default("hammer", spec.default)
+    hammer.actuator.gear = [0, 0, 1, 0, 0, 0]  # ctrl is the force along the site's z, N
 
 
 def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: bool) -> mujoco.MjsBody:
@@ -205,11 +207,10 @@ def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
 
 def _add_instruments(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
     for point in mechanism.points:
-        hammer = spec.add_actuator(
-            spec.find_default("hammer"),
-            name=f"hammer {point.label}", target=point.label, trntype=mujoco.mjtTrn.mjTRN_SITE, gear=[0, 0, 1, 0, 0, 0],
+        spec.add_actuator(
+            spec.find_default("hammer"), name=f"hammer {point.label}", target=point.label,
+            trntype=mujoco.mjtTrn.mjTRN_SITE,
         )  # fmt: skip
-        hammer.set_to_motor()
     for label in mechanism.accelerometers:
         # framelinacc, since the accelerometer sensor also feels gravity turn with the tilt
         sensor = spec.add_sensor(
