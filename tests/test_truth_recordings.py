@@ -172,6 +172,8 @@ def test_the_same_seed_is_the_same_robot_and_payload_in_both_recordings(tmp_path
         (["campaign", "--effect", "payload@flange:com=1"], "expected 3 numbers"),
         (["campaign", "--posture", "a=1,2"], "degrees"),
         (["campaign", "--hinges", "1", "--effect", "structural_damping@joint1.x"], "rigid"),
+        (["campaign", "--hits", "1", "--effect", "fractional_damper@joint1.z"], "frequency only"),
+        (["campaign", "--hits", "1", "--effect", "time_delay@sensor:21X+"], "no --hits"),
         (["log", "--effect", "base_compliance@base.rx"], "for `campaign`"),
     ],
 )
@@ -193,9 +195,7 @@ def run_of(seconds=10.0, dwells=0, seed=0, rate=250.0):
 
 def torque(*texts, run=None, log=None, chain=KR90):
     run = run or run_of()
-    _, _, parts = motor_torque(
-        Truth(chain, tuple(parse(t) for t in texts)), run, log or Log(), np.random.default_rng(0)
-    )
+    _, _, parts = motor_torque(Truth(chain, tuple(parse(t) for t in texts)), run, log or Log())
     return sum(parts.values())
 
 
@@ -264,10 +264,7 @@ def test_friction_warms_up_on_the_campaigns_clock():
     cold = run_of()
     warm = replace(cold, start=1000.0)
     effect = "friction_drift@joint2:amplitude=0.5,time_constant=100"
-    part = {
-        run.start: motor_torque(Truth(KR90, (parse(effect),)), run, Log(), np.random.default_rng(0))[2]["friction"]
-        for run in (cold, warm)
-    }
+    part = {run.start: motor_torque(Truth(KR90, (parse(effect),)), run, Log())[2]["friction"] for run in (cold, warm)}
     ratio = part[0.0][1:, 1] / part[1000.0][1:, 1]
     moving = np.isfinite(ratio)
     expected = (1 + 0.5 * np.exp(-cold.time / 100)) / (1 + 0.5 * np.exp(-(cold.time + 1000) / 100))

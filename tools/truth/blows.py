@@ -10,6 +10,7 @@ from scipy.linalg import expm
 from scipy.signal import zoom_fft
 
 from tools.truth.chain import Array
+from tools.truth.effects import TruthError
 from tools.truth.elastic import Structure
 from tools.truth.laws import Complex
 
@@ -27,6 +28,8 @@ def strike(
 
     Blow b pushes along row `excitation[b]` with `force[:, b]` N, sampled at `rate_hz` and zero afterwards.
     """
+    if structure.dynamic:
+        raise TruthError("blows in time: expected effects with a law in time; one here is defined in frequency only")
     n, blows = len(structure.names), len(excitation)
     inverse = np.linalg.inv(structure.mass)
     drift = -inverse @ np.hstack([structure.stiffness, structure.damping])

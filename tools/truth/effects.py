@@ -58,13 +58,13 @@ JOINT, JOINT_Z, JOINT_XYZ = r"joint\d+", r"joint\d+\.z", r"joint\d+\.[xyz]"
 SIGNED = -1.0  # as lower bound: magnitude in [upper/10, upper], sign drawn
 
 EFFECTS: dict[str, Kind] = {
-    "transverse_compliance": Kind(r"joint\d+\.[xy]", {"stiffness": (4e6, 2e7), "damping": (5e1, 1e4)}, "frf"),
-    "base_compliance": Kind(r"base\.(r?[xyz])", {"stiffness": (1e7, 6e7), "damping": (1e3, 1e4)}, "frf"),
-    "link_flexibility": Kind(r"link\d+\.[yz]", {"stiffness": (4e6, 2e7), "damping": (5e1, 5e3)}, "frf", ("segments",)),
+    "transverse_compliance": Kind(r"joint\d+\.[xy]", {"stiffness": (4e6, 4e7), "damping": (5e1, 1e4)}, "frf"),
+    "base_compliance": Kind(r"base\.(r?[xyz])", {"stiffness": (1e7, 2e8), "damping": (1e3, 1e4)}, "frf"),
+    "link_flexibility": Kind(r"link\d+\.[yz]", {"stiffness": (5e6, 5e7), "damping": (5e1, 5e3)}, "frf", ("segments",)),
     "servo_compliance": Kind(
-        JOINT, {"stiffness": (5e6, 3e7), "damping": (3e3, 3e4)}, "frf", ("inertia", "integral_time")
+        JOINT, {"stiffness": (1e7, 1e8), "damping": (3e3, 3e4)}, "frf", ("inertia", "integral_time")
     ),
-    "payload": Kind(r"flange|link\d+", {"mass": (10, 80)}, "both", ("com", "inertia")),
+    "payload": Kind(r"flange|link\d+", {"mass": (3, 60)}, "both", ("com", "inertia")),
     "attached_resonator": Kind(
         r"link\d+",
         {"mass": (5, 30), "frequency_hz": (8, 28), "damping_ratio": (0.005, 0.03)},
@@ -89,7 +89,7 @@ EFFECTS: dict[str, Kind] = {
     "torque_constant": Kind(JOINT, {"gain": (1.01, 1.1)}, "log"),
     "time_delay": Kind(r"log|sensor:\S+", {"delay": (1e-4, 4e-3)}, "chain"),
     "sensor_gain": Kind(r"sensor:\S+", {"gain": (1.02, 1.2)}, "chain"),
-    "sensor_misalignment": Kind(r"sensor:\d+", {"angles": (SIGNED, 0.15)}, "chain"),
+    "sensor_misalignment": Kind(r"sensor:\d+", {"angles": (SIGNED, 0.1)}, "chain"),
     "hammer_misalignment": Kind(r"hammer:\S+", {"angles": (SIGNED, 0.2)}, "chain"),
     # Outside the catalogue: what a diagnosis must locate and must not misname.
     "eddy_current_damper": Kind(JOINT_Z, {"coefficient": (3e5, 1e7)}, "levels"),
@@ -152,7 +152,7 @@ def draw(effect: Effect, chain: Chain, rng: np.random.Generator, *, log: bool = 
             size_drawn = size_drawn * rng.choice([-1.0, 1.0], size)
         given.setdefault(name, size_drawn.tolist())
     if effect.kind == "base_compliance" and len(effect.axis) == 1 and "stiffness" not in effect.parameters:
-        given["stiffness"] = float(np.exp(rng.uniform(np.log(5e6), np.log(5e7))))  # N/m, not N·m/rad
+        given["stiffness"] = float(np.exp(rng.uniform(np.log(1e7), np.log(2e8))))  # N/m, not N·m/rad
     if effect.kind == "gravity_compensator" and "coefficients" not in effect.parameters:
         given["coefficients"] = (np.asarray(given["coefficients"]) * [1, 0.5, 0.3]).tolist()
     if effect.kind == "joint_coupling" and "from" not in effect.parameters:

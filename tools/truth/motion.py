@@ -142,24 +142,17 @@ class Record:
     parts: dict[str, Array] = field(repr=False)
 
 
-def motor_torque(truth: Truth, run: Run, log: Log, rng: np.random.Generator) -> tuple[Array, Array, dict[str, Array]]:
-    """Link angles and motor angles (nt, n) and the parts of the noise-free torque at the run's times."""
-    chain, late = truth.chain, sum(e["delay"] for e in truth.effects if e.site == "log")
+def motor_torque(truth: Truth, run: Run, log: Log) -> tuple[Array, Array, dict[str, Array]]:
+    """Link and motor angles (nt, n) and the parts of the noise-free torque at the run's times."""
+    late = sum(e["delay"] for e in truth.effects if e.site == "log")
     q, v, a = run.trajectory(run.time)
-    _, twist, _ = _torque(truth, log, run, q, v, a)
-    if late:
-        # The recorded torque is the one of a moment ago; before the start the robot stood.
-        before = np.maximum(run.time - late, 0)
-        _, _, parts = _torque(truth, log, run, *run.trajectory(before))
-    else:
-        _, _, parts = _torque(truth, log, run, q, v, a)
-    if log.ripple:
-        order, phase = rng.uniform(3, 12, chain.n), rng.uniform(0, 2 * np.pi, chain.n)
-        parts["nuisance ripple"] = log.ripple * np.sin(order * q + phase)
-    return q, q + twist, parts
+    twist, parts = _torque(truth, log, run, q, v, a)
+    if late:  # the torque of a moment ago; before the start the robot stood
+        _, parts = _torque(truth, log, run, *run.trajectory(np.maximum(run.time - late, 0)))
+    return q - twist, q, parts
 
 
-def _torque(truth: Truth, log: Log, run: Run, q: Array, v: Array, a: Array) -> tuple[Array, Array, dict[str, Array]]:
+def _torque(truth: Truth, log: Log, run: Run, q: Array, v: Array, a: Array) -> tuple[Array, dict[str, Array]]:
     chain, clock = truth.chain, run.start + run.time
     of = {kind: [e for e in truth.effects if e.kind == kind] for kind in {e.kind for e in truth.effects}}
     carried = tuple(loaded(link, i, chain, of.get("payload", [])) for i, link in enumerate(chain.links))
@@ -176,12 +169,13 @@ def _torque(truth: Truth, log: Log, run: Run, q: Array, v: Array, a: Array) -> t
     for e in of.get("backlash", []):
         gap[e.joint] = e["gap"]
     if log.link_encoder or gap.any():
-        # The gear follows its load quasi-statically; it crosses the gap while the load is within ±30 N·m.
+        # The servo keeps the motor on its path; the link lags by what the gear's load twists it, quasi-statically.
+        # It crosses the gap while the load is within ±30 N·m.
         twist = load / chain.stiffness[:, 0] + gap / 2 * np.tanh(load / 30)
     rotor = chain.gear_ratio**2 * chain.rotor_inertia
     for e in of.get("rotor_inertia", []):
         rotor[e.joint] += e["inertia"]
-    parts["rotors"] = rotor * (a + (np.gradient(np.gradient(twist, axis=0), axis=0) * log.rate_hz**2))
+    parts["rotors"] = rotor * a
 
     parts["friction"] = friction(truth, log, of, q, v, load, clock)
     extra = np.zeros(q.shape)
@@ -200,11 +194,15 @@ def _torque(truth: Truth, log: Log, run: Run, q: Array, v: Array, a: Array) -> t
         torque = inertia * both_rate + viscous * both + dry * np.sign(both)
         extra[:, i] += ratio * torque
         extra[:, j] += torque - (inertia * a[:, j] + viscous * v[:, j] + dry * np.sign(v[:, j]))
+    if log.ripple:
+        draw = np.random.default_rng([truth.seed or 0, 1])
+        order, phase = draw.uniform(3, 12, chain.n), draw.uniform(0, 2 * np.pi, chain.n)
+        extra += log.ripple * np.sin(order * q + phase)
     parts["extra"] = extra
     gain = np.ones(chain.n)
     for e in of.get("torque_constant", []):
         gain[e.joint] *= e["gain"]
-    return load, twist, {name: part * gain for name, part in parts.items()}
+    return twist, {name: part * gain for name, part in parts.items()}
 
 
 def friction(
@@ -297,7 +295,7 @@ def gas_spring(q: Array) -> Array:
 
 def record(truth: Truth, run: Run, log: Log, rng: np.random.Generator) -> Record:
     """What the controller's trace holds of one run."""
-    link, motor, parts = motor_torque(truth, run, log, rng)
+    link, motor, parts = motor_torque(truth, run, log)
     count = 2 * np.pi / (truth.chain.gear_ratio * log.counts)
     keep = np.exp(-1 / (log.colour_s * log.rate_hz))
     colour = lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.normal(size=link.shape), axis=0)
