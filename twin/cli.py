@@ -103,13 +103,18 @@ def _progress() -> Iterator[Callable[[str, int], Callable[[int], None]]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+    bars = Progress(*columns, console=Console(stderr=True), transient=True)
 
-        def start(description: str, total: int) -> Callable[[int], None]:
-            task = bars.add_task(description, total=total)
-            return lambda count: bars.advance(task, count)
+    def start(description: str, total: int) -> Callable[[int], None]:
+        bars.start()
+        task = bars.add_task(description, total=total)
+        return lambda count: bars.advance(task, count)
 
+    try:
         yield start
+    finally:
+        if bars.tasks:
+            bars.stop()
 
 
 def _show(result: Any, json: bool) -> None:

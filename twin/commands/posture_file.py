@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from twin.errors import InputError
 from twin.robot.description import Data, Number, Positive, Robot, first_problem, load_robot
@@ -14,10 +14,18 @@ from twin.yamlfile import read_yaml
 NonNegative = Annotated[Number, Field(ge=0)]
 
 
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list) else [value]
+
+
+def _none_if_false(value: Any) -> Any:
+    return None if value is False else value
+
+
 class Hammer(Data):
     """How the robot is hit; several ``force_n`` are several force levels. Noise is off unless asked for."""
 
-    force_n: Positive | list[Positive] = 300.0
+    force_n: Annotated[list[Positive], BeforeValidator(_as_list), Field(min_length=1)] = Field(default=[300.0])
     pulse_s: Positive = 0.008
     duration_s: Positive = 16.0
     sample_rate_hz: Positive = 2048.0
@@ -38,7 +46,7 @@ class _Posture(Data):
 class _File(Data):
     robot: str | None = None
     posture: _Posture
-    hammer: Hammer | Literal[False] = Hammer()
+    hammer: Annotated[Hammer | None, BeforeValidator(_none_if_false)] = Hammer()
     replay: str | None = None
 
 
@@ -107,5 +115,5 @@ def read_posture_file(path: str | Path, robot: str | None = None, without: list[
             raise InputError(path, "hammer.duration_s", "expected a record much longer than the pulse")
     return PostureFile(
         loaded, content.posture.name, q, list(content.posture.q_deg), content.posture.brakes,
-        content.hammer or None, replay, [path, *([replay] if replay else [])],
+        content.hammer, replay, [path, *([replay] if replay else [])],
     )  # fmt: skip

@@ -162,11 +162,8 @@ def _hammer(case: PostureFile, mechanism: Mechanism, linear: LinearModel, seed: 
 
     options = case.hammer
     assert options is not None
-    levels = options.force_n if isinstance(options.force_n, list) else [options.force_n]
-    test = HammerTest(
-        force_n=tuple(levels), seed=seed,
-        **options.model_dump(exclude={"force_n", "raw_hits"}),
-    )  # fmt: skip
+    levels = options.force_n
+    test = HammerTest(seed=seed, **options.model_dump(exclude={"force_n", "raw_hits"}))
     excitations = [point.label for point in case.robot.test_points]
     responses = list(case.robot.accelerometers)
     rate = window_rate(linear, test.duration_s)
@@ -243,10 +240,11 @@ def _write(found: Simulation, out: Path) -> None:
                 figures.replay(r.time, item.run.torque, r.torque, item.inverse, case.robot.joint_names),
                 name(f"{stem}.png"),
             )
-            scene.write_replay(
-                name(f"{stem}.rrd"), assemble(case.robot, r.position[0], brakes="off", drives="servo"), r.time, r.qpos,
-                r.torque,
-            )  # fmt: skip
+            torque = {"twin": r.torque, "inverse dynamics": item.inverse}
+            if item.run.torque is not None:
+                torque["measured"] = item.run.torque
+            servo = assemble(case.robot, r.position[0], brakes="off", drives="servo")
+            scene.write_replay(name(f"{stem}.rrd"), servo, r.time, r.position, r.deflections, torque)
         write_motion_log(name("replay.h5"), MotionLog(runs, case.robot.name))
     path = name("simulate.json")
     write_json(path, found.data())

@@ -57,4 +57,4 @@ def _write_log(path: Path, target: Path) -> None:
     require_axes(log, robot.axis_count)
     found = replay(robot, next(iter(log.runs.values())))
     mechanism = assemble(robot, found.position[0], brakes="off", drives="servo")
-    scene.write_replay(target, mechanism, found.time, found.qpos, found.torque)
+    scene.write_replay(target, mechanism, found.time, found.position, found.deflections, {"twin": found.torque})

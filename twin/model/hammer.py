@@ -28,7 +28,6 @@ class HammerTest:
     """How the robot is hit. Noise is off by default, so that the recording can be held against the linear model.
 
     Attributes:
-        force_n: peak forces, one per level, N.
         pulse_s: length of the half sine, s.
         duration_s: length of a record, s.
         sample_rate_hz: of the recording.
@@ -40,7 +39,6 @@ class HammerTest:
         seed: of all of these.
     """
 
-    force_n: tuple[float, ...] = (300.0,)
     pulse_s: float = 0.008
     duration_s: float = 16.0
     sample_rate_hz: float = 2048.0

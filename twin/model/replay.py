@@ -30,16 +30,14 @@ class Replay:
         position: (nt, n) motors at the gear output, rad (m).
         link_position: (nt, n) motor plus the deflection about z, rad (m).
         torque: (nt, n) of the drives at the gear output, N·m (N), mean over the sample before each instant.
-        qpos: (nt, nq) all coordinates of the model.
-        model: the MuJoCo model that was stepped.
+        deflections: elastic joint → (nt,) deflection, rad (m).
     """
 
     time: np.ndarray
     position: np.ndarray
     link_position: np.ndarray
     torque: np.ndarray
-    qpos: np.ndarray
-    model: mujoco.MjModel
+    deflections: dict[str, np.ndarray]
 
 
 def motion_of(run: MotionRun) -> Motion:
@@ -138,7 +136,6 @@ def replay(robot: Robot, run: MotionRun, *, progress: Callable[[int], None] | No
     control = model.actuator_ctrladr[servo]
     motor = np.array([model.joint(name).qposadr[0] for name in names])
     motor_dof = np.array([model.joint(name).dofadr[0] for name in names])
-    gear = [model.joint(f"joint{i + 1}.z").qposadr[0] if mechanism.joint(f"joint{i + 1}.z") else -1 for i in range(n)]
     kp, kv = model.actuator_gainprm[servo, 0], -model.actuator_biasprm[servo, 2]
     reference = CubicSpline(run.time, np.hstack([motion.position, motion.velocity, feedforward]))
     instants = run.time[0] + np.arange((nt - 1) * substeps + 1) / (run.sample_rate_hz * substeps)
@@ -147,7 +144,7 @@ def replay(robot: Robot, run: MotionRun, *, progress: Callable[[int], None] | No
     data.time = run.time[0]
     data.qpos[motor], data.qvel[motor_dof] = q[0], qd[0]
     _wind_up(model, data, mechanism.joints, motion.acceleration[0], motor_dof)
-    out = Replay(run.time, np.empty((nt, n)), np.empty((nt, n)), np.empty((nt, n)), np.empty((nt, model.nq)), model)
+    torque, qpos = np.empty((nt, n)), np.empty((nt, model.nq))
     load = CubicSpline(run.time, np.hstack([motion.load, motion.friction])) if mechanism.passive_forces else None
     for k in range(nt):
         mean = np.zeros(n)
@@ -168,16 +165,16 @@ def replay(robot: Robot, run: MotionRun, *, progress: Callable[[int], None] | No
             else:
                 mujoco.mj_step(model, data)
                 mean += (data.actuator_force[servo] - kv * (data.qvel[motor_dof] - speed)) / substeps
-        out.torque[k] = mean
-        out.qpos[k] = data.qpos
+        torque[k] = mean
+        qpos[k] = data.qpos
         if progress:
             progress(1)
-    out.position[:] = out.qpos[:, motor]
-    out.link_position[:] = out.position
-    for i, address in enumerate(gear):
-        if address >= 0:
-            out.link_position[:, i] += out.qpos[:, address]
-    return out
+    elastic = [joint.name for joint in mechanism.joints if joint.elastic]
+    deflections = {name: qpos[:, model.joint(name).qposadr[0]] for name in elastic}
+    link_position = qpos[:, motor]
+    for i in range(n):
+        link_position[:, i] += deflections.get(f"joint{i + 1}.z", 0.0)
+    return Replay(run.time, qpos[:, motor], link_position, torque, deflections)
 
 
 def passive_torque(forces: list, state: Motion) -> np.ndarray:

@@ -3,7 +3,9 @@
 The schema of ``robot.yaml``; its keys, units and defaults are the fields below. ``docs/robot.md`` explains them.
 """
 
+import reprlib
 from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -70,6 +72,12 @@ class Base(Placement):
     com: Vector = (0.0, 0.0, 0.0)
     inertia: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     mesh: str | None = None
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if any(self.inertia):
+            check_inertia(self.inertia)
+        return self
 
 
 class Link(Data):
@@ -215,6 +223,14 @@ class Workspace(Data):
     y: tuple[Number, Number]
     z: tuple[Number, Number]
 
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name in ("x", "y", "z"):
+            low, high = getattr(self, name)
+            if low >= high:
+                raise ValueError(f"{name} must increase, found {[low, high]}")
+        return self
+
 
 class Robot(Data):
     """A serial chain of revolute or prismatic axes, and the physics modelled beyond links, drives and z-springs."""
@@ -358,6 +374,9 @@ def check_entry(entry: Entry, axes: int, where: str) -> None:
         if name in given:
             if problem := parameter.check(given[name]):
                 raise ValueError(f"{where}.{name}: {problem}")
+            others = [f"joint{i + 1}" for i in range(axes) if f"joint{i + 1}" != entry.site]
+            if parameter.unit == "joint" and given[name] not in others:
+                raise ValueError(f"{where}.{name}: {given[name]!r} is not another joint of this robot")
         elif not parameter.optional:
             raise ValueError(f"{where}: {entry.effect} needs {name} [{parameter.unit}]")
     if problem := CATALOGUE[entry.effect].check(entry.values):
@@ -366,7 +385,8 @@ def check_entry(entry: Entry, axes: int, where: str) -> None:
 
 def _check_effect(effect: str) -> None:
     if effect not in CATALOGUE:
-        raise ValueError(f"unknown effect {effect!r}; known are {', '.join(CATALOGUE)}")
+        near = get_close_matches(effect, CATALOGUE, n=1)
+        raise ValueError(f"unknown effect {effect!r}; {f'did you mean {near[0]}?' if near else 'see docs/robot.md'}")
 
 
 def _check_site(effect: str, site: str, axes: int) -> None:
@@ -388,6 +408,15 @@ def parse_robot(data: dict[str, Any], source: str | Path = "robot") -> Robot:
         raise InputError(source, where, message) from error
 
 
+_SHAPES = {
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "string_type": "a word",
+}
+
+
 def first_problem(error: ValidationError) -> tuple[str, str]:
     """Field and message of the first problem that validation found, for one line."""
     first = error.errors()[0]
@@ -397,6 +426,11 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
         message = "unknown field"
     elif first["type"] == "missing":
         message = "missing"
+    elif first["type"] in _SHAPES:
+        message = f"expected {_SHAPES[first['type']]}, found {reprlib.repr(first['input'])}"
+    elif first["type"] in ("too_long", "too_short"):
+        few, many = (first["ctx"].get(f"{bound}_length") for bound in ("min", "max"))
+        message = f"expected at {f'most {many}' if many else f'least {few}'} items, found {len(first['input'])}"
     elif not first["msg"].startswith("Value error") and not isinstance(first["input"], dict | list):
         message = f"{message[0].lower()}{message[1:]}, found {first['input']!r}"
     return where, message
