@@ -1,6 +1,6 @@
 """Maximum-likelihood refinement of a modal model, its covariance, and the test whether the data hold each mode.
 
-    G_oi(s) = s² [ Σ_r ψ_or L_ri / (s − λ_r) + conj(ψ_or L_ri) / (s − λ_r*) + lower_oi / s² + upper_oi ]
+    G_oi(s) = s² [ Σ_r ψ_or L_ri / (s − λ_r) + conj(ψ_or L_ri) / (s − λ_r*) + lower_oi / s² + upper_oi + s² curvature_oi ]
 
 is fitted to accelerance with every line weighted by one over its variance. Poles λ and participation factors L are
 found by Gauss–Newton on the variable projection (Golub & Pereyra 1973) that eliminates shapes ψ and residual terms,
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from twin.measure.campaign import ComplexArray, FloatArray
 
-RESIDUAL_TERMS = 4  # real coefficients per channel: lower and upper, each complex
+RESIDUAL_TERMS = 6  # real coefficients per channel: lower, upper and curvature, each complex
+BEYOND = 1.3  # how far past the ends of the band, as a ratio, modes are looked for
 SCAN_DAMPINGS = (0.003, 0.01, 0.03, 0.08)
 RIDGE = 1e-13  # of the diagonal of the linear normal equations
 
@@ -27,7 +28,7 @@ class ModalModel:
         poles: (nm,) rad/s.
         participation: (nm, ni), largest entry 1.
         shape: (nm, no): residues are ``shape[r, o] participation[r, i]``.
-        lower, upper: (no, ni) residual terms in 1/kg and m/N.
+        lower, upper, curvature: (no, ni) residual terms in 1/kg, m/N and m s²/N.
     """
 
     poles: ComplexArray
@@ -35,13 +36,14 @@ class ModalModel:
     shape: ComplexArray
     lower: ComplexArray
     upper: ComplexArray
+    curvature: ComplexArray
 
     def synthesise(self, s: ComplexArray) -> ComplexArray:
         """Accelerance (nf, no, ni) on the Laplace points s."""
-        residue = np.einsum("ro,ri->roi", self.shape, self.participation).reshape(self.poles.size, -1)
+        residue = np.einsum("ro,ri->roi", self.shape, self.participation).reshape(-1, self.lower.size)
         receptance = (1 / (s[:, None] - self.poles)) @ residue + (1 / (s[:, None] - self.poles.conj())) @ residue.conj()
         s2 = (s**2)[:, None, None]
-        return s2 * (receptance.reshape(s.size, *self.lower.shape) + self.upper) + self.lower
+        return s2 * (receptance.reshape(s.size, *self.lower.shape) + self.upper + s2 * self.curvature) + self.lower
 
 
 @dataclass(frozen=True)
@@ -126,13 +128,15 @@ class _Data:
 
 
 def _functions(poles: ComplexArray, s: ComplexArray) -> ComplexArray:
-    """(nf, 4 nm + 4) real-coefficient functions: modes (Re, Im), their pole derivatives, residual terms."""
+    """(nf, 4 nm + 6) real-coefficient functions: modes (Re, Im), their pole derivatives, residual terms."""
     s2 = (s**2)[:, None]
     z, zc = s2 / (s[:, None] - poles), s2 / (s[:, None] - poles.conj())
     d, dc = z / (s[:, None] - poles), zc / (s[:, None] - poles.conj())
     one = np.ones_like(s2)
     far = s2 / np.abs(s2).max()
-    return np.concatenate([z + zc, 1j * (z - zc), d + dc, 1j * (d - dc), one, 1j * one, far, 1j * far], axis=1)
+    return np.concatenate(
+        [z + zc, 1j * (z - zc), d + dc, 1j * (d - dc), one, 1j * one, far, 1j * far, far**2, 1j * far**2], axis=1
+    )
 
 
 @dataclass(frozen=True)
@@ -223,8 +227,14 @@ def _free(participation: ComplexArray) -> NDArray[np.intp]:
 
 def normalised(participation: ComplexArray) -> ComplexArray:
     """Every row divided by its largest entry."""
-    largest = np.argmax(np.abs(participation), axis=1)
-    return participation / np.take_along_axis(participation, largest[:, None], axis=1)
+    largest = np.take_along_axis(participation, np.argmax(np.abs(participation), axis=1)[:, None], axis=1)
+    return np.asarray(participation / np.where(largest == 0, 1, largest))
+
+
+def _scale(hessian: FloatArray) -> FloatArray:
+    """Root of the diagonal; 1 where a parameter moves nothing."""
+    diagonal = np.diag(hessian)
+    return np.sqrt(np.where(diagonal > 0, diagonal, 1))
 
 
 def fit_modes(
@@ -254,7 +264,7 @@ def fit_modes(
         hessian, gradient = _normal_equations(state, ni)
         free = _free(participation)
         h, g = hessian[np.ix_(free, free)], gradient[free]
-        size = np.sqrt(np.maximum(np.diag(h), 1e-300))
+        size = _scale(h)
         h = h / size[:, None] / size
         improved = False
         for _ in range(8):
@@ -282,20 +292,16 @@ def fit_modes(
 def _result(data: _Data, poles: ComplexArray, participation: ComplexArray, state: _State) -> ModalFit:
     nm, ni, no = poles.size, data.ni, data.no
     terms = state.coefficients[:, 2 * nm :].reshape(no, ni, RESIDUAL_TERMS)
-    model = ModalModel(
-        poles=poles,
-        participation=participation,
-        shape=state.shape,
-        lower=terms[:, :, 0] + 1j * terms[:, :, 1],
-        upper=(terms[:, :, 2] + 1j * terms[:, :, 3]) / np.abs(data.s**2).max(),
-    )
+    lower, upper, curvature = (terms[:, :, n] + 1j * terms[:, :, n + 1] for n in (0, 2, 4))
+    far = np.abs(data.s**2).max()
+    model = ModalModel(poles, participation, state.shape, lower, upper / far, curvature / far**2)
     free = _free(participation)
     lines = 2 * int(np.count_nonzero(data.w2))
     dof = max(lines - no * (2 * nm + RESIDUAL_TERMS * ni) - free.size, 1)
     covariance = np.zeros((nm, 2, 2))
     if nm:
         hessian = _normal_equations(state, ni)[0][np.ix_(free, free)]
-        size = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+        size = _scale(hessian)
         inverse = np.linalg.pinv(hessian / size[:, None] / size, hermitian=True, rcond=1e-13) / size[:, None] / size
         pair = np.stack([np.arange(nm), nm + np.arange(nm)], axis=1)
         covariance = inverse[pair[:, :, None], pair[:, None, :]] * state.chi2 / dof
@@ -318,11 +324,11 @@ def strongest_missing(
     w2 = (1 / variance).reshape(nf, -1)
     wg = w2 * residual.reshape(nf, -1)
     step = (frequency[-1] - frequency[0]) / (nf - 1)
+    low, high = frequency[0] / BEYOND, frequency[-1] * BEYOND
     best = (0j, np.zeros(ni, dtype=complex), 0.0)
     for damping in SCAN_DAMPINGS:
         ratio = 1 + max(damping / 2, step / frequency[-1] / 4)
-        count = int(np.log(frequency[-1] / frequency[0]) / np.log(ratio)) + 1
-        grid = frequency[0] * ratio ** np.arange(count)
+        grid = low * ratio ** np.arange(int(np.log(high / low) / np.log(ratio)) + 1)
         grid = grid[np.concatenate([[True], np.diff(np.floor(2 * grid / step)) > 0])]  # two per line are enough
         poles = 2 * np.pi * grid * (-damping + 1j * np.sqrt(1 - damping**2))
         h = _functions(poles, s)[:, : 2 * poles.size]

@@ -14,6 +14,7 @@ from twin.measure.campaign import ComplexArray, FloatArray
 
 CONJUGATE_BAND = 0.3  # a band that starts below this share of its end is treated as conjugate-symmetric about 0 Hz
 ARC = 0.8  # share of the unit circle a shifted band is spread over: the gap takes up what lies outside the band
+BEYOND = 0.2  # of the band: poles this far outside it are kept, as they bend what is inside
 RIDGE = 1e-14  # of the trace: keeps the normal equations of a noise-free recording solvable
 
 
@@ -138,7 +139,9 @@ def _roots(
     z = np.asarray(1 / w, dtype=np.complex128)
     poles = circle.poles(z)
     keep = (poles.real < 0) & (poles.imag > 0)
-    keep &= (np.abs(poles) >= 2 * np.pi * frequency[0]) & (np.abs(poles) <= 2 * np.pi * frequency[-1])
+    edge = BEYOND * (frequency[-1] - frequency[0])
+    hertz = np.abs(poles) / (2 * np.pi)
+    keep &= (hertz >= frequency[0] - edge) & (hertz <= frequency[-1] + edge)
     keep[keep] = -poles[keep].real < 0.5 * np.abs(poles[keep])
     z, poles = z[keep], poles[keep]
     rank = np.argsort(np.abs(poles))
