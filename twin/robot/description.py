@@ -430,7 +430,7 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
         message = f"expected {_SHAPES[first['type']]}, found {reprlib.repr(first['input'])}"
     elif first["type"] in ("too_long", "too_short"):
         few, many = (first["ctx"].get(f"{bound}_length") for bound in ("min", "max"))
-        message = f"expected at {f'most {many}' if many else f'least {few}'} items, found {len(first['input'])}"
+        message = f"expected at {f'most {many}' if many else f'least {few}'}, found {len(first['input'])}"
     elif not first["msg"].startswith("Value error") and not isinstance(first["input"], dict | list):
         message = f"{message[0].lower()}{message[1:]}, found {first['input']!r}"
     return where, message
