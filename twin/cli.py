@@ -15,6 +15,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -60,16 +61,15 @@ def simulate(
     """Modes, a hammer test in time and a replay of one posture.
 
     Prints the modes and writes robot.xml (MJCF for any MuJoCo viewer), hammer.h5 (simulated FRFs), figures, modes.rrd
-    (mode animation, see twin view) and simulate.json into the output folder, out/POSTURE by default. With --json
+    (mode animation, see twin view) and simulate.json into the output folder, out/POSTURE by default. With --json,
     files are written only where --out says so. A posture file:
 
-        robot: kr90
-
-        posture: {name: milling, q_deg: [0, 70, -100], brakes: "on"}
-
-        hammer: false                 # modes only; left out: 3 hits of 300 N at every test point
-
-        replay: trajectory.h5         # optional motion log or trajectory
+    ```yaml
+    robot: kr90                       # or a path, relative to this file
+    posture: {name: milling, q_deg: [0, 70, -100], brakes: "on"}
+    hammer: {force_n: 300, hits: 3}   # left out: 3 hits; false: modes only
+    replay: trajectory.h5             # optional motion log or trajectory
+    ```
     """
     from twin.commands.simulate import simulate as run
 
