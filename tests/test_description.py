@@ -10,6 +10,7 @@ import pytest
 
 from twin.errors import InputError
 from twin.robot.description import SHIPPED, Robot, load_robot, parse_robot, save_robot
+from twin.robot.mechanism import assemble
 from twin.yamlfile import read_yaml
 
 MINIMAL = """
@@ -238,3 +239,13 @@ def test_degrees_and_radians_but_metres_on_linear_axes() -> None:
 
 def test_a_description_is_plain_data(kr90: Robot) -> None:
     assert parse_robot(json.loads(json.dumps(kr90.model_dump(mode="json")))) == kr90
+
+
+def test_a_link_without_length_cannot_bend() -> None:
+    """Roll and bend axes of a wrist that meet in a point leave no link between them."""
+    data = load_robot(Path(__file__).parent / "data" / "arm_linear.urdf").model_dump(mode="json")
+    data["flange"]["position"] = [0, 0, 0]
+    data["physics"] = [{"effect": "link_flexibility", "site": "link5.y", "stiffness": 1e6, "damping": 0}]
+    robot = parse_robot(data)
+    with pytest.raises(InputError, match=r"link_flexibility@link5\.y: link5 has no length: the next joint is in its"):
+        assemble(robot, np.array([1, 0, 0, 0.4, 0]))

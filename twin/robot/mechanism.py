@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 from twin.robot.frames import IDENTITY, axis_placement, inertia_matrix, rotate
@@ -214,6 +215,9 @@ class Mechanism:
         The mass is divided as if it were a normal (Gaussian) cloud with the link's mass, centre of mass and
         inertia, cut by the plane through the hinge across the line to the next joint: both halves are physically
         consistent, they add up to the link exactly, and nothing needs to be known of its shape.
+
+        Raises:
+            InputError: the next joint (flange) lies in the link's origin, so that there is nothing to bend.
         """
         if link in self.splits:
             self.spring(f"link{link}.tip", name, axis, stiffness, damping)
@@ -221,7 +225,14 @@ class Mechanism:
         body = self.bodies[f"link{link}"]
         child = self.bodies.get(f"motor{link + 1}")
         reach = child.position if child else np.array(self.robot.flange.position)
-        origin, normal = reach / 2, reach / np.linalg.norm(reach)
+        length = np.linalg.norm(reach)
+        if length < 1e-6:
+            raise InputError(
+                self.robot.name,
+                f"link_flexibility@{name}",
+                f"link{link} has no length: the next joint is in its origin",
+            )
+        origin, normal = reach / 2, reach / length
         inboard, outboard = cut((body.mass, body.com, body.inertia), origin, normal)
         body.mass, body.com, body.inertia = inboard
         mass, com, inertia = outboard
