@@ -1,15 +1,33 @@
 """The robot description: what is wrong gets one line that names the field; what is right survives a round trip."""
 
 import copy
+import inspect
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 from twin.errors import InputError
-from twin.robot.description import SHIPPED, Robot, load_robot, parse_robot, save_robot
+from twin.physics import CATALOGUE
+from twin.robot.description import (
+    SHIPPED,
+    Axis,
+    Base,
+    Drive,
+    Limits,
+    Link,
+    Prior,
+    Robot,
+    TestPoint,
+    Tolerances,
+    load_robot,
+    parse_robot,
+    save_robot,
+)
 from twin.robot.mechanism import assemble
 from twin.yamlfile import read_yaml
 
@@ -249,3 +267,63 @@ def test_a_link_without_length_cannot_bend() -> None:
     robot = parse_robot(data)
     with pytest.raises(InputError, match=r"link_flexibility@link5\.y: link5 has no length: the next joint is in its"):
         assemble(robot, np.array([1, 0, 0, 0.4, 0]))
+
+
+DOCS = Path(__file__).parents[1] / "docs" / "robot.md"
+
+
+def effects_table() -> str:
+    """The vocabulary as Markdown: the law from each effect's file, how it is modelled from its class."""
+    lines = ["| effect | sites | parameters | law | in the model |", "|---|---|---|---|---|"]
+    for effect in CATALOGUE.values():
+        law, model = (
+            " ".join(inspect.getdoc(thing).split("\n\n")[0].split()).replace("``", "`").replace("|", "\\|")
+            for thing in (inspect.getmodule(effect), type(effect))
+        )
+        parameters = []
+        for p in effect.parameters:
+            size = {0: "", -1: "[ ]"}.get(p.length, f"[{p.length}]")
+            allowed = not p.word and p.length >= 0 and (p.null > 0 or not p.positive)
+            null = "" if not allowed else f"; null {'∞ (rigid)' if p.null == np.inf else f'{p.null:g}'}"
+            parameters.append(f"`{p.name}`{size} ({p.unit}{null}{'; optional' if p.optional else ''})")
+        sites = ", ".join(f"`{site}`" for site in effect.sites)
+        lines.append(f"| `{effect.name}` | {sites} | {', '.join(parameters)} | {law} | {model} |")
+    return "\n".join(lines)
+
+
+def test_the_documented_effects_are_those_of_the_catalogue() -> None:
+    documented = DOCS.read_text().split("<!-- effects -->\n")[1].split("\n<!-- /effects -->")[0]
+    assert documented == effects_table(), f"put this between the marks in {DOCS.name}:\n{effects_table()}"
+
+
+def test_the_documentation_names_the_effects_that_may_repeat() -> None:
+    repeatable = {effect.name for effect in CATALOGUE.values() if effect.repeatable}
+    sentence = re.search(r"parameters may be left out.*?\.(.*?)may stand several times", DOCS.read_text(), re.S)
+    assert set(re.findall(r"`(\w+)`", sentence.group(1))) == repeatable
+
+
+@pytest.mark.parametrize(
+    ("heading", "model"),
+    [
+        ("The robot", Robot), ("`base`", Base), ("`links`", Link), ("`axes`", Axis), ("`drives`", Drive),
+        ("`test_points`", TestPoint), ("`priors`", Prior), ("`tolerances`", Tolerances),
+    ],
+)  # fmt: skip
+def test_every_key_is_documented_and_every_documented_key_exists(heading: str, model: type[BaseModel]) -> None:
+    section = DOCS.read_text().split(f"### {heading}\n")[1].split("\n#")[0]
+    rows = [line.split("|")[1:4] for line in section.splitlines() if line.startswith("| `")]
+    documented = {name: default.strip() for keys, _, default in rows for name in re.findall(r"`(\w+)`", keys)}
+    assert set(documented) == set(model.model_fields)
+    for name, field in model.model_fields.items():
+        if field.is_required():
+            assert documented[name] == "needed"
+        elif isinstance(field.default, int | float):
+            assert float(documented[name]) == field.default
+    if model is Axis:
+        assert all(f"`{key}`" in section for key in Limits.model_fields)
+
+
+def test_the_documented_example_loads(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(DOCS.read_text().split("```yaml\n")[1].split("```")[0])
+    assert len(assemble(load_robot(path), np.zeros(2)).joints) == 3
