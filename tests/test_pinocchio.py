@@ -138,10 +138,7 @@ def test_the_kr90_has_pinocchios_mass_matrix_of_nine_elastic_coordinates(q_deg: 
     np.testing.assert_allclose(linear.M, expected[np.ix_(order, order)], rtol=1e-9, atol=1e-9 * expected.max())
 
 
-@pytest.mark.parametrize(
-    "visual",
-    [False, pytest.param(True, marks=pytest.mark.xfail(strict=True, reason="mjcf.py: meshes of held motors weigh"))],
-)
+@pytest.mark.parametrize("visual", [False, True])
 def test_the_kr90_needs_pinocchios_torques_to_hold_still(visual: bool) -> None:
     """Gravity loads each of the nine hinges as in Pinocchio, whether or not meshes are shown; nothing then moves."""
     robot = load_robot("kr90")
