@@ -41,7 +41,7 @@ EDGE = 0.15  # of the band on either side: modes there are fitted, not reported
 HELD_DAMPING, HELD_FREQUENCY = 0.3, 0.02  # largest relative deviations of a damping and a frequency the data hold
 USABLE_COHERENCE = 0.5
 REWEIGHTINGS = 3  # rounds of fit and residual variance where the recording states none
-NOISE_LINES = 30  # at least, in a block that a variance is estimated from
+NOISE_LINES = (30, 100)  # fewest and most lines of a block that a variance is estimated from
 MOST_ADDED = 12
 FAR, OVERDAMPED = 2.0, 0.5  # ratio to the end of the band and damping ratio from which a pole is no mode
 
@@ -389,7 +389,8 @@ class _Band:
     def _residual_variance(self, fit: ModalFit) -> FloatArray:
         """Variance per line from the residual: medians of blocks of lines, which a resonance left over cannot lift."""
         residual = np.abs(self.frf - fit.model.synthesise(self.s)) ** 2 / (2 * np.log(2))
-        blocks = np.array_split(np.arange(self.frequency.size), max(1, min(8, self.frequency.size // NOISE_LINES)))
+        lines = self.frequency.size
+        blocks = np.array_split(np.arange(lines), max(1, lines // int(np.clip(lines // 8, *NOISE_LINES))))
         level = np.stack([np.median(residual[block], axis=0) for block in blocks])
         centre = [float(block.mean()) for block in blocks]
         at = np.interp(np.arange(self.frequency.size), centre, np.arange(len(blocks)))

@@ -1,6 +1,6 @@
 """Maximum-likelihood refinement of a modal model, its covariance, and the test whether the data hold each mode.
 
-    G_oi(s) = s² [ Σ_r ψ_or L_ri / (s − λ_r) + conj(ψ_or L_ri) / (s − λ_r*) + lower_oi / s² + upper_oi + s² curvature_oi ]
+    G_oi(s) = s² [ Σ_r ψ_or L_ri/(s − λ_r) + conj(ψ_or L_ri)/(s − λ_r*) + lower_oi/s² + upper_oi + s² curvature_oi ]
 
 is fitted to accelerance with every line weighted by one over its variance. Poles λ and participation factors L are
 found by Gauss–Newton on the variable projection (Golub & Pereyra 1973) that eliminates shapes ψ and residual terms,
@@ -125,6 +125,13 @@ class _Data:
 
     def energy(self) -> float:
         return float(np.sum(self.w2 * np.abs(self.g) ** 2))
+
+
+def _pair(poles: ComplexArray, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Accelerance (nf, nm) of unit real and of unit imaginary residues."""
+    s2 = (s**2)[:, None]
+    z, zc = s2 / (s[:, None] - poles), s2 / (s[:, None] - poles.conj())
+    return z + zc, 1j * (z - zc)
 
 
 def _functions(poles: ComplexArray, s: ComplexArray) -> ComplexArray:
@@ -330,18 +337,31 @@ def strongest_missing(
         ratio = 1 + max(damping / 2, step / frequency[-1] / 4)
         grid = low * ratio ** np.arange(int(np.log(high / low) / np.log(ratio)) + 1)
         grid = grid[np.concatenate([[True], np.diff(np.floor(2 * grid / step)) > 0])]  # two per line are enough
-        poles = 2 * np.pi * grid * (-damping + 1j * np.sqrt(1 - damping**2))
-        h = _functions(poles, s)[:, : 2 * poles.size]
-        u, v = h[:, : poles.size], h[:, poles.size :]
-        uu, vv, uv = (np.abs(u) ** 2).T @ w2, (np.abs(v) ** 2).T @ w2, (u.conj() * v).real.T @ w2
-        gu, gv = (u.real.T @ wg.real + u.imag.T @ wg.imag), (v.real.T @ wg.real + v.imag.T @ wg.imag)
-        determinant = uu * vv - uv**2
-        live = determinant > 1e-12 * uu * vv
-        inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=live)
-        gains = np.sum((vv * gu**2 - 2 * uv * gu * gv + uu * gv**2) * inverse, axis=1)
-        top = int(np.argmax(gains))
-        if gains[top] > best[2]:
-            a, b = (vv * gu - uv * gv)[top] * inverse[top], (uu * gv - uv * gu)[top] * inverse[top]
-            participation = np.linalg.svd((a + 1j * b).reshape(no, ni))[2][0]
-            best = complex(poles[top]), participation, float(gains[top])
+        for some in np.array_split(grid, max(1, grid.size // 32)):
+            reach = 10 * (damping * some[-1] + step)  # a mode is seen on the lines around it
+            lines = (frequency >= some[0] - reach) & (frequency <= some[-1] + reach)
+            found = _best_of(
+                2 * np.pi * some * (-damping + 1j * np.sqrt(1 - damping**2)), s[lines], w2[lines], wg[lines]
+            )
+            if found is not None and found[2] > best[2]:
+                pole, residue, gain = found
+                best = pole, np.linalg.svd(residue.reshape(no, ni))[2][0], gain
     return best
+
+
+def _best_of(
+    poles: ComplexArray, s: ComplexArray, w2: FloatArray, wg: ComplexArray
+) -> tuple[complex, ComplexArray, float] | None:
+    """The pole that explains most of weighted residuals wg (nf, channels), its residues and its gain."""
+    if not s.size:
+        return None
+    u, v = _pair(poles, s)
+    uu, vv, uv = (np.abs(u) ** 2).T @ w2, (np.abs(v) ** 2).T @ w2, (u.conj() * v).real.T @ w2
+    gu, gv = (u.real.T @ wg.real + u.imag.T @ wg.imag), (v.real.T @ wg.real + v.imag.T @ wg.imag)
+    determinant = uu * vv - uv**2
+    live = determinant > 1e-12 * uu * vv
+    inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=live)
+    gains = np.sum((vv * gu**2 - 2 * uv * gu * gv + uu * gv**2) * inverse, axis=1)
+    top = int(np.argmax(gains))
+    a, b = (vv * gu - uv * gv)[top] * inverse[top], (uu * gv - uv * gu)[top] * inverse[top]
+    return complex(poles[top]), np.asarray(a + 1j * b), float(gains[top])
