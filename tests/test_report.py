@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from twin.commands.view import view
 from twin.errors import InputError
 from twin.model.frf import frf
 from twin.model.linear import linearise
@@ -270,13 +271,12 @@ def test_view_says_in_one_line_why_it_opens_nothing(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no such file"):
         scene.view(tmp_path / "gone.rrd")
     with pytest.raises(InputError, match="no such robot"):
-        scene.view("kr91")
-    line = scene.view("kr90", out=tmp_path / "out")
-    assert "no display" in line
-    assert "\n" not in line
-    assert str(tmp_path / "out" / "kr90.rrd") in line
-    assert scene.view(tmp_path) == line
-    moving = scene.read_back(tmp_path / "out" / "kr90.rrd")["/mode1/link3"]["Transform3D:translation"]
+        view("kr91")
+    line = view("kr90", tmp_path / "kr90.rrd")
+    assert line == f"wrote {tmp_path / 'kr90.rrd'}"
+    assert "no display" in scene.view(tmp_path)
+    assert "\n" not in scene.view(tmp_path)
+    moving = scene.read_back(tmp_path / "kr90.rrd")["/mode1/link3"]["Transform3D:translation"]
     assert np.ptp(moving, axis=0).max() > 1e-3
 
 

@@ -18,9 +18,8 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
-from twin.model.linear import linearise, posture_state
-from twin.model.modes import Modes, modes
-from twin.robot.description import load_robot
+from twin.model.linear import posture_state
+from twin.model.modes import Modes
 from twin.robot.frames import matrix_of
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import compile_model
@@ -343,14 +342,11 @@ def write_replay(
         finish(_blueprint(rrb.Horizontal(picture, rrb.Vertical(*curves)) if torque else picture, "t"))
 
 
-def view(path: str | Path, q: np.ndarray | None = None, out: str | Path | None = None) -> str:
+def view(path: str | Path) -> str:
     """Open recordings in the Rerun viewer, or say why that cannot be.
 
     Args:
-        path: an ``.rrd``, a folder that holds some, or a robot (shipped name, ``robot.yaml``, URDF), whose modes are
-            then recorded.
-        q: (n,) posture of a robot, rad (m); by default zero, or the limit next to it.
-        out: folder for a robot's recording; a temporary one by default.
+        path: an ``.rrd``, or a folder that holds some.
 
     Returns:
         One line that says what was opened, or where the recording lies and how to open it on a machine with a screen.
@@ -359,23 +355,11 @@ def view(path: str | Path, q: np.ndarray | None = None, out: str | Path | None =
         InputError: nothing there that can be shown.
     """
     path = Path(path)
-    if path.is_dir():
-        files = sorted(path.rglob("*.rrd"))
-        if not files:
-            raise InputError(path, "", "no .rrd recording in this folder")
-    elif path.suffix == ".rrd":
-        if not path.is_file():
-            raise InputError(path, "", "no such file")
-        files = [path]
-    else:
-        robot = load_robot(str(path))
-        if q is None:
-            limits = [axis.limits.position if axis.limits else None for axis in robot.axes]
-            q = np.array([np.clip(0.0, *pair) if pair else 0.0 for pair in limits])
-        mechanism = assemble(robot, q)
-        folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="twin-"))
-        files = [folder / f"{robot.name}.rrd"]
-        write_modes(files[0], mechanism, modes(linearise(mechanism)))
+    files = sorted(path.rglob("*.rrd")) if path.is_dir() else [path]
+    if not files:
+        raise InputError(path, "", "no .rrd recording in this folder")
+    if not files[0].is_file():
+        raise InputError(path, "", "no such file")
     names = " ".join(str(file) for file in files)
     remedy = f"copy the recording to a machine with a screen and open it there: rerun {names}"
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):

@@ -18,7 +18,7 @@ TIMESTEP_S = 0.001
 EQUIVALENT_HZ = 15.0
 """Structural damping is written as the viscous damper that dissipates as much at this frequency."""
 
-ROTOR_MASS = 1e-6  # kg: MuJoCo refuses moving bodies without mass; a link's mass already holds its motor's
+ROTOR_MASS = 1e-9  # kg: MuJoCo refuses moving bodies without mass; a link's mass already holds its motor's
 SERVO_HZ = 30.0  # bandwidth of the position servo where the description gives no gains
 SERVO_DAMPING = 0.7
 
