@@ -105,6 +105,9 @@ def _campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--peak-n", type=float, default=default.peak_n, help="hammer's peak force (default 300)")
     parser.add_argument("--force-levels", type=float, nargs="+", default=[], metavar="N", help="one group per level")
     parser.add_argument(
+        "--spread", type=float, default=0.0, help="the hits averaged differ in force by this share (±; default 0)"
+    )
+    parser.add_argument(
         "--window", type=float, help="exponential window left in the FRFs, 1/s (default none; levels: 5/T)"
     )
     parser.add_argument("--hits", type=int, default=0, help="write raw hits, this many per point")
@@ -151,7 +154,7 @@ def campaign(options: argparse.Namespace) -> None:
     test = HammerTest(
         options.start_hz, options.spacing_hz, options.lines, options.averages, options.noise, options.scatter,
         options.coherence, options.peak_n, levels_n=tuple(options.force_levels), window=options.window,
-        hits=options.hits, double_hits=options.double_hits,
+        spread=options.spread, hits=options.hits, double_hits=options.double_hits,
     )  # fmt: skip
     effects = tuple(parse(text) for text in options.effect)
     truth = draw_truth(options.seed, effects, postures, tolerances, chain=chain, sag=not options.no_sag)

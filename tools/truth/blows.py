@@ -5,6 +5,8 @@ nonlinear joint torque is approximated, implicit and of second order. Deflection
 milliradian, so geometry and M stay those of the posture.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import expm
 from scipy.signal import zoom_fft
@@ -78,6 +80,121 @@ def strike(
         x += torque_late @ g
     out[:ends] += (response @ push) * force[:samples, None, :]
     return out
+
+
+def nonlinear_frf(
+    structures: list[Structure],
+    responses: list[Array],
+    excitations: list[Array],
+    force: Array,
+    rate_hz: float,
+    samples: int,
+    frequency: Array,
+    decay: float,
+) -> list[Complex]:
+    """Receptances (nf, nr, nb) of nonlinear structures, one per posture, each struck by the same forces (nt, nb).
+
+    Response = linear response to the blow + linear response to the nonlinear joint torques g(t). Only g needs time
+    stepping, in the modes of the linear part and for all postures at once; the rest is done in frequency.
+    """
+    together = max(1, 400 // len(excitations[0]))  # columns that fit in the cache, and in memory as time goes
+    g: list[Array] = []
+    for i in range(0, len(structures), together):
+        chosen = slice(i, i + together)
+        g += joint_torques(structures[chosen], excitations[chosen], force, rate_hz, samples)
+    s = decay + 2j * np.pi * frequency
+    blow = transform(force, rate_hz, frequency, decay)[:, None, :]
+    found = []
+    for structure, response, excitation, torque in zip(structures, responses, excitations, g, strict=True):
+        joints = np.eye(len(structure.names))[list(structure.laws)]
+        reaction = transform(torque, rate_hz, frequency, decay) / blow
+        linear = structure.receptance(s, response, excitation)
+        found.append(linear - structure.receptance(s, response, joints) @ reaction)
+    return found
+
+
+def joint_torques(
+    structures: list[Structure], excitations: list[Array], force: Array, rate_hz: float, samples: int
+) -> list[Array]:
+    """Torques (samples, nlaw, nb) that the nonlinear joints of each structure add to their springs after a blow."""
+    parts = [_modal(structure, rows, rate_hz) for structure, rows in zip(structures, excitations, strict=True)]
+    modes = max(part[0].shape[0] for part in parts)
+
+    def side_by_side(index: int) -> Array:
+        columns = [part[index] for part in parts]
+        pads = [((0, modes - c.shape[0]), *((0, 0),) * (c.ndim - 1)) for c in columns]
+        return np.concatenate([np.pad(c, pad) for c, pad in zip(columns, pads, strict=True)], axis=-1)
+
+    # (mode, column): decay over a step, blow and torque inputs at its start and end, reading of φ and φ̇.
+    fade, push_early, push_late = (side_by_side(i) for i in range(3))
+    torque_early, torque_late, read = (side_by_side(i) for i in range(3, 6))
+    columns = fade.shape[1]
+    waves = np.tile(force, (1, len(structures)))
+    each = np.repeat(np.arange(len(structures)), [len(rows) for rows in excitations])
+    laws, rest, states, offset = [], [], [], []
+    for m in range(len(structures[0].laws)):
+        by_posture = [list(structure.laws.items())[m] for structure in structures]
+        laws.append(replace(by_posture[0][1], k=np.array([law.k for _, law in by_posture])[each]))
+        rest.append(
+            np.array([law.rest(s.preload[j]) for s, (j, law) in zip(structures, by_posture, strict=True)])[each]
+        )
+        value, state = laws[m].extra(rest[m], np.zeros(columns), laws[m].start((columns,)))
+        offset.append(value)
+        states.append(state)
+
+    count = len(laws)
+    # φ and φ̇ of joint a answer a torque at joint b at the end of the same step, (2, a, b, column).
+    own = np.einsum("mxac,mbc->xabc", read, torque_late).real
+    z, g = np.zeros(fade.shape, complex), np.zeros((count, columns))
+    out = np.empty((samples, count, columns))
+    for k in range(samples):
+        out[k] = g
+        z *= fade
+        for b in range(count):
+            z += torque_early[:, b] * g[b]
+        if k < len(waves):
+            z += push_early * waves[k]
+            if k + 1 < len(waves):
+                z += push_late * waves[k + 1]
+        free = (
+            np.einsum("mxac,mc->xac", read, z).real if count > 1 else (read[:, :, 0] * z[:, None]).sum(0).real[:, None]
+        )
+        for _ in range(2):
+            x, v = free + np.einsum("xabc,bc->xac", own, g)
+            new = [law.extra(rest[m] + x[m], v[m], states[m]) for m, law in enumerate(laws)]
+            g = np.array([value - offset[m] for m, (value, _) in enumerate(new)])
+        states = [state for _, state in new]
+        for b in range(count):
+            z += torque_late[:, b] * g[b]
+    return np.split(out, np.cumsum([len(rows) for rows in excitations])[:-1], axis=-1)
+
+
+def _modal(structure: Structure, excitation: Array, rate_hz: float) -> tuple[Array, ...]:
+    """Modal propagation of the linear part over a step, inputs linear in between; last axis: blows.
+
+    Conjugate pairs are kept once and read twice.
+    """
+    n, blows, joints = len(structure.names), len(excitation), list(structure.laws)
+    inverse = np.linalg.inv(structure.mass)
+    drift = -inverse @ np.hstack([structure.stiffness, structure.damping])
+    roots, vectors = np.linalg.eig(np.vstack([np.eye(2 * n)[n:], drift]))
+    into = np.linalg.inv(vectors)[:, n:] @ inverse
+    keep = roots.imag >= 0
+    roots, vectors, into = roots[keep], vectors[:, keep] * np.where(roots[keep].imag > 0, 2, 1), into[keep]
+    w = roots / rate_hz
+    # ∫ e^{λ(h−t)} (1 − t/h) dt and ∫ e^{λ(h−t)} t/h dt
+    late = (np.exp(w) - 1 - w) / (w * roots)
+    early = (np.exp(w) - 1) / roots - late
+    push, torque = into @ excitation.T, -into[:, joints]
+    read = np.stack([vectors[joints], vectors[[n + j for j in joints]]]).transpose(2, 0, 1)
+    return (
+        np.repeat(np.exp(w)[:, None], blows, 1),
+        early[:, None] * push,
+        late[:, None] * push,
+        np.repeat((early[:, None] * torque)[:, :, None], blows, 2),
+        np.repeat((late[:, None] * torque)[:, :, None], blows, 2),
+        np.repeat(read[..., None], blows, 3),
+    )
 
 
 def transform(signal: Array, rate_hz: float, frequency: Array, decay: float = 0.0) -> Complex:

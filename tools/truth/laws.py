@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +14,30 @@ from tools.truth.effects import Effect
 Complex = NDArray[Any]
 
 
-class JointLaw(Protocol):
-    """A joint torque beside the linear spring `k` of its hinge, as a function of deflection, rate and history."""
+@dataclass(frozen=True)
+class JointLaw:
+    """A joint torque beside the linear spring `k` of its hinge, as a function of deflection, rate and history.
+
+    `k` N·m/rad may be an array, one for each of the motions stepped together.
+    """
+
+    k: Any
 
     def rest(self, torque: float) -> float:
         """Deflection that carries a static torque, spring included."""
+        return torque / float(self.k)
 
     def tangent(self, torque: float) -> tuple[float, float]:
         """Stiffness and damping added to the spring at vanishing amplitude about that rest."""
+        return 0.0, 0.0
 
     def start(self, shape: tuple[int, ...]) -> Array:
         """State of the law at rest, for motions of this shape."""
+        return np.zeros((0, *shape))
 
     def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
         """Torque added to the spring's, and the new state, when deflection and rate become x, v."""
+        raise NotImplementedError
 
 
 def frequency_term(effect: Effect, stiffness: Array) -> Callable[[Complex], Complex] | None:
@@ -54,10 +64,9 @@ def joint_law(effect: Effect, stiffness: Array) -> JointLaw | None:
 
 
 @dataclass(frozen=True)
-class Hardening:
+class Hardening(JointLaw):
     """kφ + k₃φ³, φ from the unloaded spring."""
 
-    k: float
     cubic: float
 
     def rest(self, torque: float) -> float:
@@ -67,44 +76,34 @@ class Hardening:
     def tangent(self, torque: float) -> tuple[float, float]:
         return 3 * self.cubic * self.rest(torque) ** 2, 0.0
 
-    def start(self, shape: tuple[int, ...]) -> Array:
-        return np.zeros((0, *shape))
-
     def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
         return self.cubic * x**3, state
 
 
 @dataclass(frozen=True)
-class Backlash:
+class Backlash(JointLaw):
     """k · dead zone of φ, total width `gap`; the damper stays beside it."""
 
-    k: float
     gap: float
 
     def rest(self, torque: float) -> float:
-        return torque / self.k + np.sign(round(torque, 6)) * self.gap / 2
+        """On the flank that the torque presses; in the middle of the gap when there is none (below 1e-6 N·m)."""
+        return torque / float(self.k) + float(np.sign(round(torque, 6))) * self.gap / 2
 
     def tangent(self, torque: float) -> tuple[float, float]:
-        return (0.0 if round(torque, 6) else -self.k * float(self.gap > 0)), 0.0
-
-    def start(self, shape: tuple[int, ...]) -> Array:
-        return np.zeros((0, *shape))
+        return (0.0 if round(torque, 6) or not self.gap else -float(self.k)), 0.0
 
     def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
         half = self.gap / 2
-        return -self.k * np.clip(x, -half, half), state
+        return -self.k * np.minimum(np.maximum(x, -half), half), state
 
 
 @dataclass(frozen=True)
-class Slip:
+class Slip(JointLaw):
     """Elastic–perfectly-plastic elements beside the spring, relaxed at rest."""
 
-    k: float
     stiffness: Array
     yield_torque: Array
-
-    def rest(self, torque: float) -> float:
-        return torque / self.k
 
     def tangent(self, torque: float) -> tuple[float, float]:
         return float(self.stiffness.sum()), 0.0
@@ -117,25 +116,17 @@ class Slip:
         lead = (slice(None), *(None,) * x.ndim)
         moved = np.where(np.isnan(state[-1]), 0.0, x - state[-1])
         limit = self.yield_torque[lead]
-        torque = np.clip(state[:-1] + self.stiffness[lead] * moved, -limit, limit)
-        return torque.sum(0), np.concatenate([torque, x[None]])
+        new = np.empty_like(state)
+        new[:-1] = np.minimum(np.maximum(state[:-1] + self.stiffness[lead] * moved, -limit), limit)
+        new[-1] = x
+        return new[:-1].sum(0), new
 
 
 @dataclass(frozen=True)
-class QuadraticDrag:
+class QuadraticDrag(JointLaw):
     """c φ̇|φ̇|, as of an eddy-current damper."""
 
-    k: float
     coefficient: float
-
-    def rest(self, torque: float) -> float:
-        return torque / self.k
-
-    def tangent(self, torque: float) -> tuple[float, float]:
-        return 0.0, 0.0
-
-    def start(self, shape: tuple[int, ...]) -> Array:
-        return np.zeros((0, *shape))
 
     def extra(self, x: Array, v: Array, state: Array) -> tuple[Array, Array]:
         return self.coefficient * v * np.abs(v), state

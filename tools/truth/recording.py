@@ -15,7 +15,7 @@ from zlib import crc32
 import h5py
 import numpy as np
 
-from tools.truth.blows import half_sine, strike, transform
+from tools.truth.blows import half_sine, nonlinear_frf, strike, transform
 from tools.truth.chain import POSTURES_DEG, Array, Chain, Tolerances, flange_position, kr90, perturb
 from tools.truth.effects import EFFECTS, Effect, TruthError, draw
 from tools.truth.elastic import AXES, Structure, assemble, rotation_about
@@ -87,7 +87,8 @@ class HammerTest:
     m/s²/√Hz, `scatter` the relative spread of one hit's FRF. Coherence is either the one that the noise level
     implies ("expected") or what an analyser estimates from the averages ("estimated": scattered, and its variance
     too small by (n−1)/n). `levels_n`: peak forces, one group of the file each; empty: one level, `peak_n`, and no
-    level recorded. `window` 1/s: rate of the exponential window left in the
+    level recorded. `spread`: relative difference (±) in force of the blows averaged, which
+    a nonlinear robot answers with scatter. `window` 1/s: rate of the exponential window left in the
     FRFs; by default none, or five per record where blows are simulated in time, whose ends would leak.
     """
 
@@ -102,6 +103,7 @@ class HammerTest:
     pulse_s: float = 0.008
     levels_n: tuple[float, ...] = ()
     window: float | None = None
+    spread: float = 0.0
     hits: int = 0
     hit_rate_hz: float = 1024.0
     double_hits: float = 0.0
@@ -225,41 +227,48 @@ def structure_at(truth: Truth, posture: Posture) -> Structure:
     return assemble(truth.chain, q, truth.effects, brakes_on=posture.brakes == "on", sag=truth.sag)
 
 
-def accelerance(truth: Truth, posture: Posture, test: HammerTest) -> Complex:
-    """Noise-free FRFs (nlevel, nf, nr, ne), (m/s²)/N, one for each of the test's force levels."""
-    structure = structure_at(truth, posture)
-    response, excitation = rows(truth, structure)
+def accelerance(
+    truth: Truth, postures: tuple[Posture, ...], test: HammerTest, rng: np.random.Generator | None = None
+) -> list[Complex]:
+    """Noise-free FRFs of each posture, (nlevel, nhit, nf, nr, ne), (m/s²)/N.
+
+    One hit is enough for a linear truth; a nonlinear one has `averages` when the test's blows differ in force, drawn
+    from `rng`.
+    """
+    structures = [structure_at(truth, posture) for posture in postures]
+    directions = [rows(truth, structure) for structure in structures]
     s = test.decay + 2j * np.pi * test.frequency
-    ne, levels = len(excitation), len(test.peaks)
-    if structure.laws:
-        force = half_sine(np.repeat(test.peaks, ne), test.pulse_s, STEP_HZ)
-        blows = np.tile(excitation, (levels, 1))
-        signal = strike(structure, response, blows, force, STEP_HZ, round(STEP_HZ / test.spacing_hz))
-        frf = transform(signal, STEP_HZ, test.frequency, test.decay)
-        frf /= transform(force, STEP_HZ, test.frequency, test.decay)[:, None, :]
-        frf = frf.reshape(len(s), len(response), levels, ne).transpose(2, 0, 1, 3)
+    if structures[0].laws:
+        shape = (len(test.peaks), test.averages if test.spread else 1, len(HAMMER))
+        spread = test.spread * (rng or np.random.default_rng(0)).uniform(-1, 1, shape)
+        peaks = np.asarray(test.peaks)[:, None, None] * (1 + spread)
+        force = half_sine(peaks.ravel(), test.pulse_s, STEP_HZ)
+        response, blows = [r for r, _ in directions], [np.tile(e, (shape[0] * shape[1], 1)) for _, e in directions]
+        samples = round(STEP_HZ / test.spacing_hz)
+        flat = nonlinear_frf(structures, response, blows, force, STEP_HZ, samples, test.frequency, test.decay)
+        receptance = [f.reshape(*f.shape[:2], *shape).transpose(2, 3, 0, 1, 4) for f in flat]
     else:
-        frf = structure.receptance(s, response, excitation) * (s**2)[:, None, None]
-        frf = np.broadcast_to(frf, (levels, *frf.shape))
-    return frf * channel_factor(truth, s)[:, :, None]
+        linear = [x.receptance(s, *d) for x, d in zip(structures, directions, strict=True)]
+        receptance = [np.tile(f, (len(test.peaks), 1, 1, 1, 1)) for f in linear]
+    factor = ((s**2)[:, None] * channel_factor(truth, s))[:, :, None]
+    return [frf * factor for frf in receptance]
 
 
 def average(frf: Complex, test: HammerTest, peak_n: float, rng: np.random.Generator) -> tuple[Complex, Array]:
-    """H1 estimate and coherence (nf, nr, ne) over the test's hits, noise in the responses."""
+    """H1 estimate and coherence (nf, nr, ne) from the FRFs (nhit or 1, nf, nr, ne) of the hits, noise added."""
     pulse = transform(half_sine(np.array([peak_n]), test.pulse_s, 8 * STEP_HZ), 8 * STEP_HZ, test.frequency)
     duration = 1 / test.spacing_hz
     seen = -np.expm1(-2 * test.decay * duration) / (2 * test.decay) if test.decay else duration
     variance = test.noise**2 * seen / 2 / np.abs(pulse[:, None, :]) ** 2 + (test.scatter * np.abs(frf)) ** 2
-    shape = (test.averages, *frf.shape)
-    noise = np.sqrt(variance / 2) * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
-    single = frf + noise
+    shape = (test.averages, *frf.shape[1:])
+    single = frf + np.sqrt(variance / 2) * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
     mean = single.mean(0)
-    power = (np.abs(single) ** 2).mean(0)
     if test.coherence == "estimated":
-        return mean, np.abs(mean) ** 2 / power
+        power = (np.abs(single) ** 2).mean(0)
+        return mean, np.divide(np.abs(mean) ** 2, power, out=np.ones(power.shape), where=power > 0)
     # A channel without signal or noise has no coherence to speak of: 1 there, as without noise.
-    total = np.abs(frf) ** 2 + variance
-    return mean, 1 - np.divide(variance, total, out=np.zeros_like(total), where=total > 0)
+    signal, total = np.abs(frf.mean(0)) ** 2, (np.abs(frf) ** 2 + variance).mean(0)
+    return mean, np.divide(signal, total, out=np.ones(total.shape), where=total > 0)
 
 
 def raw_hits(
@@ -334,8 +343,8 @@ def write_campaign(
                 group["body"] = [c.body for c in channels]
                 group["position"] = np.array([c.position for c in channels])
                 group["direction"] = np.array([c.direction for c in channels])
-            for posture in postures:
-                exact = None if test.hits else accelerance(truth, posture, test)
+            frfs = [None] * len(postures) if test.hits else accelerance(truth, postures, test, rng)
+            for posture, exact in zip(postures, frfs, strict=True):
                 for i, level in enumerate(test.peaks):
                     name = posture.name + (f"@{level:g}N" if test.levels_n else "")
                     group = file.create_group(f"postures/{name}")
