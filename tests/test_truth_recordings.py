@@ -205,6 +205,18 @@ def test_the_same_seed_is_the_same_robot_and_payload_in_both_recordings(tmp_path
         (["campaign", "--effect", "payload@flange:com=1"], "expected 3 numbers"),
         (["campaign", "--posture", "a=1,2"], "degrees"),
         (["campaign", "--hinges", "1", "--effect", "structural_damping@joint1.x"], "rigid"),
+        (
+            [
+                "campaign",
+                "--force-levels",
+                "9",
+                "--effect",
+                "backlash@joint1.z",
+                "--effect",
+                "structural_damping@joint2.z",
+            ],
+            "frequency only",
+        ),
         (["campaign", "--hits", "1", "--effect", "fractional_damper@joint1.z"], "frequency only"),
         (["campaign", "--hits", "1", "--effect", "time_delay@sensor:21X+"], "no --hits"),
         (["log", "--effect", "base_compliance@base.rx"], "for `campaign`"),

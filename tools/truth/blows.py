@@ -30,8 +30,7 @@ def strike(
 
     Blow b pushes along row `excitation[b]` with `force[:, b]` N, sampled at `rate_hz` and zero afterwards.
     """
-    if structure.dynamic:
-        raise TruthError("blows in time: expected effects with a law in time; one here is defined in frequency only")
+    _check(structure)
     n, blows = len(structure.names), len(excitation)
     inverse = np.linalg.inv(structure.mass)
     drift = -inverse @ np.hstack([structure.stiffness, structure.damping])
@@ -80,6 +79,11 @@ def strike(
         x += torque_late @ g
     out[:ends] += (response @ push) * force[:samples, None, :]
     return out
+
+
+def _check(structure: Structure) -> None:
+    if structure.dynamic:
+        raise TruthError("blows in time: expected effects with a law in time; one here is defined in frequency only")
 
 
 def nonlinear_frf(
@@ -174,6 +178,7 @@ def _modal(structure: Structure, excitation: Array, rate_hz: float) -> tuple[Arr
 
     Conjugate pairs are kept once and read twice.
     """
+    _check(structure)
     n, blows, joints = len(structure.names), len(excitation), list(structure.laws)
     inverse = np.linalg.inv(structure.mass)
     drift = -inverse @ np.hstack([structure.stiffness, structure.damping])
