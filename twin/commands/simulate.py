@@ -69,8 +69,9 @@ class Simulation:
 
     def __str__(self) -> str:
         case = self.case
-        angles = ", ".join(f"{value:g}" for value in case.q_deg)
-        lines = [f"{case.robot.name} · {case.name} ({angles})° · brakes {case.brakes}"]
+        units = ["°" if axis.type == "revolute" else " m" for axis in case.robot.axes]
+        position = ", ".join(f"{value:g}{unit}" for value, unit in zip(case.q_deg, units, strict=True))
+        lines = [f"{case.robot.name} · {case.name} ({position}) · brakes {case.brakes}"]
         if len(self.modes):
             lines.append("  mode   frequency   damping   deflections that dominate (share of strain energy)")
         else:
@@ -94,7 +95,7 @@ class Simulation:
         for name, found in self.replays.items():
             torque = ", ".join(f"{value:.0f}" for value in _rms(found.replay.torque))
             error = ", ".join(f"{value:.1f}" for value in _rms(found.replay.torque - found.inverse))
-            lines.append(f"  replay {name}: torque RMS {torque} N·m; beyond inverse dynamics {error} N·m")
+            lines.append(f"  replay {name}: torque RMS {torque} N·m (N); beyond inverse dynamics {error}")
         if self.files:
             lines.append("  wrote " + ", ".join(self.files))
         return "\n".join(lines)
@@ -227,6 +228,7 @@ def _write(found: Simulation, out: Path) -> None:
             name("frf.png"),
         )  # fmt: skip
     if found.replays:
+        units = ["N·m" if axis.type == "revolute" else "N" for axis in case.robot.axes]
         from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
 
         runs = {}
@@ -237,7 +239,7 @@ def _write(found: Simulation, out: Path) -> None:
             )
             stem = "replay" if len(found.replays) == 1 else f"replay-{key}"
             figures.save(
-                figures.replay(r.time, item.run.torque, r.torque, item.inverse, case.robot.joint_names),
+                figures.replay(r.time, item.run.torque, r.torque, item.inverse, case.robot.joint_names, units),
                 name(f"{stem}.png"),
             )
             torque = {"twin": r.torque, "inverse dynamics": item.inverse}

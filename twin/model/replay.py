@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
@@ -41,17 +41,24 @@ class Replay:
 
 
 def motion_of(run: MotionRun) -> Motion:
-    """Positions, velocities and accelerations of a run; those it does not hold are differentiated."""
-    even = np.arange(len(run.time)) / run.sample_rate_hz + run.time[0]
+    """Positions, velocities and accelerations of a run; those it does not hold are differentiated.
+
+    A trajectory is exact and is differentiated as a spline; a recording is noisy and is low-passed with it.
+    """
     velocity, acceleration = run.velocity, run.acceleration
     if velocity is None or acceleration is None:
-        position = run.position
-        if np.abs(run.time - even).max() > 0.1 / run.sample_rate_hz:
-            position = CubicSpline(run.time, position)(even)
-        stop = min(SMOOTH_HZ[1], 0.4 * run.sample_rate_hz)
-        smooth = [lowpass(position, run.sample_rate_hz, 0.8 * stop, stop, k) for k in (1, 2)]
-        velocity = smooth[0] if velocity is None else velocity
-        acceleration = smooth[1] if acceleration is None else acceleration
+        if run.torque is None:
+            spline = make_interp_spline(run.time, run.position, k=min(5, len(run.time) - 1))
+            first, second = spline.derivative(1)(run.time), spline.derivative(2)(run.time)
+        else:
+            stop = min(SMOOTH_HZ[1], 0.4 * run.sample_rate_hz)
+            even = run.time[0] + np.arange(len(run.time)) / run.sample_rate_hz
+            position = run.position
+            if np.abs(run.time - even).max() > 0.1 / run.sample_rate_hz:
+                position = CubicSpline(run.time, position)(even)
+            first, second = (lowpass(position, run.sample_rate_hz, 0.8 * stop, stop, k) for k in (1, 2))
+        velocity = first if velocity is None else velocity
+        acceleration = second if acceleration is None else acceleration
     return Motion(run.time, run.position, velocity, acceleration)
 
 
