@@ -333,8 +333,23 @@ class _Band:
     def _price(self, fit: ModalFit) -> float:
         """Rise of chi2 below which a mode is not worth its parameters (Schwarz 1978), with noise as fitted."""
         _, no, ni = self.frf.shape
-        noise = max(fit.chi2 / fit.dof, float(np.median(self.floor / self.variance)))
-        return (2 * no + 2 * ni) * np.log(2 * self.frf.size) * noise
+        live = np.isfinite(self.floor)
+        noise = max(fit.chi2 / fit.dof, float(np.median(self.floor[live] / self.variance[:, live])))
+        return (2 * no + 2 * ni) * np.log(2 * self.frf.size) * noise * self.repetition
+
+    @property
+    def repetition(self) -> float:
+        """Lines that say the same: an exponential window of rate σ over T correlates the noise of neighbouring lines.
+
+        T ∫ w⁴ / (∫ w²)² for w = exp(−σt) over the record length T, one over the distance of the lines.
+        """
+        a = self.rate * (self.frequency.size - 1) / (self.frequency[-1] - self.frequency[0])
+        return float(a * -np.expm1(-4 * a) / np.expm1(-2 * a) ** 2) if a > 1e-6 else 1.0
+
+    def _deviations(self, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
+        """Of frequency in Hz and of the damping ratio, as few independent lines as there are."""
+        frequency, damping = fit.deviations()
+        return frequency * np.sqrt(self.repetition), damping * np.sqrt(self.repetition)
 
     def _refitted(self, poles: ComplexArray, participation: ComplexArray) -> ModalFit:
         return fit_modes(self.frf, self.s, self.variance, poles, participation)
@@ -356,11 +371,10 @@ class _Band:
                 return fit
         return fit
 
-    @staticmethod
-    def _doubtful(fit: ModalFit) -> list[int]:
+    def _doubtful(self, fit: ModalFit) -> list[int]:
         """Modes of implausible or uncertain damping, or that share frequency and shape with another; weakest first."""
         poles, damping = fit.model.poles, fit.damping
-        uncertain = fit.deviations()[1] > HELD_DAMPING * damping
+        uncertain = self._deviations(fit)[1] > HELD_DAMPING * damping
         implausible = (damping < DAMPING_RANGE[0]) | (damping > DAMPING_RANGE[1])
         bandwidth = -2 * poles.real
         close = np.abs(poles[:, None] - poles) < np.maximum(bandwidth[:, None], bandwidth)
@@ -401,7 +415,7 @@ class _Band:
 
     def modes(self, fit: ModalFit, start: float, end: float) -> list[Mode]:
         """The modes of a fit that lie within a band and are physical."""
-        frequency_std, damping_std = fit.deviations()
+        frequency_std, damping_std = self._deviations(fit)
         shape, participation = real_phase(fit.model.shape), real_phase(fit.model.participation)
         collinear = mpc(fit.model.shape)
         if self.turned:

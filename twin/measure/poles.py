@@ -104,7 +104,8 @@ def plscf(
     for p in orders:
         n = p + 1
         r_p = r_full[:, :n, :n]
-        ridge = RIDGE * np.trace(r_p, axis1=1, axis2=2)[:, None, None] * np.eye(n)
+        trace = np.trace(r_p, axis1=1, axis2=2)[:, None, None]
+        ridge = np.where(trace > 0, RIDGE * trace, 1) * np.eye(n)  # 1: an output without weight takes no part
         s_p = s_full[:, :n, :n].reshape(no, n, n * ni)
         numerator = -np.linalg.solve(r_p + ridge, s_p)  # coefficients of B per unit of A
         m = t_full[:n, :, :n].reshape(n * ni, n * ni) + np.einsum("oka,okb->ab", s_p.conj(), numerator, optimize=True)

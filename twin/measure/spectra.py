@@ -161,8 +161,9 @@ def spectra(
 ) -> Spectra:
     """Average the accepted hits of every excitation.
 
-    H1 = S_fx/S_ff for noise on the response, H2 = S_xx/S_xf for noise on the force, Hv the geometric mean that halves
-    the difference (Rocklin, Crowley & Vold 1985). Records that carry their windows get no others.
+    H1 = S_fx/S_ff for noise on the response, H2 = S_xx/S_xf for noise on the force, Hv their geometric mean: total
+    least squares with each side scaled by its own power, so that it does not depend on units. Records that carry
+    their windows get no others.
 
     Args:
         hits: time records.
