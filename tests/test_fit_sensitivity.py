@@ -1,0 +1,199 @@
+"""The closed-form matrices and their derivatives against MuJoCo's linearisation and finite differences of it."""
+
+import numpy as np
+import pytest
+
+from twin.identify.parameters import (
+    Parameters,
+    entry_parameter,
+    free_parameters,
+    independent,
+    join,
+    link_parameters,
+)
+from twin.identify.sensitivity import (
+    Setup,
+    contract,
+    frf,
+    frf_slopes,
+    observe,
+    pole_slopes,
+    poles,
+    slopes,
+    structure,
+)
+from twin.measure.campaign import Channels
+from twin.model.frf import frf as reference_frf
+from twin.model.frf import measurement_chain
+from twin.model.linear import linearise
+from twin.model.modes import modes
+from twin.robot.description import Robot, load_robot, parse_robot
+from twin.robot.mechanism import assemble
+
+Q_DEG = (20.0, 70.0, -100.0)
+S = 2j * np.pi * np.linspace(5.0, 30.0, 60) + 0.3  # an exponential window of 0.3 1/s is still in the FRFs
+
+EXTRA = (
+    {"effect": "base_compliance", "site": "base.rx", "stiffness": 3e7, "damping": 2e3},
+    {"effect": "base_compliance", "site": "base.z", "stiffness": 2e8, "damping": 2e3},
+    {"effect": "link_flexibility", "site": "link2.y", "stiffness": 2e7, "damping": 300},
+    {"effect": "servo_compliance", "site": "joint3", "stiffness": 2e7, "damping": 5e3},
+    {"effect": "payload", "site": "flange", "mass": 20, "com": [1.7, 0.0, 0.1]},
+    {
+        "effect": "attached_resonator", "site": "link3", "mass": 12, "frequency_hz": 17, "damping_ratio": 0.02,
+        "axis": "y", "position": [0.9, 0.1, 0.1],
+    },
+    {"effect": "structural_damping", "site": "joint2.z", "loss_factor": 0.02},
+    {"effect": "hardening_stiffness", "site": "joint2.z", "cubic": 3e12},
+    {"effect": "hysteresis", "site": "joint1.z", "stiffness": [4e5, 3e5], "yield_torque": [20, 40]},
+    {"effect": "sensor_misalignment", "site": "sensor:21", "angles": [0.02, -0.03, 0.01]},
+    {"effect": "hammer_misalignment", "site": "hammer:9Y+", "angles": [0.05, 0.02]},
+    {"effect": "time_delay", "site": "sensor:21Y+", "delay": 4e-4},
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def full(kr90: Robot) -> Robot:
+    """kr90 with one of everything a hammer test can show."""
+    data = kr90.model_dump(mode="json")
+    data["physics"] += [dict(entry) for entry in EXTRA]
+    return parse_robot(data)
+
+
+def channels(robot: Robot, labels: tuple[str, ...]) -> Channels:
+    points = {point.label: point for point in robot.test_points}
+    return Channels(
+        labels, tuple(points[x].body for x in labels), np.array([points[x].position for x in labels]),
+        np.array([points[x].direction for x in labels]),
+    )  # fmt: skip
+
+
+def setup_of(robot: Robot) -> Setup:
+    labels = tuple(point.label for point in robot.test_points)
+    return Setup("milling", robot.angles(Q_DEG), "off", channels(robot, labels[-3:]), channels(robot, labels[3::4]))
+
+
+@pytest.mark.parametrize("deflected", [False, True])
+def test_matrices_are_those_of_mujoco(full: Robot, deflected: bool) -> None:
+    q = full.angles(Q_DEG) + (0.01 if deflected else 0)
+    mechanism = assemble(full, q, brakes="off")
+    expected, found = linearise(mechanism), structure(mechanism)
+    assert found.coordinates == expected.coordinates
+    for name in ("M", "C", "K", "loss"):
+        reference = getattr(expected, name)
+        np.testing.assert_allclose(getattr(found, name), reference, atol=2e-7 * np.abs(reference).max())
+
+
+@pytest.mark.parametrize("urdf", ["arm6.urdf", "arm_linear.urdf"])
+def test_matrices_of_other_robots_are_those_of_mujoco(urdf: str, request: pytest.FixtureRequest) -> None:
+    """Six axes and a linear one: nothing is made for three revolute axes."""
+    robot = load_robot(request.path.parent / "data" / urdf)
+    axes = [axis.model_copy(update={"stiffness": 1e6, "damping": 1e3}) for axis in robot.axes]
+    robot = robot.model_copy(update={"axes": axes})
+    q = [np.mean(axis.limits.position) if axis.limits and axis.limits.position else 0.3 for axis in axes]
+    mechanism = assemble(robot, np.array(q))
+    expected, found = linearise(mechanism), structure(mechanism)
+    for name in ("M", "C", "K"):
+        reference = getattr(expected, name)
+        np.testing.assert_allclose(getattr(found, name), reference, atol=1e-7 * np.abs(reference).max())
+    parameters = free_parameters(robot, ["p"])
+    setup = Setup("p", np.array(q), "on", *[channels(robot, (robot.test_points[0].label,))] * 2)
+    values = parameters.values(np.zeros(len(parameters)))
+    seen, model = observe(robot, setup, parameters, values)
+    rate = slopes(robot, setup, parameters, values, seen, model)
+    for k in [k for k, parameter in enumerate(parameters) if parameter.kind == "posture"]:
+        sides = []
+        for step in (1e-5, -1e-5):
+            moved = values.copy()
+            moved[k] = step
+            sides.append(observe(robot, setup, parameters, moved)[0])
+        for name in ("M", "K", "J_r"):
+            difference = (getattr(sides[0], name) - getattr(sides[1], name)) / 2e-5
+            scale = max(np.abs(difference).max(), 1e-3 * np.abs(getattr(seen, name)).max())
+            np.testing.assert_allclose(getattr(rate, name)[k], difference, atol=1e-5 * scale)
+
+
+def test_frfs_are_those_of_the_model(full: Robot) -> None:
+    """Chain entries, window and quantity included."""
+    setup = setup_of(full)
+    none = free_parameters(full).select([])
+    seen, _ = observe(full, setup, none, np.zeros(0))
+    linear = linearise(assemble(full, setup.q, brakes="off"))
+    chain = measurement_chain(linear, full, setup.response.label, setup.excitation.label)
+    for power, quantity in enumerate(("receptance", "mobility", "accelerance")):
+        expected = reference_frf(linear, S.imag / 2 / np.pi, chain, quantity=quantity, exponential_window_rate=0.3)
+        np.testing.assert_allclose(frf(seen, S, power), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def everything(robot: Robot) -> Parameters:
+    entries = [
+        "payload@flange.mass", "payload@flange.com[2]", "attached_resonator@link3.mass",
+        "sensor_misalignment@sensor:21.angles[1]", "hammer_misalignment@hammer:9Y+.angles[0]",
+        "time_delay@sensor:21Y+.delay",
+    ]  # fmt: skip
+    return join(
+        free_parameters(robot, ["milling"], [p.label for p in robot.test_points[-3:]]),
+        independent(entry_parameter(robot, name) for name in entries),
+    )
+
+
+def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot) -> None:
+    """Every parameter: springs, dampers, links (one of them split), postures, gains, entries, measurement chain."""
+    setup, parameters = setup_of(full), everything(full)
+    z = 0.3 * np.random.default_rng(1).normal(size=len(parameters))
+
+    def at(z: np.ndarray) -> np.ndarray:
+        values = parameters.values(z)
+        return frf(observe(parameters.apply(full, values), setup, parameters, values)[0], S, 2)
+
+    values = parameters.values(z)
+    robot = parameters.apply(full, values)
+    seen, model = observe(robot, setup, parameters, values)
+    rate = contract(slopes(robot, setup, parameters, values, seen, model), parameters.transform(values))
+    H, slope = frf_slopes(seen, rate, S, 2)
+    scale = np.abs(H).max()
+    for k, name in enumerate(parameters.names):
+        step = np.zeros(len(parameters))
+        step[k] = 2e-4
+        difference = (8 * (at(z + step) - at(z - step)) - (at(z + 2 * step) - at(z - 2 * step))) / (12 * 2e-4)
+        np.testing.assert_allclose(
+            slope[k], difference, atol=1e-5 * np.abs(difference).max() + 1e-7 * scale, err_msg=name
+        )
+
+
+def test_derivatives_of_poles_are_finite_differences(kr90: Robot) -> None:
+    setup = setup_of(kr90)
+    parameters = free_parameters(kr90, ["milling"])
+    values = parameters.values(np.zeros(len(parameters)))
+    seen, model = observe(kr90, setup, parameters, values)
+    pole, shape = poles(seen)
+    np.testing.assert_allclose(pole, modes(linearise(assemble(kr90, setup.q))).pole, rtol=1e-8)
+    rate = contract(slopes(kr90, setup, parameters, values, seen, model), parameters.transform(values))
+    found = pole_slopes(seen, rate, pole, shape)
+    for k, name in enumerate(parameters.names):
+        step = np.zeros(len(parameters))
+        step[k] = 1e-4
+        sides = []
+        for z in (step, -step):
+            moved = parameters.values(z)
+            sides.append(poles(observe(parameters.apply(kr90, moved), setup, parameters, moved)[0])[0])
+        difference = (sides[0] - sides[1]) / 2e-4
+        np.testing.assert_allclose(found[k], difference, rtol=1e-4, atol=1e-4, err_msg=name)
+
+
+def test_prior_on_inertia_has_no_preferred_frame_and_keeps_bodies_bodies(kr90: Robot) -> None:
+    """Links drawn from the tolerances are physical, and their second moments spread as the tolerance says."""
+    items, covariance = link_parameters(kr90)
+    parameters = Parameters(tuple(items), covariance)
+    rng = np.random.default_rng(0)
+    spread = []
+    for _ in range(300):
+        robot = parameters.apply(kr90, parameters.values(rng.normal(size=len(parameters))))
+        for link, nominal in zip(robot.links, kr90.links, strict=True):
+            inertia, reference = link.inertial[2], nominal.inertial[2]
+            moments = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+            before = 0.5 * np.trace(reference) * np.eye(3) - reference
+            assert np.linalg.eigvalsh(moments)[0] > 0
+            direction = rng.normal(size=3)
+            spread.append(direction @ moments @ direction / (direction @ before @ direction) - 1)
+    assert np.std(spread) == pytest.approx(kr90.tolerances.inertia / np.sqrt(3), rel=0.1)

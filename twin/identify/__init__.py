@@ -1,0 +1,1 @@
+"""Numbers from recordings: excitation, regressor, base parameters, rigid-body least squares."""

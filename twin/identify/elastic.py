@@ -1,0 +1,338 @@
+"""Joint stiffness and damping from measured FRFs or modal tables, by maximum posterior probability.
+
+Minimised over z, in which the prior is the standard normal, is ½ Σ |H − H(z)|²/σ² + ½ zᵀz, with σ² the measured
+variance per real and imaginary part. Model tolerances (masses, centres of mass, inertias, posture angles, channel
+gains) are free under their priors. From afar a linear residual has false minima wherever peaks do not overlap: every
+start goes through the robust residual of the complex logarithm first, then a linear one whose tolerance shrinks, on
+every eighth line; the best ends on all lines.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.sensitivity import Observed, Setup, contract, frf, frf_slopes, observe, slopes
+from twin.measure.campaign import (
+    QUANTITIES,
+    Campaign,
+    ComplexArray,
+    FloatArray,
+    PostureFRF,
+    frf_variance,
+    laplace,
+)
+from twin.robot.description import Robot
+
+COARSE = 8  # starts see every eighth line, and at least COARSE_LINES
+COARSE_LINES = 25
+LOG_SPREAD = 0.3  # neper and rad: scale of the robust logarithmic residual
+TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
+UNKNOWN_NOISE = 0.02  # of a channel's RMS: variance where the recording states none; the fit then scales it
+LARGEST_STEP = 2.0  # in prior deviations
+AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8)
+
+Objective = Callable[..., tuple[float, FloatArray, FloatArray]]
+"""z (n,), derivatives=True → cost, gradient (n,), Gauss–Newton matrix (n, n), prior included."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """FRFs of one posture and force level as the fit uses them.
+
+    Attributes:
+        group: name of the recording's group; ``setup.name`` is the posture's, without the force level.
+        s: (nf,) Laplace points; ``power`` of s in the quantity over receptance.
+        frf: (nf, nr, ne), SI per newton.
+        variance: (nf, nr, ne) of real and imaginary part; infinite where a line is not used.
+    """
+
+    group: str
+    setup: Setup
+    frequency: FloatArray
+    s: ComplexArray
+    power: int
+    frf: ComplexArray
+    variance: FloatArray
+
+    def every(self, step: int) -> "Recorded":
+        """Every ``step``-th line."""
+        keep = slice(step // 2, None, step)
+        return Recorded(
+            self.group, self.setup, self.frequency[keep], self.s[keep], self.power, self.frf[keep], self.variance[keep]
+        )
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where one start ended: its cost on the coarse lines, and its z."""
+
+    cost: float
+    z: FloatArray
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A maximum-posterior fit.
+
+    Attributes:
+        parameters: the free numbers and their prior.
+        z: (n,) optimum in prior coordinates, ``values`` (n,) in units.
+        robot: the description with the values that belong to it.
+        cost: ½ χ² + ½ zᵀz at the optimum; ``misfit`` is χ² over the number of real data.
+        fisher: (n, n) information of the data in z, before any scaling by the misfit.
+        starts: where the starts ended, best first; ``agreeing`` of them reached the same minimum.
+        data: number of real data.
+        converged: the last step was within tolerance.
+    """
+
+    parameters: Parameters
+    z: FloatArray
+    values: FloatArray
+    robot: Robot
+    cost: float
+    misfit: float
+    fisher: FloatArray
+    starts: tuple[Start, ...]
+    agreeing: int
+    data: int
+    converged: bool
+    warnings: tuple[str, ...] = field(default=())
+
+
+# --- recordings -------------------------------------------------------------------------------------------------------
+
+
+def base_name(campaign: Campaign, group: str) -> str:
+    """Name of a posture without its force level: the first group with the same angles, up to ``@``."""
+    q = campaign.postures[group].q_deg
+    first = next(name for name, posture in campaign.postures.items() if np.array_equal(posture.q_deg, q))
+    return first.partition("@")[0]
+
+
+def prepare(
+    campaign: Campaign, robot: Robot, source: str = "recording", band_hz: tuple[float, float] | None = None
+) -> dict[str, Recorded]:
+    """The groups of a campaign as the fit uses them.
+
+    Raises:
+        InputError: channels on bodies the robot does not have, or postures it cannot take.
+    """
+    _check_bodies(campaign, robot, source)
+    found = {}
+    for name, posture in campaign.postures.items():
+        if posture.q_deg.size != robot.axis_count:
+            raise InputError(
+                source,
+                f"postures/{name}: q_deg",
+                f"expected {robot.axis_count} values for robot {robot.name}, found {posture.q_deg.size}",
+            )
+        q = robot.angles(posture.q_deg)
+        setup = Setup(base_name(campaign, name), q, posture.brakes, campaign.response, campaign.excitation)
+        low, high = band_hz or (0.0, np.inf)
+        lines = (posture.frequency > 0) & (posture.frequency >= low) & (posture.frequency <= high)
+        if np.count_nonzero(lines) < 2:
+            raise InputError(source, f"postures/{name}/frequency", f"no lines from {low:g} to {high:g} Hz")
+        variance = measured_variance(posture)
+        found[name] = Recorded(
+            name, setup, posture.frequency[lines],
+            laplace(posture.frequency[lines], posture.exponential_window_rate),
+            QUANTITIES.index(posture.quantity), posture.frf[lines], variance[lines],
+        )  # fmt: skip
+    return found
+
+
+def measured_variance(posture: PostureFRF) -> FloatArray:
+    """Variance (nf, nr, ne) of real and imaginary part, from coherence or, without it, a share of the channel's RMS."""
+    variance = frf_variance(posture)
+    if variance is None:
+        power = np.mean(np.abs(posture.frf) ** 2, axis=0)
+        variance = np.broadcast_to(UNKNOWN_NOISE**2 * power, posture.frf.shape).copy()
+        variance[:, power <= 1e-12 * np.median(power)] = np.inf
+    return variance
+
+
+def _check_bodies(campaign: Campaign, robot: Robot, source: str) -> None:
+    bodies = {"base", *(f"link{i + 1}" for i in range(robot.axis_count))}
+    for side, channels in (("response", campaign.response), ("excitation", campaign.excitation)):
+        for label, body in zip(channels.label, channels.body, strict=True):
+            if body not in bodies:
+                raise InputError(
+                    source,
+                    f"{side}/body",
+                    f"{label} is on {body!r}; {robot.name} has base, link1 … {sorted(bodies)[-1]}",
+                )
+
+
+# --- residuals --------------------------------------------------------------------------------------------------------
+
+
+def model_frf(robot: Robot, recorded: Recorded, parameters: Parameters, values: FloatArray) -> ComplexArray:
+    """Predicted FRFs (nf, nr, ne) at parameter values; ``robot`` is the description before they are applied."""
+    seen, _ = observe(parameters.apply(robot, values), recorded.setup, parameters, values)
+    return frf(seen, recorded.s, recorded.power)
+
+
+def linear_objective(
+    robot: Robot, parameters: Parameters, recordings: Sequence[Recorded], temper: float = 0.0
+) -> Objective:
+    """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz."""
+    weights = [1 / np.sqrt(r.variance + (temper * np.abs(r.frf)) ** 2) for r in recordings]
+
+    def residual(r: Recorded, H: ComplexArray, k: int) -> tuple[ComplexArray, ComplexArray]:
+        return (r.frf - H) * weights[k], -weights[k].astype(complex)
+
+    return _objective(robot, parameters, recordings, residual)
+
+
+def log_objective(robot: Robot, parameters: Parameters, recordings: Sequence[Recorded]) -> Objective:
+    """Cauchy's robust sum of squares of ln(H/H(z)): as far as it bends, a peak pulls from anywhere."""
+    quality = []
+    for r in recordings:
+        size = np.abs(r.frf) ** 2
+        relative = np.divide(r.variance, size, out=np.full(size.shape, np.inf), where=size > 0)
+        quality.append(1 / np.sqrt(LOG_SPREAD**2 + relative))
+
+    def residual(r: Recorded, H: ComplexArray, k: int) -> tuple[ComplexArray, ComplexArray]:
+        ratio = np.divide(r.frf, H, out=np.ones_like(H), where=(H != 0) & (r.frf != 0))
+        e = np.log(ratio) * quality[k]
+        size = np.abs(e)
+        soft = np.where(size > 1e-9, np.sqrt(np.log1p(size**2)) / np.maximum(size, 1e-9), 1.0)
+        weight = 1 / np.sqrt(1 + size**2)  # iteratively reweighted: slope of the robust sum
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.where(H != 0, -1 / H, 0)
+        return np.stack([e * soft, e * weight]), inverse * quality[k] * weight
+
+    return _objective(robot, parameters, recordings, residual)
+
+
+def _objective(
+    robot: Robot,
+    parameters: Parameters,
+    recordings: Sequence[Recorded],
+    residual: Callable[[Recorded, ComplexArray, int], tuple[ComplexArray, ComplexArray]],
+) -> Objective:
+    def evaluate(z: FloatArray, derivatives: bool = True) -> tuple[float, FloatArray, FloatArray]:
+        values = parameters.values(z)
+        changed = parameters.apply(robot, values)
+        transform = parameters.transform(values)
+        cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
+        cache: dict[tuple[str, bytes, str | None], tuple[Observed, Observed | None]] = {}
+        for k, r in enumerate(recordings):
+            key = (r.setup.name, r.setup.q.tobytes(), r.setup.brakes)
+            if key not in cache:
+                seen, model = observe(changed, r.setup, parameters, values)
+                rate = None
+                if derivatives:
+                    rate = contract(slopes(changed, r.setup, parameters, values, seen, model), transform)
+                cache[key] = (seen, rate)
+            seen, rate = cache[key]
+            if rate is None:
+                e, _ = residual(r, frf(seen, r.s, r.power), k)
+                e = e[0] if e.ndim == 4 else e
+                cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
+                continue
+            H, dH = frf_slopes(seen, rate, r.s, r.power)
+            e, factor = residual(r, H, k)
+            own, pull = (e[0], e[1]) if e.ndim == 4 else (e, e)
+            cost += 0.5 * float(np.sum(own.real**2 + own.imag**2))
+            dH *= factor
+            G = dH.reshape(len(z), -1).view(float)
+            gradient += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
+            information += G @ G.T
+        return cost, gradient, information
+
+    return evaluate
+
+
+def minimise(objective: Objective, z: FloatArray, iterations: int = 30, tolerance: float = 1e-3) -> tuple[
+    FloatArray, float, FloatArray, bool
+]:  # fmt: skip
+    """Levenberg–Marquardt: z, cost and Gauss–Newton matrix at the end; and whether the gain left is below tolerance."""
+    damping = 1e-3
+    cost, gradient, information = objective(z)
+    for _ in range(iterations):
+        newton = -np.linalg.solve(information, gradient)
+        if -0.5 * float(gradient @ newton) < tolerance:
+            return z, cost, information, True
+        while True:
+            step = -np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
+            step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
+            trial = objective(z + step, False)[0]
+            if np.isfinite(trial) and trial < cost:
+                break
+            damping *= 8
+            if damping > 1e8:
+                return z, cost, information, -0.5 * float(gradient @ newton) < 1e3 * tolerance
+        damping = max(damping / 8, 1e-9)
+        z = z + step
+        cost, gradient, information = objective(z)
+    return z, cost, information, False
+
+
+# --- the fit ----------------------------------------------------------------------------------------------------------
+
+
+def coarse(recordings: Sequence[Recorded]) -> list[Recorded]:
+    """Every eighth line, of short recordings as many as there must be."""
+    return [r.every(max(1, min(COARSE, len(r.s) // COARSE_LINES))) for r in recordings]
+
+
+def fit_frf(
+    robot: Robot,
+    recordings: Sequence[Recorded],
+    parameters: Parameters | None = None,
+    *,
+    starts: int = 4,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+) -> Fit:
+    """Fit a robot to recordings.
+
+    Args:
+        robot: the described robot, whose values are the prior means.
+        recordings: what to fit to, from :func:`prepare`.
+        parameters: what is free; by default everything of :func:`twin.identify.parameters.free_parameters`.
+        starts: the first from the description, the others from springs and dampers drawn from the prior.
+        seed: of the starts.
+        progress: called with 1 after every start and once at the end.
+    """
+    robot = without_limits(robot)
+    if parameters is None:
+        parameters = free_parameters(
+            robot, dict.fromkeys(r.setup.name for r in recordings), recordings[0].setup.response.label
+        )
+    few = coarse(recordings)
+    rng = np.random.default_rng(seed)
+    elastic = np.array([p.kind in ("spring", "entry") for p in parameters])
+    ends = []
+    for number in range(max(1, starts)):
+        z = np.zeros(len(parameters))
+        if number:
+            z[elastic] = rng.normal(size=np.count_nonzero(elastic))
+        z, *_ = minimise(log_objective(robot, parameters, few), z, 25, 0.1)
+        for temper in TEMPERS:
+            z, *_ = minimise(linear_objective(robot, parameters, few, temper), z, 10, 0.1)
+        z, cost, _, _ = minimise(linear_objective(robot, parameters, few), z, 15, 0.05)
+        ends.append(Start(cost, z))
+        if progress:
+            progress(1)
+    ends.sort(key=lambda end: end.cost)
+    agreeing = sum(end.cost - ends[0].cost < AGREEMENT for end in ends)
+    objective = linear_objective(robot, parameters, recordings)
+    z, cost, information, converged = minimise(objective, ends[0].z, 30, 1e-3)
+    if progress:
+        progress(1)
+    data = 2 * sum(int(np.isfinite(r.variance).sum()) for r in recordings)
+    values = parameters.values(z)
+    return Fit(
+        parameters, z, values, parameters.apply(robot, values), cost, (2 * cost - float(z @ z)) / max(data, 1),
+        information - np.eye(len(z)), tuple(ends), agreeing, data, converged,
+    )  # fmt: skip
+
+
+def without_limits(robot: Robot) -> Robot:
+    """A copy whose angles may leave their limits: the error of a posture at a limit is free to either side."""
+    return robot.model_copy(update={"axes": [axis.model_copy(update={"limits": None}) for axis in robot.axes]})

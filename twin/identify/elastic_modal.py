@@ -1,0 +1,306 @@
+"""Joint stiffness and damping from modal tables: maximum posterior, or the source paper's objective (Eq. 23).
+
+Modes are paired by MAC where the table has shapes; otherwise by frequency, and from then on by which deflections
+dominate, so that a pair stays together when two frequencies cross.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from twin.identify.elastic import AGREEMENT, Fit, Start, minimise, without_limits
+from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.sensitivity import Setup, contract, observe, pole_slopes, poles, slopes
+from twin.measure.campaign import Channels, ComplexArray, FloatArray
+from twin.measure.modal_table import ModalTable
+from twin.measure.shapes import mac
+from twin.robot.description import Robot
+
+ModalObjective = Literal["posterior", "paper"]
+
+FREQUENCY_SPREAD, DAMPING_SPREAD = 0.005, 0.10  # relative standard deviations where the table states none
+PAPER_WEIGHTS = 100.0, 1.0  # W_f and W_ζ of Eq. 23
+PAPER_SHARPNESS = 1e-2  # makes Eq. 23 outweigh the prior; of its many minima the one nearest the description is taken
+FARTHEST = np.log(1.6)  # frequencies farther apart than this factor are not paired
+
+
+@dataclass(frozen=True)
+class ModalPosture:
+    """Measured modes of one posture, nm of them.
+
+    Attributes:
+        setup: posture and the points of the shapes.
+        frequency_hz, damping: (nm,); damping ratios, NaN where not stated.
+        frequency_spread, damping_spread: (nm,) relative standard deviations.
+        shape: (nm, points) complex, or ``None``.
+    """
+
+    setup: Setup
+    frequency_hz: FloatArray
+    damping: FloatArray
+    frequency_spread: FloatArray
+    damping_spread: FloatArray
+    shape: ComplexArray | None
+
+
+@dataclass(frozen=True)
+class PairedMode:
+    """A measured mode and the model's, relative errors model over measured minus one; MAC where there are shapes."""
+
+    posture: str
+    measured_hz: float
+    measured_damping: float
+    frequency_hz: float | None
+    damping: float | None
+    mac: float | None
+    dominant: tuple[tuple[str, float], ...]
+
+
+def modal_postures(table: ModalTable, robot: Robot) -> dict[str, ModalPosture]:
+    """The table as the fit uses it; shapes are at the robot's test points of the same labels."""
+    points = {point.label: point for point in robot.test_points}
+    found = {}
+    for name, posture in table.postures.items():
+        modes = sorted(posture.modes, key=lambda mode: mode.frequency_hz)
+        labels = [x for x in points if modes and all(x in mode.shape for mode in modes)]
+        channels = Channels(
+            tuple(labels), tuple(points[x].body for x in labels),
+            np.array([points[x].position for x in labels]).reshape(-1, 3),
+            np.array([points[x].direction for x in labels]).reshape(-1, 3),
+        )  # fmt: skip
+        f = np.array([mode.frequency_hz for mode in modes])
+        zeta = np.array([np.nan if m.damping_percent is None else m.damping_percent / 100 for m in modes])
+        f_std = np.array([np.nan if m.frequency_std_hz is None else m.frequency_std_hz for m in modes]) / f
+        zeta_std = np.array([np.nan if m.damping_std_percent is None else m.damping_std_percent / 100 for m in modes])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            zeta_spread = zeta_std / zeta
+        found[name] = ModalPosture(
+            Setup(name, robot.angles(posture.q_deg), None, channels, channels), f, zeta,
+            np.where(np.isfinite(f_std), np.maximum(f_std, 1e-4), FREQUENCY_SPREAD),
+            np.where(np.isfinite(zeta_spread), np.maximum(zeta_spread, 1e-3), DAMPING_SPREAD),
+            np.array([[mode.shape[x] for x in labels] for mode in modes]) if len(labels) > 1 else None,
+        )  # fmt: skip
+    return found
+
+
+def fit_modes(
+    robot: Robot,
+    postures: Sequence[ModalPosture],
+    parameters: Parameters | None = None,
+    *,
+    objective: ModalObjective = "posterior",
+    starts: int = 4,
+    seed: int = 0,
+) -> Fit:
+    """Fit a robot to measured modes.
+
+    Args:
+        robot: the described robot, whose values are the prior means.
+        postures: from :func:`modal_postures`.
+        parameters: what is free; by default springs, dampers and links (no angles and gains).
+        objective: ``posterior`` weighs by the modes' spread; ``paper`` is Eq. 23 with its weights, W_f 100 and W_ζ 1.
+        starts: the first from the description, the others with springs and dampers drawn from the prior.
+        seed: of the starts.
+    """
+    robot = without_limits(robot)
+    if parameters is None:
+        parameters = free_parameters(robot).only("spring", "entry", "link")
+    rng = np.random.default_rng(seed)
+    elastic = np.array([p.kind in ("spring", "entry") for p in parameters])
+    ends = []
+    for number in range(max(1, starts)):
+        z = np.zeros(len(parameters))
+        if number:
+            z[elastic] = rng.normal(size=np.count_nonzero(elastic))
+        ends.append(_descend(robot, postures, parameters, objective, z))
+    ends.sort(key=lambda end: end[1])
+    z, cost, information, converged = ends[0]
+    data = sum(2 * len(p.frequency_hz) - int(np.isnan(p.damping).sum()) for p in postures)
+    values = parameters.values(z)
+    agreeing = sum(end[1] - cost < AGREEMENT for end in ends)
+    return Fit(
+        parameters, z, values, parameters.apply(robot, values), cost, (2 * cost - float(z @ z)) / max(data, 1),
+        information - np.eye(len(z)), tuple(Start(end[1], end[0]) for end in ends), agreeing, data, converged,
+    )  # fmt: skip
+
+
+def _descend(
+    robot: Robot,
+    postures: Sequence[ModalPosture],
+    parameters: Parameters,
+    objective: ModalObjective,
+    z: FloatArray,
+) -> tuple[FloatArray, float, FloatArray, bool]:
+    pairing: list[_Pairing] | None = None
+    converged = False
+    cost, information = np.inf, np.eye(len(z))
+    for _ in range(12):
+        before, pairing = pairing, _pair(robot, postures, parameters, z, pairing)
+        if before is not None and all(np.array_equal(a.model, b.model) for a, b in zip(before, pairing, strict=True)):
+            break
+        z, cost, information, converged = minimise(
+            _modal_objective(robot, postures, parameters, objective, pairing), z, 60, 1e-6
+        )
+        pairing = _signed(robot, postures, parameters, z, pairing)
+    return z, cost, information, converged
+
+
+@dataclass(frozen=True)
+class _Pairing:
+    """For every measured mode the index of the model's, −1 for none; strain shares (nm, nv) to follow them by."""
+
+    model: np.ndarray
+    share: FloatArray | None = None
+
+
+def _pair(
+    robot: Robot,
+    postures: Sequence[ModalPosture],
+    parameters: Parameters,
+    z: FloatArray,
+    before: list[_Pairing] | None,
+) -> list[_Pairing]:
+    values = parameters.values(z)
+    changed = parameters.apply(robot, values)
+    found = []
+    for k, posture in enumerate(postures):
+        seen, model = observe(changed, posture.setup, parameters, values)
+        pole, shape = poles(seen)
+        known = before[k] if before else None
+        found.append(_assign(posture, np.abs(pole) / (2 * np.pi), shape, seen.J_r, model.strain, known))
+    return found
+
+
+def _assign(
+    posture: ModalPosture,
+    frequency_hz: FloatArray,
+    shape: ComplexArray,
+    J: FloatArray,
+    strain: FloatArray,
+    before: _Pairing | None,
+) -> _Pairing:
+    away = np.abs(np.log(frequency_hz[None, :] / posture.frequency_hz[:, None]))
+    cost = away.copy()
+    share = _shares(shape, strain)
+    if posture.shape is not None:
+        cost = 1 - mac(posture.shape, (J @ shape).T) + 0.1 * away
+    elif before is not None and before.share is not None:
+        cost = away + 1 - before.share @ share.T
+    cost = np.where(away > FARTHEST, 1e3, cost)
+    rows, columns = linear_sum_assignment(cost)
+    model = np.full(len(posture.frequency_hz), -1)
+    for row, column in zip(rows, columns, strict=True):
+        if cost[row, column] < 1e3:
+            model[row] = column
+    return _Pairing(model)
+
+
+def _signed(
+    robot: Robot, postures: Sequence[ModalPosture], parameters: Parameters, z: FloatArray, pairing: list[_Pairing]
+) -> list[_Pairing]:
+    """The pairing with the strain shares of its modes where the descent ended."""
+    values = parameters.values(z)
+    changed = parameters.apply(robot, values)
+    found = []
+    for posture, pairs in zip(postures, pairing, strict=True):
+        seen, model = observe(changed, posture.setup, parameters, values)
+        share = _shares(poles(seen)[1], model.strain)
+        found.append(_Pairing(pairs.model, np.where((pairs.model >= 0)[:, None], share[pairs.model], 0)))
+    return found
+
+
+def _shares(shape: ComplexArray, strain: FloatArray) -> FloatArray:
+    """Strain energy shares (nm, nv), unit length."""
+    energy = (strain[:, None] * np.abs(shape) ** 2).T
+    return np.asarray(energy / np.linalg.norm(energy, axis=1, keepdims=True))
+
+
+def _modal_objective(
+    robot: Robot,
+    postures: Sequence[ModalPosture],
+    parameters: Parameters,
+    objective: ModalObjective,
+    pairing: list[_Pairing],
+) -> Callable[..., tuple[float, FloatArray, FloatArray]]:
+    def evaluate(z: FloatArray, derivatives: bool = True) -> tuple[float, FloatArray, FloatArray]:
+        values = parameters.values(z)
+        changed = parameters.apply(robot, values)
+        cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
+        for posture, pairs in zip(postures, pairing, strict=True):
+            seen, model = observe(changed, posture.setup, parameters, values)
+            pole, shape = poles(seen)
+            rows = np.flatnonzero((pairs.model >= 0) & (pairs.model < len(pole)))
+            column = pairs.model[rows]
+            size, real = np.abs(pole[column]), pole[column].real
+            f_spread, zeta_spread = posture.frequency_spread[rows], posture.damping_spread[rows]
+            if objective == "paper":
+                f_spread = np.full(len(rows), PAPER_SHARPNESS / np.sqrt(PAPER_WEIGHTS[0]))
+                zeta_spread = np.full(len(rows), PAPER_SHARPNESS / np.sqrt(PAPER_WEIGHTS[1]))
+            measured = 2 * np.pi * posture.frequency_hz[rows]
+            zeta = posture.damping[rows]
+            stated = np.isfinite(zeta) & (zeta > 0)
+            ratio = np.where(stated, zeta, 1.0)
+            r = np.concatenate(
+                [(size / measured - 1) / f_spread, np.where(stated, (-real / size / ratio - 1) / zeta_spread, 0)]
+            )
+            cost += 0.5 * float(r @ r)
+            if derivatives:
+                rate = contract(
+                    slopes(changed, posture.setup, parameters, values, seen, model), parameters.transform(values)
+                )
+                dpole = pole_slopes(seen, rate, pole[column], shape[:, column])
+                dsize = (pole[column].conj() * dpole).real / size
+                dzeta = -dpole.real / size + real * dsize / size**2
+                J = np.hstack([dsize / (measured * f_spread), np.where(stated, dzeta / (ratio * zeta_spread), 0)])
+                gradient += J @ r
+                information += J @ J.T
+        return cost, gradient, information
+
+    return evaluate
+
+
+def predict_modes(robot: Robot, postures: Mapping[str, ModalPosture], by_order: bool = False) -> list[PairedMode]:
+    """The robot's modes beside measured ones.
+
+    Args:
+        robot: the description.
+        postures: measured modes by posture.
+        by_order: pair the lowest with the lowest, as the paper's tables do, instead of by MAC or nearest frequency.
+    """
+    robot = without_limits(robot)
+    none = free_parameters(robot).select([])
+    found = []
+    for name, posture in postures.items():
+        seen, model = observe(robot, posture.setup, none, np.zeros(0))
+        pole, shape = poles(seen)
+        frequency = np.abs(pole) / (2 * np.pi)
+        pairs = _assign(posture, frequency, shape, seen.J_r, model.strain, None).model
+        if by_order:
+            pairs = np.where(np.arange(len(pairs)) < len(pole), np.arange(len(pairs)), -1)
+        likeness = None if posture.shape is None else mac(posture.shape, (seen.J_r @ shape).T)
+        energy = model.strain[:, None] * np.abs(shape) ** 2
+        energy = energy / energy.sum(axis=0)
+        for k, column in enumerate(pairs):
+            if column < 0:
+                found.append(PairedMode(name, posture.frequency_hz[k], posture.damping[k], None, None, None, ()))
+                continue
+            order = [i for i in np.argsort(-energy[:, column]) if energy[i, column] >= 0.1]
+            found.append(
+                PairedMode(
+                    name, float(posture.frequency_hz[k]), float(posture.damping[k]), float(frequency[column]),
+                    float(-pole[column].real / np.abs(pole[column])),
+                    None if likeness is None else float(likeness[k, column]),
+                    tuple((model.coordinates[i], float(energy[i, column])) for i in order),
+                )
+            )  # fmt: skip
+    return found
+
+
+def frequency_error(modes: Sequence[PairedMode]) -> float:
+    """RMS of relative frequency differences of paired modes; an unpaired one counts as 1."""
+    return float(
+        np.sqrt(np.mean([1.0 if m.frequency_hz is None else (m.frequency_hz / m.measured_hz - 1) ** 2 for m in modes]))
+    )

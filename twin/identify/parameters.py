@@ -1,0 +1,379 @@
+"""The numbers a fit may change, as data: name, unit, prior; and a robot with them changed.
+
+Names read like the description: ``joint1.z.stiffness``, ``joint1.x.damping``, ``link3.mass``, ``link3.com.x``,
+``link3.inertia.xx``; any other number of a physics entry is ``EFFECT@SITE.name`` (``.name[k]`` in a list). What belongs
+to a recording and not to the robot: ``posture.NAME.q1`` (the error of an angle) and ``gain.21Z+``.
+
+Optimisation runs in z, in which the prior is the standard normal: x = L z with the prior covariance L Lᵀ, and
+value = mean · eˣ (log-normal) or mean + x.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from twin.measure.campaign import FloatArray
+from twin.physics import CATALOGUE
+from twin.robot.description import Entry, Robot
+from twin.robot.frames import inertia_matrix, inertia_six
+
+Kind = Literal["spring", "entry", "link", "posture", "gain"]
+
+TOLERANCE_DEVIATION = 1 / np.sqrt(3)
+"""Standard deviation of an error of which only the limits ±1 are known (uniform; GUM, JCGM 100:2008, 4.3.7)."""
+
+DEFAULT_FACTOR = {"stiffness": 2.0, "damping": 5.0}
+"""One standard deviation, ×/÷, where the description states no prior."""
+
+ASSUMED_DAMPING_RATIO, ASSUMED_HZ = 0.01, 15.0  # prior of a damper described as zero: this ratio on its own spring
+SIX = ("xx", "yy", "zz", "xy", "xz", "yz")
+_SCALES = ("stiffness", "damping", "loss_factor", "frequency_hz", "damping_ratio")
+_LINEAR_DEVIATION = {"rad": 0.02, "m": 0.05, "s": 1e-3, "1": 0.05}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One free number.
+
+    Attributes:
+        kind: ``spring`` (of a joint about z, x, y), ``entry`` (any other physics entry), ``link``, ``posture``, ``gain``.
+        log: value = mean · eˣ; otherwise mean + x.
+        mean: prior mean (median, where ``log``), in ``unit``.
+        deviation: prior standard deviation of x.
+        source: where the prior comes from.
+    """
+
+    name: str
+    unit: str
+    kind: Kind
+    log: bool
+    mean: float
+    deviation: float
+    source: str = ""
+
+    @property
+    def site(self) -> str:
+        """What the parameter belongs to: ``joint1.z`` of ``joint1.z.stiffness``."""
+        return self.name.rpartition(".")[0]
+
+    @property
+    def quantity(self) -> str:
+        """What it is there: ``stiffness`` of ``joint1.z.stiffness``."""
+        return self.name.rpartition(".")[2]
+
+    def value(self, x: FloatArray | float) -> Any:
+        """Value at x, in ``unit``."""
+        return self.mean * np.exp(x) if self.log else self.mean + x
+
+    def step(self, value: float) -> float:
+        """A step for central differences."""
+        return 1e-4 * (abs(value) if self.log else self.deviation)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """An ordered set of free numbers with a normal prior on x, mean zero and ``covariance`` (n, n)."""
+
+    items: tuple[Parameter, ...]
+    covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.items)
+
+    def __getitem__(self, index: int) -> Parameter:
+        return self.items[index]
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Names in order."""
+        return [parameter.name for parameter in self.items]
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """L (n, n), lower, with L Lᵀ the prior covariance of x."""
+        return np.asarray(np.linalg.cholesky(self.covariance))
+
+    def select(self, keep: Iterable[int]) -> "Parameters":
+        """The parameters at some indices."""
+        keep = list(keep)
+        return Parameters(tuple(self.items[k] for k in keep), self.covariance[np.ix_(keep, keep)])
+
+    def only(self, *kinds: Kind) -> "Parameters":
+        """The parameters of some kinds."""
+        return self.select(k for k, parameter in enumerate(self.items) if parameter.kind in kinds)
+
+    def values(self, z: FloatArray) -> FloatArray:
+        """Values (n,) in their units."""
+        x = self.root @ z
+        return np.array([parameter.value(v) for parameter, v in zip(self.items, x, strict=True)])
+
+    def transform(self, values: FloatArray) -> FloatArray:
+        """∂ value / ∂ z, (n, n)."""
+        scale = np.array([v if parameter.log else 1.0 for parameter, v in zip(self.items, values, strict=True)])
+        return scale[:, None] * self.root
+
+    def coordinates(self, values: FloatArray) -> FloatArray:
+        """z (n,) of given values."""
+        x = [np.log(v / p.mean) if p.log else v - p.mean for p, v in zip(self.items, values, strict=True)]
+        return np.linalg.solve(self.root, np.array(x))
+
+    def posture_error(self, name: str, values: FloatArray, axes: int) -> FloatArray:
+        """Errors (axes,) of a posture's angles, rad (m)."""
+        error = np.zeros(axes)
+        for parameter, value in zip(self.items, values, strict=True):
+            if parameter.kind == "posture" and parameter.site == f"posture.{name}":
+                error[int(parameter.quantity[1:]) - 1] = value
+        return error
+
+    def gains(self, labels: Sequence[str], values: FloatArray) -> FloatArray:
+        """Gains (nr,) of response channels."""
+        gain = {p.name: v for p, v in zip(self.items, values, strict=True) if p.kind == "gain"}
+        return np.array([gain.get(f"gain.{label}", 1.0) for label in labels])
+
+    def apply(self, robot: Robot, values: FloatArray) -> Robot:
+        """The robot with the values that belong to it."""
+        return _changed(robot, {p.name: float(v) for p, v in zip(self.items, values, strict=True)})
+
+    def apply_one(self, robot: Robot, index: int, value: float) -> Robot:
+        """The robot with one value changed."""
+        return _changed(robot, {self.items[index].name: float(value)})
+
+
+# --- which parameters there are -------------------------------------------------------------------------------------
+
+
+def elastic_parameters(robot: Robot) -> list[Parameter]:
+    """Stiffness and damping of every spring of the description: joints, their transverse hinges, other entries."""
+    found = []
+    for i, axis in enumerate(robot.axes):
+        if axis.stiffness is not None:
+            per = "rad" if axis.type == "revolute" else "m"
+            force = "N·m" if per == "rad" else "N"
+            damping = axis.damping or _assumed_damping(axis.stiffness)
+            name = f"joint{i + 1}.z"
+            found.append(_scale(robot, f"{name}.stiffness", f"{force}/{per}", "spring", axis.stiffness))
+            found.append(_scale(robot, f"{name}.damping", f"{force}·s/{per}", "spring", damping))
+    for key, entry in _entries(robot):
+        effect = CATALOGUE[entry.effect]
+        if "hammer" not in effect.seen_in:
+            continue
+        values = entry.values
+        for item in effect.parameters:
+            if item.name not in _SCALES or item.length:
+                continue
+            value = float(values[item.name])
+            if value == 0 and item.name == "damping":
+                value = _assumed_damping(values["stiffness"])
+            if value <= 0:
+                continue
+            spring = entry.effect == "transverse_compliance"
+            name = f"{entry.site}.{item.name}" if spring else f"{key}.{item.name}"
+            found.append(_scale(robot, name, item.unit, "spring" if spring else "entry", value))
+    return found
+
+
+def entry_parameter(robot: Robot, name: str, deviation: float | None = None) -> Parameter:
+    """Any number of a physics entry of the robot, ``EFFECT@SITE.parameter`` or ``….parameter[k]``, as a parameter.
+
+    A number that must be positive gets a log-normal prior about its value, any other a normal one; ``deviation`` is of
+    x, by default the description's prior or one by unit.
+    """
+    key, quantity, index = _parse(name)
+    entry = dict(_entries(robot))[key]
+    item = next(p for p in CATALOGUE[entry.effect].parameters if p.name == quantity)
+    value = entry.values[quantity]
+    value = float(value if index is None else value[index])
+    if (item.positive or item.nonnegative) and value > 0:
+        scale = _scale(robot, name, item.unit, "entry", value)
+        return scale if deviation is None else Parameter(**{**scale.__dict__, "deviation": deviation})
+    width = deviation or _LINEAR_DEVIATION.get(item.unit, 0.5 * abs(value) or 1.0)
+    return Parameter(name, item.unit, "entry", False, value, width, "default")
+
+
+def link_parameters(robot: Robot) -> tuple[list[Parameter], FloatArray]:
+    """Mass, centre of mass and inertia of every link within the description's tolerances; prior covariance of x.
+
+    The second moments Σ = tr(I)/2 − I of a link vary as Σ^½ (1 + tolerance·G) Σ^½ with G a random symmetric matrix
+    without preferred directions: mass moves, in whatever frame, and bodies stay bodies.
+    """
+    found: list[Parameter] = []
+    blocks: list[FloatArray] = []
+    tolerance = robot.tolerances
+    for i, link in enumerate(robot.links):
+        name = f"link{i + 1}"
+        mass, com, inertia = link.inertial
+        if tolerance.mass:
+            width = tolerance.mass * TOLERANCE_DEVIATION
+            found.append(Parameter(f"{name}.mass", "kg", "link", True, mass, width, "tolerance"))
+            blocks.append(np.array([[width**2]]))
+        if tolerance.com:
+            width = tolerance.com * TOLERANCE_DEVIATION
+            for letter, value in zip("xyz", com, strict=True):
+                found.append(Parameter(f"{name}.com.{letter}", "m", "link", False, float(value), width, "tolerance"))
+                blocks.append(np.array([[width**2]]))
+        if tolerance.inertia:
+            block = _inertia_covariance(inertia, tolerance.inertia * TOLERANCE_DEVIATION)
+            for k, (key, value) in enumerate(zip(SIX, inertia_six(inertia), strict=True)):
+                width = float(np.sqrt(block[k, k]))
+                found.append(Parameter(f"{name}.inertia.{key}", "kg·m²", "link", False, value, width, "tolerance"))
+            blocks.append(block)
+    return found, _block_diagonal(blocks)
+
+
+def recording_parameters(robot: Robot, postures: Iterable[str], labels: Iterable[str]) -> list[Parameter]:
+    """Errors of posture angles and gains of response channels, within the description's tolerances."""
+    found = []
+    if robot.tolerances.posture_deg:
+        width = float(np.deg2rad(robot.tolerances.posture_deg)) * TOLERANCE_DEVIATION
+        for name in postures:
+            for i, axis in enumerate(robot.axes):
+                unit = "rad" if axis.type == "revolute" else "m"
+                found.append(
+                    Parameter(f"posture.{name}.q{i + 1}", unit, "posture", False, 0.0, width, "tolerance")
+                )  # a linear axis: the same number in metres
+    if robot.tolerances.channel_gain:
+        width = robot.tolerances.channel_gain * TOLERANCE_DEVIATION
+        found += [Parameter(f"gain.{label}", "1", "gain", True, 1.0, width, "tolerance") for label in labels]
+    return found
+
+
+def free_parameters(
+    robot: Robot, postures: Iterable[str] = (), labels: Iterable[str] = (), *, tolerances: bool = True
+) -> Parameters:
+    """All springs and dampers and, with ``tolerances``, links, posture angles and channel gains."""
+    elastic = elastic_parameters(robot)
+    blocks = [np.diag([p.deviation**2 for p in elastic])]
+    found = list(elastic)
+    if tolerances:
+        links, block = link_parameters(robot)
+        recording = recording_parameters(robot, postures, labels)
+        found += links + recording
+        blocks += [block, np.diag([p.deviation**2 for p in recording])]
+    return Parameters(tuple(found), _block_diagonal(blocks))
+
+
+def join(*sets: Parameters) -> Parameters:
+    """Several sets as one; their priors are independent."""
+    return Parameters(tuple(p for s in sets for p in s), _block_diagonal([s.covariance for s in sets]))
+
+
+def independent(items: Iterable[Parameter]) -> Parameters:
+    """A set with independent priors."""
+    items = tuple(items)
+    return Parameters(items, np.diag([p.deviation**2 for p in items]).reshape(len(items), len(items)))
+
+
+def _scale(robot: Robot, name: str, unit: str, kind: Kind, value: float) -> Parameter:
+    quantity = name.rpartition(".")[2]
+    factor, source = DEFAULT_FACTOR.get(quantity, 2.0), "default"
+    for prior in robot.priors:
+        if fnmatchcase(name, prior.parameter):
+            factor, source = prior.factor, prior.source
+    return Parameter(name, unit, kind, True, value, float(np.log(factor)), source)
+
+
+def _assumed_damping(stiffness: float) -> float:
+    return 2 * ASSUMED_DAMPING_RATIO * stiffness / (2 * np.pi * ASSUMED_HZ)
+
+
+def _inertia_covariance(inertia: FloatArray, tolerance: float) -> FloatArray:
+    moments = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    values, vectors = np.linalg.eigh(moments)
+    root = vectors @ np.diag(np.sqrt(np.maximum(values, 1e-6 * values[-1]))) @ vectors.T
+    columns = []
+    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        unit = np.zeros((3, 3))
+        unit[i, j] = unit[j, i] = tolerance if i == j else tolerance / np.sqrt(2)
+        change = root @ unit @ root
+        columns.append(inertia_six(np.trace(change) * np.eye(3) - change))
+    rate = np.array(columns).T
+    return rate @ rate.T
+
+
+def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    size = sum(len(block) for block in blocks)
+    out = np.zeros((size, size))
+    at = 0
+    for block in blocks:
+        out[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return out
+
+
+# --- writing values into a description ------------------------------------------------------------------------------
+
+
+def _entries(robot: Robot) -> list[tuple[str, Entry]]:
+    """Entries by ``EFFECT@SITE``; a second one at the same site is ``EFFECT@SITE#2``."""
+    seen: dict[str, int] = {}
+    keyed = []
+    for entry in robot.physics:
+        key = f"{entry.effect}@{entry.site}"
+        seen[key] = seen.get(key, 0) + 1
+        keyed.append((key if seen[key] == 1 else f"{key}#{seen[key]}", entry))
+    return keyed
+
+
+def _parse(name: str) -> tuple[str, str, int | None]:
+    found = re.fullmatch(r"(.+@.+)\.([a-z_]+)(?:\[(\d+)\])?", name)
+    if not found:
+        raise ValueError(f"{name!r} names no number of a physics entry")
+    return found[1], found[2], None if found[3] is None else int(found[3])
+
+
+def _changed(robot: Robot, values: dict[str, float]) -> Robot:
+    axes, links = list(robot.axes), list(robot.links)
+    entries = {key: dict(entry.model_extra or {}) for key, entry in _entries(robot)}
+    touched: set[str] = set()
+    for name, value in values.items():
+        if name.startswith(("posture.", "gain.")):
+            continue
+        if "@" in name:
+            key, quantity, index = _parse(name)
+            if index is None:
+                entries[key][quantity] = value
+            else:
+                items = (
+                    list(dict(_entries(robot))[key].values[quantity]) if key not in touched else entries[key][quantity]
+                )
+                items = list(entries[key].get(quantity, items))
+                items[index] = value
+                entries[key][quantity] = items
+            touched.add(key)
+        elif name.startswith("joint"):
+            site, _, quantity = name.rpartition(".")
+            if site.endswith(".z"):
+                i = int(site[5:-2]) - 1
+                axes[i] = axes[i].model_copy(update={quantity: value})
+            else:
+                key = f"transverse_compliance@{site}"
+                entries[key][quantity] = value
+                touched.add(key)
+        else:
+            link, _, quantity = name.partition(".")
+            i = int(link[4:]) - 1
+            mass, com, inertia = links[i].inertial
+            if quantity == "mass":
+                mass = value
+            elif quantity.startswith("com."):
+                com["xyz".index(quantity[-1])] = value
+            else:
+                six = inertia_six(inertia)
+                six[SIX.index(quantity.partition(".")[2])] = value
+                inertia = inertia_matrix(six)
+            links[i] = links[i].model_copy(
+                update={"mass": mass, "com": tuple(map(float, com)), "inertia": tuple(inertia_six(inertia))}
+            )
+    physics = [
+        Entry(effect=entry.effect, site=entry.site, **entries[key]) if key in touched else entry
+        for key, entry in _entries(robot)
+    ]
+    return robot.model_copy(update={"axes": axes, "links": links, "physics": physics})

@@ -1,0 +1,486 @@
+"""M, C, K and rows of test points about a posture in closed form, with their derivatives; FRFs and modes with theirs.
+
+The robot about a posture is a tree of rigid bodies on small coordinates, each a screw (ω, v) in world axes: ω the
+angular velocity and v the velocity of the point at the world's origin, per unit rate. With 𝓜_b the spatial inertia of
+body b about that origin and S_b the screws on its path,
+
+    M = Σ_b S_bᵀ 𝓜_b S_b,    (K_g)_jk = −g · (ω_j × W_k),  W_k = Σ_b (m_b v_k + ω_k × h_b),  j inboard of k,
+
+h_b the first moment. Springs, dampers and inertial parameters enter linearly, and turning a commanded angle q_i moves
+everything outboard by one screw: all derivatives are exact. Parameters of other physics entries are differentiated by
+central differences of these small matrices. ``twin.model.linear`` gives the same matrices by MuJoCo.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.identify.parameters import Parameters
+from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
+from twin.physics import CATALOGUE
+from twin.physics.chain import MeasurementChain
+from twin.robot.description import Robot
+from twin.robot.frames import matrix_of
+from twin.robot.mechanism import Mechanism, assemble
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A mechanism about its commanded posture; nv coordinates, nb bodies, n axes.
+
+    Attributes:
+        coordinates: (nv,) joint names, as in the MJCF.
+        bodies: name → index.
+        screw: (nv, 6) screws (ω, v) of the coordinates.
+        inboard: (nv, nv) true where coordinate j is k or lies between the base and k.
+        path: (nb, nv) the coordinates that move a body.
+        rotation, origin: (nb, 3, 3) and (nb, 3), the bodies' own frames in the world.
+        spatial: (nb, 6, 6) spatial inertia about the world's origin.
+        command: (n, 6) screws of the commanded positions; ``moved`` (n, nb) and ``carried`` (n, nv) say which bodies
+            and coordinates they move.
+        M, C, K, loss: (nv, nv) as in :class:`twin.model.linear.LinearModel`.
+        strain: (nv,) stiffness of the spring on each coordinate.
+    """
+
+    coordinates: tuple[str, ...]
+    bodies: dict[str, int]
+    screw: FloatArray
+    inboard: FloatArray
+    path: FloatArray
+    rotation: FloatArray
+    origin: FloatArray
+    spatial: FloatArray
+    command: FloatArray
+    moved: FloatArray
+    carried: FloatArray
+    gravity: FloatArray
+    M: FloatArray
+    C: FloatArray
+    K: FloatArray
+    loss: FloatArray
+    strain: FloatArray
+    mechanism: Mechanism
+
+    def rows(self, channels: Channels, direction: FloatArray) -> FloatArray:
+        """Displacement of points per unit of the coordinates, (n, nv), along directions (n, 3) in the links' frames."""
+        wrench, body = self._wrenches(channels, direction)
+        return wrench @ self.screw.T * self.path[body]
+
+    def row_slopes(self, channels: Channels, direction: FloatArray) -> FloatArray:
+        """Derivative of :meth:`rows` with respect to every commanded position, (n_axes, n, nv)."""
+        wrench, body = self._wrenches(channels, direction)
+        slopes = [
+            (wrench @ self._turned(i).T) * self.path[body] * self.moved[i, body][:, None]
+            for i in range(len(self.command))
+        ]
+        return np.array(slopes).reshape(len(self.command), len(body), len(self.coordinates))
+
+    def _wrenches(self, channels: Channels, direction: FloatArray) -> tuple[FloatArray, list[int]]:
+        """Unit force at every point as a wrench (moment about the world's origin, force) (n, 6), and its body."""
+        carriers = [self.mechanism.carrier(*pair) for pair in zip(channels.body, channels.position, strict=True)]
+        body = [self.bodies[carrier] for carrier in carriers]
+        offset = np.array([self.mechanism.offset(carrier) for carrier in carriers]).reshape(-1, 3)
+        turn = self.rotation[body]
+        point = self.origin[body] + (turn @ (channels.position - offset)[:, :, None])[:, :, 0]
+        force = (turn @ direction[:, :, None])[:, :, 0]
+        return np.hstack([_cross(point, force), force]), body
+
+    def _turned(self, axis: int) -> FloatArray:
+        """Rate (nv, 6) of the screws inboard of a commanded position, seen from what it moves."""
+        twist = self.command[axis]
+        omega = _cross(twist[:3], self.screw[:, :3])
+        v = _cross(twist[:3], self.screw[:, 3:]) + _cross(twist[3:], self.screw[:, :3])
+        return -np.hstack([omega, v]) * (1 - self.carried[axis])[:, None]
+
+    def command_slopes(self, axis: int) -> tuple[FloatArray, FloatArray]:
+        """∂M/∂q and ∂K/∂q (nv, nv) for a commanded position, zero-based axis."""
+        weight = (self.path * self.moved[axis][:, None])[:, :, None]
+        S, dS = self.screw * weight, self._turned(axis) * weight
+        inertial = self.spatial @ S.swapaxes(1, 2)
+        dM = (dS @ inertial).sum(axis=0)
+        momentum = inertial[:, 3:].sum(axis=0)
+        momentum_rate = (self.spatial[:, 3:] @ dS.swapaxes(1, 2)).sum(axis=0)
+        omega, omega_rate = self.screw[:, :3], self._turned(axis)[:, :3]
+        turned_gravity = -_cross(self.command[axis][:3], self.gravity)
+        dK = (
+            _hessian(omega, momentum, turned_gravity, self.inboard)
+            + _hessian(omega_rate, momentum, self.gravity, self.inboard)
+            + _hessian(omega, momentum_rate, self.gravity, self.inboard)
+        )
+        return dM + dM.T, dK
+
+    def inertial_slopes(self, body: str, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """∂M and ∂K (n, nv, nv) for changes (n, 6, 6) of a body's spatial inertia about, and in, its own frame."""
+        index = self.bodies[body]
+        S = (_to_body(self.rotation[index], self.origin[index]) @ self.screw.T).T * self.path[index][:, None]
+        inertial = local @ S.T
+        gravity = self.gravity @ self.rotation[index]
+        return S @ inertial, _hessian(S[:, :3], inertial[:, 3:], gravity, self.inboard)
+
+
+def _hessian(omega: FloatArray, momentum: FloatArray, gravity: FloatArray, inboard: FloatArray) -> FloatArray:
+    """Gravity stiffness (…, nv, nv), from its inboard half; ``momentum`` (…, 3, nv) holds W_k in its columns."""
+    half = -(_cross(gravity, omega) @ momentum) * inboard
+    return half + half.swapaxes(-1, -2) - half * np.eye(len(omega))
+
+
+def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = None) -> Structure:
+    """The closed-form model of a mechanism with held rotors.
+
+    Args:
+        mechanism: from :func:`twin.robot.mechanism.assemble`.
+        deflection: rest deflections by joint, rad (m): where the springs sag; zero by default.
+    """
+    rest = deflection or {}
+    bodies: dict[str, int] = {}
+    names: list[str] = []
+    screws: list[FloatArray] = []
+    paths: list[tuple[int, ...]] = []
+    rotation: list[FloatArray] = []
+    origin: list[FloatArray] = []
+    inboard: list[tuple[int, ...]] = []
+    joints = []
+    command: list[FloatArray] = []
+    for body in mechanism.bodies.values():
+        if body.parent:
+            parent = bodies[body.parent]
+            turn, place, path = rotation[parent], origin[parent], paths[parent]
+        else:
+            turn, place, path = np.eye(3), np.zeros(3), ()
+        place = place + turn @ body.position
+        turn = turn @ matrix_of(body.quaternion)
+        if body.kind == "motor":
+            command.append(_screw(turn[:, 2], place, mechanism.axis_kind(len(command))))
+        for joint in body.joints:
+            axis = turn @ np.asarray(joint.axis)
+            screws.append(_screw(axis, place, joint.kind))
+            path = (*path, len(names))
+            inboard.append(path)
+            names.append(joint.name)
+            joints.append(joint)
+            amount = rest.get(joint.name, 0.0)
+            if joint.kind == "slide":
+                place = place + amount * axis
+            elif amount:
+                turn = _rodrigues(axis, amount) @ turn
+        bodies[body.name] = len(rotation)
+        rotation.append(turn)
+        origin.append(place)
+        paths.append(path)
+    nb, nv, n = len(bodies), len(names), len(command)
+    on_path, inboard_mask = np.zeros((nb, nv)), np.zeros((nv, nv))
+    for row, path in zip(on_path, paths, strict=True):
+        row[list(path)] = 1
+    for k, path in enumerate(inboard):
+        inboard_mask[list(path), k] = 1
+    spatial = np.zeros((nb, 6, 6))
+    for index, body in enumerate(mechanism.bodies.values()):
+        X = _to_body(rotation[index], origin[index])
+        spatial[index] = X.T @ spatial_inertia(body.mass, body.com, body.inertia) @ X
+    moved = np.zeros((n, nb))
+    carried = np.zeros((n, nv))
+    for i in range(n):
+        outboard = {f"motor{i + 1}"}
+        for body in mechanism.bodies.values():
+            if body.name in outboard or body.parent in outboard:
+                outboard.add(body.name)
+                moved[i, bodies[body.name]] = 1
+                carried[i, [names.index(joint.name) for joint in body.joints]] = 1
+    screw, gravity = np.array(screws).reshape(nv, 6), np.array(mechanism.robot.gravity)
+    S = screw * on_path[:, :, None]
+    inertial = spatial @ S.swapaxes(1, 2)
+    momentum = inertial[:, 3:].sum(axis=0)
+    load = gravity @ momentum  # the weight's work per unit of every coordinate
+    strain = np.array([joint.stiffness[0] for joint in joints])
+    tangent = np.array([_tangent(joint.stiffness, force) for joint, force in zip(joints, load, strict=True)])
+    M = (S @ inertial).sum(axis=0) + _diagonal(joint.armature for joint in joints)
+    C = _diagonal(joint.damping[0] for joint in joints)
+    K = _hessian(screw[:, :3], momentum, gravity, inboard_mask) + _diagonal(tangent)
+    for tendon in mechanism.tendons:
+        pull = np.array([tendon.joints.get(name, 0.0) for name in names])
+        M = M + tendon.armature * np.outer(pull, pull)
+        C = C + tendon.damping * np.outer(pull, pull)
+        K = K + tendon.stiffness * np.outer(pull, pull)
+    loss = _diagonal(joint.loss_factor * joint.stiffness[0] for joint in joints)
+    return Structure(
+        tuple(names), bodies, screw, inboard_mask, on_path, np.array(rotation), np.array(origin), spatial,
+        np.array(command).reshape(n, 6), moved, carried, gravity, M, C, K, loss, strain, mechanism,
+    )  # fmt: skip
+
+
+def _diagonal(values: Iterable[float]) -> FloatArray:
+    return np.diag(np.array(list(values), float))
+
+
+def spatial_inertia(mass: float, com: FloatArray, inertia: FloatArray) -> FloatArray:
+    """Spatial inertia (6, 6) about the frame's origin, rows and columns (ω, v); ``inertia`` (3, 3) is at the com."""
+    skew = mass * _skew(com)
+    out = np.zeros((6, 6))
+    out[:3, :3] = inertia + mass * ((com @ com) * np.eye(3) - np.outer(com, com))
+    out[:3, 3:], out[3:, :3], out[3:, 3:] = skew, -skew, mass * np.eye(3)
+    return out
+
+
+def _tangent(stiffness: Sequence[float], load: float) -> float:
+    """Slope of k₁x + k₂x² + k₃x³ where it carries a load."""
+    k1, k2, k3 = stiffness
+    if not (k2 or k3):
+        return k1
+    roots = np.roots([k3, k2, k1, -load])
+    real = roots[np.abs(roots.imag) < 1e-9 * max(1.0, abs(load / k1))].real
+    x = real[np.argmin(np.abs(real - load / k1))]
+    return float(k1 + 2 * k2 * x + 3 * k3 * x**2)
+
+
+def _screw(axis: FloatArray, point: FloatArray, kind: str) -> FloatArray:
+    if kind == "slide":
+        return np.concatenate([np.zeros(3), axis])
+    return np.concatenate([axis, _cross(point, axis)])
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a × b over the last axis; numpy's own is ten times slower on arrays this small."""
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
+
+
+def _skew(v: FloatArray) -> FloatArray:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def _rodrigues(axis: FloatArray, angle: float) -> FloatArray:
+    cross = _skew(axis)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _to_body(rotation: FloatArray, origin: FloatArray) -> FloatArray:
+    """(6, 6) that takes a twist about the world's origin to the body's frame."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = rotation.T
+    out[3:, :3] = -rotation.T @ _skew(origin)
+    return out
+
+
+# --- what a recording sees, and its derivatives -------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One posture of a recording: what the model needs to know to predict it.
+
+    Attributes:
+        name: base name of the posture, shared by its force levels; its angles are ``posture.NAME.q1`` ….
+        q: (n,) commanded positions as recorded, rad (m).
+        brakes: ``None`` where unknown; the servo may then give way.
+        response, excitation: the recording's channels.
+    """
+
+    name: str
+    q: FloatArray
+    brakes: Brakes | None
+    response: Channels
+    excitation: Channels
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A structure seen through a recording's channels.
+
+    Attributes:
+        J_r, J_e: (nr, nv) and (ne, nv) displacement along the channels per unit of the coordinates.
+        gain, delay: (nr,) of the response channels; delay in s.
+    """
+
+    M: FloatArray
+    C: FloatArray
+    K: FloatArray
+    loss: FloatArray
+    J_r: FloatArray
+    J_e: FloatArray
+    gain: FloatArray
+    delay: FloatArray
+
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """The eight arrays in the order of the fields."""
+        return self.M, self.C, self.K, self.loss, self.J_r, self.J_e, self.gain, self.delay
+
+
+def observe(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray) -> tuple[Observed, Structure]:
+    """The model of a posture at parameter values (n,); ``robot`` already carries the values that belong to it."""
+    q = setup.q + parameters.posture_error(setup.name, values, len(setup.q))
+    model = structure(assemble(robot, q, brakes=setup.brakes or "off"))
+    chain = recording_chain(robot, setup.response, setup.excitation)
+    gain = chain.response_gain * parameters.gains(setup.response.label, values)
+    J_r = model.rows(setup.response, chain.response_direction)
+    J_e = model.rows(setup.excitation, chain.excitation_direction)
+    return Observed(model.M, model.C, model.K, model.loss, J_r, J_e, gain, chain.response_delay), model
+
+
+def recording_chain(robot: Robot, response: Channels, excitation: Channels) -> MeasurementChain:
+    """The measurement chain of a recording, as the robot's measurement entries make it."""
+    chain = MeasurementChain(
+        response.label,
+        response.direction,
+        excitation.label,
+        excitation.direction,
+        torque_gain=np.ones(robot.axis_count),
+    )
+    for entry in robot.physics:
+        CATALOGUE[entry.effect].record(chain, entry.site, entry.values)
+    return chain
+
+
+def slopes(
+    robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, seen: Observed, model: Structure
+) -> Observed:
+    """Derivatives of :func:`observe` with respect to every parameter's value, stacked on a first axis (n, …).
+
+    Springs, dampers, links and postures in closed form; any other parameter by central differences. So are those that
+    move the working point of a hardening spring, and links that bend.
+    """
+    n = len(parameters)
+    out = Observed(*(np.zeros((n, *array.shape)) for array in seen.arrays()))
+    index = {name: k for k, name in enumerate(model.coordinates)}
+    split = {f"link{link}" for link in model.mechanism.splits}
+    curved = {joint.name for joint in model.mechanism.joints if any(joint.stiffness[1:])}
+    if curved:
+        split = set(model.bodies)
+    rows: tuple[FloatArray, FloatArray] | None = None
+    for i, link in enumerate(robot.links):
+        body = f"link{i + 1}"
+        own = [p for p, parameter in enumerate(parameters) if parameter.name.startswith(f"{body}.")]
+        own = [p for p in own if parameters[p].kind == "link"]
+        if own and body not in split:
+            changes = np.array([_link_slope(link.inertial, parameters[p].name) for p in own])
+            out.M[own], out.K[own] = model.inertial_slopes(body, changes)
+    for p, parameter in enumerate(parameters):
+        site, _, what = parameter.name.rpartition(".")
+        if parameter.kind == "spring" and site not in curved:
+            if site in index:
+                k = index[site]
+                if what == "stiffness":
+                    out.K[p, k, k] = 1.0
+                    out.loss[p, k, k] = model.loss[k, k] / model.strain[k]
+                else:
+                    out.C[p, k, k] = 1.0
+        elif parameter.kind == "link" and parameter.name.partition(".")[0] not in split:
+            continue
+        elif parameter.kind == "posture" and not (curved and site == f"posture.{setup.name}"):
+            if site == f"posture.{setup.name}":
+                axis = int(what[1:]) - 1
+                if rows is None:
+                    chain = recording_chain(robot, setup.response, setup.excitation)
+                    rows = (
+                        model.row_slopes(setup.response, chain.response_direction),
+                        model.row_slopes(setup.excitation, chain.excitation_direction),
+                    )
+                out.M[p], out.K[p] = model.command_slopes(axis)
+                out.J_r[p], out.J_e[p] = rows[0][axis], rows[1][axis]
+        elif parameter.kind == "gain":
+            rows_of = [k for k, label in enumerate(setup.response.label) if parameter.name == f"gain.{label}"]
+            out.gain[p, rows_of] = seen.gain[rows_of] / values[p]
+        else:
+            step = parameter.step(values[p])
+            sides = []
+            for side in (values[p] + step, values[p] - step):
+                shifted = values.copy()
+                shifted[p] = side
+                sides.append(observe(parameters.apply_one(robot, p, side), setup, parameters, shifted)[0])
+            for target, high, low in zip(out.arrays(), sides[0].arrays(), sides[1].arrays(), strict=True):
+                target[p] = (high - low) / (2 * step)
+    return out
+
+
+def _link_slope(inertial: tuple[float, FloatArray, FloatArray], name: str) -> FloatArray:
+    """∂ spatial inertia (6, 6), in the link's frame, with respect to its mass, com or inertia."""
+    mass, com, _ = inertial
+    _, what, *rest = name.split(".")
+    if what == "mass":
+        return spatial_inertia(1.0, com, np.zeros((3, 3)))
+    if what == "com":
+        unit = np.eye(3)["xyz".index(rest[0])]
+        moment = mass * (2 * com @ unit * np.eye(3) - np.outer(com, unit) - np.outer(unit, com))
+        change = np.zeros((6, 6))
+        change[:3, :3], change[:3, 3:], change[3:, :3] = moment, mass * _skew(unit), -mass * _skew(unit)
+        return change
+    i, j = ("xyz".index(letter) for letter in rest[0])
+    change = np.zeros((6, 6))
+    change[i, j] = change[j, i] = 1.0
+    return change
+
+
+def contract(slopes_: Observed, transform: FloatArray) -> Observed:
+    """Derivatives along other coordinates: ``transform`` (n, m) holds ∂ value / ∂ coordinate."""
+    return Observed(*(np.tensordot(transform.T, array, axes=1) for array in slopes_.arrays()))
+
+
+def frf(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
+    """H(s) = sᵖ R J_r (s²M + sC + K)⁻¹ J_eᵀ, (nf, nr, ne), R the channels' gains and delays."""
+    X_e = np.linalg.solve(_dynamic(seen, s), np.broadcast_to(seen.J_e.T, (len(s), *seen.J_e.T.shape)))
+    return _record(seen, s, power) * (seen.J_r @ X_e)
+
+
+def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> tuple[ComplexArray, ComplexArray]:
+    """H (nf, nr, ne) and its derivatives (n, nf, nr, ne).
+
+    ∂H = sᵖR [∂J_r Z⁻¹J_eᵀ + J_r Z⁻¹∂J_eᵀ − J_r Z⁻¹ (s²∂M + s∂C + ∂K) Z⁻¹J_eᵀ] + H ∂R/R.
+    """
+    nf, nr, nv, ne, n = len(s), len(seen.J_r), seen.M.shape[0], len(seen.J_e), len(rate.M)
+    both = np.concatenate([seen.J_r, seen.J_e]).T
+    X = np.linalg.solve(_dynamic(seen, s), np.broadcast_to(both, (nf, *both.shape)))
+    X_r, X_e = np.ascontiguousarray(X[:, :, :nr].swapaxes(1, 2)), np.ascontiguousarray(X[:, :, nr:])
+    record = _record(seen, s, power)
+    H = record * (seen.J_r @ X_e)
+    flat = X_r.reshape(nf * nr, nv)
+    left = np.zeros((nf, nr, n, nv), complex)
+    lines = np.repeat(s, nr)[:, None]
+    for matrix, factor in ((rate.M, lines**2), (rate.C, lines), (rate.K, None), (rate.loss, np.array(1j))):
+        some = np.flatnonzero(matrix.any(axis=(1, 2)))
+        if some.size:
+            columns = matrix[some].transpose(1, 0, 2).reshape(nv, -1)
+            product = flat @ columns
+            left[:, :, some] -= (product if factor is None else factor * product).reshape(nf, nr, some.size, nv)
+    left += rate.J_r.transpose(1, 0, 2)
+    slope = (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne)
+    some = np.flatnonzero(rate.J_e.any(axis=(1, 2)))
+    if some.size:
+        turned = (flat @ rate.J_e[some].transpose(2, 0, 1).reshape(nv, -1)).reshape(nf, nr, some.size, ne)
+        slope[:, :, some] += turned
+    slope = slope.transpose(2, 0, 1, 3) * record
+    for p in np.flatnonzero(rate.gain.any(axis=1) | rate.delay.any(axis=1)):
+        slope[p] += H * (rate.gain[p] / seen.gain - s[:, None] * rate.delay[p])[:, :, None]
+    return H, slope
+
+
+def _dynamic(seen: Observed, s: ComplexArray) -> ComplexArray:
+    line = s[:, None, None]
+    return np.asarray(line**2 * seen.M + line * seen.C + (seen.K + 1j * seen.loss))
+
+
+def _record(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
+    return np.asarray((s[:, None] ** power * seen.gain * np.exp(-s[:, None] * seen.delay))[:, :, None])
+
+
+# --- modes ----------------------------------------------------------------------------------------------------------
+
+
+def poles(seen: Observed) -> tuple[ComplexArray, ComplexArray]:
+    """Poles (nm,) rad/s of the oscillating modes, by frequency, and shapes (nv, nm)."""
+    nv = len(seen.M)
+    K = seen.K + 1j * seen.loss if seen.loss.any() else seen.K
+    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(seen.M, np.hstack([K, seen.C]))]])
+    pole, vector = np.linalg.eig(A)
+    keep = np.flatnonzero(pole.imag > 1e-6 * np.abs(pole))
+    keep = keep[np.argsort(np.abs(pole[keep]))]
+    return pole[keep], vector[:nv, keep]
+
+
+def pole_slopes(seen: Observed, rate: Observed, pole: ComplexArray, shape: ComplexArray) -> ComplexArray:
+    """Derivatives (n, nm) of the poles: ∂λ = −φᵀ(λ²∂M + λ∂C + ∂K)φ / φᵀ(2λM + C)φ, Z being symmetric."""
+    out = np.empty((len(rate.M), len(pole)), complex)
+    for k, (value, phi) in enumerate(zip(pole, shape.T, strict=True)):
+        change = value**2 * rate.M + value * rate.C + rate.K + 1j * rate.loss
+        out[:, k] = -(phi @ change @ phi) / (phi @ (2 * value * seen.M + seen.C) @ phi)
+    return out

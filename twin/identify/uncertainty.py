@@ -1,0 +1,168 @@
+"""What a fit's data say and what its prior says: intervals, combinations, correlation, profiles, drift.
+
+In z the prior is the standard normal, so the posterior covariance is (F/s² + 1)⁻¹ with F the Fisher information of the
+data. s² ≥ 1 is the misfit χ² per datum (Birge's ratio): a model that misses the data by more than their noise does not
+earn the noise's intervals.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import norm
+
+from twin.identify.elastic import Fit, Recorded, linear_objective, minimise
+from twin.identify.parameters import Parameter
+from twin.measure.campaign import FloatArray
+from twin.robot.description import Robot
+
+HELD = 0.5  # posterior over prior deviation below which the data hold a parameter
+SHARP = 0.35  # and, of a scale, the largest deviation of its logarithm
+LARGE_DRIFT = 3.0  # prior deviations
+NINETY = float(norm.ppf(0.95))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter after the fit.
+
+    Attributes:
+        value: in ``parameter.unit``; ``interval90`` its 5 % and 95 % quantiles.
+        deviation: posterior standard deviation of x (of ln value, where the prior is log-normal).
+        share: of the prior's variance that the data removed, 0 to 1.
+        identifiable: the data hold it; where they do not, value and interval are mostly the prior's.
+        drift: distance from the prior mean in prior deviations.
+    """
+
+    parameter: Parameter
+    value: float
+    interval90: tuple[float, float]
+    deviation: float
+    share: float
+    identifiable: bool
+    drift: float
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A combination of ln-parameters and how much of it is data: share 1 data, 0 prior; weights sum squared to 1."""
+
+    share: float
+    weights: dict[str, float]
+
+
+def posterior(fit: Fit, noise_known: bool = True) -> FloatArray:
+    """Posterior covariance of x (n, n).
+
+    Args:
+        fit: from :func:`twin.identify.elastic.fit_frf`.
+        noise_known: the recording states its variance; else the misfit sets the scale in both directions.
+    """
+    scale = max(1.0, fit.misfit) if noise_known else fit.misfit
+    root = fit.parameters.root
+    covariance = root @ np.linalg.inv(fit.fisher / scale + np.eye(len(fit.z))) @ root.T
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def estimates(fit: Fit, noise_known: bool = True) -> list[Estimate]:
+    """Every parameter with interval, share of the data, and drift."""
+    covariance = posterior(fit, noise_known)
+    x = fit.parameters.root @ fit.z
+    prior = np.sqrt(np.diag(fit.parameters.covariance))
+    found = []
+    for k, parameter in enumerate(fit.parameters):
+        deviation = float(np.sqrt(covariance[k, k]))
+        ratio = deviation / prior[k]
+        held = bool(ratio < HELD) and (not parameter.log or deviation < SHARP)
+        low, high = _interval(parameter, float(x[k]), deviation, float(prior[k]))
+        drift = float(x[k] / prior[k])
+        found.append(
+            Estimate(parameter, float(fit.values[k]), (low, high), deviation, float(1 - ratio**2), held, drift)
+        )
+    return found
+
+
+def _interval(parameter: Parameter, x: float, deviation: float, prior: float) -> tuple[float, float]:
+    """5 % and 95 % quantiles of a value.
+
+    A scale enters M, C or K linearly, so the data's likelihood is normal in the value, not in its logarithm: a damper
+    of which the data only know that it is small has an interval that the prior closes from below.
+    """
+    if not parameter.log or deviation < 0.02:
+        ends = x - NINETY * deviation, x + NINETY * deviation
+        return float(parameter.value(ends[0])), float(parameter.value(ends[1]))
+    information = max(1 / deviation**2 - 1 / prior**2, 1e-12)  # of the data about x, at the optimum
+    grid = np.linspace(x - 8 * prior, x + 8 * prior, 4001)
+    if deviation < prior / 10:
+        grid = np.linspace(x - 10 * deviation, x + 10 * deviation, 4001)
+    ratio = np.exp(grid - x)  # of the value over the fitted one
+    likeliest = 1 + (x / prior**2) / information  # of the data alone: there the two slopes cancel at the optimum
+    energy = 0.5 * information * ((ratio - likeliest) ** 2 - (1 - likeliest) ** 2) + 0.5 * (grid**2 - x**2) / prior**2
+    weight = np.cumsum(np.exp(-(energy - energy.min())))
+    low, high = np.interp([0.05, 0.95], weight / weight[-1], grid)
+    return float(parameter.value(low)), float(parameter.value(high))
+
+
+def combinations(fit: Fit, kinds: Sequence[str] = ("spring", "entry")) -> list[Combination]:
+    """Which combinations of springs and dampers the data hold, the other parameters free under their priors.
+
+    Eigenvectors of the prior-whitened marginal information, best held first.
+    """
+    covariance = posterior(fit)
+    keep = [k for k, parameter in enumerate(fit.parameters) if parameter.kind in kinds]
+    if not keep:
+        return []
+    prior = np.sqrt(np.diag(fit.parameters.covariance))[keep]
+    whitened = covariance[np.ix_(keep, keep)] / np.outer(prior, prior)
+    variance, vectors = np.linalg.eigh(whitened)
+    found = []
+    for value, vector in zip(variance, vectors.T, strict=True):
+        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        weights = {fit.parameters.names[k]: float(w) for k, w in zip(keep, vector, strict=True)}
+        found.append(Combination(float(1 - min(value, 1.0)), weights))
+    return found
+
+
+def correlation(fit: Fit) -> FloatArray:
+    """Posterior correlation (n, n)."""
+    covariance = posterior(fit)
+    deviation = np.sqrt(np.diag(covariance))
+    return covariance / np.outer(deviation, deviation)
+
+
+def profile(
+    robot: Robot, recordings: Sequence[Recorded], fit: Fit, index: int, points: int = 9, reach: float = 2.5
+) -> tuple[FloatArray, FloatArray]:
+    """Profile of one parameter: values (points,) and 2Δ of posterior cost with everything else refitted.
+
+    Runs from the optimum outwards over ``reach`` posterior deviations, on thinned lines that carry the weight of all.
+    """
+    parameter = fit.parameters[index]
+    deviation = float(np.sqrt(posterior(fit)[index, index]))
+    step = max(1, min(len(r.s) for r in recordings) // 25)
+    thinned = [replace(r.every(step), variance=r.every(step).variance / step) for r in recordings]
+    objective = linear_objective(robot, fit.parameters, thinned)
+    direction = fit.parameters.root[index]
+    x0 = float(direction @ fit.z)
+    null = np.linalg.svd(direction[None])[2][1:].T  # z moves freely across, held along
+    pin = direction / (direction @ direction)
+    half = points // 2
+    cost: dict[float, float] = {}
+    for side in (-1.0, 1.0):
+        y = null.T @ fit.z
+        for k in range(half + 1):
+            target = x0 + side * reach * deviation * k / half
+            y, cost[target], *_ = minimise(_pinned(objective, null, target * pin), y, 6, 0.01)
+    x = np.array(sorted(cost))
+    drop = np.array([cost[value] for value in x])
+    return np.asarray(parameter.value(x)), 2 * (drop - drop.min())
+
+
+def _pinned(objective: Callable[..., tuple[float, FloatArray, FloatArray]], null: FloatArray, offset: FloatArray) -> (
+    Callable[..., tuple[float, FloatArray, FloatArray]]
+):  # fmt: skip
+    def evaluate(y: FloatArray, derivatives: bool = True) -> tuple[float, FloatArray, FloatArray]:
+        cost, gradient, information = objective(offset + null @ y, derivatives)
+        return cost, null.T @ gradient, null.T @ information @ null
+
+    return evaluate
