@@ -1,13 +1,14 @@
 """A mass on a spring along one axis of a link's frame: hose pack, cover, counterbalance."""
 
 from math import pi
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values
+from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of, link_end
 
 if TYPE_CHECKING:
+    from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
 
@@ -17,11 +18,11 @@ class AttachedResonator(Effect):
     name = "attached_resonator"
     sites = ("link{i}",)
     parameters = (
-        Parameter("mass", "kg", nonnegative=True),
-        Parameter("frequency_hz", "Hz", positive=True),
-        Parameter("damping_ratio", "1", nonnegative=True),
+        Parameter("mass", "kg", nonnegative=True, spread=1.2),
+        Parameter("frequency_hz", "Hz", positive=True, spread=0.7),
+        Parameter("damping_ratio", "1", nonnegative=True, spread=1.0),
         Parameter("axis", "x, y or z", word=True),
-        Parameter("position", "m", length=3),
+        Parameter("position", "m", length=3, spread=0.3),
     )
     seen_in = frozenset({"hammer"})
     order = 1
@@ -43,3 +44,16 @@ class AttachedResonator(Effect):
             2 * values["damping_ratio"] * mass * omega,
             "slide",
         )
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """1 % of the links' mass, 1.5 % damped, half-way along the link."""
+        mass = 0.01 * sum(link.inertial[0] for link in robot.links)
+        middle = [0.5 * value for value in link_end(robot, axis_of(site))]
+        return {"mass": mass, "frequency_hz": 15.0, "damping_ratio": 0.015, "axis": "z", "position": middle}
+
+    def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
+        """Every axis, frequencies 5 % apart."""
+        typical = self.typical(robot, site) or {}
+        steps = int(np.ceil(np.log(band_hz[1] / band_hz[0]) / 0.05))
+        frequencies = np.geomspace(*band_hz, steps + 1)
+        return [{**typical, "axis": axis, "frequency_hz": float(f)} for axis in UNIT_VECTORS for f in frequencies]

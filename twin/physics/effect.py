@@ -13,6 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
     from twin.physics.motion import Motion
+    from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
 UNIT_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -34,6 +35,8 @@ class Parameter:
         positive: must be greater than zero.
         nonnegative: must not be less than zero. With neither, any finite number will do.
         word: a word, not a number (an axis letter, a joint).
+        spread: prior standard deviation about the typical value when the entry is suspected: of the logarithm where the
+            parameter cannot be negative, else in ``unit``; 0 leaves it at the typical value.
     """
 
     name: str
@@ -44,6 +47,12 @@ class Parameter:
     positive: bool = False
     nonnegative: bool = False
     word: bool = False
+    spread: float = 0.0
+
+    @property
+    def log(self) -> bool:
+        """A scale, whose prior is log-normal."""
+        return self.positive or self.nonnegative
 
     def check(self, value: object) -> str | None:
         """Why ``value`` cannot be this parameter, or ``None`` when it can."""
@@ -74,6 +83,7 @@ class Effect:
         seen_in: the kinds of recording that can show it.
         order: entries are applied by increasing order: 0 shapes the tree, 1 hangs bodies on it, 2 acts on
             joints, 3 acts on what the others added.
+        sprung: it adds one coordinate, named like the site, with its ``stiffness`` and ``damping``.
         role: what its torque law is part of: ``"load"`` goes through the gear, ``"friction"`` is what load and
             warm-up act on, ``"drive"`` is neither.
         repeatable: several entries may stand at one site.
@@ -86,10 +96,15 @@ class Effect:
     order: ClassVar[int] = 2
     role: ClassVar[Literal["load", "friction", "drive"]] = "drive"
     repeatable: ClassVar[bool] = False
+    sprung: ClassVar[bool] = False
 
     def check(self, values: Values) -> str | None:
         """What is wrong with the parameters taken together, or ``None``."""
         return None
+
+    def complete(self, robot: "Robot", site: str, given: Values) -> Values:
+        """The parameters as given, with those filled in that an entry leaves to the rest of the description."""
+        return given
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         """Write the entry into the mechanism, with native MuJoCo elements wherever they exist.
@@ -112,6 +127,18 @@ class Effect:
 
     def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
         """Change how the motion is recorded (gains, delays, directions). The default changes nothing."""
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """What the entry would ordinarily be, in the centre of its prior; ``None`` where it is not looked for.
+
+        Parameters of either sign are centred on no effect at all.
+        """
+        return None
+
+    def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
+        """Parameters to start a search from, where one typical entry is not enough (a frequency, an axis)."""
+        typical = self.typical(robot, site)
+        return [] if typical is None else [typical]
 
     def is_site(self, site: str, axes: int) -> bool:
         """Whether ``site`` is one of this effect's sites on a robot with ``axes`` axes."""
@@ -142,3 +169,23 @@ def axis_of(site: str) -> int:
     if not found:
         raise ValueError(f"no axis in site {site!r}")
     return int(found.group(1)) - 1
+
+
+def usual_stiffness(robot: "Robot") -> float:
+    """Geometric mean of the described joint stiffnesses, N·m/rad; 5 MN·m/rad where none is described."""
+    known = [axis.stiffness for axis in robot.axes if axis.stiffness and axis.type == "revolute"]
+    return float(np.exp(np.mean(np.log(known)))) if known else 5e6
+
+
+def light_damping(stiffness: float) -> float:
+    """Damping that gives a spring 1 % of critical at 15 Hz."""
+    return 2 * 0.01 * stiffness / (2 * np.pi * 15.0)
+
+
+def link_end(robot: "Robot", number: int) -> list[float]:
+    """Where the next joint (for the last link, the flange) sits in the frame of a zero-based link, m."""
+    if number + 1 == robot.axis_count:
+        return [float(value) for value in robot.flange.position]
+    from twin.robot.frames import axis_placement
+
+    return [float(value) for value in axis_placement(robot.axes[number + 1], 0.0)[0]]

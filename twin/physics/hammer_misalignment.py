@@ -1,6 +1,6 @@
 """A blow off its axis: turned by two angles about the two other axes of the frame."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from twin.physics.effect import Effect, Parameter, Values
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
+    from twin.robot.description import Robot
 
 
 class HammerMisalignment(Effect):
@@ -15,7 +16,7 @@ class HammerMisalignment(Effect):
 
     name = "hammer_misalignment"
     sites = ("hammer:LABEL",)
-    parameters = (Parameter("angles", "rad", length=2),)
+    parameters = (Parameter("angles", "rad", length=2, spread=0.1),)
     seen_in = frozenset({"hammer"})
 
     def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
@@ -30,3 +31,7 @@ class HammerMisalignment(Effect):
                     + axis * (axis @ direction) * (1 - np.cos(angle))
                 )
             chain.excitation_direction[column] = direction
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """None at all: an error of either sign."""
+        return {"angles": [0.0, 0.0]}

@@ -4,11 +4,12 @@ Points and mass inboard of the hinge stay behind. ``Mechanism.split`` says how t
 """
 
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of
+from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of, light_damping, usual_stiffness
 
 if TYPE_CHECKING:
+    from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
 
@@ -18,11 +19,17 @@ class LinkFlexibility(Effect):
     name = "link_flexibility"
     sites = ("link{i}.y", "link{i}.z")
     parameters = (
-        Parameter("stiffness", "N·m/rad", inf, positive=True),
-        Parameter("damping", "N·m·s/rad", nonnegative=True),
+        Parameter("stiffness", "N·m/rad", inf, positive=True, spread=1.6),
+        Parameter("damping", "N·m·s/rad", nonnegative=True, spread=2.3),
     )
     seen_in = frozenset({"hammer"})
     order = 0
+    sprung = True
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         mechanism.split(axis_of(site) + 1, UNIT_VECTORS[site[-1]], site, values["stiffness"], values["damping"])
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """Three times a joint's stiffness."""
+        stiffness = 3 * usual_stiffness(robot)
+        return {"stiffness": stiffness, "damping": light_damping(stiffness)}

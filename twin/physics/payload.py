@@ -1,12 +1,13 @@
 """A rigid mass beyond the description, on a link or at the flange; com in the frame of that (the last) link."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.physics.effect import Effect, Parameter, Values
+from twin.physics.effect import Effect, Parameter, Values, axis_of, link_end
 
 if TYPE_CHECKING:
+    from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
 
@@ -19,8 +20,8 @@ class Payload(Effect):
     name = "payload"
     sites = ("flange", "link{i}")
     parameters = (
-        Parameter("mass", "kg", nonnegative=True),
-        Parameter("com", "m", length=3),
+        Parameter("mass", "kg", nonnegative=True, spread=1.2),
+        Parameter("com", "m", length=3, spread=0.2),
         Parameter("inertia", "kg·m²", length=-1, optional=True),
     )
     seen_in = frozenset({"hammer", "log"})
@@ -42,6 +43,12 @@ class Payload(Effect):
         body = f"link{mechanism.robot.axis_count}" if site == "flange" else site
         if values["mass"] > 0:
             mechanism.attach(body, values["mass"], np.array(values["com"]), _matrix(values["inertia"] or [0.0] * 3))
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """2 % of the links' mass, where the next joint (the flange) is."""
+        mass = 0.02 * sum(link.inertial[0] for link in robot.links)
+        number = robot.axis_count - 1 if site == "flange" else axis_of(site)
+        return {"mass": mass, "com": link_end(robot, number)}
 
 
 def _matrix(inertia: list[float]) -> np.ndarray:

@@ -1,6 +1,6 @@
 """A triaxial accelerometer turned on its node: recorded = Rz(c) Ry(b) Rx(a) true."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from twin.physics.effect import Effect, Parameter, Values
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
+    from twin.robot.description import Robot
 
 
 class SensorMisalignment(Effect):
@@ -15,7 +16,7 @@ class SensorMisalignment(Effect):
 
     name = "sensor_misalignment"
     sites = ("sensor:NODE",)
-    parameters = (Parameter("angles", "rad", length=3),)
+    parameters = (Parameter("angles", "rad", length=3, spread=0.05),)
     seen_in = frozenset({"hammer"})
 
     def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
@@ -26,3 +27,7 @@ class SensorMisalignment(Effect):
         rows = chain.node_responses(site)
         # a channel reads dᵀ R a, so its effective direction is Rᵀ d
         chain.response_direction[rows] = chain.response_direction[rows] @ (turn_z @ turn_y @ turn_x)
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """None at all: an error of either sign."""
+        return {"angles": [0.0, 0.0, 0.0]}

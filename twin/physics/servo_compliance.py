@@ -1,11 +1,14 @@
 """A servo that does not hold the rotor: a spring to the previous link, in series with the gear, and the rotor's N²J."""
 
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of
 
 if TYPE_CHECKING:
+    from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
 
@@ -18,12 +21,13 @@ class ServoCompliance(Effect):
     name = "servo_compliance"
     sites = ("joint{i}",)
     parameters = (
-        Parameter("stiffness", "N·m/rad", inf, positive=True),
-        Parameter("damping", "N·m·s/rad", nonnegative=True),
+        Parameter("stiffness", "N·m/rad", inf, positive=True, spread=1.6),
+        Parameter("damping", "N·m·s/rad", nonnegative=True, spread=2.3),
         Parameter("inertia", "kg·m²", nonnegative=True, optional=True),
     )
     seen_in = frozenset({"hammer"})
     order = 1
+    sprung = True
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         i = axis_of(site)
@@ -40,3 +44,12 @@ class ServoCompliance(Effect):
                 mechanism.axis_kind(i),
             )
             rotor.armature = values["inertia"] or drive.gear_ratio**2 * drive.rotor_inertia
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """Five times the gear's stiffness, 5 % damped on the rotor; only where a rotor has inertia."""
+        drive, axis = robot.drives[axis_of(site)], robot.axes[axis_of(site)]
+        rotor = drive.gear_ratio**2 * drive.rotor_inertia
+        if rotor == 0 or axis.stiffness is None:
+            return None
+        stiffness = 5 * axis.stiffness
+        return {"stiffness": stiffness, "damping": 2 * 0.05 * float(np.sqrt(stiffness * rotor))}

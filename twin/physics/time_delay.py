@@ -1,11 +1,12 @@
 """A channel that is late; in a motion log, torque late against position."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from twin.physics.effect import Effect, Parameter, Values
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
+    from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
 
@@ -14,7 +15,7 @@ class TimeDelay(Effect):
 
     name = "time_delay"
     sites = ("sensor:LABEL", "log")
-    parameters = (Parameter("delay", "s"),)
+    parameters = (Parameter("delay", "s", spread=1e-3),)
     seen_in = frozenset({"hammer", "log"})
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
@@ -26,3 +27,7 @@ class TimeDelay(Effect):
             chain.torque_delay += values["delay"]
         else:
             chain.response_delay[chain.responses(site)] += values["delay"]
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """None at all: an error of either sign."""
+        return None if site == "log" else {"delay": 0.0}

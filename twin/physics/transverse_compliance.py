@@ -1,11 +1,12 @@
 """Bearing tilt: a joint also gives way about x or y of its link's frame, torque k φ + d φ̇."""
 
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of
+from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of, light_damping, usual_stiffness
 
 if TYPE_CHECKING:
+    from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
 
@@ -15,12 +16,20 @@ class TransverseCompliance(Effect):
     name = "transverse_compliance"
     sites = ("joint{i}.x", "joint{i}.y")
     parameters = (
-        Parameter("stiffness", "N·m/rad", inf, positive=True),
-        Parameter("damping", "N·m·s/rad", nonnegative=True),
+        Parameter("stiffness", "N·m/rad", inf, positive=True, spread=1.6),
+        Parameter("damping", "N·m·s/rad", nonnegative=True, spread=2.3),
     )
     seen_in = frozenset({"hammer"})
     order = 1
+    sprung = True
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         body = f"link{axis_of(site) + 1}"
         mechanism.spring(body, site, UNIT_VECTORS[site[-1]], values["stiffness"], values["damping"])
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """Twice a joint's stiffness."""
+        if robot.axes[axis_of(site)].type == "prismatic":
+            return None
+        stiffness = 2 * usual_stiffness(robot)
+        return {"stiffness": stiffness, "damping": light_damping(stiffness)}
