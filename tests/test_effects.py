@@ -1,4 +1,4 @@
-"""Every effect: null is the model without it, native MuJoCo elements do what the law says, sites and parameters hold."""
+"""Every effect: null is the model without it, native MuJoCo elements do what the law says, sites hold."""
 
 from collections.abc import Callable
 
@@ -100,11 +100,8 @@ def test_a_resonator_puts_its_own_mode_beside_the_robot_s(
 
 
 def test_cut_halves_add_up_and_are_physically_consistent(kr90: Robot) -> None:
-    from twin.robot.frames import inertia_matrix
-
     link = kr90.links[1]
-    assert link.mass and link.com and link.inertia
-    whole = (link.mass, np.array(link.com), inertia_matrix(link.inertia))
+    whole = link.inertial
     inboard, outboard = cut(whole, np.array([0.675, 0, 0]), np.array([1.0, 0, 0]))
     assert inboard[0] + outboard[0] == pytest.approx(whole[0])
     moment = sum(mass * com for mass, com, _ in (inboard, outboard))
@@ -205,7 +202,7 @@ def run() -> MotionRun:
 def test_replay_shows_the_torque_of_the_law(with_entry: Callable[..., Robot], run: MotionRun, effect: str) -> None:
     """The change an entry makes to the drive torque in MuJoCo's time stepping is the law's, away from reversals."""
     site, values = DRIVE[effect]
-    keep = ("viscous_friction",) if effect == "friction_drift" else ()
+    keep = ("viscous_friction",) if effect in ("friction_drift", "joint_coupling") else ()
     plain = with_entry("payload", "link1", keep=keep, mass=0, com=[0, 0, 0])
     robot = with_entry(effect, site, keep=keep, **values)
     for description in (plain, robot):

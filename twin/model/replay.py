@@ -92,7 +92,7 @@ def inverse_dynamics(robot: Robot, motion: Motion) -> np.ndarray:
     total = motion.load + _rotor_torque(robot, motion)
     entries = [(CATALOGUE[entry.effect], entry) for entry in robot.physics]
     for effect, entry in sorted(entries, key=lambda pair: (_ROLES[pair[0].role], pair[0].order)):
-        for axis, torque in effect.torque(motion, entry.site, entry.values).items():
+        for axis, torque in effect.torque(motion, entry.site, robot.values(entry)).items():
             total[:, axis] += torque
             if effect.role == "load":
                 motion.load[:, axis] += torque

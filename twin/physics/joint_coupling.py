@@ -1,6 +1,6 @@
 """A drive that also acts on another axis, as in a coupled wrist.
 
-The elements of drive j turn with q_j + ratio · q_i: their inertia and friction load axis j, and axis i ratio times.
+Rotor j turns with q_j + ratio · q_i instead of q_j alone: its inertia and friction load axis j, and axis i ratio times.
 """
 
 from typing import TYPE_CHECKING
@@ -11,13 +11,15 @@ from twin.physics.effect import Effect, Parameter, Values, axis_of
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
+    from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
 
 class JointCoupling(Effect):
-    """Natively: a fixed tendon over both motors that carries ``armature``, ``damping`` and ``frictionloss``.
+    """Natively: a fixed tendon over both motors takes over ``armature``, ``damping``, ``frictionloss`` of motor j.
 
-    ``friction`` holds F_v (N·m·s/rad) and F_c (N·m) of what turns with both axes.
+    ``inertia`` and ``friction`` (F_v in N·m·s/rad, F_c in N·m) say how much of the drive turns with both axes; left out,
+    all that the description gives drive j.
     """
 
     name = "joint_coupling"
@@ -32,10 +34,24 @@ class JointCoupling(Effect):
     order = 3
     repeatable = True
 
+    def complete(self, robot: "Robot", site: str, given: Values) -> Values:
+        j = axis_of(given["from"])
+        sums = {"rotor_inertia": 0.0, "viscous_friction": 0.0, "coulomb_friction": 0.0}
+        names = {"rotor_inertia": "inertia", "viscous_friction": "coefficient", "coulomb_friction": "torque"}
+        for entry in robot.physics:
+            if entry.effect in sums and entry.site == given["from"]:
+                sums[entry.effect] += entry.values[names[entry.effect]]
+        drive = robot.drives[j]
+        inertia = drive.gear_ratio**2 * drive.rotor_inertia + sums["rotor_inertia"]
+        return {"inertia": inertia, "friction": [sums["viscous_friction"], sums["coulomb_friction"]]} | dict(given)
+
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         driven, driving = mechanism.motor(axis_of(site)), mechanism.motor(axis_of(values["from"]))
         if driven and driving:
             viscous, coulomb = values["friction"]
+            driving.armature = max(0.0, driving.armature - values["inertia"])
+            driving.damping[0] = max(0.0, driving.damping[0] - viscous)
+            driving.frictionloss = max(0.0, driving.frictionloss - coulomb)
             mechanism.tendon(
                 f"{site}.coupling",
                 {driving.name: 1.0, driven.name: values["ratio"]},
@@ -47,7 +63,10 @@ class JointCoupling(Effect):
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i, j, ratio = axis_of(site), axis_of(values["from"]), values["ratio"]
         viscous, coulomb = values["friction"]
-        speed = motion.velocity[:, j] + ratio * motion.velocity[:, i]
-        acceleration = motion.acceleration[:, j] + ratio * motion.acceleration[:, i]
-        torque = values["inertia"] * acceleration + viscous * speed + coulomb * motion.sign(speed)
-        return {j: torque, i: ratio * torque}
+
+        def elements(speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+            return values["inertia"] * acceleration + viscous * speed + coulomb * motion.sign(speed)
+
+        speed, acceleration = motion.velocity, motion.acceleration
+        both = elements(speed[:, j] + ratio * speed[:, i], acceleration[:, j] + ratio * acceleration[:, i])
+        return {i: ratio * both, j: both - elements(speed[:, j], acceleration[:, j])}

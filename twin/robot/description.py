@@ -339,6 +339,11 @@ class Robot(Data):
                     )  # fmt: skip
         return q
 
+    def values(self, entry: Entry) -> dict[str, Any]:
+        """The parameters of an entry: as given, completed from the rest of the description, null where left out."""
+        completed = CATALOGUE[entry.effect].complete(self, entry.site, dict(entry.model_extra or {}))
+        return Entry(effect=entry.effect, site=entry.site, **completed).values
+
     def without(self, removals: Iterable[str]) -> "Robot":
         """A copy without the entries named ``EFFECT`` or ``EFFECT@SITE``.
 

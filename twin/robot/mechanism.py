@@ -185,7 +185,7 @@ class Mechanism:
         """Add a small body of its own at a point of a link; returns its name."""
         carrier = self.carrier(link, position)
         name = f"{link}.part{sum(body.kind == 'part' for body in self.bodies.values()) + 1}"
-        ball = np.eye(3) * 0.4 * mass * 0.05**2  # a ball of 5 cm radius; it only translates
+        ball = np.eye(3) * max(mass * 1e-8, 1e-11)  # a point, as near as MuJoCo takes one
         self.bodies[name] = Body(name, carrier, position - self.offset(carrier), IDENTITY.copy(), mass, inertia=ball)
         return name
 
@@ -348,7 +348,10 @@ def assemble(
         parent = body.name
     entries = sorted(robot.physics, key=lambda entry: CATALOGUE[entry.effect].order)
     for entry in entries:
-        CATALOGUE[entry.effect].write(mechanism, entry.site, entry.values)
+        CATALOGUE[entry.effect].write(mechanism, entry.site, robot.values(entry))
+    for body in mechanism.bodies.values():
+        # preloaded coincident hinges do not quite commute: their order must not be that of the entries
+        body.joints.sort(key=lambda joint: (joint.elastic, "zxy".find(joint.name[-1])))
     for point in robot.test_points:
         carrier = mechanism.carrier(point.body, np.array(point.position))
         mechanism.points.append(

@@ -19,6 +19,9 @@ EQUIVALENT_HZ = 15.0
 """Structural damping is written as the viscous damper that dissipates as much at this frequency."""
 
 ROTOR_MASS = 1e-9  # kg: MuJoCo refuses moving bodies without mass; a link's mass already holds its motor's
+FOOT_INERTIA = (
+    0.1  # kg·m²: without any, base yaw and the collinear torsion of joint 1 would share a singular mass matrix
+)
 SERVO_HZ = 30.0  # bandwidth of the position servo where the description gives no gains
 SERVO_DAMPING = 0.7
 
@@ -149,7 +152,7 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
         if np.trace(body.inertia) > 0:
             item.fullinertia = inertia_six(body.inertia)
         else:
-            item.inertia = [item.mass * 1e-3] * 3
+            item.inertia = [FOOT_INERTIA if body.kind == "base" else item.mass * 1e-3] * 3
     for joint in body.joints:
         damping = list(joint.damping)
         damping[0] += joint.loss_factor * joint.stiffness[0] / (2 * np.pi * EQUIVALENT_HZ)

@@ -1,0 +1,122 @@
+"""The twin's effects against the independent truth code, which shares nothing with it: the same entry, the same FRFs.
+
+Truth: screw Jacobians and a gravity Hessian in numpy. Twin: MuJoCo. Where the two state a law differently on purpose
+(how a bent link's mass is divided; the little inertia a moving foot has in MuJoCo) the agreement asked for is looser.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.measure.campaign import read_campaign
+from twin.measure.motion_log import read_motion_log
+from twin.model.frf import frf, measurement_chain
+from twin.model.linear import linearise
+from twin.model.replay import inverse_dynamics, motion_of
+from twin.robot.description import Robot, parse_robot
+from twin.robot.mechanism import assemble
+
+ROOT = Path(__file__).parents[1]
+
+
+def truth(*arguments: str | Path) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "tools.truth", *map(str, arguments)], cwd=ROOT, check=True, capture_output=True
+    )
+
+
+def described(kr90: Robot, effect: str, site: str, values: dict[str, object], points: list[dict[str, object]]) -> Robot:
+    data = kr90.model_dump(mode="json")
+    if points:
+        data["test_points"], data["accelerometers"] = points, []
+    if effect:
+        entries = [e for e in data["physics"] if (e["effect"], e["site"]) != (effect, site)]
+        data["physics"] = [*entries, {"effect": effect, "site": site, **values}]
+    return parse_robot(data)
+
+
+def written(values: dict[str, object]) -> str:
+    def text(value: object) -> str:
+        return "|".join(map(str, value)) if isinstance(value, list) else str(value)
+
+    return ",".join(f"{name}={text(value)}" for name, value in values.items())
+
+
+HAMMER = [
+    ("", "", {}, 1e-6),
+    ("transverse_compliance", "joint2.x", {"stiffness": 5e6, "damping": 300.0}, 1e-6),
+    ("base_compliance", "base.rx", {"stiffness": 3e7, "damping": 2e3}, 1e-3),
+    ("base_compliance", "base.y", {"stiffness": 1e8, "damping": 2e3}, 1e-3),
+    ("link_flexibility", "link2.z", {"stiffness": 8e6, "damping": 300.0}, 0.1),
+    ("link_flexibility", "link3.y", {"stiffness": 5e6, "damping": 300.0}, 0.1),
+    ("servo_compliance", "joint2", {"stiffness": 3e7, "damping": 1e4}, 1e-6),
+    ("payload", "flange", {"mass": 30.0, "com": [1.7, 0.0, 0.1]}, 1e-6),
+    (
+        "attached_resonator",
+        "link2",
+        {"mass": 15.0, "frequency_hz": 14.0, "damping_ratio": 0.03, "axis": "y", "position": [0.9, 0.1, 0.2]},
+        1e-5,
+    ),
+    ("structural_damping", "joint2.z", {"loss_factor": 0.05}, 1e-6),
+    ("sensor_gain", "sensor:21Z+", {"gain": 1.08}, 1e-6),
+    ("sensor_misalignment", "sensor:21", {"angles": [0.05, -0.08, 0.1]}, 1e-6),
+    ("time_delay", "sensor:21X+", {"delay": 2e-4}, 1e-6),
+]
+
+
+@pytest.mark.parametrize(("effect", "site", "values", "tolerance"), HAMMER, ids=[f"{e}@{s}" for e, s, *_ in HAMMER])
+def test_hammer_effects(  # type: ignore[no-untyped-def]
+    kr90: Robot, tmp_path: Path, effect: str, site: str, values: dict[str, object], tolerance: float
+) -> None:
+    concealed = ["--effect", f"{effect}@{site}:{written(values)}"] if effect else []
+    file = tmp_path / "c.h5"
+    truth("campaign", "--out", file, "--nominal", "--no-sag", "--noise", 0, "--scatter", 0, "--postures", 3, *concealed)
+    campaign = read_campaign(file)
+    sides = {side: getattr(campaign, side) for side in ("response", "excitation")}
+    points = {
+        label: {"label": label, "body": body, "position": position.tolist(), "direction": direction.tolist()}
+        for channels in sides.values()
+        for label, body, position, direction in zip(
+            channels.label, channels.body, channels.position, channels.direction, strict=True
+        )
+    }
+    robot = described(kr90, effect, site, values, list(points.values()))
+    for posture in campaign.postures.values():
+        linear = linearise(assemble(robot, robot.angles(posture.q_deg), brakes="off"))
+        chain = measurement_chain(linear, robot, campaign.response.label, campaign.excitation.label)
+        found = frf(linear, posture.frequency, chain, exponential_window_rate=posture.exponential_window_rate)
+        assert np.linalg.norm(found - posture.frf) < tolerance * np.linalg.norm(posture.frf)
+
+
+LOG = [
+    ("", "", {}),
+    ("payload", "flange", {"mass": 30.0, "com": [1.7, 0.0, 0.1]}),
+    ("asymmetric_friction", "joint2", {"torque_difference": 80.0, "viscous_difference": 60.0}),
+    ("stribeck_friction", "joint1", {"static_excess": 100.0, "velocity": 0.1}),
+    ("load_dependent_friction", "joint2", {"coefficient": 0.05}),
+    ("friction_drift", "joint3", {"amplitude": 0.4, "time_constant": 20.0}),
+    ("cable_stiffness", "joint2", {"stiffness": 300.0, "rest": 0.5}),
+    ("torque_ripple", "joint1", {"amplitude": 60.0, "order": 12.0, "phase": 0.4}),
+    ("rotor_inertia", "joint1", {"inertia": 300.0}),
+    ("joint_coupling", "joint2", {"from": 3, "ratio": 0.5, "inertia": 200.0, "friction": 100.0, "coulomb": 20.0}),
+]
+
+
+@pytest.mark.parametrize(("effect", "site", "values"), LOG, ids=[f"{e}@{s}" for e, s, _ in LOG])
+def test_log_effects(kr90: Robot, tmp_path: Path, effect: str, site: str, values: dict[str, object]) -> None:
+    concealed = ["--effect", f"{effect}@{site}:{written(values)}"] if effect else []
+    file = tmp_path / "l.h5"
+    truth(
+        "log", "--out", file, "--nominal", "--white", 0, "--coloured", 0, "--counts", 10**9, "--seconds", 20, *concealed
+    )
+    (run,) = read_motion_log(file).runs.values()
+    assert run.torque is not None
+    if effect == "joint_coupling":
+        values = {"from": "joint3", "ratio": 0.5, "inertia": 200.0, "friction": [100.0, 20.0]}
+    torque = inverse_dynamics(described(kr90, effect, site, values, []), motion_of(run))
+    inner = slice(100, -100)
+    error = np.sqrt(np.mean((torque - run.torque)[inner] ** 2, axis=0))
+    assert (error < 0.02 * np.sqrt(np.mean(run.torque**2, axis=0))).all(), error
