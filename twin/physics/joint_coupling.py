@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 class JointCoupling(Effect):
-    """Natively: a fixed tendon over both motors takes over ``armature``, ``damping``, ``frictionloss`` of motor j.
+    """Natively: a fixed tendon over both motors takes over the inertia and friction of motor j's joint.
 
-    ``inertia`` and ``friction`` (F_v in N·m·s/rad, F_c in N·m) say how much of the drive turns with both axes; left out,
+    ``inertia`` and ``friction`` (F_v in N·m·s/rad, F_c in N·m) say how much of the drive turns with both; left out,
     all that the description gives drive j.
     """
 
