@@ -1,5 +1,9 @@
 """What the tests share: the paper's robot and postures, and a way to run the command as a user would."""
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is imported
+
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,6 +1,7 @@
 """The ``twin`` command: one thin function per command; everything it calls is imported when it is called."""
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,6 +10,9 @@ from typing import Annotated, Any
 import typer
 
 from twin.errors import InputError
+
+# Matrices here are small: threads inside a product cost more than they gain. Parallel work is over records and cases.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 app = typer.Typer(
     help="A MuJoCo digital twin of milling robots: simulate, fit, identify and diagnose soft joints.",
@@ -77,6 +81,38 @@ def simulate(
         out = Path("out") / posture.stem
     with _progress() as progress:
         found = run(posture, robot=robot, without=without, out=out, seed=seed, progress=progress)
+    _show(found, json)
+
+
+@app.command()
+def modal(
+    recordings: Annotated[list[Path], typer.Argument(help="measured_frf.h5, or universal files (.uff, .unv).")],
+    robot: Robot = None,
+    without: Without = None,
+    fmin: Annotated[float | None, typer.Option(help="Lower end of the band, Hz.")] = None,
+    fmax: Annotated[float | None, typer.Option(help="Upper end of the band, Hz.")] = None,
+    max_order: Annotated[int, typer.Option(help="Highest order of the stabilisation chart.")] = 60,
+    method: Annotated[str, typer.Option(help="Estimator of the chart: plscf or lsce (the paper's).")] = "plscf",
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Modes of a measured hammer test, with standard deviations, not told how many.
+
+    Takes one or several postures and force levels. Prints frequencies and damping ratios (exponential windows taken
+    out) and writes modes.yaml (modal table), UFF 55 shapes, stabilisation charts, FRF overlays, MAC, shapes on the
+    robot and modal.json into the output folder, out/RECORDING by default. What the data do not hold is said to be so.
+    """
+    from twin.commands.modal import modal as run
+
+    if method not in ("plscf", "lsce"):
+        raise InputError("--method", method, "expected plscf or lsce")
+    if out is None and not json:
+        out = Path("out") / recordings[0].stem
+    with _progress() as progress:
+        found = run(
+            recordings, robot=robot, without=without, fmin=fmin, fmax=fmax, max_order=max_order,
+            method="lsce" if method == "lsce" else "plscf", out=out, progress=progress,
+        )  # fmt: skip
     _show(found, json)
 
 

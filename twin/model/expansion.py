@@ -1,0 +1,47 @@
+"""Measured mode shapes carried over to the whole robot, so that they can be drawn and animated on its links."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twin.measure.campaign import Channels
+from twin.model.linear import linearise
+from twin.model.modes import Modes
+from twin.robot.description import Robot, TestPoint
+from twin.robot.mechanism import Mechanism, assemble
+
+
+def with_channels(robot: Robot, *channels: Channels) -> Robot:
+    """The robot with the channels of a recording as its test points."""
+    points: dict[str, TestPoint] = {}
+    for side in channels:
+        for label, body, position, direction in zip(side.label, side.body, side.position, side.direction, strict=True):
+            points[label] = TestPoint(label=label, body=body, position=tuple(position), direction=tuple(direction))
+    return robot.model_copy(update={"test_points": list(points.values()), "accelerometers": []})
+
+
+def expand(
+    robot: Robot, q: np.ndarray, roving: Channels, shapes: np.ndarray, pole: Sequence[complex] | np.ndarray
+) -> tuple[Mechanism, Modes]:
+    """Shapes at test points as deflections of the robot's elastic joints, by least squares.
+
+    A small ridge (1e-6 of the mean square of the Jacobian) holds deflections that no point sees.
+
+    Args:
+        robot: with elastic joints.
+        q: (n,) posture, rad (m).
+        roving: the np channels that carry the shapes.
+        shapes: (nm, np) complex.
+        pole: (nm,) rad/s.
+
+    Returns:
+        The mechanism in that posture, with the channels as its points, and the expanded modes.
+    """
+    mechanism = assemble(with_channels(robot, roving), q)
+    linear = linearise(mechanism)
+    J = linear.jacobian(roving.label)
+    ridge = 1e-6 * np.trace(J.T @ J) / max(1, J.shape[1])
+    deflection = np.linalg.solve(J.T @ J + ridge * np.eye(J.shape[1]), J.T @ shapes.T)
+    energy = linear.spring[:, None] * np.abs(deflection) ** 2
+    share = energy / np.maximum(energy.sum(axis=0), np.finfo(float).tiny)
+    return mechanism, Modes(np.asarray(pole), deflection, share, linear)
