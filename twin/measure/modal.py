@@ -40,9 +40,9 @@ BAND_RATIO = 5.0
 EDGE = 0.15  # of the band on either side: modes there are fitted, not reported
 HELD_DAMPING, HELD_FREQUENCY = 0.3, 0.02  # largest relative deviations of a damping and a frequency the data hold
 USABLE_COHERENCE = 0.5
-REWEIGHTINGS = 3  # rounds of fit and residual variance where the recording states none
+REWEIGHTINGS = 2  # rounds of fit and residual variance where the recording states none
 NOISE_LINES = (30, 100)  # fewest and most lines of a block that a variance is estimated from
-MOST_ADDED = 12
+MOST_ADDED, MOST_DOUBTED = 12, 4
 FAR, OVERDAMPED = 2.0, 0.5  # ratio to the end of the band and damping ratio from which a pole is no mode
 
 
@@ -199,7 +199,7 @@ def identify_modes(
             posture.exponential_window_rate,
         )
         drawn = band.chart(max_order, method)
-        fit = band.choose(clusters(drawn))
+        band, fit = band.choose(clusters(drawn))
         charts.append(drawn)
         here = (posture.frequency[inside] >= start) & (posture.frequency[inside] <= end)
         s = laplace(posture.frequency[inside][here], posture.exponential_window_rate)
@@ -316,19 +316,23 @@ class _Band:
             [replace(p, poles=p.poles + self.rate, participation=p.participation @ principal.conj().T) for p in found]
         )
 
-    def choose(self, candidates: list[Cluster]) -> ModalFit:
-        """The modes the data hold, refined: the chart's, without those not needed, with those missing."""
+    def choose(self, candidates: list[Cluster]) -> tuple["_Band", ModalFit]:
+        """The modes the data hold, refined: the chart's, without those not needed, with those missing.
+
+        Returned with the band as it was weighted, by residuals where the recording states no variance.
+        """
         candidates = [c for c in candidates if c.pole.real < 0]
         poles = np.array([c.pole for c in candidates], dtype=complex)
         participation = np.array([c.participation for c in candidates], dtype=complex)
         participation = participation.reshape(-1, self.frf.shape[2])
-        weighted = self
-        for _ in range(1 if self.stated else REWEIGHTINGS):
-            fit = fit_modes(self.frf, self.s, weighted.variance, poles, participation)
-            fit = weighted._completed(weighted._pruned(fit))
+        if self.stated:
+            return self, self._completed(self._pruned(self._refitted(poles, participation)))
+        weighted, fit = self, self._refitted(poles, participation)
+        for _ in range(REWEIGHTINGS):
             weighted = replace(self, variance=self._residual_variance(fit))
-            poles, participation = fit.model.poles, fit.model.participation
-        return fit
+            fit = weighted._refitted(fit.model.poles, fit.model.participation)
+            fit = weighted._completed(weighted._pruned(fit))
+        return weighted, fit
 
     def _price(self, fit: ModalFit) -> float:
         """Rise of chi2 below which a mode is not worth its parameters (Schwarz 1978), with noise as fitted."""
@@ -347,9 +351,22 @@ class _Band:
         return float(a * -np.expm1(-4 * a) / np.expm1(-2 * a) ** 2) if a > 1e-6 else 1.0
 
     def _deviations(self, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
-        """Of frequency in Hz and of the damping ratio, as few independent lines as there are."""
+        """Of frequency in Hz and of the damping ratio, with as few independent lines as there are.
+
+        Where the fit misses a resonance by more than it misses the rest (leakage, hits that disagree), the deviations
+        of its mode grow by as much.
+        """
+        misfit = np.sum(np.abs(self.frf - fit.model.synthesise(self.s)) ** 2 / self.variance, axis=(1, 2))
+        live = 2 * np.count_nonzero(np.isfinite(self.variance), axis=(1, 2))
+        _, no, ni = self.frf.shape
+        factor = np.ones(fit.model.poles.size)
+        for r, pole in enumerate(fit.model.poles):
+            lines = np.abs(self.frequency - abs(pole) / (2 * np.pi)) <= 1.5 * self._reach(pole)
+            dof = max(live[lines].sum() - 2 * (no + ni), 0.5 * live[lines].sum(), 1.0)
+            factor[r] = max(1.0, misfit[lines].sum() / dof / max(fit.chi2 / fit.dof, np.finfo(float).tiny))
+        factor = np.sqrt(factor * self.repetition)
         frequency, damping = fit.deviations()
-        return frequency * np.sqrt(self.repetition), damping * np.sqrt(self.repetition)
+        return frequency * factor, damping * factor
 
     def _refitted(self, poles: ComplexArray, participation: ComplexArray) -> ModalFit:
         return fit_modes(self.frf, self.s, self.variance, poles, participation)
@@ -362,7 +379,7 @@ class _Band:
             if fit.wald[weakest] < self._price(fit) or away[weakest] > FAR or fit.damping[weakest] > OVERDAMPED:
                 fit = self._refitted(*without(fit, weakest))
                 continue
-            for mode in self._doubtful(fit):
+            for mode in self._doubtful(fit)[:MOST_DOUBTED]:
                 fewer = self._refitted(*without(fit, mode))
                 if fewer.chi2 - fit.chi2 < self._price(fit):
                     fit = fewer
@@ -384,12 +401,20 @@ class _Band:
         return [int(mode) for mode in doubtful[np.argsort(fit.wald[doubtful])]]
 
     def _completed(self, fit: ModalFit) -> ModalFit:
-        """With the modes that stand out of the residual."""
+        """With the modes that stand out of the residual.
+
+        Hits that do not quite agree, as when a roving test shifts a frequency, leave a residual beside a mode that
+        looks like a second one with its shape on one side. It is passed over: a pair that is real shows in the chart.
+        """
+        variance = self.variance.copy()
         for _ in range(MOST_ADDED):
             residual = self.frf - fit.model.synthesise(self.s)
-            pole, participation, gain = strongest_missing(residual, self.s, self.variance, self.frequency)
+            pole, shape, participation, gain = strongest_missing(residual, self.s, variance, self.frequency)
             if gain < self._price(fit):
                 return fit
+            if self._shadow(fit, pole, shape, participation):
+                variance[np.abs(self.frequency - abs(pole) / (2 * np.pi)) <= self._reach(pole)] = np.inf
+                continue
             more = self._refitted(
                 np.append(fit.model.poles, pole), np.concatenate([fit.model.participation, participation[None]])
             )
@@ -399,6 +424,20 @@ class _Band:
                 return fit
             fit = more
         return fit
+
+    def _reach(self, pole: complex) -> float:
+        """Half-width in Hz of what a pole dominates, a line at least."""
+        step = (self.frequency[-1] - self.frequency[0]) / (self.frequency.size - 1)
+        return float(max(-2 * pole.real / (2 * np.pi), step))
+
+    def _shadow(self, fit: ModalFit, pole: complex, shape: ComplexArray, participation: ComplexArray) -> bool:
+        """Whether a pole lies on a fitted mode and shares its shape or its participation factors."""
+        close = [abs(pole.imag - p.imag) / (2 * np.pi) < self._reach(p) + self._reach(pole) for p in fit.model.poles]
+        alike = np.zeros(len(close))
+        for new, have in ((shape, fit.model.shape), (participation, fit.model.participation)):
+            if new.size > 1:
+                alike = np.maximum(alike, mac(new[None], have)[0])
+        return bool((np.array(close, dtype=bool) & (alike > 0.9)).any()) or (self.frf[0].size == 1 and any(close))
 
     def _residual_variance(self, fit: ModalFit) -> FloatArray:
         """Variance per line from the residual: medians of blocks of lines, which a resonance left over cannot lift."""

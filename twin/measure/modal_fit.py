@@ -291,7 +291,7 @@ def fit_modes(
             break
         gain, moved = state.chi2 - new.chi2, np.max(np.abs(new_poles - poles) / np.abs(poles))
         poles, participation, state, damp = new_poles, new_participation, new, damp / 10
-        if gain < 1e-6 * state.chi2 / data.g.size + 1e-9 * state.chi2 or moved < 1e-10:
+        if gain < 1e-3 * state.chi2 / data.g.size or moved < 1e-10:  # a thirtieth of a deviation
             break
     return _result(data, poles, participation, state)
 
@@ -322,8 +322,8 @@ def without(fit: ModalFit, mode: int) -> tuple[ComplexArray, ComplexArray]:
 
 def strongest_missing(
     residual: ComplexArray, s: ComplexArray, variance: FloatArray, frequency: FloatArray
-) -> tuple[complex, ComplexArray, float]:
-    """The mode that would explain most of a residual: its pole, participation factors (ni,) and drop of chi2.
+) -> tuple[complex, ComplexArray, ComplexArray, float]:
+    """The mode that would explain most of a residual: pole, shape (no,), participation factors (ni,), drop of chi2.
 
     A generalised likelihood ratio test on a grid of frequencies and dampings, with a free residue per channel.
     """
@@ -332,7 +332,7 @@ def strongest_missing(
     wg = w2 * residual.reshape(nf, -1)
     step = (frequency[-1] - frequency[0]) / (nf - 1)
     low, high = frequency[0] / BEYOND, frequency[-1] * BEYOND
-    best = (0j, np.zeros(ni, dtype=complex), 0.0)
+    best = (0j, np.zeros(no, dtype=complex), np.zeros(ni, dtype=complex), 0.0)
     for damping in SCAN_DAMPINGS:
         ratio = 1 + max(damping / 2, step / frequency[-1] / 4)
         grid = low * ratio ** np.arange(int(np.log(high / low) / np.log(ratio)) + 1)
@@ -343,9 +343,10 @@ def strongest_missing(
             found = _best_of(
                 2 * np.pi * some * (-damping + 1j * np.sqrt(1 - damping**2)), s[lines], w2[lines], wg[lines]
             )
-            if found is not None and found[2] > best[2]:
+            if found is not None and found[2] > best[3]:
                 pole, residue, gain = found
-                best = pole, np.linalg.svd(residue.reshape(no, ni))[2][0], gain
+                u, _, vh = np.linalg.svd(residue.reshape(no, ni), full_matrices=False)
+                best = pole, u[:, 0], vh[0], gain
     return best
 
 
