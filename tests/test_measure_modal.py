@@ -342,3 +342,20 @@ def test_indicators_point_at_the_modes() -> None:
     assert mode_indicator(frf)[(single + double) // 2] > 0.9
     second = cmif(frf)[:, 1]
     assert second[double] > 20 * second[single]
+
+
+def test_hits_that_disagree_make_no_false_modes() -> None:
+    """69 blows, each with frequencies 0.1 % off the others', as on a robot that is re-servoed between hits."""
+    frequency, rng = np.arange(1, 241) * 0.25, np.random.default_rng(1)
+    phi = np.random.default_rng(3).normal(size=(69, ROBOT_F.size)) / 20
+    columns = [
+        accelerance(frequency, ROBOT_F * (1 + 1e-3 * rng.normal()), ROBOT_ZETA, phi[:3], phi[e : e + 1])
+        for e in range(69)
+    ]
+    frf = np.concatenate(columns, axis=2)
+    repeats = np.stack([noisy(frf, seed, 0.02) for seed in range(4)])
+    mean = repeats.mean(axis=0)
+    coherence = np.abs(mean) ** 2 / np.mean(np.abs(repeats) ** 2, axis=0)
+    f, zeta, *_ = found(identify_modes(replace(posture(frequency, mean), coherence=coherence, averages=4), 5, 50))
+    np.testing.assert_allclose(f, ROBOT_F, rtol=0.003)
+    np.testing.assert_allclose(zeta, ROBOT_ZETA, rtol=0.05)
