@@ -440,17 +440,21 @@ class _Band:
         return bool((np.array(close, dtype=bool) & (alike > 0.9)).any()) or (self.frf[0].size == 1 and any(close))
 
     def _residual_variance(self, fit: ModalFit) -> FloatArray:
-        """Variance per line from the residual: medians of blocks of lines, which a resonance left over cannot lift."""
+        """Variance per line from the residual: a level per channel times one course over the band.
+
+        Medians of blocks of lines, which a resonance left over cannot lift; the course is the median channel's.
+        """
         residual = np.abs(self.frf - fit.model.synthesise(self.s)) ** 2 / (2 * np.log(2))
         lines = self.frequency.size
         blocks = np.array_split(np.arange(lines), max(1, lines // int(np.clip(lines // 8, *NOISE_LINES))))
         level = np.stack([np.median(residual[block], axis=0) for block in blocks])
-        centre = [float(block.mean()) for block in blocks]
-        at = np.interp(np.arange(self.frequency.size), centre, np.arange(len(blocks)))
-        low = np.minimum(at.astype(int), len(blocks) - 1)
-        high = np.minimum(low + 1, len(blocks) - 1)
-        share = (at - low)[:, None, None]
-        return np.maximum((1 - share) * level[low] + share * level[high], self.floor)
+        channel = np.median(level, axis=0)
+        live = np.isfinite(self.floor) & (channel > 0)
+        if not live.any():
+            return np.broadcast_to(self.floor, self.frf.shape).copy()
+        course = np.median(level[:, live] / channel[live], axis=1)
+        over = np.interp(np.arange(lines), [float(block.mean()) for block in blocks], course)
+        return np.maximum(over[:, None, None] * channel, self.floor)
 
     def modes(self, fit: ModalFit, start: float, end: float) -> list[Mode]:
         """The modes of a fit that lie within a band and are physical."""
