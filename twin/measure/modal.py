@@ -43,6 +43,7 @@ USABLE_COHERENCE = 0.5
 REWEIGHTINGS = 2  # rounds of fit and residual variance where the recording states none
 NOISE_LINES = (30, 100)  # fewest and most lines of a block that a variance is estimated from
 MOST_ADDED, MOST_DOUBTED = 12, 4
+LEAST_SHARE = 0.01  # of the response at its own frequency, below which a resonance is no mode
 FAR, OVERDAMPED = 2.0, 0.5  # ratio to the end of the band and damping ratio from which a pole is no mode
 
 
@@ -374,6 +375,10 @@ class _Band:
     def _pruned(self, fit: ModalFit) -> ModalFit:
         """Without modes that explain nothing, and without halves of one mode."""
         while fit.model.poles.size:
+            share = self._share(fit)
+            if share.min() < LEAST_SHARE:
+                fit = self._refitted(*without(fit, int(np.argmin(share))))
+                continue
             away = np.maximum(self.frequency[0] / fit.frequency, fit.frequency / self.frequency[-1])
             weakest = int(np.argmin(np.where((away > FAR) | (fit.damping > OVERDAMPED), 0, fit.wald)))
             if fit.wald[weakest] < self._price(fit) or away[weakest] > FAR or fit.damping[weakest] > OVERDAMPED:
@@ -387,6 +392,18 @@ class _Band:
             else:
                 return fit
         return fit
+
+    def _share(self, fit: ModalFit) -> FloatArray:
+        """(nm,) RMS over the channels of what each mode adds at its own frequency, over that of the measured response.
+
+        A smooth background that the model lacks, such as an overdamped mode, is fitted by many small resonances.
+        """
+        lines = np.argmin(np.abs(self.frequency[:, None] - fit.frequency), axis=0)
+        s, poles = self.s[lines], fit.model.poles
+        size = np.linalg.norm(fit.model.shape, axis=1) * np.linalg.norm(fit.model.participation, axis=1)
+        live = np.isfinite(self.floor)
+        measured = np.sqrt(np.sum(np.abs(self.frf[:, live]) ** 2, axis=1))
+        return np.asarray(size * np.abs(s**2 / (s - poles)) / np.maximum(measured[lines], np.finfo(float).tiny))
 
     def _doubtful(self, fit: ModalFit) -> list[int]:
         """Modes of implausible or uncertain damping, or that share frequency and shape with another; weakest first."""
