@@ -326,6 +326,8 @@ class _Band:
         poles = np.array([c.pole for c in candidates], dtype=complex)
         participation = np.array([c.participation for c in candidates], dtype=complex)
         participation = participation.reshape(-1, self.frf.shape[2])
+        large = self._share(fit_modes(self.frf, self.s, self.variance, poles, participation, 0)) >= LEAST_SHARE
+        poles, participation = poles[large], participation[large]
         if self.stated:
             return self, self._completed(self._pruned(self._refitted(poles, participation)))
         weighted, fit = self, self._refitted(poles, participation)
@@ -375,9 +377,9 @@ class _Band:
     def _pruned(self, fit: ModalFit) -> ModalFit:
         """Without modes that explain nothing, and without halves of one mode."""
         while fit.model.poles.size:
-            share = self._share(fit)
-            if share.min() < LEAST_SHARE:
-                fit = self._refitted(*without(fit, int(np.argmin(share))))
+            large = self._share(fit) >= LEAST_SHARE
+            if not large.all():
+                fit = self._refitted(fit.model.poles[large], fit.model.participation[large])
                 continue
             away = np.maximum(self.frequency[0] / fit.frequency, fit.frequency / self.frequency[-1])
             weakest = int(np.argmin(np.where((away > FAR) | (fit.damping > OVERDAMPED), 0, fit.wald)))
