@@ -44,12 +44,8 @@ def campaign(seed: int = 0) -> Campaign:
         hits=hits,
     )
     return Campaign(
-        Channels(
-            ("21X+", "21Y+", "21Z-"), ("link3",) * 3, rng.normal(size=(3, 3)), np.diag([1.0, 1.0, -1.0])
-        ),
-        Channels(
-            ("21X+", "4Y-"), ("link3", "link1"), rng.normal(size=(2, 3)), np.array([[1.0, 0, 0], [0, -1, 0]])
-        ),
+        Channels(("21X+", "21Y+", "21Z-"), ("link3",) * 3, rng.normal(size=(3, 3)), np.diag([1.0, 1.0, -1.0])),
+        Channels(("21X+", "4Y-"), ("link3", "link1"), rng.normal(size=(2, 3)), np.array([[1.0, 0, 0], [0, -1, 0]])),
         {"milling": posture, "milling@100N": replace(posture, name="milling@100N", brakes=None, hits=None)},
         robot="kr90",
         comment="three sensors, two blows",
@@ -221,9 +217,7 @@ def test_accelerance_of_a_free_mass_is_one_over_the_mass() -> None:
     frequency = np.arange(1, 5) * 2.0
     receptance = (-1 / (7.0 * (2 * np.pi * frequency) ** 2)).astype(complex)
     np.testing.assert_allclose(convert(receptance, frequency, "receptance", "accelerance"), 1 / 7.0)
-    back = convert(
-        convert(receptance, frequency, "receptance", "mobility"), frequency, "mobility", "receptance"
-    )
+    back = convert(convert(receptance, frequency, "receptance", "mobility"), frequency, "mobility", "receptance")
     np.testing.assert_allclose(back, receptance)
 
 
