@@ -1,4 +1,4 @@
-"""Motion logs and trajectories on disk: HDF5 (``motion-log``, ``trajectory``) and CSV, and their checks.
+"""Motion logs and trajectories on disk: HDF5 (``motion-log``, ``trajectory``) and CSV, their checks and repairs.
 
 A trajectory is a motion log without torque. Positions are the motor encoder divided by the gear ratio, torques the
 motor torque times the gear ratio, both at the gear output.
@@ -6,15 +6,22 @@ motor torque times the gear ratio, both at the gear output.
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray, replacing
+from twin.measure.signals import resample
 from twin.yamlfile import atomic_write
 
+if TYPE_CHECKING:
+    from twin.robot.description import Robot
+
 VERSION = 1
+LONGEST_GAP_S = 0.05  # longer ones are not bridged: a spline knows nothing of what a robot did in them
+FLAT_S = 0.02  # torque that stays at its largest value for so long while the axis moves was cut off
 SERIES = ("position", "torque", "velocity", "acceleration", "link_position")
 
 
@@ -43,18 +50,21 @@ class MotionRun:
 
 @dataclass(frozen=True)
 class MotionLog:
-    """Runs by name, and the robot they were made with, where the file says."""
+    """Runs by name, the robot they were made with, where the file says, and what was repaired on reading."""
 
     runs: dict[str, MotionRun] = field(default_factory=dict)
     robot: str | None = None
     source: str = "motion log"
+    notes: tuple[str, ...] = ()
 
 
 def read_motion_log(path: str | Path) -> MotionLog:
     """Read a motion log or trajectory from HDF5 or CSV (header ``time,q1..qn,tau1..taun``).
 
+    Samples come out evenly spaced: repeated stamps are dropped, jitter and short gaps resampled, each with a note.
+
     Raises:
-        InputError: the file is missing or breaks the contract; one line names the field.
+        InputError: the file is missing, breaks the contract, or its clock cannot be repaired; one line names the field.
     """
     path = Path(path)
     if not path.is_file():
@@ -73,7 +83,7 @@ def read_motion_log(path: str | Path) -> MotionLog:
             raise InputError(path, "version", f"expected {VERSION}, found {file.attrs['version']}")
         if "runs" not in file or not len(file["runs"]):
             raise InputError(path, "runs", "expected at least one run")
-        runs = {}
+        runs, notes = {}, []
         for name, group in file["runs"].items():
             where = f"runs/{name}"
             series = {key: np.asarray(group[key], float) for key in SERIES if key in group}
@@ -82,10 +92,11 @@ def read_motion_log(path: str | Path) -> MotionLog:
             rate = group.attrs.get("sample_rate_hz")
             if rate is None:
                 raise InputError(path, f"{where}/sample_rate_hz", "missing attribute")
-            runs[name] = _checked(path, where, name, np.asarray(group["time"], float), series, float(rate))
+            runs[name], repairs = _checked(path, where, name, np.asarray(group["time"], float), series, float(rate))
+            notes += repairs
             if kind == "motion-log" and runs[name].torque is None:
                 raise InputError(path, f"{where}/torque", "missing")
-        return MotionLog(runs, _text(file.attrs.get("robot")), str(path))
+        return MotionLog(runs, _text(file.attrs.get("robot")), str(path), tuple(notes))
 
 
 def write_motion_log(path: str | Path, log: MotionLog) -> None:
@@ -124,12 +135,12 @@ def require_axes(log: MotionLog, axes: int) -> MotionLog:
 
 def _checked(
     path: Path, where: str, name: str, time: FloatArray, series: dict[str, FloatArray], rate: float
-) -> MotionRun:
+) -> tuple[MotionRun, list[str]]:
     if not rate > 0:
         raise InputError(path, f"{where}/sample_rate_hz", f"expected a number > 0, found {rate:g}")
     if time.ndim != 1 or len(time) < 2:
         raise InputError(path, f"{where}/time", f"expected at least two instants (nt,), found shape {time.shape}")
-    if not np.isfinite(time).all() or (np.diff(time) <= 0).any():
+    if not np.isfinite(time).all() or (np.diff(time) < 0).any():
         raise InputError(path, f"{where}/time", "expected finite, increasing instants in s")
     if "position" not in series:
         raise InputError(path, f"{where}/position", "missing")
@@ -142,7 +153,121 @@ def _checked(
             raise InputError(
                 path, f"{where}/{key}", f"not finite at sample {int(np.argwhere(~np.isfinite(values))[0, 0])}"
             )
-    return MotionRun(name, time, sample_rate_hz=rate, **series)
+    time, series, rate, notes = _even(path, where, time, series, rate)
+    return MotionRun(name, time, sample_rate_hz=rate, **series), notes
+
+
+def _even(
+    path: Path, where: str, time: FloatArray, series: dict[str, FloatArray], rate: float
+) -> tuple[FloatArray, dict[str, FloatArray], float, list[str]]:
+    """The record on an even clock, and what that took."""
+    notes = []
+    fresh = np.concatenate([[True], np.diff(time) > 0])
+    if repeated := int(np.sum(~fresh)):
+        if repeated > 0.05 * len(time):
+            raise InputError(path, f"{where}/time", f"{repeated} of {len(time)} time stamps are repeated")
+        first = time[np.argmin(fresh)]
+        notes.append(f"{where}: {repeated} repeated time stamps dropped, the first at {first:.3f} s")
+        time, series = time[fresh], {key: values[fresh] for key, values in series.items()}
+    period = float(np.median(np.diff(time)))
+    if abs(period * rate - 1) > 0.02:
+        raise InputError(
+            path, f"{where}/time", f"stamps are {period:g} s apart, but sample_rate_hz is {rate:g}; expected seconds"
+        )
+    held = _held(series)
+    if held.any():
+        where_held = time[np.argmax(held)]
+        notes.append(
+            f"{where}: {int(held.sum())} samples repeat the one before while the robot moves: dropped in recording, "
+            f"the first at {where_held:.3f} s; taken as missing"
+        )
+        time, series = time[~held], {key: values[~held] for key, values in series.items()}
+    steps = np.diff(time)
+    missing = np.round(steps / period).astype(int) - 1
+    if missing.max() * period > LONGEST_GAP_S:
+        k = int(np.argmax(missing))
+        raise InputError(
+            path, f"{where}/time",
+            f"{missing[k]} samples are missing after {time[k]:.3f} s; split the run there (gaps up to "
+            f"{LONGEST_GAP_S:g} s are bridged)",
+        )  # fmt: skip
+    count = len(time) + int(missing.sum())
+    index = np.concatenate([[0], np.cumsum(1 + missing)])
+    nominal = time[0] + index / rate
+    if not missing.any() and np.abs(time - nominal).max() <= 0.1 / rate:
+        return time, series, rate, notes
+    slope, start = np.polyfit(index, time, 1)
+    jitter = float(np.sqrt(np.mean((time - start - slope * index) ** 2)))
+    even = time[0] + np.arange(count) * (time[-1] - time[0]) / (count - 1)
+    if jitter > 0.5 * period:
+        raise InputError(
+            path, f"{where}/time", f"stamps jitter by {1e3 * jitter:.2g} ms RMS, half a sample or more: no usable clock"
+        )
+    if missing.any():
+        notes.append(f"{where}: {int(missing.sum())} dropped samples in {int((missing > 0).sum())} gaps, interpolated")
+    if jitter > 0.02 * period:
+        notes.append(f"{where}: time stamps jitter by {1e3 * jitter:.2g} ms RMS; resampled to an even clock")
+    rate = (count - 1) / float(time[-1] - time[0])
+    return even, {key: resample(time, values, even) for key, values in series.items()}, rate, notes
+
+
+def _held(series: dict[str, FloatArray]) -> np.ndarray:
+    """Samples (nt,) that are those before them, in every channel, while the robot moves."""
+    if "torque" not in series:
+        return np.zeros(len(series["position"]), bool)
+    same = np.concatenate(
+        [[False], np.all([np.all(np.diff(values, axis=0) == 0, axis=1) for values in series.values()], axis=0)]
+    )
+    step = np.abs(np.diff(series["position"], axis=0, prepend=series["position"][:1])).max(axis=1)
+    pace = np.convolve(step, np.ones(11) / 11, "same")  # over eleven samples: standing still is not dropping samples
+    return same & (pace > 0.2 * np.median(step[step > 0])) if np.any(step > 0) else np.zeros_like(same)
+
+
+def saturated(run: MotionRun) -> np.ndarray:
+    """Where (nt, n) the recorded torque was cut off: at its largest value, unchanged, while the axis moves."""
+    if run.torque is None:
+        return np.zeros(run.position.shape, bool)
+    out = np.zeros(run.torque.shape, bool)
+    least = max(3, int(np.ceil(FLAT_S * run.sample_rate_hz)))
+    moving = np.abs(np.gradient(run.position, axis=0)) > 0
+    for i, torque in enumerate(run.torque.T):
+        for limit in (torque.max(), torque.min()):
+            at = np.concatenate([[0], (np.abs(torque - limit) <= 1e-9 * abs(limit)).astype(int), [0]])
+            starts, ends = np.flatnonzero(np.diff(at) == 1), np.flatnonzero(np.diff(at) == -1)
+            for start, end in zip(starts, ends, strict=True):
+                if end - start >= least and moving[start:end, i].mean() > 0.5:
+                    out[start:end, i] = True
+    return out
+
+
+def check_against(log: MotionLog, robot: "Robot") -> None:
+    """Check a log, in joint coordinates, against what the robot can do.
+
+    Raises:
+        InputError: wrong number of axes; positions outside the axes' limits, with the likely cause.
+    """
+    require_axes(log, robot.axis_count)
+    for name, run in log.runs.items():
+        for i, axis in enumerate(robot.axes):
+            q = run.position[:, i]
+            low, high = (axis.limits.position if axis.limits else None) or (-np.inf, np.inf)
+            speed = (axis.limits.velocity if axis.limits else None) or np.inf
+            fastest = float(np.percentile(np.abs(np.diff(q)), 99)) * run.sample_rate_hz
+            margin = 0.05 * (high - low) if np.isfinite(high - low) else 0.0
+            outside = q.min() < low - margin or q.max() > high + margin
+            if not (outside or fastest > 2 * speed or (axis.type == "revolute" and np.abs(q).max() > 8 * np.pi)):
+                continue
+            field_ = f"runs/{name}/position"
+            turned = np.deg2rad(q)
+            fits = turned.min() >= low - margin and turned.max() <= high + margin and np.deg2rad(fastest) < 2 * speed
+            if axis.type == "revolute" and fits:
+                raise InputError(
+                    log.source, field_,
+                    f"joint{i + 1} runs from {q.min():.4g} to {q.max():.4g}: expected rad, these look like degrees",
+                )  # fmt: skip
+            found = f"runs from {q.min():.4g} to {q.max():.4g} at up to {fastest:.3g} per s"
+            limits = f"its limits are {low:.4g} … {high:.4g}, {speed:.3g} per s"
+            raise InputError(log.source, field_, f"joint{i + 1} {found}; {limits} (rad, m)")
 
 
 def _read_csv(path: Path) -> MotionLog:
@@ -163,8 +288,10 @@ def _read_csv(path: Path) -> MotionLog:
     if len(header) > n + 1:
         series["torque"] = table[:, n + 1 :]
     time = table[:, 0]
-    rate = 1 / float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    return MotionLog({path.stem: _checked(path, "csv", path.stem, time, series, rate)}, None, str(path))
+    steps = np.diff(time)
+    rate = 1 / float(np.median(steps[steps > 0])) if np.any(steps > 0) else 1.0
+    run, notes = _checked(path, "csv", path.stem, time, series, rate)
+    return MotionLog({path.stem: run}, None, str(path), tuple(notes))
 
 
 def _write_csv(path: Path, log: MotionLog) -> None:

@@ -1,12 +1,14 @@
-"""Motion signals of a controller trace: tapered low-pass and differentiation in the frequency domain."""
+"""Motion signals of a controller trace: tapered low-pass, differentiation, resampling and alignment."""
 
 import numpy as np
+import scipy.fft
+from scipy.interpolate import CubicSpline
 
 from twin.measure.campaign import FloatArray
 
 
 def lowpass(
-    signal: FloatArray, sample_rate_hz: float, pass_hz: float, stop_hz: float, derivative: int = 0
+    signal: FloatArray, sample_rate_hz: float, pass_hz: float, stop_hz: float, derivative: int = 0, upsample: int = 1
 ) -> FloatArray:
     """Low-pass with a cosine taper from ``pass_hz`` to ``stop_hz``, zero phase, and differentiate in the same step.
 
@@ -18,24 +20,114 @@ def lowpass(
         sample_rate_hz: samples per second.
         pass_hz, stop_hz: gain one below, zero above.
         derivative: 0, 1 or 2 times by time.
+        upsample: samples returned per sample given; every ``upsample``-th is at the time of one given.
 
     Returns:
-        (nt, …).
+        (nt, …), or (``upsample`` (nt − 1) + 1, …).
     """
     signal = np.asarray(signal, float)
     count = len(signal)
-    extended = np.concatenate([2 * signal[:1] - signal[:0:-1], signal, 2 * signal[-1:] - signal[-2::-1]])
+    # The filter's memory is a few 1/(stop − pass); the rest of the circle is chosen for a fast transform.
+    memory = min(count - 1, int(np.ceil(10 * sample_rate_hz / (stop_hz - pass_hz))))
+    after = min(count - 1, scipy.fft.next_fast_len(count + 2 * memory - 1, real=True) + 1 - count - memory)
+    extended = np.concatenate(
+        [2 * signal[:1] - signal[memory:0:-1], signal, 2 * signal[-1:] - signal[-2 : -2 - after : -1]]
+    )
     # a straight line through the ends makes the extended record periodic
     ramp = np.linspace(0, 1, len(extended)).reshape(-1, *[1] * (signal.ndim - 1))
-    line = extended[:1] + (extended[-1:] - extended[:1]) * ramp
-    spectrum = np.fft.rfft((extended - line)[:-1], axis=0)
-    frequency = np.fft.rfftfreq(len(extended) - 1, 1 / sample_rate_hz)
+    slope = (extended[-1] - extended[0]) * sample_rate_hz / (len(extended) - 1)
+    start = extended[:1].copy()
+    extended -= start + (extended[-1:] - start) * ramp
+    circle = len(extended) - 1
+    spectrum = scipy.fft.rfft(extended[:-1], axis=0)
+    frequency = np.fft.rfftfreq(circle, 1 / sample_rate_hz)
     phase = np.clip((frequency - pass_hz) / (stop_hz - pass_hz), 0, 1)
     gain = 0.5 * (1 + np.cos(np.pi * phase)) * (2j * np.pi * frequency) ** derivative
-    filtered = np.fft.irfft(spectrum * gain.reshape(-1, *[1] * (signal.ndim - 1)), len(extended) - 1, axis=0)
-    middle = filtered[count - 1 : 2 * count - 1]
-    if derivative == 0:
-        return middle + line[count - 1 : 2 * count - 1]
+    filtered = scipy.fft.irfft(spectrum * gain.reshape(-1, *[1] * (signal.ndim - 1)), circle * upsample, axis=0)
+    middle = upsample * filtered[memory * upsample : (memory + count - 1) * upsample + 1]
     if derivative == 1:
-        return middle + (extended[-1] - extended[0]) / (len(extended) - 1) * sample_rate_hz
+        middle += slope
+    elif derivative == 0:
+        time = (memory + np.arange(len(middle)) / upsample) / sample_rate_hz
+        middle += start + slope * time.reshape(-1, *[1] * (signal.ndim - 1))
     return middle
+
+
+def resample(time: FloatArray, signal: FloatArray, instants: FloatArray) -> FloatArray:
+    """A signal (nt, …) at other instants, by a cubic spline; the record must be smooth between its samples."""
+    return CubicSpline(time, signal)(instants)
+
+
+def delay_between(reference: FloatArray, other: FloatArray, sample_rate_hz: float) -> float:
+    """How late, in s, ``other`` (nt,) is against ``reference`` (nt,), to a fraction of a sample.
+
+    From the phase of the cross-spectrum, weighted as least squares asks: Re Σ ω² |S| … about the largest correlation.
+    """
+    a, b = (x - np.mean(x) for x in (np.asarray(reference, float), np.asarray(other, float)))
+    size = 2 * scipy.fft.next_fast_len(len(a), real=True)
+    cross = np.conj(scipy.fft.rfft(a, size)) * scipy.fft.rfft(b, size)
+    correlation = scipy.fft.irfft(cross, size)
+    whole = int(np.argmax(correlation))
+    whole -= size if whole > size // 2 else 0
+    omega = 2 * np.pi * np.arange(len(cross)) / size
+    late = float(whole)
+    for _ in range(20):  # Newton's method on the correlation between samples
+        turned = cross * np.exp(1j * omega * late)
+        slope, curve = -np.sum(omega * turned.imag), -np.sum(omega**2 * turned.real)
+        step = -slope / curve if curve < 0 else 0.0
+        late += float(np.clip(step, -1, 1))
+    return late / sample_rate_hz
+
+
+def advance(signal: FloatArray, sample_rate_hz: float, delay_s: float) -> FloatArray:
+    """A channel (nt, …) that is late by ``delay_s``, put right: its value at t + delay, the ends held."""
+    if delay_s == 0:
+        return signal
+    time = np.arange(len(signal)) / sample_rate_hz
+    return CubicSpline(time, signal)(np.clip(time + delay_s, 0, time[-1]))
+
+
+def differentiate(
+    position: FloatArray, sample_rate_hz: float, pass_hz: float, stop_hz: float, upsample: int = 1
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Low-passed position, velocity and acceleration of an encoder, also where a run starts or ends in motion.
+
+    The extension by point reflection has a kink in the second and fourth derivative at either end, which would ring.
+    A local function with these derivatives (from a polynomial fit) is taken off before :func:`lowpass` and put back.
+
+    Args:
+        position: (nt, …) evenly sampled.
+        sample_rate_hz: samples per second.
+        pass_hz, stop_hz: of the taper.
+        upsample: as in :func:`lowpass`.
+
+    Returns:
+        Three arrays as :func:`lowpass` returns.
+    """
+    rest = np.array(position, float)
+    count, shape = len(rest), rest.shape[1:]
+    window = min(count, max(12, int(np.ceil(4 * sample_rate_hz / stop_hz))))
+    width = 4 / stop_hz
+    coarse, fine = (np.arange((count - 1) * m + 1) / (sample_rate_hz * m) for m in (1, upsample))
+    put_back = [np.zeros((len(fine), *shape)) for _ in range(3)]
+    for start in (True, False):
+        end = slice(None, window) if start else slice(None, -window - 1, -1)
+        x = np.arange(window) / window
+        fit = np.polynomial.Polynomial.fit  # well conditioned on a scaled window
+        columns = np.asarray(position, float)[end].reshape(window, -1)
+        for m, column in enumerate(columns.T):
+            series = fit(x, column, min(5, window - 1)).convert().coef
+            A, B = (series[k] * (sample_rate_hz / window) ** k if k < len(series) else 0.0 for k in (2, 4))
+            law = np.polynomial.Polynomial([0, 0, A, 0, B + A / width**2])
+            at = np.unravel_index(m, shape) if shape else ()
+            for k in range(3):
+                for time, sums in ((coarse, rest), (fine, put_back[k])):
+                    if sums is rest and k:
+                        continue
+                    t = time if start else time[-1] - time
+                    near = t < 6 * width
+                    value = law(t[near]) * np.exp(-((t[near] / width) ** 2)) * (1 if start or k != 1 else -1)
+                    sums[(near, *at)] += -value if sums is rest else value
+                law = law.deriv() - np.polynomial.Polynomial([0, 2 / width**2]) * law
+    q, v, a = (lowpass(rest, sample_rate_hz, pass_hz, stop_hz, k, upsample) + put_back[k] for k in range(3))
+    return q, v, a

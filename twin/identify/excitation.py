@@ -1,0 +1,438 @@
+"""Excitation trajectories: Fourier series that make the regressor well conditioned within the robot's limits.
+
+Swevers, Ganseman, Tükel, De Schutter, Van Brussel, IEEE T-RA 13 (1997); paper, Eqs. 8–12.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any, Literal
+
+import numpy as np
+from scipy.optimize import minimize
+
+from twin.errors import InputError
+from twin.identify.base_parameters import structural_base
+from twin.identify.regressor import Regressor, flange_path, link_regressor
+from twin.physics.motion import Motion
+from twin.robot.description import Robot
+
+Criterion = Literal["condition", "d-optimal"]
+
+ROWS = 50  # instants per period in the criterion
+GUARDS = 60  # instants per period at which the optimiser holds limits; more are added where a solution leaves them
+SHARPNESS = (4.0, 16.0)  # exponents of the smooth stand-in for the condition number, one after the other
+STARTS = 4  # random starts per trajectory, of which the best goes on
+HOPS = 20  # local searches from around the best so far; the criterion has many local minima
+HOP = 0.5  # size of such a step, in mean sizes of the variables
+ROUNDS = 10  # of added guards, at most
+MARGIN = 2e-4  # of each limit's range (m of the workspace), kept at the guards; grows by as much every round
+FINE_S = 1e-3  # grid of the last check
+FTOL = 1e-5
+
+
+@dataclass(frozen=True)
+class Fourier:
+    """A trajectory of n axes with H harmonics (Eqs. 8–10).
+
+    Attributes:
+        sine, cosine: a_l and b_l (n, H), rad/s (m/s).
+        centre: q₀ (n,) rad (m).
+        base_hz: ω_f / 2π.
+    """
+
+    sine: np.ndarray
+    cosine: np.ndarray
+    centre: np.ndarray
+    base_hz: float = 0.1
+
+    @property
+    def period_s(self) -> float:
+        """Length of one period, s."""
+        return 1 / self.base_hz
+
+    def motion(self, time: np.ndarray) -> Motion:
+        """Positions, velocities and accelerations at instants (nt,) s."""
+        position, speed, rate = _bases(time, self.sine.shape[1], self.base_hz)
+        stacked = np.concatenate([self.sine, self.cosine], axis=1).T  # (2H, n)
+        return Motion(time, position @ stacked + self.centre, speed @ stacked, rate @ stacked)
+
+    def extremes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Exact lowest and highest position, velocity and acceleration over all time, each (n, 2).
+
+        A trigonometric polynomial is stationary where a polynomial of degree 2H in e^{iωt} has a root on the unit
+        circle; nothing is sampled.
+        """
+        H = self.sine.shape[1]
+        w = 2 * np.pi * self.base_hz * np.arange(1, H + 1)
+        out = np.empty((3, len(self.sine), 2))
+        for i, (a, b) in enumerate(zip(self.sine, self.cosine, strict=True)):
+            # x(t) = c₀ + Re Σ z_l e^{iω l t}: velocity first, its integral and derivative from it
+            velocity = a - 1j * b
+            for k, z in enumerate((velocity / (1j * w), velocity, velocity * 1j * w)):
+                slope = z * 1j * w
+                polynomial = np.concatenate([slope[::-1], [0], np.conj(slope)])
+                roots = np.roots(polynomial) if np.abs(polynomial).max() > 0 else np.ones(1)
+                phases = np.angle(roots)  # a root off the circle is no extreme, but no value there exceeds one
+                values = np.real(np.exp(1j * np.outer(phases, np.arange(1, H + 1))) @ z)
+                out[k, i] = values.min(), values.max()
+        out[0] += self.centre[:, None]
+        return out[0], out[1], out[2]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Position, velocity and acceleration (n, 2), and the flange's box (3, 2) m, infinite where there is none."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    workspace: np.ndarray
+
+    @classmethod
+    def of(cls, robot: Robot) -> "Limits":
+        """The limits of a description.
+
+        Raises:
+            InputError: an axis without position and velocity limits.
+        """
+        position, velocity, acceleration = [], [], []
+        for i, axis in enumerate(robot.axes):
+            if axis.limits is None or axis.limits.position is None or axis.limits.velocity is None:
+                raise InputError(robot.name, f"axes[{i}].limits", "needs position and velocity to plan a trajectory")
+            position.append(axis.limits.position)
+            velocity.append((-axis.limits.velocity, axis.limits.velocity))
+            largest = axis.limits.acceleration or np.inf
+            acceleration.append((-largest, largest))
+        box = robot.workspace
+        workspace = [box.x, box.y, box.z] if box else [(-np.inf, np.inf)] * 3
+        return cls(*(np.array(x, float) for x in (position, velocity, acceleration, workspace)))
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A trajectory that holds its limits at every time, and its figure of merit.
+
+    Attributes:
+        fourier: the trajectory.
+        condition: condition number of the inertial base columns, unscaled, over one period.
+        log_det: log determinant of their information matrix per sample.
+    """
+
+    fourier: Fourier
+    condition: float
+    log_det: float
+
+
+def _bases(time: np.ndarray, harmonics: int, base_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity and acceleration (nt, 2H) per unit of a_1 … a_H, b_1 … b_H."""
+    w = 2 * np.pi * base_hz * np.arange(1, harmonics + 1)
+    s, c = np.sin(np.outer(time, w)), np.cos(np.outer(time, w))
+    return np.hstack([s / w, -c / w]), np.hstack([c, s]), np.hstack([-s * w, c * w])
+
+
+def violation(robot: Robot, fourier: Fourier, limits: Limits | None = None) -> float:
+    """By how much a trajectory leaves its limits at the worst moment, ≤ 0 if never; rad, m and their rates.
+
+    Joint limits from exact extremes. The flange is looked at every millisecond, and between by the bound h²/8 max|ẍ|,
+    its acceleration bounded by the joints' rates and its largest distance from an axis.
+    """
+    limits = limits or Limits.of(robot)
+    worst = -np.inf
+    for found, allowed in zip(fourier.extremes(), (limits.position, limits.velocity, limits.acceleration), strict=True):
+        worst = max(worst, float(np.max(allowed[:, 0] - found[:, 0])), float(np.max(found[:, 1] - allowed[:, 1])))
+    if np.isfinite(limits.workspace).any():
+        time = np.arange(0, fourier.period_s, FINE_S)
+        motion = fourier.motion(time)
+        path = flange_path(robot, motion.position)
+        reach = sum(abs(axis.a) + abs(axis.d) for axis in robot.axes) + float(np.linalg.norm(robot.flange.position))
+        turning = np.array([axis.type == "revolute" for axis in robot.axes])
+        travel, rates, gains = (np.abs(x).max(axis=1) for x in fourier.extremes())
+        slide, slide_rate = rates[~turning].sum(), gains[~turning].sum()
+        reach += float(travel[~turning].sum())
+        spin, spin_rate = rates[turning].sum(), gains[turning].sum()
+        slack = FINE_S**2 / 8 * (reach * (spin_rate + spin**2) + slide_rate + 2 * spin * slide)
+        low, high = limits.workspace.T
+        worst = max(
+            worst, float(np.max(low - path.min(axis=0)) + slack), float(np.max(path.max(axis=0) - high) + slack)
+        )
+    return worst
+
+
+class Problem:
+    """The optimisation of one robot: variables z (one vector), criterion and constraints with their gradients.
+
+    Everything is evaluated for many variations at once, so that a gradient by differences costs one call.
+
+    Args:
+        robot: with position and velocity limits.
+        harmonics, base_hz: of the series.
+        rest: start and end every period at rest: Σ a_l = 0 and Σ l b_l = 0.
+        criterion: ``"condition"`` number, or ``"d-optimal"`` (log determinant of the covariance).
+    """
+
+    def __init__(self, robot: Robot, harmonics: int, base_hz: float, rest: bool, criterion: Criterion) -> None:
+        self.robot, self.base_hz, self.criterion = robot, base_hz, criterion
+        self.limits = Limits.of(robot)
+        self.sharpness, self.margin = SHARPNESS[0], MARGIN
+        n = robot.axis_count
+        bare = robot.model_copy(
+            update={
+                "physics": [],
+                "drives": [drive.model_copy(update={"rotor_inertia": 0.0}) for drive in robot.drives],
+            }
+        )
+        base = structural_base(Regressor(bare))
+        self.kept = base.kept[base.kept < 10 * n]
+        period = 1 / base_hz
+        self.bases = _bases(np.arange(ROWS) * period / ROWS, harmonics, base_hz)
+        self.instants = (np.arange(GUARDS) + 0.25) * period / GUARDS
+        free = np.eye(2 * harmonics)
+        if rest:
+            rows = np.zeros((2, 2 * harmonics))
+            rows[0, :harmonics], rows[1, harmonics:] = 1, np.arange(1, harmonics + 1)
+            free = np.linalg.svd(rows)[2][2:].T
+        self.free = free  # (2H, f): series coefficients from free ones
+        self.f = free.shape[1]
+        self.speed = self.limits.velocity[:, 1]
+        span = np.diff(self.limits.position, axis=1)[:, 0]
+        self.span, self.middle = span, self.limits.position.mean(axis=1)
+
+    @property
+    def guards(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The bases at the guard instants."""
+        return _bases(self.instants, len(self.free) // 2, self.base_hz)
+
+    def unpack(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (…, 2H, n) and centres (…, n) of variables (…, n (f + 1)), which are of order one."""
+        z = z.reshape(*z.shape[:-1], self.robot.axis_count, self.f + 1)
+        coefficients = np.einsum("hf,...nf->...hn", self.free, z[..., :-1] * self.speed[:, None])
+        return coefficients, self.middle + z[..., -1] * self.span
+
+    def fourier(self, z: np.ndarray) -> Fourier:
+        """The trajectory of one set of variables."""
+        coefficients, centre = self.unpack(z)
+        H = len(coefficients) // 2
+        return Fourier(coefficients[:H].T.copy(), coefficients[H:].T.copy(), centre.copy(), self.base_hz)
+
+    def singular_values(self, z: np.ndarray) -> np.ndarray:
+        """Squared singular values (k, b) of the inertial columns over one period, rising, for variables (k, …)."""
+        coefficients, centre = self.unpack(z)
+        k, _, n = coefficients.shape
+        q, v, a = (np.einsum("th,khn->ktn", B, coefficients).reshape(-1, n) for B in self.bases)
+        q += np.repeat(centre, ROWS, axis=0)
+        Y = link_regressor(self.robot, Motion(np.zeros(len(q)), q, v, a))[:, :, self.kept].reshape(k, ROWS * n, -1)
+        return np.linalg.eigvalsh(Y.transpose(0, 2, 1) @ Y / ROWS)
+
+    def value(self, z: np.ndarray) -> np.ndarray:
+        """The criterion (k,) of variables (k, …): log condition number, smoothed, or minus half the log determinant."""
+        values = np.maximum(self.singular_values(z), 1e-12)
+        if self.criterion == "condition":
+            # the largest over the smallest, as p-norms: smooth where singular values meet, which they do at the optimum
+            p = self.sharpness
+            largest, smallest = values[:, -1:], values[:, :1]
+            norms = np.sum((values / largest) ** p, axis=1) * np.sum((smallest / values) ** p, axis=1)
+            return 0.5 * (np.log(largest[:, 0] / smallest[:, 0]) + np.log(norms) / p)
+        return -0.5 * np.log(values).sum(axis=1) / values.shape[1]
+
+    def value_and_gradient(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        """The criterion and its gradient by forward differences, one batch."""
+        h = 1e-6
+        values = self.value(np.concatenate([z[None], z[None] + h * np.eye(len(z))]))
+        return float(values[0]), (values[1:] - values[0]) / h
+
+    def linear_constraints(self) -> tuple[np.ndarray, np.ndarray]:
+        """C, c of C z + c ≥ 0: joint positions, velocities and accelerations at the guard instants."""
+        n, f = self.robot.axis_count, self.f
+        rows, constants = [], []
+        for k, (B, limit) in enumerate(
+            zip(self.guards, (self.limits.position, self.limits.velocity, self.limits.acceleration), strict=True)
+        ):
+            unit = B @ self.free
+            for i in range(n):
+                if not np.isfinite(limit[i]).all():
+                    continue
+                low, high = limit[i] + self.margin * (limit[i, 1] - limit[i, 0]) * np.array([1, -1])
+                scale = limit[i, 1] - limit[i, 0]
+                row = np.zeros((len(unit), n, f + 1))
+                row[:, i, :-1] = unit * self.speed[i]
+                row[:, i, -1] = self.span[i] if k == 0 else 0.0
+                start = self.middle[i] if k == 0 else 0.0
+                row = row.reshape(len(unit), -1) / scale
+                rows += [row, -row]
+                constants += [np.full(len(unit), (start - low) / scale), np.full(len(unit), (high - start) / scale)]
+        return np.concatenate(rows), np.concatenate(constants)
+
+    def workspace(self, z: np.ndarray) -> np.ndarray:
+        """Distances (k, …) ≥ 0 m of the flange from the walls at the guard instants."""
+        coefficients, centre = self.unpack(z)
+        k, _, n = coefficients.shape
+        q = (np.einsum("th,khn->ktn", self.guards[0], coefficients) + centre[:, None, :]).reshape(-1, n)
+        path = flange_path(self.robot, q).reshape(k, -1, 3)
+        low, high = self.limits.workspace.T
+        room = [
+            side for j in range(3) if np.isfinite([low[j], high[j]]).all()
+            for side in (path[:, :, j] - low[j], high[j] - path[:, :, j])
+        ]  # fmt: skip
+        return np.concatenate(room, axis=1) - self.margin if room else np.zeros((k, 0))
+
+    def start(self, rng: np.random.Generator) -> np.ndarray:
+        """Random variables within the limits at the guard instants."""
+        C, c = self.linear_constraints()
+        n = self.robot.axis_count
+        best, best_value = None, np.inf
+        for _ in range(400):
+            z = np.zeros((n, self.f + 1))
+            z[:, :-1] = rng.normal(size=(n, self.f)) / np.sqrt(self.f)
+            z[:, -1] = rng.uniform(-0.4, 0.4, n)
+            for size in (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1):
+                trial = z.copy()
+                trial[:, :-1] *= size
+                flat = trial.ravel()
+                if (C @ flat + c).min() >= 0 and self.workspace(flat[None]).min(initial=0.0) >= 0:
+                    value = float(self.value(flat[None])[0])
+                    if value < best_value:
+                        best, best_value = flat, value
+                    break
+        if best is None:
+            raise InputError(self.robot.name, "workspace", "no trajectory within joint limits and workspace was found")
+        return best
+
+    def guard(self, fourier: Fourier) -> None:
+        """Hold limits also where a trajectory leaves them most, limit by limit."""
+        time = np.arange(0, fourier.period_s, 10 * FINE_S)
+        motion = fourier.motion(time)
+        series = [motion.position, motion.velocity, motion.acceleration, flange_path(self.robot, motion.position)]
+        limits = [self.limits.position, self.limits.velocity, self.limits.acceleration, self.limits.workspace]
+        found = [self.instants]
+        for values, limit in zip(series, limits, strict=True):
+            for excess in (values - limit[:, 1], limit[:, 0] - values):
+                around = np.maximum(np.roll(excess, 1, axis=0), np.roll(excess, -1, axis=0))
+                top = (excess > -1e-3) & (excess >= around)
+                found.append(time[top.any(axis=1)])
+        self.instants = np.unique(np.round(np.concatenate(found), 3))
+
+    def feasible(self, z: np.ndarray) -> bool:
+        """Whether variables hold the limits at the guards."""
+        C, c = self.linear_constraints()
+        return min((C @ z + c).min(), self.workspace(z[None]).min(initial=0.0)) > -1e-6
+
+    def solve(self, z: np.ndarray, iterations: int) -> np.ndarray:
+        """Sequential quadratic programming from variables (…,); the best it saw within the limits at the guards."""
+        C, c = self.linear_constraints()
+        h = 1e-6
+        best, lowest = z, np.inf
+
+        def room(z: np.ndarray) -> np.ndarray:
+            return self.workspace(z[None])[0]
+
+        def room_gradient(z: np.ndarray) -> np.ndarray:
+            rooms = self.workspace(np.concatenate([z[None], z[None] + h * np.eye(len(z))]))
+            return (rooms[1:] - rooms[0]).T / h
+
+        def criterion(z: np.ndarray) -> tuple[float, np.ndarray]:
+            nonlocal best, lowest
+            value, gradient = self.value_and_gradient(z)
+            if value < lowest and min((C @ z + c).min(), room(z).min(initial=0.0)) > -1e-6:
+                best, lowest = z.copy(), value
+            return value, gradient
+
+        constraints: list[dict[str, Any]] = [{"type": "ineq", "fun": lambda z: C @ z + c, "jac": lambda z: C}]
+        if room(z).size:
+            constraints.append({"type": "ineq", "fun": room, "jac": room_gradient})
+        minimize(
+            criterion, z, jac=True, method="SLSQP", constraints=constraints,
+            options={"maxiter": iterations, "ftol": FTOL},
+        )  # fmt: skip
+        return best
+
+
+def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation | None:
+    """A trajectory from one seed: local searches, then guards where it leaves a limit, until it does so nowhere."""
+    robot, harmonics, base_hz, rest, criterion, seed, iterations = job
+    problem = Problem(robot, harmonics, base_hz, rest, criterion)
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(STARTS):
+        z = problem.start(rng)
+        for problem.sharpness in SHARPNESS if criterion == "condition" else SHARPNESS[-1:]:
+            z = problem.solve(z, iterations)
+        found.append((float(problem.value(z[None])[0]), z))
+    lowest, best = min(found, key=lambda pair: pair[0])
+    for _ in range(HOPS):
+        z = problem.solve(best + HOP * np.abs(best).mean() * rng.normal(size=best.shape), iterations)
+        value = float(problem.value(z[None])[0])
+        if value < lowest and problem.feasible(z):
+            lowest, best = value, z
+    for _ in range(ROUNDS):
+        fourier = problem.fourier(best)
+        if violation(robot, fourier, problem.limits) <= 0:
+            return judge(robot, fourier, problem.kept)
+        problem.guard(fourier)
+        problem.margin += MARGIN
+        best = problem.solve(best, 2 * iterations)
+    return None
+
+
+def judge(robot: Robot, fourier: Fourier, kept: np.ndarray) -> Excitation:
+    """Figures of merit of a trajectory, over columns ``kept`` of the links' regressor, at 500 instants."""
+    time = np.arange(500) * fourier.period_s / 500
+    Y = link_regressor(robot, fourier.motion(time))[:, :, kept].reshape(-1, len(kept))
+    values = np.linalg.svd(Y, compute_uv=False)
+    return Excitation(fourier, float(values[0] / values[-1]), float(2 * np.log(values / np.sqrt(500)).sum()))
+
+
+def excite(
+    robot: Robot,
+    count: int = 6,
+    *,
+    harmonics: int = 5,
+    base_hz: float = 0.1,
+    rest: bool = False,
+    criterion: Criterion = "condition",
+    seed: int = 0,
+    starts: int | None = None,
+    iterations: int = 50,
+    workers: int = 2,
+    progress: Callable[[int], None] | None = None,
+) -> list[Excitation]:
+    """Different optimised trajectories of a robot, the best first, none of which leaves a limit at any time.
+
+    Args:
+        robot: with limits, and a workspace where there is one.
+        count: how many.
+        harmonics, base_hz: of the series (the paper: five of 0.1 Hz).
+        rest: start and end at rest.
+        criterion: ``"condition"`` or ``"d-optimal"``.
+        seed: of the random starts.
+        starts: how many are searched for; the best ``count`` are returned. Two more than ``count`` by default.
+        iterations: of the optimiser, at most.
+        workers: processes.
+        progress: called with the number of starts finished.
+
+    Raises:
+        InputError: no limits, or no trajectory within them.
+    """
+    jobs = [
+        (robot, harmonics, base_hz, rest, criterion, 1000 * seed + k, iterations) for k in range(starts or count + 2)
+    ]
+    found = []
+    if workers > 1 and len(jobs) > 1:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            for result in pool.map(_one, jobs):
+                found.append(result)
+                if progress:
+                    progress(1)
+    else:
+        for job in jobs:
+            found.append(_one(job))
+            if progress:
+                progress(1)
+    good = [result for result in found if result is not None]
+    if len(good) < count:
+        raise InputError(
+            robot.name, "workspace", f"only {len(good)} of {len(jobs)} starts led to a trajectory within it"
+        )
+    key = (lambda e: e.condition) if criterion == "condition" else (lambda e: -e.log_det)
+    return sorted(good, key=key)[:count]

@@ -1,0 +1,495 @@
+"""Rigid-body parameters from torque logs: signals to rows, least squares, a physically consistent set.
+
+The same low-pass goes over the torque and over every column of the regressor, so that laws that are not smooth
+(friction) stay exact; positions are differentiated in a wider band.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.fft
+import scipy.linalg
+
+from twin.errors import InputError
+from twin.identify.base_parameters import BaseParameters, base_parameters, structural_base
+from twin.identify.regressor import Regressor, coupling_matrix, inertial_vector, pseudo_inertia
+from twin.measure.campaign import FloatArray
+from twin.measure.motion_log import MotionLog, MotionRun, saturated
+from twin.measure.signals import advance, differentiate, lowpass
+from twin.physics import CATALOGUE
+from twin.physics.chain import MeasurementChain
+from twin.physics.motion import Motion
+from twin.robot.description import Robot
+from twin.robot.frames import inertia_six
+
+QUANTILE = 1.6448536269514722  # of the standard normal, for a 90 % interval
+STEP_RATE_HZ = 200.0  # laws are evaluated at least this often: friction steps where the axis turns back
+SMOOTH_RATE = 8.0  # links' columns are evaluated at least this many times the motion's band
+ROWS_PER_HZ = 5.0  # rows kept per second and hertz of the low-pass
+CORRELATION_S = 4.0  # residuals farther apart are taken as independent
+STILL = 4.0  # standard deviations of the velocity's noise below which an axis stands
+PASSED = 0.1  # share of a column's amplitude the low-pass must leave for its parameter to be called identifiable
+LEAST_INFORMED = 1.0  # a parameter with a standard deviation above this many times its scale is not identified
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Cosine tapers (pass, stop) in Hz: of the encoder before it is differentiated, and of torque and columns."""
+
+    fit: tuple[float, float] = (3.0, 4.0)
+    motion: tuple[float, float] = (10.0, 12.0)
+
+    def within(self, rate_hz: float) -> "Bands":
+        """The same with the motion's band below half the sampling rate, and not below that of the fit."""
+        stop = min(max(self.motion[1], 1.5 * self.fit[1]), 0.45 * rate_hz)
+        return replace(self, motion=(min(self.motion[0] / self.motion[1], 0.85) * stop, stop))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One run as rows of the least-squares problem, at m instants after the low-pass.
+
+    Attributes:
+        time: (m,) s.
+        position, velocity, acceleration: (m, n) of the joints, rad (m).
+        torque: (m, n) of the joints, N·m (N), less what has no column.
+        known: (m, n) of what has no column.
+        matrix: (m, n, p) torque per unit of every column.
+        valid: (m,) rows that count; those near the ends or a saturated torque do not.
+        passed: (p,) amplitude of each column after the low-pass over that before.
+        rate_hz: rows per second.
+    """
+
+    name: str
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray
+    known: FloatArray
+    matrix: FloatArray
+    valid: np.ndarray
+    passed: FloatArray
+    rate_hz: float
+
+    def only(self, valid: np.ndarray) -> "Rows":
+        """The same rows, of which only those where ``valid`` (m,) also count."""
+        return replace(self, valid=self.valid & valid)
+
+
+def joint_run(robot: Robot, run: MotionRun) -> MotionRun:
+    """A recorded run in joint coordinates, torque constants and delays of the measurement put right.
+
+    The record holds motors: θ = C q, so that q = C⁻¹ θ and τ_q = Cᵀ τ_θ, where a drive also turns with other axes.
+    """
+    n = robot.axis_count
+    chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(n))
+    for entry in robot.physics:
+        CATALOGUE[entry.effect].record(chain, entry.site, entry.values)
+    C = coupling_matrix(robot)
+    to_joint = np.linalg.inv(C).T
+    torque = run.torque
+    if torque is not None:
+        torque = advance(torque / chain.torque_gain, run.sample_rate_hz, chain.torque_delay) @ C
+    return replace(
+        run,
+        position=run.position @ to_joint,
+        torque=torque,
+        velocity=None if run.velocity is None else run.velocity @ to_joint,
+        acceleration=None if run.acceleration is None else run.acceleration @ to_joint,
+    )
+
+
+def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1) -> Motion:
+    """Position, velocity and acceleration of a run in joint coordinates, low-passed, ``upsample`` times as dense.
+
+    An axis slower than the noise of its velocity stands still: its friction has no sign.
+    """
+    rate = run.sample_rate_hz
+    band = bands.within(rate).motion
+    q, v, a = differentiate(run.position, rate, *band, upsample)
+    if run.velocity is not None:
+        v = lowpass(run.velocity, rate, *band, 0, upsample)
+    if run.acceleration is not None:
+        a = lowpass(run.acceleration, rate, *band, 0, upsample)
+    noise = np.std(run.position - q[::upsample], axis=0)
+    slow = STILL * float(np.max(noise)) * 2 * np.pi * band[1] * np.sqrt(2 * band[1] / (3 * rate))
+    time = run.time[0] + np.arange(len(q)) / (rate * upsample)
+    return Motion(time, q, v, a, sign=lambda speed: np.where(np.abs(speed) > slow, np.sign(speed), 0.0))
+
+
+def rows_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Rows:
+    """A run in joint coordinates as rows: torque and all columns through the same low-pass, then thinned out."""
+    assert run.torque is not None
+    rate = run.sample_rate_hz
+    bands = bands.within(rate)
+    step = max(1, int(rate / (ROWS_PER_HZ * bands.fit[1])))
+
+    def thinned(values: FloatArray, upsample: int) -> FloatArray:
+        flat = values.reshape(len(values), -1)
+        used = np.flatnonzero(np.any(flat != 0, axis=0))
+        out = np.zeros((len(flat[:: upsample * step]), flat.shape[1]))
+        out[:, used] = lowpass(flat[:, used], rate * upsample, *bands.fit)[:: upsample * step]
+        return out.reshape(-1, *values.shape[1:])
+
+    coarse, fine = (max(1, int(np.ceil(least / rate))) for least in (SMOOTH_RATE * bands.motion[1], STEP_RATE_HZ))
+    motion = motion_of_run(run, bands, coarse)
+    dense = motion if fine == coarse else motion_of_run(run, bands, fine)
+    columns = ((regressor.bodies(motion), coarse), (regressor.laws(dense), fine))
+    matrix = np.concatenate([thinned(Y, upsample) for Y, upsample in columns], axis=2)
+    before = np.concatenate([np.sqrt(np.mean(Y**2, axis=(0, 1))) for Y, _ in columns])
+    after = np.sqrt(np.mean(matrix**2, axis=(0, 1)))
+    known = thinned(regressor.known_torque(dense), fine)
+    torque = thinned(run.torque, 1)
+    at = slice(None, None, coarse * step)
+    time = motion.time[at]
+    trim = 6 / bands.motion[1]
+    valid = (time > time[0] + trim) & (time < time[-1] - trim)
+    for instant in run.time[saturated(run).any(axis=1)]:
+        valid &= np.abs(time - instant) > 1 / (bands.fit[1] - bands.fit[0])
+    return Rows(
+        run.name, time, motion.position[at], motion.velocity[at], motion.acceleration[at], torque - known, known,
+        matrix, valid, after / np.where(before > 0, before, 1), rate / step,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Base parameters by least squares.
+
+    Attributes:
+        base: what they are combinations of.
+        value: (b,).
+        covariance: (b, b), with the residuals' correlation in time.
+        noise: (n,) standard deviation of the residual per joint, N·m (N).
+        samples, effective: (n,) rows used, and as many independent ones as they are worth.
+        identifiable: (b,) whether the low-pass lets the parameter through and the data holds it.
+    """
+
+    base: BaseParameters
+    value: FloatArray
+    covariance: FloatArray
+    noise: FloatArray
+    samples: np.ndarray
+    effective: FloatArray
+    identifiable: np.ndarray
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Standard deviations (b,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def interval90(self) -> FloatArray:
+        """Bounds (b, 2) that hold the truth nine times in ten."""
+        return self.value[:, None] + QUANTILE * self.deviation[:, None] * np.array([-1.0, 1.0])
+
+
+def least_squares(regressor: Regressor, rows: list[Rows], weighting: str = "joint") -> Estimate:
+    """Base parameters from the valid rows (paper, Eqs. 6 and 7).
+
+    Args:
+        regressor: whose columns the rows hold.
+        rows: runs to fit.
+        weighting: ``"joint"`` divides every joint's rows by its noise (found by iteration); ``"none"`` is ordinary
+            least squares. Deviations are right for either: they come from the residual's own correlation in time
+            (sandwich estimate), not from the number of rows.
+
+    Raises:
+        InputError: fewer rows than parameters.
+    """
+    base = structural_base(regressor)
+    data = np.concatenate([r.matrix[r.valid] for r in rows])  # (m, n, p)
+    torque = np.concatenate([r.torque[r.valid] for r in rows])
+    m, n, _ = data.shape
+    if m * n < 2 * len(base.kept):
+        raise InputError(rows[0].name if rows else "log", "", f"{m} rows are too few for {len(base.kept)} parameters")
+    # What this motion does not move apart stays together, whatever the robot could do.
+    base = _merge(base, base_parameters(data[:, :, base.kept].reshape(m * n, -1), [base.columns[k] for k in base.kept]))
+    A = data[:, :, base.kept]
+    noise = np.ones(n)
+    for _ in range(1 if weighting == "none" else 4):
+        weighted = (A / noise[None, :, None]).reshape(m * n, -1)
+        scale = np.linalg.norm(weighted, axis=0)
+        value = np.linalg.lstsq(weighted / scale, (torque / noise).ravel(), rcond=None)[0] / scale
+        residual = torque - A @ value
+        if weighting != "none":
+            noise = np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-9 * np.abs(torque).max(axis=0) + 1e-300)
+    covariance, effective = _sandwich(rows, base, value, noise)
+    deviation = np.sqrt(np.diag(covariance))
+    passed = np.max([r.passed[base.kept] for r in rows], axis=0)
+    strength = np.sqrt(np.mean(np.square(A), axis=0)).max(axis=0)  # torque per unit, on the joint that shows it most
+    scale_of = np.maximum(np.abs(value), 0.1 * np.abs(torque).max() / np.maximum(strength, 1e-300))
+    identifiable = (passed > PASSED) & (deviation < LEAST_INFORMED * scale_of)
+    rms = np.sqrt(np.mean(residual**2, axis=0))
+    return Estimate(base, value, covariance, rms, np.full(n, m), effective, identifiable)
+
+
+def _merge(structural: BaseParameters, excited: BaseParameters) -> BaseParameters:
+    return BaseParameters(
+        structural.columns,
+        structural.kept[excited.kept],
+        excited.combine @ structural.combine,
+        np.union1d(structural.none, structural.kept[excited.none]).astype(int),
+    )
+
+
+def _sandwich(
+    rows: list[Rows], base: BaseParameters, value: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance (b, b) of weighted least squares under noise that is stationary and coloured, joint by joint."""
+    b, n = len(value), len(noise)
+    information, spread = np.zeros((b, b)), np.zeros((b, b))
+    effective = np.zeros(n)
+    lags = max(1, int(CORRELATION_S * rows[0].rate_hz))
+    for j in range(n):
+        product, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
+        masked = []
+        for r in rows:
+            A = np.where(r.valid[:, None], r.matrix[:, j, base.kept], 0.0) / noise[j]
+            e = np.where(r.valid, r.torque[:, j] / noise[j] - A @ value, 0.0)
+            size = scipy.fft.next_fast_len(len(e) + lags + 1, real=True)
+            spectra = np.abs(scipy.fft.rfft(np.stack([e, r.valid.astype(float)]), size)) ** 2
+            correlation = scipy.fft.irfft(spectra, size)[:, : lags + 1]
+            product[: correlation.shape[1]] += correlation[0]
+            pairs[: correlation.shape[1]] += correlation[1]
+            masked.append((A, size))
+            information += A.T @ A
+        lag = np.arange(lags + 1) / (lags + 1)
+        parzen = np.where(lag < 0.5, 1 - 6 * lag**2 + 6 * lag**3, 2 * (1 - lag) ** 3)
+        # the b parameters were fitted to n joints' rows
+        series = product / np.maximum(pairs, 1) * parzen
+        effective[j] = pairs[0] * series[0] / max(series[0] + 2 * series[1:].sum(), 1e-3 * series[0])
+        series *= 1 / max(1 - b / n / max(effective[j], b / n + 1), 0.1)
+        for A, size in masked:
+            spectrum = _density(series, size)
+            coloured = scipy.fft.irfft(
+                scipy.fft.rfft(A, size, axis=0) * np.sqrt(np.maximum(spectrum, 0))[:, None], size, axis=0
+            )
+            spread += coloured.T @ coloured
+    scale = 1 / np.sqrt(np.diag(information))
+    inverse = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    return inverse @ spread @ inverse, effective
+
+
+def _density(series: FloatArray, size: int) -> FloatArray:
+    """Power of each line of a transform of ``size`` samples, from one-sided autocorrelation."""
+    circle = np.zeros(size)
+    circle[: len(series)] = series
+    circle[size - len(series) + 1 :] += series[:0:-1]
+    return scipy.fft.rfft(circle).real
+
+
+def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -> FloatArray:
+    """All parameters (p,) of a robot that can exist, as near to the estimate and the description as both allow.
+
+    Minimises (K x − π̂)ᵀ Σ⁻¹ (K x − π̂) + Σ z², z the departure from the description in its tolerances, over bodies
+    whose pseudo-inertia stays above ``margin`` times the described one, with friction and rotor inertia ≥ 0: a convex
+    problem in the cone of positive semidefinite matrices (Wensing, Kim, Slotine 2018), solved by Clarabel.
+    """
+    import clarabel  # type: ignore[import-untyped]
+    from scipy import sparse
+
+    columns, robot = regressor.columns, regressor.robot
+    n = robot.axis_count
+    x0 = regressor.described.copy()
+    K = estimate.base.combine
+    step = _prior_steps(regressor, estimate)
+    prior = np.array([1.0 if column.group in ("link", "rotor") else 0.0 for column in columns])
+    usable = estimate.identifiable
+    weight = np.linalg.inv(_symmetric(estimate.covariance[np.ix_(usable, usable)]))
+    G = scipy.linalg.cholesky(weight) @ K[usable] @ step
+    target = scipy.linalg.cholesky(weight) @ (estimate.value[usable] - K[usable] @ x0)
+    H = G.T @ G + np.diag(np.where(prior > 0, prior, 1e-6))
+    linear = -G.T @ target
+    rows, bounds, cones = [], [], []
+    floor = np.array([column.nonnegative and column.group != "link" for column in columns])
+    if floor.any():
+        rows.append(-step[floor])
+        bounds.append(x0[floor])
+        cones.append(clarabel.NonnegativeConeT(int(floor.sum())))
+    root2 = np.sqrt(2.0)
+    triangle = [(i, j) for j in range(4) for i in range(j + 1)]
+    for i in range(n):
+        part = slice(10 * i, 10 * i + 10)
+        P0 = pseudo_inertia(x0[part])
+        scale = np.sqrt(np.diag(P0))  # congruence keeps definiteness and makes the numbers of one size
+        unit = np.stack([pseudo_inertia(row) for row in np.eye(10)], axis=-1) / np.outer(scale, scale)[:, :, None]
+        pick = np.array([unit[a, c] * (1 if a == c else root2) for a, c in triangle])
+        rows.append(-pick @ step[part])
+        bounds.append((1 - margin) * pick @ x0[part])
+        cones.append(clarabel.PSDTriangleConeT(4))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix(np.triu(H)), linear, sparse.csc_matrix(np.concatenate(rows)), np.concatenate(bounds), cones,
+        settings,
+    )  # fmt: skip
+    solution = solver.solve()
+    if str(solution.status) not in ("Solved", "AlmostSolved"):
+        raise ArithmeticError(f"no physically consistent set found: {solution.status}")
+    x = x0 + step @ np.array(solution.x)
+    x[floor] = np.maximum(x[floor], 0.0)
+    return x
+
+
+def _prior_steps(regressor: Regressor, estimate: Estimate) -> FloatArray:
+    """Columns of a matrix (p, p): the change of all parameters per standard deviation of one thing described."""
+    robot, columns = regressor.robot, regressor.columns
+    tolerance = robot.tolerances
+    step = np.zeros((len(columns), len(columns)))
+    for i, link in enumerate(robot.links):
+        mass, com, inertia = link.inertial
+        part = slice(10 * i, 10 * i + 10)
+        here = inertial_vector(mass, com, inertia)
+        h = 1e-6
+        block = np.zeros((10, 10))
+        block[:, 0] = (inertial_vector(mass * (1 + h), com, inertia) - here) / h * tolerance.mass
+        for k in range(3):
+            moved = [inertial_vector(mass, com + sign * h * np.eye(3)[k], inertia) for sign in (1, -1)]
+            block[:, 1 + k] = (moved[0] - moved[1]) / (2 * h) * tolerance.com
+        size = inertia_six(np.sqrt(np.outer(np.diag(inertia), np.diag(inertia))))
+        block[4:, 4:] = np.diag(np.array(size) * tolerance.inertia)
+        step[part, part] = block
+    largest = {k: abs(v) + d for k, v, d in zip(estimate.base.kept, estimate.value, estimate.deviation, strict=True)}
+    for k, column in enumerate(columns):
+        if column.group == "rotor":
+            drive = robot.drives[k - 10 * robot.axis_count]
+            unknown = max(link.inertial[2].max() for link in robot.links) / drive.gear_ratio**2
+            step[k, k] = tolerance.inertia * drive.rotor_inertia or unknown
+        elif column.group != "link":
+            step[k, k] = max(abs(column.value), largest.get(k, 0.0), 1e-3)
+    return step
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    return 0.5 * (matrix + matrix.T)
+
+
+def relative_error(rows: list[Rows], predict: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Per joint (n,): RMS of residual over RMS of torque, and RMS of residual, of the parameters ``predict`` (p,)."""
+    residual = np.concatenate([(r.torque - r.matrix @ predict)[r.valid] for r in rows])
+    torque = np.concatenate([(r.torque + r.known)[r.valid] for r in rows])
+    rms = np.sqrt(np.mean(residual**2, axis=0))
+    return rms / np.sqrt(np.mean(torque**2, axis=0)), rms
+
+
+@dataclass(frozen=True)
+class Split:
+    """Rows to fit and rows held out, and in words how they were chosen."""
+
+    train: list[Rows]
+    held_out: list[Rows]
+    text: str
+
+
+def split(rows: list[Rows], hold_out: list[str] | None, bands: Bands, source: str = "log") -> Split:
+    """Hold out whole runs; of a single run contiguous blocks, with a gap of the filter's memory between.
+
+    Without names every third run is held out (the paper: two of six), or the second and fifth of six blocks.
+
+    Raises:
+        InputError: a name that is no run, or nothing left to fit.
+    """
+    names = [r.name for r in rows]
+    for name in hold_out or []:
+        if name not in names:
+            raise InputError(source, f"--hold-out {name}", f"no such run; runs are {', '.join(names)}")
+    if hold_out:
+        train = [r for r in rows if r.name not in hold_out]
+        if not train:
+            raise InputError(source, "--hold-out", "every run is held out; nothing is left to fit")
+        return Split(train, [r for r in rows if r.name in hold_out], ", ".join(hold_out) + " (as asked)")
+    if len(rows) > 1:
+        chosen = names[2::3] or names[-1:]
+        return Split(
+            [r for r in rows if r.name not in chosen], [r for r in rows if r.name in chosen], ", ".join(chosen)
+        )
+    (run,) = rows
+    place = 6 * (run.time - run.time[0]) / (run.time[-1] - run.time[0])
+    block = np.minimum(place.astype(int), 5)
+    inside = np.isin(block, (1, 4))
+    memory = min(1 / (bands.fit[1] - bands.fit[0]), 0.1 * (run.time[-1] - run.time[0]) / 6)
+    edges = run.time[np.flatnonzero(np.diff(inside.astype(int)))]
+    clear = np.all(np.abs(run.time[:, None] - edges[None, :]) > memory / 2, axis=1)
+    text = f"blocks 2 and 5 of six of {run.name}, with gaps of {memory:.2g} s"
+    return Split([run.only(clear & ~inside)], [run.only(clear & inside)], text)
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a motion log says about a robot.
+
+    Attributes:
+        regressor: columns, and the description that was given.
+        estimate: base parameters by least squares.
+        parameters: (p,) of the physically consistent set.
+        robot: the description with these.
+        split: what was fitted and what held out.
+        bands: low-passes.
+        notes: what was found and repaired.
+    """
+
+    regressor: Regressor
+    estimate: Estimate
+    parameters: FloatArray
+    robot: Robot
+    split: Split
+    bands: Bands
+    notes: list[str] = field(default_factory=list)
+
+    def least_squares_parameters(self) -> FloatArray:
+        """The estimate spread over the columns (p,): base parameters in the kept columns, nothing in the others."""
+        x = np.zeros(len(self.regressor.columns))
+        x[self.estimate.base.kept] = self.estimate.value
+        return x
+
+
+def identify(
+    log: MotionLog,
+    robot: Robot,
+    *,
+    bands: Bands | None = None,
+    hold_out: list[str] | None = None,
+    weighting: str = "joint",
+    offsets: bool = True,
+) -> Identification:
+    """Identify the rigid-body side of a robot: inertias, rotors, friction, compensator.
+
+    Args:
+        log: runs as recorded (motor coordinates), with torque.
+        robot: prior inertias, and the physics entries whose parameters are wanted.
+        bands: low-passes; the paper's 3–4 Hz for torque and columns by default.
+        hold_out: names of runs not to fit; chosen when ``None``.
+        weighting: ``"joint"`` or ``"none"``.
+        offsets: estimate a constant torque per joint, which belongs to the recording.
+
+    Raises:
+        InputError: no torque, too little of it, or torque that is cut off for more than 5 % of a run.
+    """
+    bands = bands or Bands()
+    regressor = Regressor(robot, offsets)
+    rows, notes = [], list(log.notes)
+    for name, run in log.runs.items():
+        if run.torque is None:
+            raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory cannot be identified from")
+        if run.sample_rate_hz < 2.5 * bands.fit[1]:
+            raise InputError(
+                log.source, f"runs/{name}/sample_rate_hz",
+                f"{run.sample_rate_hz:g} Hz is too slow for a low-pass to {bands.fit[1]:g} Hz; give --low-pass",
+            )  # fmt: skip
+        cut = saturated(run)
+        if (share := cut.any(axis=1).mean()) > 0.05:
+            raise InputError(log.source, f"runs/{name}/torque", f"saturated for {share:.0%} of the run")
+        for i in np.flatnonzero(cut.any(axis=0)):
+            notes.append(
+                f"runs/{name}: torque of joint{i + 1} is cut off at {np.abs(run.torque[cut[:, i], i]).max():.4g} for "
+                f"{cut[:, i].sum() / run.sample_rate_hz:.2g} s; left out with the filter's memory around it"
+            )
+        rows.append(rows_of(regressor, joint_run(robot, run), bands))
+    parts = split(rows, hold_out, bands, log.source)
+    estimate = least_squares(regressor, parts.train, weighting)
+    parameters = consistent(regressor, estimate)
+    return Identification(
+        regressor, estimate, parameters, regressor.robot_with(parameters), parts, bands, notes
+    )  # fmt: skip
