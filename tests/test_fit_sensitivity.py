@@ -96,7 +96,7 @@ def test_matrices_of_other_robots_are_those_of_mujoco(urdf: str, request: pytest
     for name in ("M", "C", "K"):
         reference = getattr(expected, name)
         np.testing.assert_allclose(getattr(found, name), reference, atol=1e-7 * np.abs(reference).max())
-    parameters = free_parameters(robot, ["p"])
+    parameters = free_parameters(robot, ["p"]).only("spring", "link", "posture")
     setup = Setup("p", np.array(q), "on", *[channels(robot, (robot.test_points[0].label,))] * 2)
     values = parameters.values(np.zeros(len(parameters)))
     seen, model = observe(robot, setup, parameters, values)
@@ -132,7 +132,9 @@ def everything(robot: Robot) -> Parameters:
         "time_delay@sensor:21Y+.delay",
     ]  # fmt: skip
     return join(
-        free_parameters(robot, ["milling"], [p.label for p in robot.test_points[-3:]]),
+        free_parameters(robot, ["milling"], [p.label for p in robot.test_points[-3:]]).only(
+            "spring", "entry", "link", "posture", "gain"
+        ),
         independent(entry_parameter(robot, name) for name in entries),
     )
 
@@ -163,7 +165,7 @@ def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot) ->
 
 def test_derivatives_of_poles_are_finite_differences(kr90: Robot) -> None:
     setup = setup_of(kr90)
-    parameters = free_parameters(kr90, ["milling"])
+    parameters = free_parameters(kr90, ["milling"]).only("spring", "link", "posture")
     values = parameters.values(np.zeros(len(parameters)))
     seen, model = observe(kr90, setup, parameters, values)
     pole, shape = poles(seen)
@@ -197,3 +199,23 @@ def test_prior_on_inertia_has_no_preferred_frame_and_keeps_bodies_bodies(kr90: R
             direction = rng.normal(size=3)
             spread.append(direction @ moments @ direction / (direction @ before @ direction) - 1)
     assert np.std(spread) == pytest.approx(kr90.tolerances.inertia / np.sqrt(3), rel=0.1)
+
+
+@pytest.mark.parametrize("sag", [0.0, 1.0])
+def test_sag_is_that_of_the_independent_truth(kr90: Robot, sag: float) -> None:
+    """Springs that carry the weight turn the parts by up to 1e-3 rad; the other code rests them there exactly."""
+    from tools.truth.chain import kr90 as chain
+    from tools.truth.elastic import assemble as true_structure
+
+    labels = tuple(point.label for point in kr90.test_points)
+    seen_at = channels(kr90, labels)
+    setup = Setup("milling", kr90.angles(Q_DEG), "on", seen_at, seen_at)
+    parameters = free_parameters(kr90, ["milling"]).only("sag")
+    seen, _ = observe(kr90, setup, parameters, np.array([sag]))
+    true = true_structure(chain(), setup.q, sag=sag > 0)
+    rows = [true.row(*point) for point in zip(seen_at.body, seen_at.position, seen_at.direction, strict=True)]
+    expected = true.receptance(S, np.array(rows), np.array(rows))
+    found = frf(seen, S, 0)
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+    other, _ = observe(kr90, setup, parameters, np.array([1 - sag]))
+    assert np.abs(frf(other, S, 0) - expected).max() > 1e-4 * np.abs(expected).max()

@@ -32,6 +32,7 @@ LOG_SPREAD = 0.3  # neper and rad: scale of the robust logarithmic residual
 TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
 UNKNOWN_NOISE = 0.02  # of a channel's RMS: variance where the recording states none; the fit then scales it
 LARGEST_STEP = 2.0  # in prior deviations
+LEAST_DAMPING = 0.1  # of a step that did not lower the cost
 AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8)
 
 Objective = Callable[..., tuple[float, FloatArray, FloatArray]]
@@ -247,27 +248,39 @@ def _objective(
     return evaluate
 
 
-def minimise(objective: Objective, z: FloatArray, iterations: int = 30, tolerance: float = 1e-3) -> tuple[
-    FloatArray, float, FloatArray, bool
-]:  # fmt: skip
-    """Levenberg–Marquardt: z, cost and Gauss–Newton matrix at the end; and whether the gain left is below tolerance."""
-    damping = 1e-3
+def minimise(
+    objective: Objective,
+    z: FloatArray,
+    iterations: int = 30,
+    tolerance: float = 1e-3,
+    bound: FloatArray | float = np.inf,
+) -> tuple[FloatArray, float, FloatArray, bool]:
+    """Levenberg's damped Gauss–Newton within |z| ≤ bound; the damping is in the prior's metric, the identity in z.
+
+    Returns:
+        z, cost and Gauss–Newton matrix at the end; and whether the gain left is below tolerance.
+    """
+    damping = 0.0
     cost, gradient, information = objective(z)
     for _ in range(iterations):
-        newton = -np.linalg.solve(information, gradient)
-        if -0.5 * float(gradient @ newton) < tolerance:
+        free = ~((np.abs(z) >= bound) & (gradient * z < 0))
+        pull, curvature = gradient[free], information[np.ix_(free, free)]
+        gain = 0.5 * float(pull @ np.linalg.solve(curvature, pull))
+        if gain < tolerance:
             return z, cost, information, True
         while True:
-            step = -np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
+            step = np.zeros_like(z)
+            step[free] = -np.linalg.solve(curvature + damping * np.eye(len(pull)), pull)
             step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
-            trial = objective(z + step, False)[0]
+            next_z = np.clip(z + step, -bound, bound)
+            trial = objective(next_z, False)[0]
             if np.isfinite(trial) and trial < cost:
                 break
-            damping *= 8
-            if damping > 1e8:
-                return z, cost, information, -0.5 * float(gradient @ newton) < 1e3 * tolerance
-        damping = max(damping / 8, 1e-9)
-        z = z + step
+            damping = max(10 * damping, LEAST_DAMPING)
+            if damping > LEAST_DAMPING * 1e12:
+                return z, cost, information, gain < 10 * tolerance
+        damping = damping / 10 if damping > LEAST_DAMPING else 0.0
+        z = next_z
         cost, gradient, information = objective(z)
     return z, cost, information, False
 
@@ -304,7 +317,7 @@ def fit_frf(
         parameters = free_parameters(
             robot, dict.fromkeys(r.setup.name for r in recordings), recordings[0].setup.response.label
         )
-    few = coarse(recordings)
+    few, bound = coarse(recordings), parameters.bound
     rng = np.random.default_rng(seed)
     elastic = np.array([p.kind in ("spring", "entry") for p in parameters])
     ends = []
@@ -312,17 +325,17 @@ def fit_frf(
         z = np.zeros(len(parameters))
         if number:
             z[elastic] = rng.normal(size=np.count_nonzero(elastic))
-        z, *_ = minimise(log_objective(robot, parameters, few), z, 25, 0.1)
+        z, *_ = minimise(log_objective(robot, parameters, few), z, 25, 0.1, bound)
         for temper in TEMPERS:
-            z, *_ = minimise(linear_objective(robot, parameters, few, temper), z, 10, 0.1)
-        z, cost, _, _ = minimise(linear_objective(robot, parameters, few), z, 15, 0.05)
+            z, *_ = minimise(linear_objective(robot, parameters, few, temper), z, 10, 0.1, bound)
+        z, cost, _, _ = minimise(linear_objective(robot, parameters, few), z, 15, 0.05, bound)
         ends.append(Start(cost, z))
         if progress:
             progress(1)
     ends.sort(key=lambda end: end.cost)
     agreeing = sum(end.cost - ends[0].cost < AGREEMENT for end in ends)
     objective = linear_objective(robot, parameters, recordings)
-    z, cost, information, converged = minimise(objective, ends[0].z, 30, 1e-3)
+    z, cost, information, converged = minimise(objective, ends[0].z, 60, 1e-3, bound)
     if progress:
         progress(1)
     data = 2 * sum(int(np.isfinite(r.variance).sum()) for r in recordings)

@@ -63,7 +63,7 @@ class Comparison:
     noise_floor: float | None
     parts: tuple[dict[str, Any], ...]
     estimated: dict[str, float]
-    judged: tuple[Judged, ...] = ()
+    judged: Judged
 
     def data(self) -> dict[str, Any]:
         """The JSON of the command."""
@@ -134,7 +134,7 @@ def comparison(
                 parts.append({**place, "channel": None, "band_hz": band, "error": error})
     estimated = dict(zip(judged.parameters.names, map(float, judged.values), strict=True))
     floor = noise_floor(recordings) if noise_known else None
-    return Comparison(robot.name, judged.error, floor, tuple(parts), estimated, (judged,))
+    return Comparison(robot.name, judged.error, floor, tuple(parts), estimated, judged)
 
 
 def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False) -> Judged:
@@ -144,13 +144,13 @@ def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False) 
     z = np.zeros(len(free))
     if len(free):
         few = coarse(recordings)
-        first, _, _, _ = minimise(log_objective(robot, free, few), z, 10, 0.1)
+        first, _, _, _ = minimise(log_objective(robot, free, few), z, 10, 0.1, free.bound)
         ends = []
         for start in (z, first):
             end = start
             for temper in TEMPERS:
-                end, *_ = minimise(linear_objective(robot, free, few, temper), end, 10, 0.1)
-            ends.append(minimise(linear_objective(robot, free, recordings), end, 20, 1e-3)[:2])
+                end, *_ = minimise(linear_objective(robot, free, few, temper), end, 10, 0.1, free.bound)
+            ends.append(minimise(linear_objective(robot, free, recordings), end, 20, 1e-3, free.bound)[:2])
         z = min(ends, key=lambda end: end[1])[0]
     values = free.values(z)
     predicted = tuple(model_frf(robot, r, free, values) for r in recordings)

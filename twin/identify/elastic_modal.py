@@ -1,7 +1,8 @@
 """Joint stiffness and damping from modal tables: maximum posterior, or the source paper's objective (Eq. 23).
 
-Modes are paired by MAC where the table has shapes; otherwise by frequency, and from then on by which deflections
-dominate, so that a pair stays together when two frequencies cross.
+Modes are paired by MAC where the table has shapes; otherwise by frequency and by which deflections dominate: those the
+measured mode is known to have, or from the second round on those of the model's mode it was paired with, so that a pair
+stays together when two frequencies cross.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from twin.identify.elastic import AGREEMENT, Fit, Start, minimise, without_limits
 from twin.identify.parameters import Parameters, free_parameters
-from twin.identify.sensitivity import Setup, contract, observe, pole_slopes, poles, slopes
+from twin.identify.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.measure.shapes import mac
@@ -24,7 +25,7 @@ ModalObjective = Literal["posterior", "paper"]
 FREQUENCY_SPREAD, DAMPING_SPREAD = 0.005, 0.10  # relative standard deviations where the table states none
 PAPER_WEIGHTS = 100.0, 1.0  # W_f and W_ζ of Eq. 23
 PAPER_SHARPNESS = 1e-2  # makes Eq. 23 outweigh the prior; of its many minima the one nearest the description is taken
-FARTHEST = np.log(1.6)  # frequencies farther apart than this factor are not paired
+FARTHEST = np.log(2.0)  # frequencies farther apart than this factor are not paired
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class ModalPosture:
         frequency_hz, damping: (nm,); damping ratios, NaN where not stated.
         frequency_spread, damping_spread: (nm,) relative standard deviations.
         shape: (nm, points) complex, or ``None``.
+        dominant: for every mode the sites known to hold most of its strain energy (``joint1.z``); may be empty.
     """
 
     setup: Setup
@@ -44,6 +46,7 @@ class ModalPosture:
     frequency_spread: FloatArray
     damping_spread: FloatArray
     shape: ComplexArray | None
+    dominant: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ def _descend(
         if before is not None and all(np.array_equal(a.model, b.model) for a, b in zip(before, pairing, strict=True)):
             break
         z, cost, information, converged = minimise(
-            _modal_objective(robot, postures, parameters, objective, pairing), z, 60, 1e-6
+            _modal_objective(robot, postures, parameters, objective, pairing), z, 60, 1e-6, parameters.bound
         )
         pairing = _signed(robot, postures, parameters, z, pairing)
     return z, cost, information, converged
@@ -170,7 +173,7 @@ def _pair(
         seen, model = observe(changed, posture.setup, parameters, values)
         pole, shape = poles(seen)
         known = before[k] if before else None
-        found.append(_assign(posture, np.abs(pole) / (2 * np.pi), shape, seen.J_r, model.strain, known))
+        found.append(_assign(posture, np.abs(pole) / (2 * np.pi), shape, seen.J_r, model, known))
     return found
 
 
@@ -179,23 +182,28 @@ def _assign(
     frequency_hz: FloatArray,
     shape: ComplexArray,
     J: FloatArray,
-    strain: FloatArray,
+    model: Structure,
     before: _Pairing | None,
 ) -> _Pairing:
     away = np.abs(np.log(frequency_hz[None, :] / posture.frequency_hz[:, None]))
     cost = away.copy()
-    share = _shares(shape, strain)
+    share = _shares(shape, model.strain)
     if posture.shape is not None:
         cost = 1 - mac(posture.shape, (J @ shape).T) + 0.1 * away
+    elif any(posture.dominant):
+        own = share / share.sum(axis=1, keepdims=True)
+        for row, sites in enumerate(posture.dominant):
+            named = [k for k, name in enumerate(model.coordinates) if name in sites]
+            cost[row] += 1 - own[:, named].sum(axis=1) if sites else 0
     elif before is not None and before.share is not None:
         cost = away + 1 - before.share @ share.T
     cost = np.where(away > FARTHEST, 1e3, cost)
     rows, columns = linear_sum_assignment(cost)
-    model = np.full(len(posture.frequency_hz), -1)
+    paired = np.full(len(posture.frequency_hz), -1)
     for row, column in zip(rows, columns, strict=True):
         if cost[row, column] < 1e3:
-            model[row] = column
-    return _Pairing(model)
+            paired[row] = column
+    return _Pairing(paired)
 
 
 def _signed(
@@ -277,7 +285,7 @@ def predict_modes(robot: Robot, postures: Mapping[str, ModalPosture], by_order: 
         seen, model = observe(robot, posture.setup, none, np.zeros(0))
         pole, shape = poles(seen)
         frequency = np.abs(pole) / (2 * np.pi)
-        pairs = _assign(posture, frequency, shape, seen.J_r, model.strain, None).model
+        pairs = _assign(posture, frequency, shape, seen.J_r, model, None).model
         if by_order:
             pairs = np.where(np.arange(len(pairs)) < len(pole), np.arange(len(pairs)), -1)
         likeness = None if posture.shape is None else mac(posture.shape, (seen.J_r @ shape).T)

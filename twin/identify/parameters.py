@@ -2,7 +2,9 @@
 
 Names read like the description: ``joint1.z.stiffness``, ``joint1.x.damping``, ``link3.mass``, ``link3.com.x``,
 ``link3.inertia.xx``; any other number of a physics entry is ``EFFECT@SITE.name`` (``.name[k]`` in a list). What belongs
-to a recording and not to the robot: ``posture.NAME.q1`` (the error of an angle) and ``gain.21Z+``.
+to a recording and not to the robot: ``posture.NAME.q1`` (the error of an angle), ``gain.21Z+`` and ``posture.sag``, the
+share of their deflection under the weight by which springs sag from the stated angles: 0 where those are the links', 1
+where they are the motors'.
 
 Optimisation runs in z, in which the prior is the standard normal: x = L z with the prior covariance L Lᵀ, and
 value = mean · eˣ (log-normal) or mean + x.
@@ -22,10 +24,13 @@ from twin.physics import CATALOGUE
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
-Kind = Literal["spring", "entry", "link", "posture", "gain"]
+Kind = Literal["spring", "entry", "link", "posture", "sag", "gain"]
 
 TOLERANCE_DEVIATION = 1 / np.sqrt(3)
 """Standard deviation of an error of which only the limits ±1 are known (uniform; GUM, JCGM 100:2008, 4.3.7)."""
+
+SATURATED = 4.0
+"""Prior deviations at which masses, inertias, angles and gains stop: more is not tolerance but missing physics."""
 
 DEFAULT_FACTOR = {"stiffness": 2.0, "damping": 5.0}
 """One standard deviation, ×/÷, where the description states no prior."""
@@ -41,7 +46,7 @@ class Parameter:
     """One free number.
 
     Attributes:
-        kind: ``spring`` (of a joint about z, x, y), ``entry`` (any other physics entry), ``link``, ``posture``, ``gain``.
+        kind: ``spring`` (of a joint), ``entry`` (of other physics), ``link``, ``posture``, ``sag`` or ``gain``.
         log: value = mean · eˣ; otherwise mean + x.
         mean: prior mean (median, where ``log``), in ``unit``.
         deviation: prior standard deviation of x.
@@ -97,6 +102,12 @@ class Parameters:
         return [parameter.name for parameter in self.items]
 
     @cached_property
+    def bound(self) -> FloatArray:
+        """Largest |z| (n,): tolerances end where they become implausible, springs and dampers nowhere."""
+        open_ = [parameter.kind in ("spring", "entry") for parameter in self.items]
+        return np.where(open_, np.inf, SATURATED)
+
+    @cached_property
     def root(self) -> FloatArray:
         """L (n, n), lower, with L Lᵀ the prior covariance of x."""
         return np.asarray(np.linalg.cholesky(self.covariance))
@@ -138,6 +149,10 @@ class Parameters:
         gain = {p.name: v for p, v in zip(self.items, values, strict=True) if p.kind == "gain"}
         return np.array([gain.get(f"gain.{label}", 1.0) for label in labels])
 
+    def sag(self, values: FloatArray) -> float | None:
+        """How far springs sag, 0 to 1; ``None`` where that is not free."""
+        return next((float(v) for p, v in zip(self.items, values, strict=True) if p.kind == "sag"), None)
+
     def apply(self, robot: Robot, values: FloatArray) -> Robot:
         """The robot with the values that belong to it."""
         return _changed(robot, {p.name: float(v) for p, v in zip(self.items, values, strict=True)})
@@ -165,7 +180,7 @@ def elastic_parameters(robot: Robot) -> list[Parameter]:
         effect = CATALOGUE[entry.effect]
         if "hammer" not in effect.seen_in:
             continue
-        values = entry.values
+        values = robot.values(entry)
         for item in effect.parameters:
             if item.name not in _SCALES or item.length:
                 continue
@@ -189,7 +204,7 @@ def entry_parameter(robot: Robot, name: str, deviation: float | None = None) -> 
     key, quantity, index = _parse(name)
     entry = dict(_entries(robot))[key]
     item = next(p for p in CATALOGUE[entry.effect].parameters if p.name == quantity)
-    value = entry.values[quantity]
+    value = robot.values(entry)[quantity]
     value = float(value if index is None else value[index])
     if (item.positive or item.nonnegative) and value > 0:
         scale = _scale(robot, name, item.unit, "entry", value)
@@ -229,7 +244,7 @@ def link_parameters(robot: Robot) -> tuple[list[Parameter], FloatArray]:
 
 
 def recording_parameters(robot: Robot, postures: Iterable[str], labels: Iterable[str]) -> list[Parameter]:
-    """Errors of posture angles and gains of response channels, within the description's tolerances."""
+    """Errors of posture angles, sag, and gains of response channels, within the description's tolerances."""
     found = []
     if robot.tolerances.posture_deg:
         width = float(np.deg2rad(robot.tolerances.posture_deg)) * TOLERANCE_DEVIATION
@@ -239,6 +254,7 @@ def recording_parameters(robot: Robot, postures: Iterable[str], labels: Iterable
                 found.append(
                     Parameter(f"posture.{name}.q{i + 1}", unit, "posture", False, 0.0, width, "tolerance")
                 )  # a linear axis: the same number in metres
+        found.append(Parameter("posture.sag", "1", "sag", False, 0.5, 0.5 * TOLERANCE_DEVIATION, "unknown"))
     if robot.tolerances.channel_gain:
         width = robot.tolerances.channel_gain * TOLERANCE_DEVIATION
         found += [Parameter(f"gain.{label}", "1", "gain", True, 1.0, width, "tolerance") for label in labels]
@@ -331,22 +347,18 @@ def _parse(name: str) -> tuple[str, str, int | None]:
 
 def _changed(robot: Robot, values: dict[str, float]) -> Robot:
     axes, links = list(robot.axes), list(robot.links)
-    entries = {key: dict(entry.model_extra or {}) for key, entry in _entries(robot)}
+    described = dict(_entries(robot))
+    entries = {key: dict(entry.model_extra or {}) for key, entry in described.items()}
     touched: set[str] = set()
     for name, value in values.items():
         if name.startswith(("posture.", "gain.")):
             continue
         if "@" in name:
             key, quantity, index = _parse(name)
-            if index is None:
-                entries[key][quantity] = value
-            else:
-                items = (
-                    list(dict(_entries(robot))[key].values[quantity]) if key not in touched else entries[key][quantity]
-                )
-                items = list(entries[key].get(quantity, items))
+            if index is not None:
+                items = list(entries[key].get(quantity, robot.values(described[key])[quantity]))
                 items[index] = value
-                entries[key][quantity] = items
+            entries[key][quantity] = value if index is None else items
             touched.add(key)
         elif name.startswith("joint"):
             site, _, quantity = name.rpartition(".")
@@ -374,6 +386,6 @@ def _changed(robot: Robot, values: dict[str, float]) -> Robot:
             )
     physics = [
         Entry(effect=entry.effect, site=entry.site, **entries[key]) if key in touched else entry
-        for key, entry in _entries(robot)
+        for key, entry in described.items()
     ]
     return robot.model_copy(update={"axes": axes, "links": links, "physics": physics})

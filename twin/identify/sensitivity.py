@@ -23,6 +23,7 @@ from twin.physics.chain import MeasurementChain
 from twin.robot.description import Robot
 from twin.robot.frames import matrix_of
 from twin.robot.mechanism import Mechanism, assemble
+from twin.robot.mjcf import FOOT_INERTIA
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Structure:
         spatial: (nb, 6, 6) spatial inertia about the world's origin.
         command: (n, 6) screws of the commanded positions; ``moved`` (n, nb) and ``carried`` (n, nv) say which bodies
             and coordinates they move.
+        load: (nv,) the weight's work per unit of every coordinate: what its spring carries at rest.
         M, C, K, loss: (nv, nv) as in :class:`twin.model.linear.LinearModel`.
         strain: (nv,) stiffness of the spring on each coordinate.
     """
@@ -55,12 +57,18 @@ class Structure:
     moved: FloatArray
     carried: FloatArray
     gravity: FloatArray
+    load: FloatArray
     M: FloatArray
     C: FloatArray
     K: FloatArray
     loss: FloatArray
     strain: FloatArray
     mechanism: Mechanism
+
+    def sag(self) -> dict[str, float]:
+        """Rest deflections under the weight, rad (m); a servo holds its rotor where it should be."""
+        deflection = np.linalg.solve(self.K, self.load) if self.coordinates else self.load
+        return {name: float(u) for name, u in zip(self.coordinates, deflection, strict=True) if "." in name}
 
     def rows(self, channels: Channels, direction: FloatArray) -> FloatArray:
         """Displacement of points per unit of the coordinates, (n, nv), along directions (n, 3) in the links' frames."""
@@ -177,7 +185,10 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
     spatial = np.zeros((nb, 6, 6))
     for index, body in enumerate(mechanism.bodies.values()):
         X = _to_body(rotation[index], origin[index])
-        spatial[index] = X.T @ spatial_inertia(body.mass, body.com, body.inertia) @ X
+        inertia = body.inertia
+        if body.kind == "base" and body.joints and not inertia.any():
+            inertia = FOOT_INERTIA * np.eye(3)
+        spatial[index] = X.T @ spatial_inertia(body.mass, body.com, inertia) @ X
     moved = np.zeros((n, nb))
     carried = np.zeros((n, nv))
     for i in range(n):
@@ -191,7 +202,7 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
     S = screw * on_path[:, :, None]
     inertial = spatial @ S.swapaxes(1, 2)
     momentum = inertial[:, 3:].sum(axis=0)
-    load = gravity @ momentum  # the weight's work per unit of every coordinate
+    load = gravity @ momentum
     strain = np.array([joint.stiffness[0] for joint in joints])
     tangent = np.array([_tangent(joint.stiffness, force) for joint, force in zip(joints, load, strict=True)])
     M = (S @ inertial).sum(axis=0) + _diagonal(joint.armature for joint in joints)
@@ -205,7 +216,7 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
     loss = _diagonal(joint.loss_factor * joint.stiffness[0] for joint in joints)
     return Structure(
         tuple(names), bodies, screw, inboard_mask, on_path, np.array(rotation), np.array(origin), spatial,
-        np.array(command).reshape(n, 6), moved, carried, gravity, M, C, K, loss, strain, mechanism,
+        np.array(command).reshape(n, 6), moved, carried, gravity, load, M, C, K, loss, strain, mechanism,
     )  # fmt: skip
 
 
@@ -291,6 +302,7 @@ class Observed:
     Attributes:
         J_r, J_e: (nr, nv) and (ne, nv) displacement along the channels per unit of the coordinates.
         gain, delay: (nr,) of the response channels; delay in s.
+        sag: what full sag adds to M … J_e, where the sag is free.
     """
 
     M: FloatArray
@@ -301,6 +313,13 @@ class Observed:
     J_e: FloatArray
     gain: FloatArray
     delay: FloatArray
+    sag: "Observed | None" = None
+
+    @classmethod
+    def of(cls, arrays: Iterable[FloatArray], sag: "Observed | None" = None) -> "Observed":
+        """From the eight arrays in the order of the fields."""
+        M, C, K, loss, J_r, J_e, gain, delay = arrays
+        return cls(M, C, K, loss, J_r, J_e, gain, delay, sag)
 
     def arrays(self) -> tuple[FloatArray, ...]:
         """The eight arrays in the order of the fields."""
@@ -313,9 +332,20 @@ def observe(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArr
     model = structure(assemble(robot, q, brakes=setup.brakes or "off"))
     chain = recording_chain(robot, setup.response, setup.excitation)
     gain = chain.response_gain * parameters.gains(setup.response.label, values)
+    seen = _seen(model, setup, chain, gain)
+    share = parameters.sag(values)
+    if share is None:
+        return seen, model
+    low = structure(model.mechanism, model.sag())  # deflections are below 1e-3 rad: what they change is linear in them
+    sag = Observed.of(a - b for a, b in zip(_seen(low, setup, chain, gain).arrays(), seen.arrays(), strict=True))
+    blended = (a + share * b for a, b in zip(seen.arrays(), sag.arrays(), strict=True))
+    return Observed.of(blended, sag), model
+
+
+def _seen(model: Structure, setup: Setup, chain: MeasurementChain, gain: FloatArray) -> Observed:
     J_r = model.rows(setup.response, chain.response_direction)
     J_e = model.rows(setup.excitation, chain.excitation_direction)
-    return Observed(model.M, model.C, model.K, model.loss, J_r, J_e, gain, chain.response_delay), model
+    return Observed(model.M, model.C, model.K, model.loss, J_r, J_e, gain, chain.response_delay)
 
 
 def recording_chain(robot: Robot, response: Channels, excitation: Channels) -> MeasurementChain:
@@ -328,7 +358,7 @@ def recording_chain(robot: Robot, response: Channels, excitation: Channels) -> M
         torque_gain=np.ones(robot.axis_count),
     )
     for entry in robot.physics:
-        CATALOGUE[entry.effect].record(chain, entry.site, entry.values)
+        CATALOGUE[entry.effect].record(chain, entry.site, robot.values(entry))
     return chain
 
 
@@ -337,11 +367,11 @@ def slopes(
 ) -> Observed:
     """Derivatives of :func:`observe` with respect to every parameter's value, stacked on a first axis (n, …).
 
-    Springs, dampers, links and postures in closed form; any other parameter by central differences. So are those that
-    move the working point of a hardening spring, and links that bend.
+    Springs, dampers, links and postures in closed form, without what sag changes in them (1e-3); any other parameter
+    by central differences. So are those that move the working point of a hardening spring, and links that bend.
     """
     n = len(parameters)
-    out = Observed(*(np.zeros((n, *array.shape)) for array in seen.arrays()))
+    out = Observed.of(np.zeros((n, *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
     split = {f"link{link}" for link in model.mechanism.splits}
     curved = {joint.name for joint in model.mechanism.joints if any(joint.stiffness[1:])}
@@ -378,6 +408,9 @@ def slopes(
                     )
                 out.M[p], out.K[p] = model.command_slopes(axis)
                 out.J_r[p], out.J_e[p] = rows[0][axis], rows[1][axis]
+        elif parameter.kind == "sag" and seen.sag is not None:
+            for target, change in zip(out.arrays(), seen.sag.arrays(), strict=True):
+                target[p] = change
         elif parameter.kind == "gain":
             rows_of = [k for k, label in enumerate(setup.response.label) if parameter.name == f"gain.{label}"]
             out.gain[p, rows_of] = seen.gain[rows_of] / values[p]
@@ -413,7 +446,7 @@ def _link_slope(inertial: tuple[float, FloatArray, FloatArray], name: str) -> Fl
 
 def contract(slopes_: Observed, transform: FloatArray) -> Observed:
     """Derivatives along other coordinates: ``transform`` (n, m) holds ∂ value / ∂ coordinate."""
-    return Observed(*(np.tensordot(transform.T, array, axes=1) for array in slopes_.arrays()))
+    return Observed.of(np.tensordot(transform.T, array, axes=1) for array in slopes_.arrays())
 
 
 def frf(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:

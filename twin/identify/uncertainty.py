@@ -5,13 +5,13 @@ data. s² ≥ 1 is the misfit χ² per datum (Birge's ratio): a model that misse
 earn the noise's intervals.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
-from twin.identify.elastic import Fit, Recorded, linear_objective, minimise
+from twin.identify.elastic import Fit, Recorded, linear_objective, without_limits
 from twin.identify.parameters import Parameter
 from twin.measure.campaign import FloatArray
 from twin.robot.description import Robot
@@ -131,38 +131,27 @@ def correlation(fit: Fit) -> FloatArray:
 
 
 def profile(
-    robot: Robot, recordings: Sequence[Recorded], fit: Fit, index: int, points: int = 9, reach: float = 2.5
+    robot: Robot, recordings: Sequence[Recorded], fit: Fit, estimate: Estimate, points: int = 7
 ) -> tuple[FloatArray, FloatArray]:
     """Profile of one parameter: values (points,) and 2Δ of posterior cost with everything else refitted.
 
-    Runs from the optimum outwards over ``reach`` posterior deviations, on thinned lines that carry the weight of all.
+    At each value the exact cost, less what one Gauss–Newton step of all other parameters takes off.
     """
-    parameter = fit.parameters[index]
-    deviation = float(np.sqrt(posterior(fit)[index, index]))
-    step = max(1, min(len(r.s) for r in recordings) // 25)
-    thinned = [replace(r.every(step), variance=r.every(step).variance / step) for r in recordings]
-    objective = linear_objective(robot, fit.parameters, thinned)
+    parameter = estimate.parameter
+    index = fit.parameters.names.index(parameter.name)
+    low, high = estimate.interval90
+    objective = linear_objective(without_limits(robot), fit.parameters, recordings)
     direction = fit.parameters.root[index]
-    x0 = float(direction @ fit.z)
-    null = np.linalg.svd(direction[None])[2][1:].T  # z moves freely across, held along
-    pin = direction / (direction @ direction)
-    half = points // 2
-    cost: dict[float, float] = {}
-    for side in (-1.0, 1.0):
-        y = null.T @ fit.z
-        for k in range(half + 1):
-            target = x0 + side * reach * deviation * k / half
-            y, cost[target], *_ = minimise(_pinned(objective, null, target * pin), y, 6, 0.01)
-    x = np.array(sorted(cost))
-    drop = np.array([cost[value] for value in x])
-    return np.asarray(parameter.value(x)), 2 * (drop - drop.min())
-
-
-def _pinned(objective: Callable[..., tuple[float, FloatArray, FloatArray]], null: FloatArray, offset: FloatArray) -> (
-    Callable[..., tuple[float, FloatArray, FloatArray]]
-):  # fmt: skip
-    def evaluate(y: FloatArray, derivatives: bool = True) -> tuple[float, FloatArray, FloatArray]:
-        cost, gradient, information = objective(offset + null @ y, derivatives)
-        return cost, null.T @ gradient, null.T @ information @ null
-
-    return evaluate
+    _, _, information = objective(fit.z)
+    along = np.linalg.solve(information, direction)  # the others' way when this one is moved
+    along /= direction @ along
+    across = np.linalg.svd(direction[None])[2][1:].T
+    least = low - 0.4 * (high - low)
+    value = np.linspace(max(least, 0.3 * low) if parameter.log else least, high + 0.4 * (high - low), points)
+    cost = np.empty(points)
+    for k, v in enumerate(value):
+        x = np.log(v / parameter.mean) if parameter.log else v - parameter.mean
+        cost[k], gradient, information = objective(fit.z + along * (x - direction @ fit.z))
+        pull = across.T @ gradient
+        cost[k] -= 0.5 * pull @ np.linalg.solve(across.T @ information @ across, pull)
+    return value, np.asarray(2 * (cost - fit.cost))

@@ -1,0 +1,600 @@
+"""``twin fit``: measured FRFs or a modal table in; joint stiffness and damping with honest intervals out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.commands.modal import read_recording
+from twin.commands.simulate import Progress
+from twin.errors import InputError
+from twin.identify.elastic import Fit, Recorded, base_name, fit_frf, prepare
+from twin.identify.elastic_compare import Comparison, comparison, expected_error
+from twin.identify.elastic_modal import (
+    ModalObjective,
+    ModalPosture,
+    PairedMode,
+    fit_modes,
+    frequency_error,
+    modal_postures,
+    predict_modes,
+)
+from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.uncertainty import (
+    LARGE_DRIFT,
+    Combination,
+    Estimate,
+    combinations,
+    correlation,
+    estimates,
+    profile,
+)
+from twin.measure.campaign import Campaign, FloatArray, dead_channels
+from twin.measure.modal import identify_modes
+from twin.measure.modal_table import ModalTable, read_modal_table
+from twin.measure.shapes import mac
+from twin.model.linear import linearise
+from twin.model.modes import Modes, modes
+from twin.provenance import provenance, write_json
+from twin.robot.description import Robot, load_robot, parse_robot, save_robot
+from twin.robot.mechanism import assemble
+from twin.robot.mjcf import build_spec, save_mjcf
+
+TABLES = (".yaml", ".yml")
+LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
+LARGE_MISFIT = 2.0  # χ² per datum
+LARGE_CORRELATION = 0.95
+PROFILED = 4  # parameters whose profile is drawn
+
+
+@dataclass
+class FitResult:
+    """What ``twin fit`` found; prints itself, and is the JSON of the command.
+
+    Attributes:
+        source: the recording or modal table.
+        robot: the fitted description.
+        fit: the optimum; ``estimates`` every parameter with interval.
+        error: ``train`` and ``held_out`` as the contract defines them; ``None`` where nothing was held out.
+        expected: the held-out error that noise and tolerances explain, and the noise floor alone.
+        postures: per posture role, model's modes and, where there are any, measured ones.
+        left_out: posture → error when only that posture was not used.
+    """
+
+    source: str
+    robot: Robot
+    fit: Fit
+    estimates: list[Estimate]
+    combinations: list[Combination]
+    held_out: list[str]
+    error: dict[str, float | None]
+    expected: dict[str, float | None]
+    postures: dict[str, dict[str, Any]]
+    warnings: list[str]
+    left_out: dict[str, float] = field(default_factory=dict)
+    comparisons: dict[str, Comparison] = field(default_factory=dict)
+    profiles: dict[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    files: list[str] = field(default_factory=list)
+    model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
+    origin: dict[str, Any] = field(default_factory=dict)
+
+    def data(self) -> dict[str, Any]:
+        """The JSON of the command."""
+        parameters: dict[str, dict[str, Any]] = {}
+        recording: dict[str, Any] = {}
+        for e in self.estimates:
+            entry = {
+                "value": e.value, "unit": e.parameter.unit, "interval90": list(e.interval90),
+                "identifiable": e.identifiable, "data_share": e.share, "drift": e.drift,
+                "prior": {"value": e.parameter.mean, "deviation": e.parameter.deviation, "log": e.parameter.log},
+            }  # fmt: skip
+            if e.parameter.kind in ("posture", "sag", "gain"):
+                recording[e.parameter.name] = entry
+            else:
+                parameters.setdefault(_site(e), {})[_quantity(e)] = entry
+        return {
+            "robot": self.robot.name,
+            "source": self.source,
+            "parameters": parameters,
+            "recording": recording,
+            "held_out": self.held_out,
+            "error": self.error,
+            "expected": self.expected,
+            "leave_one_out": self.left_out,
+            "misfit": self.fit.misfit,
+            "starts": {"agreeing": self.fit.agreeing, "of": len(self.fit.starts)},
+            "converged": self.fit.converged,
+            "combinations": [
+                {"data_share": c.share, "weights": {k: w for k, w in c.weights.items() if abs(w) > 0.2}}
+                for c in self.combinations
+            ],
+            "correlated": [{"pair": list(pair), "correlation": value} for *pair, value in correlated(self.fit)],
+            "postures": self.postures,
+            "parts": {role: list(found.parts) for role, found in self.comparisons.items()},
+            "warnings": self.warnings,
+            "model": self.model,
+            "files": self.files,
+            "provenance": self.origin,
+        }
+
+    def __str__(self) -> str:
+        fit = self.fit
+        lines = [f"{self.robot.name} fitted to {self.source}"]
+        lines.append(f"  {'':18} {'stiffness':>11} {'90 % interval':>24}   {'damping':>11} {'90 % interval':>24}")
+        for site in dict.fromkeys(_site(e) for e in self.estimates if e.parameter.kind in ("spring", "entry")):
+            cells = {_quantity(e): e for e in self.estimates if _site(e) == site}
+            row = "   ".join(_cell(cells.get(name)) for name in ("stiffness", "damping"))
+            lines.append(f"  {site:18} {row}".rstrip())
+            for name in cells:
+                if name not in ("stiffness", "damping") and cells[name].parameter.kind == "entry":
+                    lines.append(f"  {'':18} {name} {_cell(cells[name]).strip()}")
+        lines.append("  ( ) the data do not hold it: value and bound are mostly the prior's")
+        errors = "  ".join(
+            f"{name.replace('_', ' ')} {value:.2%}" for name, value in self.error.items() if value is not None
+        )
+        floor = self.expected.get("held_out")
+        lines.append(f"  error: {errors}" + (f"  (noise and tolerances explain {floor:.2%})" if floor else ""))
+        if self.held_out:
+            lines.append(f"  held out: {', '.join(self.held_out)}")
+        if self.left_out:
+            left = "  ".join(f"{name} {value:.2%}" for name, value in self.left_out.items())
+            lines.append(f"  each posture left out in turn: {left}")
+        lines.append(
+            f"  {fit.agreeing} of {len(fit.starts)} starts agree · χ² per datum {fit.misfit:.2f} · "
+            f"{sum(e.identifiable for e in self.estimates)} of {len(self.estimates)} numbers held by the data"
+        )
+        for name, posture in self.postures.items():
+            for mode in posture["modes"]:
+                measured = mode.get("measured_hz")
+                beside = f"   measured {measured:7.2f} Hz {mode['measured_damping_percent']:6.2f} %" if measured else ""
+                alike = f"   MAC {mode['mac']:.0%}" if mode.get("mac") is not None else ""
+                lines.append(
+                    f"  {name:12} {mode['frequency_hz']:7.2f} Hz {mode['damping_percent']:6.2f} %{beside}{alike}"
+                )
+        lines += [f"  warning: {text}" for text in self.warnings]
+        if self.files:
+            lines.append("  wrote " + ", ".join(self.files))
+        return "\n".join(lines)
+
+
+def fit(
+    paths: Sequence[str | Path],
+    *,
+    robot: str | None = None,
+    without: list[str] | None = None,
+    hold_out: list[str] | None = None,
+    leave_one_out: bool = False,
+    objective: ModalObjective = "posterior",
+    band_hz: tuple[float, float] | None = None,
+    tolerances: bool = True,
+    starts: int = 4,
+    out: Path | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit a robot to a hammer test or a modal table.
+
+    Args:
+        paths: one ``frf-campaign`` file or modal table, or universal files that belong together.
+        robot: shipped name, ``robot.yaml`` or URDF; wins over the recording's.
+        without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
+        hold_out: postures not used, by name; by default the last of three or more, an empty list for none.
+        leave_one_out: also fit with every posture left out in turn.
+        objective: on modal tables, ``posterior`` or the source paper's Eq. 23, ``paper``.
+        band_hz: lines used, lowest and highest.
+        tolerances: masses, centres of mass, inertias, angles and gains free within the description's tolerances.
+        starts: how many.
+        out: folder for what is written; ``None`` writes nothing.
+        seed: of the starts.
+        progress: makes progress bars.
+
+    Raises:
+        InputError: bad input; nothing is written.
+    """
+    progress = progress or (lambda description, total: lambda count: None)
+    path = Path(paths[0])
+    options = {
+        "robot": robot, "without": without or [], "hold_out": hold_out, "leave_one_out": leave_one_out,
+        "objective": objective, "band_hz": band_hz, "tolerances": tolerances, "starts": starts, "seed": seed,
+    }  # fmt: skip
+    if path.suffix.lower() in TABLES:
+        if len(paths) > 1:
+            raise InputError(paths[1], "", "expected one modal table")
+        found = _fit_table(path, robot, without, hold_out, leave_one_out, objective, tolerances, starts, seed)
+    else:
+        if objective == "paper":
+            raise InputError("--objective", "paper", "Eq. 23 needs modes: give a modal table (twin modal writes one)")
+        found = _fit_campaign(
+            paths, robot, without, hold_out, leave_one_out, band_hz, tolerances, starts, seed, progress, out is not None
+        )
+    found.origin = provenance(paths, options)
+    if out is not None:
+        _write(found, out, path)
+    return found
+
+
+# --- FRFs -------------------------------------------------------------------------------------------------------------
+
+
+def _fit_campaign(
+    paths: Sequence[str | Path],
+    robot: str | None,
+    without: list[str] | None,
+    hold_out: list[str] | None,
+    leave_one_out: bool,
+    band_hz: tuple[float, float] | None,
+    tolerances: bool,
+    starts: int,
+    seed: int,
+    progress: Progress,
+    profiled: bool,
+) -> FitResult:
+    campaign, source = read_recording(paths), str(paths[0])
+    described = _robot(robot, campaign.robot, Path(source)).without(without or [])
+    _require_springs(described)
+    recordings = list(prepare(campaign, described, source, band_hz).values())
+    names = list(dict.fromkeys(r.setup.name for r in recordings))
+    aliases = {group: base_name(campaign, group) for group in campaign.postures}
+    held = _held_out(source, hold_out, names, aliases)
+    train = [r for r in recordings if r.setup.name not in held]
+    rest = [r for r in recordings if r.setup.name in held]
+    left = names if leave_one_out and len(names) > 1 else []
+    tick = progress("fit", (starts + 1) * (1 + len(left)))
+
+    def run(used: list[Recorded]) -> Fit:
+        free = free_parameters(
+            described, dict.fromkeys(r.setup.name for r in used), campaign.response.label, tolerances=tolerances
+        )
+        return fit_frf(described, used, free, starts=starts, seed=seed, progress=tick)
+
+    fitted = run(train)
+    noise_known = all(p.coherence is not None for p in campaign.postures.values())
+    final = _checked(fitted.parameters.apply(described, fitted.values))
+    comparisons = {"fitted": comparison(final, train, source, noise_known=noise_known)}
+    error: dict[str, float | None] = {"train": comparisons["fitted"].error, "held_out": None}
+    expected: dict[str, float | None] = {"noise_floor": comparisons["fitted"].noise_floor, "held_out": None}
+    if rest:
+        comparisons["held out"] = comparison(final, rest, source, noise_known=noise_known)
+        error["held_out"] = comparisons["held out"].error
+        expected["held_out"] = expected_error(final, fitted, rest) if noise_known else None
+    left_out = {}
+    for name in left:
+        other = run([r for r in recordings if r.setup.name != name])
+        changed = other.parameters.apply(described, other.values)
+        judged = comparison(changed, [r for r in recordings if r.setup.name == name], source, noise_known=noise_known)
+        left_out[name] = judged.error
+    found = estimates(fitted, noise_known)
+    result = FitResult(
+        source, final, fitted, found, combinations(fitted), held, error, expected,
+        _campaign_modes(campaign, recordings, final, held, band_hz), [], left_out, comparisons,
+    )  # fmt: skip
+    if profiled:
+        for k in _weakest(found):
+            result.profiles[fitted.parameters.names[k]] = profile(described, train, fitted, found[k])
+    result.warnings = _warnings(result) + _data_warnings(campaign, recordings, held)
+    return result
+
+
+def _campaign_modes(
+    campaign: Campaign,
+    recordings: Sequence[Recorded],
+    robot: Robot,
+    held: Sequence[str],
+    band_hz: tuple[float, float] | None,
+) -> dict[str, dict[str, Any]]:
+    """The model's modes in the measured band beside identified ones, paired by MAC."""
+    found: dict[str, dict[str, Any]] = {}
+    for r in recordings:
+        if r.setup.name in found:
+            continue
+        posture = campaign.postures[r.group]
+        predicted = _modes_at(robot, r)
+        inside = np.flatnonzero(
+            (predicted.frequency_hz >= r.frequency[0]) & (predicted.frequency_hz <= r.frequency[-1])
+        )
+        entries = [_mode(predicted, int(k)) for k in inside]
+        record: dict[str, Any] = {
+            "q_deg": [float(v) for v in posture.q_deg], "role": "held out" if r.setup.name in held else "fitted",
+            "modes": entries, "measured_only": [],
+        }  # fmt: skip
+        try:
+            measured = identify_modes(posture, *(band_hz or (None, None)))
+        except InputError:  # a band too short for a stabilisation chart; the fit does not need one
+            measured = None
+        if measured is not None and measured.modes and len(inside):
+            channels = r.setup.response if measured.roving == "response" else r.setup.excitation
+            shape = predicted.linear_rows(channels)[:, inside].T
+            likeness = mac(measured.shapes, shape)
+            frequency = np.array([mode.frequency_hz for mode in measured.modes])
+            away = np.abs(np.log(frequency[:, None] / predicted.frequency_hz[inside]))
+            record["mac"] = likeness.tolist()
+            record["measured_hz"] = frequency.tolist()
+            for row, column in _pairs(1 - likeness + away, 0.75):
+                mode = measured.modes[row]
+                entries[column] |= {
+                    "measured_hz": mode.frequency_hz, "measured_damping_percent": mode.damping_percent,
+                    "mac": float(likeness[row, column]),
+                }  # fmt: skip
+            paired = {entry["measured_hz"] for entry in entries if "measured_hz" in entry}
+            record["measured_only"] = [float(f) for f in frequency if f not in paired]
+        found[r.setup.name] = record
+    return found
+
+
+@dataclass(frozen=True)
+class _PostureModes:
+    """Modes of a posture and the way to see them at a recording's channels."""
+
+    modes: Modes
+    structure: Any
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        return self.modes.frequency_hz
+
+    def linear_rows(self, channels: Any) -> Any:
+        return self.structure.rows(channels, channels.direction) @ self.modes.shape
+
+
+def _modes_at(robot: Robot, r: Recorded) -> _PostureModes:
+    from twin.identify.sensitivity import structure
+
+    mechanism = assemble(robot, r.setup.q, brakes=r.setup.brakes or "off")
+    return _PostureModes(modes(linearise(mechanism)), structure(mechanism))
+
+
+def _mode(predicted: _PostureModes, k: int) -> dict[str, Any]:
+    m = predicted.modes
+    return {
+        "frequency_hz": float(m.frequency_hz[k]),
+        "damping_percent": float(m.damping_percent[k]),
+        "dominant": [{"site": site, "share": share} for site, share in m.dominant(k)],
+    }
+
+
+def _pairs(cost: FloatArray, worst: float) -> list[tuple[int, int]]:
+    from scipy.optimize import linear_sum_assignment
+
+    rows, columns = linear_sum_assignment(cost)
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < worst]
+
+
+# --- modal tables -----------------------------------------------------------------------------------------------------
+
+
+def _fit_table(
+    path: Path,
+    robot: str | None,
+    without: list[str] | None,
+    hold_out: list[str] | None,
+    leave_one_out: bool,
+    objective: ModalObjective,
+    tolerances: bool,
+    starts: int,
+    seed: int,
+) -> FitResult:
+    table: ModalTable = read_modal_table(path)
+    described = _robot(robot, table.robot, path).without(without or [])
+    _require_springs(described)
+    for name, posture in table.postures.items():
+        if posture.q_deg.size != described.axis_count:
+            raise InputError(
+                path, f"postures.{name}.q_deg",
+                f"expected {described.axis_count} values for robot {described.name}, found {posture.q_deg.size}",
+            )  # fmt: skip
+        if not posture.modes:
+            raise InputError(path, f"postures.{name}.modes", "expected at least one mode")
+    measured = modal_postures(table, described)
+    held = _held_out(str(path), hold_out, list(measured), {name: name for name in measured})
+    free = _modal_parameters(described, tolerances)
+
+    def run(used: list[str]) -> tuple[Fit, Robot]:
+        found = fit_modes(described, [measured[n] for n in used], free, objective=objective, starts=starts, seed=seed)
+        return found, _checked(found.parameters.apply(described, found.values))
+
+    train = [name for name in measured if name not in held]
+    fitted, final = run(train)
+    paired = predict_modes(final, measured)
+    error: dict[str, float | None] = {"train": frequency_error([m for m in paired if m.posture in train])}
+    error["held_out"] = frequency_error([m for m in paired if m.posture in held]) if held else None
+    left_out = {}
+    for name in measured if leave_one_out and len(measured) > 1 else []:
+        _, changed = run([other for other in measured if other != name])
+        left_out[name] = frequency_error(predict_modes(changed, {name: measured[name]}))
+    result = FitResult(
+        str(path), final, fitted, estimates(fitted), combinations(fitted), held, error, {"held_out": None},
+        {name: _paired(described, posture, [m for m in paired if m.posture == name], name in held)
+         for name, posture in measured.items()},
+        [], left_out,
+    )  # fmt: skip
+    result.warnings = _warnings(result)
+    return result
+
+
+def _modal_parameters(robot: Robot, tolerances: bool) -> Parameters:
+    return free_parameters(robot).only("spring", "entry", *(("link",) if tolerances else ()))
+
+
+def _paired(robot: Robot, posture: ModalPosture, found: Sequence[PairedMode], held: bool) -> dict[str, Any]:
+    return {
+        "q_deg": robot.degrees(posture.setup.q),
+        "role": "held out" if held else "fitted",
+        "modes": [
+            {
+                "frequency_hz": m.frequency_hz, "damping_percent": 100 * (m.damping or 0.0),
+                "measured_hz": float(m.measured_hz),
+                "measured_damping_percent": None if np.isnan(m.measured_damping) else 100 * float(m.measured_damping),
+                "mac": m.mac, "dominant": [{"site": site, "share": share} for site, share in m.dominant],
+            }
+            for m in found if m.frequency_hz is not None
+        ],
+        "measured_only": [float(m.measured_hz) for m in found if m.frequency_hz is None],
+    }  # fmt: skip
+
+
+# --- shared -----------------------------------------------------------------------------------------------------------
+
+
+def _robot(given: str | None, named: str | None, source: Path) -> Robot:
+    return load_robot(given) if given else load_robot(named or "kr90", relative_to=source.parent)
+
+
+def _require_springs(robot: Robot) -> None:
+    if not free_parameters(robot, tolerances=False).items:
+        raise InputError(
+            robot.name, "axes", "expected at least one axis with a stiffness: a rigid robot has nothing to fit"
+        )
+
+
+def _held_out(source: str, asked: list[str] | None, names: list[str], aliases: dict[str, str]) -> list[str]:
+    if asked is None:
+        return names[-1:] if len(names) >= 3 else []
+    found = []
+    for name in asked:
+        if name not in names and name not in aliases:
+            raise InputError("--hold-out", name, f"no such posture in {source}; it has {', '.join(names)}")
+        found.append(aliases.get(name, name))
+    if len(set(found)) == len(names):
+        raise InputError("--hold-out", ", ".join(asked), "nothing is left to fit to")
+    return list(dict.fromkeys(found))
+
+
+def _checked(robot: Robot) -> Robot:
+    """The fitted description, validated as any other; meshes and all."""
+    return parse_robot(robot.model_dump(mode="json"), "the fitted robot")
+
+
+def _site(e: Estimate) -> str:
+    name = e.parameter.name
+    if e.parameter.kind == "link":
+        return name.partition(".")[0]
+    return e.parameter.site.partition("@")[2] or e.parameter.site
+
+
+def _quantity(e: Estimate) -> str:
+    return e.parameter.name.partition(".")[2] if e.parameter.kind == "link" else e.parameter.quantity
+
+
+def _cell(e: Estimate | None) -> str:
+    if e is None:
+        return f"{'':>11} {'':>24}"
+    low, high = e.interval90
+    value = f"{e.value:.4g}" if e.identifiable else f"({e.value:.3g})"
+    bound = (
+        f"{low:.4g} … {high:.4g}"
+        if e.identifiable
+        else f"< {high:.3g}"
+        if low < high / 10
+        else f"{low:.3g} … {high:.3g}"
+    )
+    return f"{value:>11} {bound:>24}"
+
+
+def _weakest(found: Sequence[Estimate]) -> list[int]:
+    """Springs and dampers the data hold least, most open first."""
+    open_ = [
+        (e.share, k) for k, e in enumerate(found) if e.parameter.kind in ("spring", "entry") and e.deviation > 0.05
+    ]
+    return [k for _, k in sorted(open_)[:PROFILED]]
+
+
+def correlated(found: Fit) -> list[tuple[str, str, float]]:
+    """Pairs of springs and dampers whose estimates move together."""
+    matrix, names = correlation(found), found.parameters.names
+    keep = [k for k, parameter in enumerate(found.parameters) if parameter.kind in ("spring", "entry")]
+    pairs = [(names[i], names[j], float(matrix[i, j])) for n, i in enumerate(keep) for j in keep[n + 1 :]]
+    return sorted((p for p in pairs if abs(p[2]) > LARGE_CORRELATION), key=lambda p: -abs(p[2]))
+
+
+def _warnings(result: FitResult) -> list[str]:
+    found, fitted = [], result.fit
+    if len(fitted.starts) > 1 and fitted.agreeing < 2:
+        found.append(f"no two of {len(fitted.starts)} starts agree: this may be a false minimum; try more starts")
+    elif fitted.agreeing < len(fitted.starts):
+        lost = len(fitted.starts) - fitted.agreeing
+        found.append(f"{lost} of {len(fitted.starts)} starts ended in a worse minimum")
+    if not fitted.converged:
+        found.append("the last step was still larger than the tolerance")
+    if fitted.misfit > LARGE_MISFIT:
+        found.append(
+            f"the model misses the data by {np.sqrt(fitted.misfit):.1f} times their noise, which widens the intervals; "
+            "twin diagnose looks for what is missing"
+        )
+    for e in result.estimates:
+        if abs(e.drift) > LARGE_DRIFT:
+            found.append(
+                f"{e.parameter.name} = {e.value:.4g} {e.parameter.unit} lies {abs(e.drift):.1f} prior deviations from "
+                f"{e.parameter.mean:.4g}: doubt it or its prior"
+            )
+    for name, posture in result.postures.items():
+        for frequency in posture["measured_only"]:
+            found.append(f"{name}: no mode of the model pairs with the measured one at {frequency:.4g} Hz")
+    return found
+
+
+def _data_warnings(campaign: Campaign, recordings: Sequence[Recorded], held: Sequence[str]) -> list[str]:
+    found = []
+    if not any(p.coherence is not None for p in campaign.postures.values()):
+        found.append("the recording states no coherence: intervals rest on the misfit alone")
+    for r in recordings:
+        posture = campaign.postures[r.group]
+        dead = int(dead_channels(posture).sum())
+        if dead:
+            found.append(f"{r.group}: {dead} channel pairs carry no signal and are not used")
+        if posture.coherence is None:
+            continue
+        inside = (posture.frequency >= r.frequency[0]) & (posture.frequency <= r.frequency[-1])
+        low = np.median(posture.coherence[inside], axis=(1, 2)) < LOW_COHERENCE
+        for start, end in _runs(low):
+            found.append(
+                f"{r.group}: no coherence from {r.frequency[start]:.3g} to {r.frequency[end]:.3g} Hz; "
+                "the model is not tested there"
+            )
+    return found
+
+
+def _runs(mask: FloatArray) -> list[tuple[int, int]]:
+    """First and last index of every run of three or more true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 3]
+
+
+# --- what is written --------------------------------------------------------------------------------------------------
+
+
+def _write(found: FitResult, out: Path, path: Path) -> None:
+    from twin.report import figures, fit_report
+    from twin.report.html import write_html
+
+    out.mkdir(parents=True, exist_ok=True)
+
+    def name(file: str) -> Path:
+        found.files.append(str(out / file))
+        return out / file
+
+    save_robot(name("robot.yaml"), found.robot)
+    first = next(iter(found.postures.values()))
+    mechanism = assemble(found.robot, _inside(found.robot, found.robot.angles(first["q_deg"])))
+    save_mjcf(name("robot.xml"), build_spec(mechanism))
+    found.model = {"robot": str(out / "robot.yaml"), "mjcf": str(out / "robot.xml")}
+    drawn = fit_report.draw(found)
+    for file, figure in drawn.items():
+        figures.save(figure, name(file))
+    images = {file: out / file for file in drawn}
+    report = name("report.html")
+    write_json(name("fit.json"), found.data())
+    footer = f"twin {found.origin['version']} · " + " · ".join(
+        f"{k} {v[:12]}" for k, v in found.origin["inputs"].items()
+    )
+    title = f"{found.robot.name} fitted to {path.name}"
+    write_html(report, title, fit_report.lead(found), fit_report.sections(found, images), footer)
+
+
+def _inside(robot: Robot, q: FloatArray) -> FloatArray:
+    """Joint positions within the axes' limits."""
+    for i, axis in enumerate(robot.axes):
+        if axis.limits and axis.limits.position:
+            q[i] = np.clip(q[i], *axis.limits.position)
+    return q

@@ -1,0 +1,144 @@
+"""The HTML report and figures of ``twin fit``."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from twin.identify.elastic import Recorded
+from twin.identify.uncertainty import Estimate
+from twin.measure.campaign import QUANTITIES, ComplexArray
+from twin.report import figures, fit_figures
+from twin.report.html import Section, Table
+
+if TYPE_CHECKING:
+    from twin.commands.fit import FitResult
+
+WORST_HELD = 6  # combinations shown
+
+
+def draw(found: "FitResult") -> dict[str, Figure]:
+    """File name → figure."""
+    drawn = {"parameters.png": fit_figures.intervals(found.estimates)}
+    for role, judged in found.comparisons.items():
+        for r, H in zip(judged.judged.recordings, judged.judged.predicted, strict=True):
+            drawn[f"frf-{r.group}.png"] = overlay(r, H, role)
+    if found.comparisons:
+        drawn["errors.png"] = fit_figures.errors(found.comparisons)
+    macs = {k: np.array(v["mac"]) for k, v in found.postures.items() if v.get("mac")}
+    if macs:
+        drawn["mac.png"] = fit_figures.mac_matrices(
+            macs,
+            {k: found.postures[k]["measured_hz"] for k in macs},
+            {k: [mode["frequency_hz"] for mode in found.postures[k]["modes"]] for k in macs},
+        )
+    if found.profiles:
+        units = {e.parameter.name: e.parameter.unit for e in found.estimates}
+        drawn["profiles.png"] = fit_figures.profiles(found.profiles, units)
+    return drawn
+
+
+def overlay(r: Recorded, predicted: ComplexArray, role: str) -> Figure:
+    """Measured and modelled FRFs between up to three responses and the hammer points at their nodes."""
+    response, excitation = r.setup.response, r.setup.excitation
+    rows = np.arange(min(3, len(response.label)))
+    at_node = [j for i in rows for j, label in enumerate(excitation.label) if label[:-1] == response.label[i][:-1]]
+    columns = np.array(at_node or range(min(3, len(excitation.label))))
+    pick = np.ix_(np.arange(len(r.s)), rows, columns)
+    return figures.frf_matrix(
+        r.frequency,
+        {f"measured, {r.group} ({role})": r.frf[pick], "model": predicted[pick]},
+        [response.label[i] for i in rows],
+        [excitation.label[j] for j in columns],
+        QUANTITIES[r.power],
+    )
+
+
+def lead(found: "FitResult") -> str:
+    """The result in a sentence."""
+    parts = [f"error {found.error['train']:.2%} on what was fitted"]
+    if found.error["held_out"] is not None:
+        parts.append(f"{found.error['held_out']:.2%} on {', '.join(found.held_out)}, not used")
+    held = sum(e.identifiable for e in found.estimates)
+    return "; ".join(parts) + f"; {held} of {len(found.estimates)} numbers held by the data"
+
+
+def sections(found: "FitResult", drawn: dict[str, Path]) -> list[Section]:
+    """The parts of the page; ``drawn``: file name → PNG."""
+    springs = [e for e in found.estimates if e.parameter.kind in ("spring", "entry")]
+    others = [e for e in found.estimates if e.parameter.kind not in ("spring", "entry")]
+    fit = found.fit
+    errors = [
+        f"{fit.agreeing} of {len(fit.starts)} starts agree. χ² per datum {fit.misfit:.2f} over {fit.data} real numbers."
+    ]
+    if explained := found.expected.get("held_out"):
+        errors.append(f"Noise and what the tolerances leave open explain {explained:.2%} on what was held out.")
+    left_out = Table(("posture left out", "error"), [(k, f"{v:.2%}") for k, v in found.left_out.items()], (1,))
+    text = "Combinations of springs and dampers, in prior deviations, of which the data know least."
+    return [
+        Section(
+            "Errors", errors, found.warnings, [left_out] if found.left_out else [], _pick(drawn, "errors", "By posture")
+        ),
+        Section("Springs and dampers", tables=[_numbers(springs)], figures=_pick(drawn, "parameters", "Intervals")),
+        Section("FRFs", figures=_pick(drawn, "frf-", "Measured and modelled FRFs")),
+        Section("Modes", tables=[_modes(found)], figures=_pick(drawn, "mac", "MAC")),
+        Section(
+            "What the data do not hold",
+            [text],
+            tables=[_combinations(found)],
+            figures=_pick(drawn, "profiles", "Profiles"),
+        ),
+        Section("Tolerances", tables=[_numbers(others)] if others else []),
+    ]
+
+
+def _pick(drawn: dict[str, Path], prefix: str, alt: str) -> list[tuple[str, Path]]:
+    return [(f"{alt} {file}", image) for file, image in drawn.items() if file.startswith(prefix)]
+
+
+def _numbers(shown: Sequence[Estimate]) -> Table:
+    rows = [
+        (
+            e.parameter.name,
+            f"{e.value:.4g}",
+            f"{e.interval90[0]:.4g} … {e.interval90[1]:.4g}",
+            e.parameter.unit,
+            f"{e.share:.1%}",
+            f"{e.drift:+.2f}",
+            "data" if e.identifiable else "prior",
+        )
+        for e in shown
+    ]
+    header = ("parameter", "value", "90 % interval", "unit", "data's share", "drift, prior σ", "held by")
+    return Table(header, rows, (1, 2, 4, 5), [k for k, e in enumerate(shown) if not e.identifiable])
+
+
+def _modes(found: "FitResult") -> Table:
+    rows = []
+    for name, posture in found.postures.items():
+        for m in posture["modes"]:
+            measured, damping, alike = m.get("measured_hz"), m.get("measured_damping_percent"), m.get("mac")
+            rows.append(
+                (
+                    name,
+                    posture["role"],
+                    f"{m['frequency_hz']:.2f}",
+                    f"{m['damping_percent']:.2f}",
+                    "" if measured is None else f"{measured:.2f}",
+                    "" if damping is None else f"{damping:.2f}",
+                    "" if alike is None else f"{alike:.0%}",
+                    ", ".join(f"{d['site']} {d['share']:.0%}" for d in m["dominant"]),
+                )
+            )
+    header = ("posture", "", "Hz", "ζ %", "measured Hz", "measured ζ %", "MAC", "deflections that dominate")
+    return Table(header, rows, (2, 3, 4, 5, 6))
+
+
+def _combinations(found: "FitResult") -> Table:
+    rows = []
+    for c in found.combinations[::-1][:WORST_HELD]:
+        terms = sorted(c.weights.items(), key=lambda item: -abs(item[1]))[:4]
+        rows.append((f"{c.share:.1%}", " ".join(f"{weight:+.2f} {name}" for name, weight in terms)))
+    return Table(("data's share", "combination"), rows, (0,))
