@@ -21,11 +21,11 @@ from twin.robot.description import Robot
 Criterion = Literal["condition", "d-optimal"]
 
 ROWS = 50  # instants per period in the criterion
-GUARDS = 60  # instants per period at which the optimiser holds limits; more are added where a solution leaves them
-SHARPNESS = (4.0, 16.0)  # exponents of the smooth stand-in for the condition number, one after the other
+GUARDS = 48  # instants per period at which the optimiser holds limits; more are added where a solution leaves them
+SHARPNESS = 12.0  # exponent of the smooth stand-in for the condition number
 STARTS = 4  # random starts per trajectory, of which the best goes on
-HOPS = 20  # local searches from around the best so far; the criterion has many local minima
-HOP = 0.5  # size of such a step, in mean sizes of the variables
+HOPS = 24  # local searches from around the best so far; the criterion has many local minima
+HOP = 0.7  # size of such a step, at most, in mean sizes of the variables
 ROUNDS = 10  # of added guards, at most
 MARGIN = 2e-4  # of each limit's range (m of the workspace), kept at the guards; grows by as much every round
 FINE_S = 1e-3  # grid of the last check
@@ -175,7 +175,7 @@ class Problem:
     def __init__(self, robot: Robot, harmonics: int, base_hz: float, rest: bool, criterion: Criterion) -> None:
         self.robot, self.base_hz, self.criterion = robot, base_hz, criterion
         self.limits = Limits.of(robot)
-        self.sharpness, self.margin = SHARPNESS[0], MARGIN
+        self.margin = MARGIN
         n = robot.axis_count
         bare = robot.model_copy(
             update={
@@ -230,7 +230,7 @@ class Problem:
         values = np.maximum(self.singular_values(z), 1e-12)
         if self.criterion == "condition":
             # the largest over the smallest, as p-norms: smooth where singular values meet, which they do at the optimum
-            p = self.sharpness
+            p = SHARPNESS
             largest, smallest = values[:, -1:], values[:, :1]
             norms = np.sum((values / largest) ** p, axis=1) * np.sum((smallest / values) ** p, axis=1)
             return 0.5 * (np.log(largest[:, 0] / smallest[:, 0]) + np.log(norms) / p)
@@ -251,7 +251,8 @@ class Problem:
         ):
             unit = B @ self.free
             for i in range(n):
-                if not np.isfinite(limit[i]).all():
+                # |q̈| ≤ H ω_f max |q̇| (Bernstein): slow series need no guard of their acceleration
+                if k == 2 and len(self.free) // 2 * 2 * np.pi * self.base_hz * self.speed[i] < limit[i, 1]:
                     continue
                 low, high = limit[i] + self.margin * (limit[i, 1] - limit[i, 0]) * np.array([1, -1])
                 scale = limit[i, 1] - limit[i, 0]
@@ -282,7 +283,7 @@ class Problem:
         C, c = self.linear_constraints()
         n = self.robot.axis_count
         best, best_value = None, np.inf
-        for _ in range(400):
+        for _ in range(80):
             z = np.zeros((n, self.f + 1))
             z[:, :-1] = rng.normal(size=(n, self.f)) / np.sqrt(self.f)
             z[:, -1] = rng.uniform(-0.4, 0.4, n)
@@ -355,13 +356,12 @@ def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(STARTS):
-        z = problem.start(rng)
-        for problem.sharpness in SHARPNESS if criterion == "condition" else SHARPNESS[-1:]:
-            z = problem.solve(z, iterations)
+        z = problem.solve(problem.start(rng), iterations)
         found.append((float(problem.value(z[None])[0]), z))
     lowest, best = min(found, key=lambda pair: pair[0])
     for _ in range(HOPS):
-        z = problem.solve(best + HOP * np.abs(best).mean() * rng.normal(size=best.shape), iterations)
+        step = rng.uniform(0.4, 1) * HOP * np.abs(best).mean() * rng.normal(size=best.shape)
+        z = problem.solve(best + step, iterations)
         value = float(problem.value(z[None])[0])
         if value < lowest and problem.feasible(z):
             lowest, best = value, z
@@ -371,7 +371,7 @@ def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation
             return judge(robot, fourier, problem.kept)
         problem.guard(fourier)
         problem.margin += MARGIN
-        best = problem.solve(best, 2 * iterations)
+        best = problem.solve(best, iterations)
     return None
 
 
@@ -406,7 +406,7 @@ def excite(
         rest: start and end at rest.
         criterion: ``"condition"`` or ``"d-optimal"``.
         seed: of the random starts.
-        starts: how many are searched for; the best ``count`` are returned. Two more than ``count`` by default.
+        starts: how many are searched for; the best ``count`` are returned. One more than ``count`` by default.
         iterations: of the optimiser, at most.
         workers: processes.
         progress: called with the number of starts finished.
@@ -415,7 +415,7 @@ def excite(
         InputError: no limits, or no trajectory within them.
     """
     jobs = [
-        (robot, harmonics, base_hz, rest, criterion, 1000 * seed + k, iterations) for k in range(starts or count + 2)
+        (robot, harmonics, base_hz, rest, criterion, 1000 * seed + k, iterations) for k in range(starts or count + 1)
     ]
     found = []
     if workers > 1 and len(jobs) > 1:

@@ -1,0 +1,251 @@
+"""``twin compare``: a robot beside recordings, error per part; each kind of recording is judged by its own module."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from twin.commands.identify import in_joints
+from twin.commands.simulate import Progress
+from twin.errors import InputError
+from twin.identify.regressor import Regressor
+from twin.identify.rigid import Bands, Rows, rows_of
+from twin.measure.motion_log import MotionLog, read_motion_log
+from twin.measure.signals import lowpass
+from twin.provenance import provenance, write_json
+from twin.robot.description import Robot, load_robot
+
+OFFSET_TOLERANCE = 0.1  # a recording's constant torque may be this share of a joint's RMS torque
+
+
+@dataclass
+class Compared:
+    """What ``twin compare`` found; prints itself, and is the JSON of the command.
+
+    ``errors`` holds one number per recording: recordings of different kinds are never mixed.
+    """
+
+    robot: str
+    errors: dict[str, float]
+    parts: list[dict[str, Any]]
+    texts: list[str]
+    files: list[str] = field(default_factory=list)
+    origin: dict[str, Any] = field(default_factory=dict)
+
+    def data(self) -> dict[str, Any]:
+        """The JSON of the command; ``error`` is a number for one recording, else recording → number."""
+        single = next(iter(self.errors.values())) if len(self.errors) == 1 else None
+        return {
+            "robot": self.robot,
+            "error": single if single is not None else self.errors,
+            "parts": self.parts,
+            "files": self.files,
+            "provenance": self.origin,
+        }
+
+    def __str__(self) -> str:
+        return "\n".join(self.texts + (["  wrote " + ", ".join(self.files)] if self.files else []))
+
+
+@dataclass(frozen=True)
+class LogComparison:
+    """A motion log beside the robot's inverse dynamics (and its time stepping, where asked for).
+
+    Attributes:
+        robot: name.
+        error: RMS over joints of residual RMS over torque RMS, all runs pooled.
+        parts: per run and joint; ``stepped_error`` is that of MuJoCo's time stepping under servos.
+        offsets: constant torque (n,) per run that was taken off, belonging to the recording.
+        rows: what was compared.
+        predicted: (m, n) per run.
+        notes: repairs of the log.
+    """
+
+    robot: str
+    error: float
+    parts: list[dict[str, Any]]
+    offsets: dict[str, np.ndarray]
+    rows: list[Rows]
+    predicted: list[np.ndarray]
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        lines = [f"{self.robot}: error {self.error:.2%}", *(f"  note: {note}" for note in self.notes)]
+        for run in dict.fromkeys(part["run"] for part in self.parts):
+            of = [part for part in self.parts if part["run"] == run]
+            lines.append(f"  {run:20s} " + "  ".join(f"{part['site']} {part['error']:.2%}" for part in of))
+            if of[0]["stepped_error"] is not None:
+                shown = "  ".join(f"{part['site']} {part['stepped_error']:.2%}" for part in of)
+                lines.append(f"  {'  in time stepping':20s} {shown}")
+        return "\n".join(lines)
+
+
+def compare(
+    recordings: list[Path],
+    *,
+    robot: str | None = None,
+    without: list[str] | None = None,
+    out: Path | None = None,
+    as_is: bool = False,
+    low_pass: tuple[float, float] = (3.0, 4.0),
+    stepped: bool = False,
+    progress: Progress | None = None,
+) -> Compared:
+    """Errors of a robot on recordings, after re-estimating only what belongs to a recording itself.
+
+    Args:
+        recordings: motion logs and hammer tests.
+        robot: shipped name, ``robot.yaml`` or URDF; wins over the recordings'.
+        without: entries to remove.
+        out: folder for compare.json and figures; ``None`` writes nothing.
+        as_is: re-estimate nothing.
+        low_pass: pass and stop frequency for torque, Hz.
+        stepped: also replay motion logs in MuJoCo's time stepping under servo drives.
+        progress: makes progress bars.
+
+    Raises:
+        InputError: bad input; nothing is written.
+    """
+    progress = progress or (lambda description, total: lambda step: None)
+    errors: dict[str, float] = {}
+    parts: list[dict[str, Any]] = []
+    texts, logs, name = [], [], robot or ""
+    for path in recordings:
+        kind, named = recording_kind(path)
+        loaded = load_robot(robot) if robot else load_robot(named or "kr90", Path(path).parent)
+        loaded = loaded.without(without or [])
+        name = loaded.name
+        if kind == "motion-log":
+            log = read_motion_log(path)
+            found: Any = compare_log(log, loaded, as_is, Bands(fit=low_pass), stepped, progress)
+            logs.append((path, loaded, found))
+        else:
+            from twin.identify.elastic_compare import compare_frf
+
+            found = compare_frf(path, loaded, as_is)
+        errors[str(path)] = found.error
+        parts += list(found.parts)
+        texts.append(f"{path} · {found}")
+    result = Compared(name, errors, parts, texts)
+    options = {"robot": robot, "without": without or [], "as_is": as_is, "low_pass": list(low_pass)}
+    result.origin = provenance(recordings, options)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        for path, loaded, found in logs:
+            _figures(result, found, loaded, out, Path(path).stem)
+        result.files.append(str(out / "compare.json"))
+        write_json(out / "compare.json", result.data())
+    return result
+
+
+def recording_kind(path: str | Path) -> tuple[str, str | None]:
+    """``"motion-log"`` or ``"frf-campaign"``, and the robot a recording names.
+
+    Raises:
+        InputError: no such file, or another kind.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "no such file")
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        return "motion-log", None
+    if suffix in (".unv", ".uff", ".uf"):
+        return "frf-campaign", None
+    try:
+        with h5py.File(path) as file:
+            kind, robot = file.attrs.get("format"), file.attrs.get("robot")
+    except OSError as error:
+        raise InputError(path, "", "expected an HDF5, UFF or CSV recording") from error
+    kind, robot = (x.decode() if isinstance(x, bytes) else x for x in (kind, robot))
+    if kind not in ("motion-log", "frf-campaign"):
+        raise InputError(path, "format", f"expected 'motion-log' or 'frf-campaign', found {kind!r}")
+    return str(kind), robot
+
+
+def compare_log(
+    log: MotionLog,
+    robot: Robot,
+    as_is: bool = False,
+    bands: Bands | None = None,
+    stepped: bool = False,
+    progress: Progress | None = None,
+) -> LogComparison:
+    """Torque of a log against the robot's inverse dynamics, both after the same low-pass.
+
+    Args:
+        log: as recorded (motor coordinates).
+        robot: description.
+        as_is: leave each run's constant torque as it is; otherwise it is re-estimated, up to 10 % of the RMS torque.
+        bands: low-passes.
+        stepped: also replay in MuJoCo's time stepping.
+        progress: makes progress bars.
+
+    Raises:
+        InputError: no torque; units or limits do not fit the robot.
+    """
+    bands = bands or Bands()
+    joints = in_joints(log, robot)
+    regressor = Regressor(robot)
+    parts: list[dict[str, Any]] = []
+    offsets, rows, predictions, squares = {}, [], [], np.zeros((2, robot.axis_count))
+    for name, run in joints.runs.items():
+        if run.torque is None:
+            raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory has nothing to compare")
+        r = rows_of(regressor, run, bands)
+        measured = r.torque + r.known
+        predicted = r.matrix @ regressor.described + r.known
+        replayed = _stepped(robot, run, bands, r, progress) if stepped else None
+        rms = np.sqrt(np.mean(measured[r.valid] ** 2, axis=0))
+
+        def judged(candidate: np.ndarray, r: Rows = r, measured: np.ndarray = measured, rms: np.ndarray = rms) -> Any:
+            shift = np.mean((measured - candidate)[r.valid], axis=0)
+            shift = np.zeros_like(rms) if as_is else np.clip(shift, -OFFSET_TOLERANCE * rms, OFFSET_TOLERANCE * rms)
+            return shift, np.sum((measured - candidate - shift)[r.valid] ** 2, axis=0)
+
+        offset, residual = judged(predicted)
+        total = np.sum(measured[r.valid] ** 2, axis=0)
+        stepping = np.sqrt(judged(replayed)[1] / total) if replayed is not None else [None] * robot.axis_count
+        squares += [residual, total]
+        for i, (error, step) in enumerate(zip(np.sqrt(residual / total), stepping, strict=True)):
+            parts.append(
+                {
+                    "recording": log.source, "run": name, "site": f"joint{i + 1}", "error": float(error),
+                    "rms": float(np.sqrt(residual[i] / r.valid.sum())), "torque_offset": float(offset[i]),
+                    "stepped_error": None if step is None else float(step),
+                }
+            )  # fmt: skip
+        offsets[name] = offset
+        rows.append(r)
+        predictions.append(predicted + offset)
+    pooled = float(np.sqrt(np.mean(squares[0] / squares[1])))
+    return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, log.notes)
+
+
+def _stepped(robot: Robot, run: Any, bands: Bands, rows: Rows, progress: Progress | None) -> np.ndarray:
+    """Low-passed torque of the twin's servos along a run, at the rows' instants."""
+    from twin.model.replay import replay
+
+    tick: Callable[[int], None] | None = progress(f"replay {run.name}", len(run.time)) if progress else None
+    torque = replay(robot, run, progress=tick).torque
+    smooth = lowpass(torque, run.sample_rate_hz, *bands.within(run.sample_rate_hz).fit)
+    return smooth[:: round(run.sample_rate_hz / rows.rate_hz)]
+
+
+def _figures(result: Compared, found: LogComparison, robot: Robot, out: Path, stem: str) -> None:
+    from twin.report.figures import replay, save
+    from twin.report.motion_figures import axis_units
+
+    for r, predicted in zip(found.rows, found.predicted, strict=True):
+        path = out / f"{stem}-{r.name}.png"
+        measured = np.where(r.valid[:, None], r.torque + r.known, np.nan)
+        shown = np.where(r.valid[:, None], predicted, np.nan)
+        keep = r.valid
+        save(
+            replay(r.time[keep], measured[keep], shown[keep], shown[keep], robot.joint_names, axis_units(robot)[1]),
+            path,
+        )
+        result.files.append(str(path))

@@ -1,0 +1,176 @@
+"""``twin excite``: robot in; excitation trajectories, as files a controller can run, and their figures out."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.commands.simulate import Progress
+from twin.identify.excitation import Criterion, Excitation, Limits, excite, violation
+from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
+from twin.provenance import provenance, write_json
+from twin.robot.description import Robot, load_robot
+from twin.yamlfile import atomic_write
+
+SPLINE_POINTS = 100  # of a KRL spline block, per period
+
+
+@dataclass
+class Excitations:
+    """What ``twin excite`` found; prints itself, and is the JSON of the command.
+
+    Attributes:
+        robot: description, removals applied.
+        found: trajectories, best first.
+        room: least distance from any limit per trajectory (rad, m and their rates), never negative.
+        files: what was written.
+    """
+
+    robot: Robot
+    found: list[Excitation]
+    room: list[float]
+    rest: bool
+    criterion: Criterion
+    files: list[str] = field(default_factory=list)
+    origin: dict[str, Any] = field(default_factory=dict)
+
+    def data(self) -> dict[str, Any]:
+        """The JSON of the command."""
+        return {
+            "robot": self.robot.name,
+            "condition_numbers": [e.condition for e in self.found],
+            "log_determinants": [e.log_det for e in self.found],
+            "least_room": self.room,
+            "files": self.files,
+            "provenance": self.origin,
+        }
+
+    def __str__(self) -> str:
+        first = self.found[0].fourier
+        lines = [
+            f"{self.robot.name} · {len(self.found)} trajectories of {first.period_s:g} s, "
+            f"{first.sine.shape[1]} harmonics of {first.base_hz:g} Hz"
+            + (", at rest at both ends" if self.rest else ""),
+            "  trajectory   condition number   least room to a limit",
+        ]
+        for k, (e, room) in enumerate(zip(self.found, self.room, strict=True)):
+            lines.append(f"  {k + 1:10d}   {e.condition:16.2f}   {room:21.2g}")
+        lines.append(f"  mean condition number {np.mean([e.condition for e in self.found]):.2f}")
+        if self.files:
+            lines.append("  wrote " + ", ".join(self.files))
+        return "\n".join(lines)
+
+
+def excitations(
+    *,
+    robot: str | None = None,
+    without: list[str] | None = None,
+    out: Path | None = None,
+    count: int = 6,
+    harmonics: int = 5,
+    base_hz: float = 0.1,
+    rest: bool = False,
+    criterion: Criterion = "condition",
+    periods: int = 1,
+    sample_rate_hz: float = 250.0,
+    krl: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Excitations:
+    """Optimised excitation trajectories of a robot, within its limits at all times.
+
+    Args:
+        robot: shipped name, ``robot.yaml`` or URDF.
+        without: entries to remove.
+        out: folder for trajectory.h5, CSV, KRL, figures and JSON; ``None`` writes nothing.
+        count: how many.
+        harmonics, base_hz: of the Fourier series.
+        rest: start and end at rest.
+        criterion: ``"condition"`` number or ``"d-optimal"``.
+        periods: how often a period is repeated in the files.
+        sample_rate_hz: of the files.
+        krl: write KUKA spline programs too (A_i = −q_i in degrees).
+        seed: of the random starts.
+        progress: makes progress bars.
+
+    Raises:
+        InputError: bad input, or no trajectory within the limits.
+    """
+    progress = progress or (lambda description, total: lambda step: None)
+    loaded = load_robot(robot or "kr90").without(without or [])
+    limits = Limits.of(loaded)
+    starts = count + 1
+    tick = progress("trajectories", starts)
+    found = excite(
+        loaded, count, harmonics=harmonics, base_hz=base_hz, rest=rest, criterion=criterion, seed=seed, starts=starts,
+        progress=tick,
+    )  # fmt: skip
+    room = [-violation(loaded, e.fourier, limits) for e in found]
+    result = Excitations(loaded, found, room, rest, criterion)
+    options = {
+        "robot": robot, "without": without or [], "count": count, "harmonics": harmonics, "base_hz": base_hz,
+        "rest": rest, "criterion": criterion, "periods": periods, "sample_rate_hz": sample_rate_hz, "seed": seed,
+    }  # fmt: skip
+    inputs = [robot] if robot and Path(robot).is_file() else []
+    result.origin = provenance(inputs, options)
+    if out is not None:
+        _write(result, out, periods, sample_rate_hz, krl)
+    return result
+
+
+def trajectory_run(name: str, found: Excitation, periods: int, sample_rate_hz: float) -> MotionRun:
+    """A trajectory as a run, ``periods`` times over, the last sample at the end of the last period."""
+    samples = round(periods * found.fourier.period_s * sample_rate_hz) + 1
+    motion = found.fourier.motion(np.arange(samples) / sample_rate_hz)
+    return MotionRun(
+        name, motion.time, motion.position, sample_rate_hz, velocity=motion.velocity, acceleration=motion.acceleration
+    )
+
+
+def krl_program(name: str, found: Excitation, periods: int) -> str:
+    """A KUKA program: a point-to-point spline block through one period, timed part by part, run ``periods`` times.
+
+    A_i = −q_i in degrees: KUKA's axes turn against the modified-DH ones. Axes not named keep where they are.
+    """
+    time = np.linspace(0, found.fourier.period_s, SPLINE_POINTS + 1)
+    angles = -np.rad2deg(found.fourier.motion(time).position)
+
+    def point(row: np.ndarray) -> str:
+        return "{" + ", ".join(f"A{i + 1} {value:.5f}" for i, value in enumerate(row)) + "}"
+
+    lines = [
+        f"DEF {name}()",
+        f"  ; A_i = -q_i, degrees; {SPLINE_POINTS} points in {found.fourier.period_s:g} s",
+        "  INT K",
+    ]
+    lines += [f"  PTP {point(angles[0])}", f"  FOR K = 1 TO {periods}", "    PTP_SPLINE", "      TIME_BLOCK START"]
+    for k, row in enumerate(angles[1:], start=1):
+        lines.append(f"      SPTP {point(row)}")
+        if k < SPLINE_POINTS:
+            lines.append("      TIME_BLOCK PART = 1")
+    lines += [f"      TIME_BLOCK END = {found.fourier.period_s:g}", "    ENDSPLINE", "  ENDFOR", "END", ""]
+    return "\n".join(lines)
+
+
+def _write(result: Excitations, out: Path, periods: int, rate: float, krl: bool) -> None:
+    from twin.report import motion_figures
+    from twin.report.figures import save
+
+    def name(file: str) -> Path:
+        result.files.append(str(out / file))
+        return out / file
+
+    out.mkdir(parents=True, exist_ok=True)
+    runs = {}
+    for k, e in enumerate(result.found, start=1):
+        stem = f"excitation{k}"
+        runs[stem] = trajectory_run(stem, e, periods, rate)
+        write_motion_log(name(f"{stem}.csv"), MotionLog({stem: runs[stem]}))
+        if krl:
+            with atomic_write(name(f"{stem}.src")) as stream:
+                stream.write(krl_program(stem, e, periods))
+        title = f"{result.robot.name}, trajectory {k}: condition number {e.condition:.1f}"
+        save(motion_figures.excitation(result.robot, e, title), name(f"{stem}.png"))
+    write_motion_log(name("trajectory.h5"), MotionLog(runs, result.robot.name))
+    write_json(name("excite.json"), result.data())
