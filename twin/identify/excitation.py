@@ -278,27 +278,26 @@ class Problem:
         ]  # fmt: skip
         return np.concatenate(room, axis=1) - self.margin if room else np.zeros((k, 0))
 
-    def start(self, rng: np.random.Generator) -> np.ndarray:
-        """Random variables within the limits at the guard instants."""
+    def start(self, rng: np.random.Generator) -> np.ndarray | None:
+        """Random variables within the limits at the guard instants, the best of twenty; ``None`` if there are none."""
         C, c = self.linear_constraints()
         n = self.robot.axis_count
-        best, best_value = None, np.inf
-        for _ in range(80):
+        found: list[tuple[float, np.ndarray]] = []
+        for _ in range(2000):
             z = np.zeros((n, self.f + 1))
             z[:, :-1] = rng.normal(size=(n, self.f)) / np.sqrt(self.f)
             z[:, -1] = rng.uniform(-0.4, 0.4, n)
+            still = np.where(np.arange(self.f + 1) < self.f, 0.0, z)
+            if self.workspace(still.ravel()[None]).min(initial=0.0) < 0:
+                continue
             for size in (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1):
-                trial = z.copy()
-                trial[:, :-1] *= size
-                flat = trial.ravel()
-                if (C @ flat + c).min() >= 0 and self.workspace(flat[None]).min(initial=0.0) >= 0:
-                    value = float(self.value(flat[None])[0])
-                    if value < best_value:
-                        best, best_value = flat, value
+                trial = np.where(np.arange(self.f + 1) < self.f, size * z, z).ravel()
+                if (C @ trial + c).min() >= 0 and self.workspace(trial[None]).min(initial=0.0) >= 0:
+                    found.append((float(self.value(trial[None])[0]), trial))
                     break
-        if best is None:
-            raise InputError(self.robot.name, "workspace", "no trajectory within joint limits and workspace was found")
-        return best
+            if len(found) == 20:
+                break
+        return min(found, key=lambda pair: pair[0])[1] if found else None
 
     def guard(self, fourier: Fourier) -> None:
         """Hold limits also where a trajectory leaves them most, limit by limit."""
@@ -356,7 +355,9 @@ def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(STARTS):
-        z = problem.solve(problem.start(rng), iterations)
+        if (z := problem.start(rng)) is None:
+            return None
+        z = problem.solve(z, iterations)
         found.append((float(problem.value(z[None])[0]), z))
     lowest, best = min(found, key=lambda pair: pair[0])
     for _ in range(HOPS):
