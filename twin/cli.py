@@ -116,6 +116,162 @@ def modal(
     _show(found, json)
 
 
+HoldOut = Annotated[
+    list[str] | None,
+    typer.Option("--hold-out", metavar="NAME", help="Posture or run not used for fitting; may be given several times."),
+]
+
+
+@app.command()
+def fit(
+    recordings: Annotated[
+        list[Path], typer.Argument(help="measured_frf.h5, a modal table (.yaml), or universal files (.uff, .unv).")
+    ],
+    robot: Robot = None,
+    without: Without = None,
+    hold_out: HoldOut = None,
+    leave_one_out: Annotated[
+        bool, typer.Option("--leave-one-out", help="Also predict every posture from a fit to the others.")
+    ] = False,
+    objective: Annotated[
+        str, typer.Option(help="On modal tables: posterior, or paper (Eq. 23, weights 100 and 1).")
+    ] = "posterior",
+    band: Annotated[
+        tuple[float, float] | None, typer.Option(help="Lines used, Hz.", metavar="LOW HIGH", show_default="all")
+    ] = None,
+    tolerances: Annotated[
+        bool,
+        typer.Option(help="Masses, centres of mass, inertias, angles and gains free within the robot's tolerances."),
+    ] = True,
+    starts: Annotated[int, typer.Option(min=1, help="Starting points, whose results must agree.")] = 4,
+    out: Out = None,
+    json: Json = False,
+    seed: Seed = 0,
+) -> None:
+    """Joint stiffness and damping from measured FRFs, with intervals, and what the data do not hold.
+
+    Maximum-posterior fit of every spring and damper and, within stated tolerances, of everything the description can
+    be wrong by, over all postures at once. One posture is held out by default and predicted. Writes the new robot.yaml
+    and robot.xml, figures, a self-contained report and fit.json into the output folder, out/RECORDING by default.
+    """
+    from twin.commands.fit import fit as run
+
+    if objective not in ("posterior", "paper"):
+        raise InputError("--objective", objective, "expected posterior or paper")
+    if out is None and not json:
+        out = Path("out") / recordings[0].stem
+    with _progress() as progress:
+        found = run(
+            recordings, robot=robot, without=without, hold_out=hold_out, leave_one_out=leave_one_out,
+            objective="paper" if objective == "paper" else "posterior", band_hz=band, tolerances=tolerances,
+            starts=starts, out=out, seed=seed, progress=progress,
+        )  # fmt: skip
+    _show(found, json)
+
+
+@app.command()
+def excite(
+    robot: Robot = None,
+    without: Without = None,
+    count: Annotated[int, typer.Option(min=1, help="How many different trajectories.")] = 6,
+    harmonics: Annotated[int, typer.Option(min=1, help="Of the Fourier series.")] = 5,
+    base_hz: Annotated[float, typer.Option(help="Fundamental frequency, Hz.")] = 0.1,
+    rest: Annotated[
+        bool, typer.Option("--rest", help="Start and end at rest, so that a controller can run them.")
+    ] = False,
+    criterion: Annotated[str, typer.Option(help="condition (number) or d-optimal.")] = "condition",
+    periods: Annotated[int, typer.Option(min=1, help="Repetitions of a period in the files.")] = 1,
+    sample_rate_hz: Annotated[float, typer.Option(help="Of the files, Hz.")] = 250.0,
+    krl: Annotated[bool, typer.Option("--krl", help="Also write KUKA spline programs.")] = False,
+    out: Out = None,
+    json: Json = False,
+    seed: Seed = 0,
+) -> None:
+    """Trajectories that excite every identifiable parameter, within all limits at all times.
+
+    Fourier series of minimum condition number (or D-optimal) under position, velocity, acceleration and workspace
+    limits. Writes trajectory.h5, CSV, figures and excite.json into the output folder, out/excite by default.
+    """
+    from twin.commands.excite import excitations as run
+
+    if criterion not in ("condition", "d-optimal"):
+        raise InputError("--criterion", criterion, "expected condition or d-optimal")
+    if out is None and not json:
+        out = Path("out") / "excite"
+    with _progress() as progress:
+        found = run(
+            robot=robot, without=without, out=out, count=count, harmonics=harmonics, base_hz=base_hz, rest=rest,
+            criterion="d-optimal" if criterion == "d-optimal" else "condition", periods=periods,
+            sample_rate_hz=sample_rate_hz, krl=krl, seed=seed, progress=progress,
+        )  # fmt: skip
+    _show(found, json)
+
+
+@app.command()
+def identify(
+    log: Annotated[Path, typer.Argument(help="A motion log: HDF5, or CSV with header time,q1..qn,tau1..taun.")],
+    robot: Robot = None,
+    without: Without = None,
+    hold_out: HoldOut = None,
+    low_pass: Annotated[
+        tuple[float, float], typer.Option(metavar="PASS STOP", help="Low-pass of torque and columns, Hz.")
+    ] = (3.0, 4.0),
+    weighting: Annotated[str, typer.Option(help="joint (by each joint's noise) or none.")] = "joint",
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Inertial, rotor, friction and compensator parameters from torque logs, with intervals.
+
+    Least squares on base parameters, then the physically consistent set nearest the description. Whole runs are held
+    out. Writes robot.yaml, robot.xml, figures and identify.json into the output folder, out/LOG by default.
+    """
+    from twin.commands.identify import identify_log as run
+
+    if weighting not in ("joint", "none"):
+        raise InputError("--weighting", weighting, "expected joint or none")
+    if out is None and not json:
+        out = Path("out") / log.stem
+    with _progress() as progress:
+        found = run(
+            log, robot=robot, without=without, out=out, hold_out=hold_out, low_pass=low_pass, weighting=weighting,
+            progress=progress,
+        )  # fmt: skip
+    _show(found, json)
+
+
+@app.command()
+def compare(
+    recordings: Annotated[list[Path], typer.Argument(help="Hammer tests, modal tables and motion logs.")],
+    robot: Robot = None,
+    without: Without = None,
+    as_is: Annotated[
+        bool, typer.Option("--as-is", help="Re-estimate nothing, not even posture angles, gains and offsets.")
+    ] = False,
+    low_pass: Annotated[tuple[float, float], typer.Option(metavar="PASS STOP", help="Low-pass of torques, Hz.")] = (
+        3.0,
+        4.0,
+    ),
+    stepped: Annotated[
+        bool, typer.Option("--stepped", help="Also replay motion logs in MuJoCo's time stepping.")
+    ] = False,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """The error of a robot on recordings, without fitting it, split by posture or run, channel and band.
+
+    Only what belongs to a recording itself is re-estimated within the stated tolerances; with --as-is not even that.
+    Files are written only where --out says so.
+    """
+    from twin.commands.compare import compare as run
+
+    with _progress() as progress:
+        found = run(
+            recordings, robot=robot, without=without, out=out, as_is=as_is, low_pass=low_pass, stepped=stepped,
+            progress=progress,
+        )  # fmt: skip
+    _show(found, json)
+
+
 @app.command()
 def view(
     path: Annotated[Path, typer.Argument(help="An output folder, a .rrd, a robot.yaml or URDF, or a recording.")],
