@@ -15,9 +15,12 @@ from twin.identify.elastic_compare import compare_frf, judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
 from twin.identify.parameters import free_parameters
 from twin.identify.uncertainty import combinations, estimates, profile
-from twin.measure.campaign import as_quantity, read_campaign, write_campaign
+from twin.measure.campaign import Campaign, Channels, PostureFRF, as_quantity, read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
-from twin.robot.description import Robot, load_robot, save_robot
+from twin.model.frf import frf as reference_frf
+from twin.model.linear import linearise
+from twin.robot.description import Robot, load_robot, parse_robot, save_robot
+from twin.robot.mechanism import assemble
 
 TABLE_7 = Path(__file__).parent / "data" / "table7_measured.yaml"
 TABLE_3 = {  # Huynh et al. 2020: N·m/rad, N·m·s/rad
@@ -118,6 +121,51 @@ def test_missing_physics_widens_intervals_and_is_said(tmp_path: Path, kr90: Robo
     assert wide[0].deviation > 1.3 * tight[0].deviation
 
 
+def test_an_entry_of_the_description_is_fitted_like_any_spring(tmp_path: Path, kr90: Robot) -> None:
+    """The same foundation, described twice too stiff: its stiffness is found, and nothing is left over."""
+    options = ("--seed", "5", "--postures", "3", "--lines", "60", "--spacing-hz", "0.4")
+    path = campaign(tmp_path, "tilting", *options, "--effect", "base_compliance@base.ry:stiffness=3e7,damping=3000")
+    data = kr90.model_dump(mode="json")
+    data["physics"].append({"effect": "base_compliance", "site": "base.ry", "stiffness": 6e7, "damping": 2000})
+    described = parse_robot(data)
+    found = fit_frf(described, list(prepare(read_campaign(path), described).values()), starts=2)
+    assert found.misfit < 1.2
+    e = next(e for e in estimates(found) if e.parameter.name == "base_compliance@base.ry.stiffness")
+    assert abs(np.log(e.value / 3e7)) < 3.5 * e.deviation
+    assert e.value == pytest.approx(3e7, rel=0.1)
+
+
+def test_six_axes_and_one_posture(request: pytest.FixtureRequest) -> None:
+    """Any serial robot: FRFs of a six-axis arm, made by MuJoCo, give back the springs they were made with."""
+    robot = load_robot(request.path.parent / "data" / "arm6.urdf")
+    springs = [(4e5, 300.0), (5e5, 400.0), (3e5, 200.0), (8e4, 40.0), (6e4, 30.0), (4e4, 20.0)]
+    tolerances = robot.tolerances.model_copy(update={"mass": 0, "com": 0, "inertia": 0, "channel_gain": 0})
+
+    def sprung(factor: float) -> Robot:
+        axes = [
+            axis.model_copy(update={"stiffness": k * factor**sign, "damping": d})
+            for axis, (k, d), sign in zip(robot.axes, springs, (1, -1, 1, -1, 1, -1), strict=True)
+        ]
+        return robot.model_copy(update={"axes": axes, "tolerances": tolerances})
+
+    q = np.deg2rad([10.0, -40.0, 60.0, 20.0, 50.0, 30.0])
+    labels = [point.label for point in robot.test_points]
+    points = Channels(
+        tuple(labels), tuple(p.body for p in robot.test_points), np.array([p.position for p in robot.test_points]),
+        np.array([p.direction for p in robot.test_points]),
+    )  # fmt: skip
+    frequency = np.arange(4.0, 200.0, 0.5)
+    H = reference_frf(linearise(assemble(sprung(1.0), q)), frequency, labels, labels)
+    rng = np.random.default_rng(0)
+    H = H * (1 + 0.003 * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)))
+    posture = PostureFRF("p", np.rad2deg(q), "on", frequency, H, "accelerance", np.full(H.shape, 0.9999), 5)
+    recorded = Campaign(points, points, {"p": posture})
+    described = sprung(1.25)
+    found = fit_frf(described, list(prepare(recorded, described).values()), starts=2)
+    for (k, _), i in zip(springs, range(6), strict=True):
+        assert found.robot.axes[i].stiffness == pytest.approx(k, rel=0.02)
+
+
 def test_sdof_fit_of_the_paper_is_reproduced() -> None:
     """Eq. 23 on the three milling modes a one-hinge model has gives Table 3; the fourth is left alone."""
     robot = load_robot("kr90_identified").without(["transverse_compliance"])
@@ -176,7 +224,7 @@ def test_command_writes_a_robot_that_loads_and_fits(measured: SimpleNamespace, t
     assert data["error"]["held_out"] < 1.3 * data["expected"]["held_out"]
     stiffness = data["parameters"]["joint1.z"]["stiffness"]
     assert set(stiffness) >= {"value", "unit", "interval90", "identifiable"}
-    assert data["parameters"]["link2"]["mass"]["unit"] == "kg"
+    assert data["links"]["link2"]["mass"]["unit"] == "kg"
     assert {mode["measured_hz"] for mode in data["postures"]["upright"]["modes"]}
     assert all(mode["mac"] > 0.98 for posture in data["postures"].values() for mode in posture["modes"])
     robot = load_robot(tmp_path / "out" / "robot.yaml")

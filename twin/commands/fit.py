@@ -83,6 +83,7 @@ class FitResult:
     def data(self) -> dict[str, Any]:
         """The JSON of the command."""
         parameters: dict[str, dict[str, Any]] = {}
+        links: dict[str, dict[str, Any]] = {}
         recording: dict[str, Any] = {}
         for e in self.estimates:
             entry = {
@@ -92,12 +93,15 @@ class FitResult:
             }  # fmt: skip
             if e.parameter.kind in ("posture", "sag", "gain"):
                 recording[e.parameter.name] = entry
+            elif e.parameter.kind == "link":
+                links.setdefault(_site(e), {})[_quantity(e)] = entry
             else:
                 parameters.setdefault(_site(e), {})[_quantity(e)] = entry
         return {
             "robot": self.robot.name,
             "source": self.source,
             "parameters": parameters,
+            "links": links,
             "recording": recording,
             "held_out": self.held_out,
             "error": self.error,

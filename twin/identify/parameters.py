@@ -12,7 +12,7 @@ value = mean · eˣ (log-normal) or mean + x.
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from typing import Any, Literal
@@ -38,7 +38,6 @@ DEFAULT_FACTOR = {"stiffness": 2.0, "damping": 5.0}
 ASSUMED_DAMPING_RATIO, ASSUMED_HZ = 0.01, 15.0  # prior of a damper described as zero: this ratio on its own spring
 SIX = ("xx", "yy", "zz", "xy", "xz", "yz")
 _SCALES = ("stiffness", "damping", "loss_factor", "frequency_hz", "damping_ratio")
-_LINEAR_DEVIATION = {"rad": 0.02, "m": 0.05, "s": 1e-3, "1": 0.05}
 
 
 @dataclass(frozen=True)
@@ -191,26 +190,25 @@ def elastic_parameters(robot: Robot) -> list[Parameter]:
                 continue
             spring = entry.effect == "transverse_compliance"
             name = f"{entry.site}.{item.name}" if spring else f"{key}.{item.name}"
-            found.append(_scale(robot, name, item.unit, "spring" if spring else "entry", value))
+            found.append(_scale(robot, name, item.unit, "spring" if spring else "entry", value, item.spread))
     return found
 
 
 def entry_parameter(robot: Robot, name: str, deviation: float | None = None) -> Parameter:
     """Any number of a physics entry of the robot, ``EFFECT@SITE.parameter`` or ``….parameter[k]``, as a parameter.
 
-    A number that must be positive gets a log-normal prior about its value, any other a normal one; ``deviation`` is of
-    x, by default the description's prior or one by unit.
+    A number that cannot be negative gets a log-normal prior about its value, any other a normal one; ``deviation`` is
+    that of x, by default the description's prior or what the effect says is usual.
     """
     key, quantity, index = _parse(name)
     entry = dict(_entries(robot))[key]
     item = next(p for p in CATALOGUE[entry.effect].parameters if p.name == quantity)
     value = robot.values(entry)[quantity]
     value = float(value if index is None else value[index])
-    if (item.positive or item.nonnegative) and value > 0:
-        scale = _scale(robot, name, item.unit, "entry", value)
-        return scale if deviation is None else Parameter(**{**scale.__dict__, "deviation": deviation})
-    width = deviation or _LINEAR_DEVIATION.get(item.unit, 0.5 * abs(value) or 1.0)
-    return Parameter(name, item.unit, "entry", False, value, width, "default")
+    if item.log and value > 0:
+        scale = _scale(robot, name, item.unit, "entry", value, item.spread)
+        return scale if deviation is None else replace(scale, deviation=deviation)
+    return Parameter(name, item.unit, "entry", False, value, deviation or item.spread or abs(value) or 1.0, "usual")
 
 
 def link_parameters(robot: Robot) -> tuple[list[Parameter], FloatArray]:
@@ -287,13 +285,13 @@ def independent(items: Iterable[Parameter]) -> Parameters:
     return Parameters(items, np.diag([p.deviation**2 for p in items]).reshape(len(items), len(items)))
 
 
-def _scale(robot: Robot, name: str, unit: str, kind: Kind, value: float) -> Parameter:
-    quantity = name.rpartition(".")[2]
-    factor, source = DEFAULT_FACTOR.get(quantity, 2.0), "default"
+def _scale(robot: Robot, name: str, unit: str, kind: Kind, value: float, usual: float = 0.0) -> Parameter:
+    """A parameter with a log-normal prior: the description's, else as wide as is ``usual``."""
+    deviation, source = usual or float(np.log(DEFAULT_FACTOR.get(name.rpartition(".")[2], 2.0))), "usual"
     for prior in robot.priors:
         if fnmatchcase(name, prior.parameter):
-            factor, source = prior.factor, prior.source
-    return Parameter(name, unit, kind, True, value, float(np.log(factor)), source)
+            deviation, source = float(np.log(prior.factor)), prior.source
+    return Parameter(name, unit, kind, True, value, deviation, source)
 
 
 def _assumed_damping(stiffness: float) -> float:
