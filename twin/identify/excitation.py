@@ -24,10 +24,10 @@ ROWS = 50  # instants per period in the criterion
 GUARDS = 48  # instants per period at which the optimiser holds limits; more are added where a solution leaves them
 SHARPNESS = 12.0  # exponent of the smooth stand-in for the condition number
 STARTS = 4  # random starts per trajectory, of which the best goes on
-HOPS = 24  # local searches from around the best so far; the criterion has many local minima
+HOPS = 20  # local searches from around the best so far; the criterion has many local minima
 HOP = 0.7  # size of such a step, at most, in mean sizes of the variables
 ROUNDS = 10  # of added guards, at most
-MARGIN = 2e-4  # of each limit's range (m of the workspace), kept at the guards; grows by as much every round
+MARGIN = 2e-4  # of each limit's range (m of the workspace), kept at the guards; grows by twice as much every round
 FINE_S = 1e-3  # grid of the last check
 FTOL = 1e-5
 
@@ -371,8 +371,8 @@ def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation
         if violation(robot, fourier, problem.limits) <= 0:
             return judge(robot, fourier, problem.kept)
         problem.guard(fourier)
-        problem.margin += MARGIN
-        best = problem.solve(best, iterations)
+        problem.margin += 2 * MARGIN
+        best = problem.solve(best, iterations // 2)
     return None
 
 

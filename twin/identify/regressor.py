@@ -236,8 +236,14 @@ LINEAR: dict[str, tuple[str, ...]] = {
     "gravity_compensator": ("coefficients",),
     "cable_stiffness": ("stiffness", "stiffness·rest"),
     "torque_ripple": ("amplitude·cos", "amplitude·sin"),
-    "joint_coupling": ("inertia", "friction"),
     "rotor_inertia": ("inertia",),
+}
+_TAKEN_OVER: dict[
+    str, tuple[str, Any]
+] = {  # what a coupled drive does on both axes, as the coupling's own law takes it
+    "viscous_friction": ("friction", [1.0, 0.0]),
+    "coulomb_friction": ("friction", [0.0, 1.0]),
+    "rotor_inertia": ("inertia", 1.0),
 }
 SINGULAR = 1e-12  # stands for a slip element of no strength, whose yield travel must stay as described
 
@@ -294,26 +300,51 @@ class Regressor:
 
     def evaluate(self, motion: Motion) -> np.ndarray:
         """The matrix Y (nt, n, p): torque of every joint per unit of every parameter."""
-        return np.concatenate([self.bodies(motion), self.laws(motion)], axis=2)
+        nt, n = motion.position.shape
+        Y = np.zeros((nt, n, len(self.columns)))
+        Y[:, :, : 11 * n] = self.bodies(motion)
+        for column, axis, torque in self.laws(motion):
+            Y[:, axis, column] += torque
+        return Y
 
     def bodies(self, motion: Motion) -> np.ndarray:
         """The columns of links and rotors (nt, n, 11 n), smooth functions of the motion."""
-        return np.concatenate([link_regressor(self.robot, motion), rotor_regressor(self.robot, motion)], axis=2)
+        rotors = rotor_regressor(self.robot, motion)
+        for j, drive in enumerate(self.robot.drives):
+            for axis, torque in self._coupled(motion, f"joint{j + 1}", "inertia", drive.gear_ratio**2).items():
+                rotors[:, axis, j] += torque
+        return np.concatenate([link_regressor(self.robot, motion), rotors], axis=2)
 
-    def laws(self, motion: Motion) -> np.ndarray:
-        """The columns of entries and offsets (nt, n, p − 11 n), which step where an axis turns back."""
-        nt, n = motion.position.shape
-        rest = self.columns[11 * n :]
-        Y = np.zeros((nt, n, len(rest)))
-        k = 0
+    def _coupled(self, motion: Motion, site: str, name: str, value: Any) -> dict[int, np.ndarray]:
+        """What a drive's inertia or friction does beyond its own axis, where a coupling takes over whatever it is."""
+        total: dict[int, np.ndarray] = {}
+        for entry in self.robot.physics:
+            if (
+                entry.effect == "joint_coupling"
+                and entry.values["from"] == site
+                and name not in (entry.model_extra or {})
+            ):
+                values = {**entry.values, "inertia": 0.0, "friction": [0.0, 0.0], name: value}
+                for axis, torque in CATALOGUE["joint_coupling"].torque(motion, entry.site, values).items():
+                    total[axis] = total.get(axis, 0.0) + torque
+        return total
+
+    def laws(self, motion: Motion) -> list[tuple[int, int, np.ndarray]]:
+        """Columns of entries and offsets, which step where an axis turns back: (column, axis, torque (nt,)) each."""
+        out = []
+        k = 11 * self.robot.axis_count
         for entry in self.entries:
             for _, unit in _units(entry):
-                for axis, torque in CATALOGUE[entry.effect].torque(motion, entry.site, unit.values).items():
-                    Y[:, axis, k] += torque
+                torques = CATALOGUE[entry.effect].torque(motion, entry.site, unit.values)
+                out += [(k, axis, torque) for axis, torque in torques.items()]
+                if entry.effect in _TAKEN_OVER:
+                    coupled = self._coupled(motion, entry.site, *_TAKEN_OVER[entry.effect])
+                    out += [(k, axis, torque) for axis, torque in coupled.items()]
                 k += 1
-        for offset in range(k, len(rest)):
-            Y[:, self.robot.joint_names.index(rest[offset].name.partition("@")[2]), offset] = 1.0
-        return Y
+        names = self.robot.joint_names
+        for column in range(k, len(self.columns)):
+            out.append((column, names.index(self.columns[column].name.partition("@")[2]), np.ones(len(motion.time))))
+        return out
 
     def known_torque(self, motion: Motion) -> np.ndarray:
         """Torque (nt, n) of what has no column: payloads, rotor masses, and laws not linear in their parameters."""
@@ -411,7 +442,7 @@ def _units(entry: Entry) -> list[tuple[Column, Entry]]:
     return out
 
 
-_NONNEGATIVE = {"coefficient", "torque", "inertia", "friction[1]", "friction[2]"}
+_NONNEGATIVE = {"coefficient", "torque", "inertia"}
 
 
 def _written(entry: Entry, found: dict[str, float]) -> dict[str, Any]:

@@ -12,7 +12,13 @@ import scipy.linalg
 
 from twin.errors import InputError
 from twin.identify.base_parameters import BaseParameters, base_parameters, structural_base
-from twin.identify.regressor import Regressor, coupling_matrix, inertial_vector, pseudo_inertia
+from twin.identify.regressor import (
+    Regressor,
+    coupling_matrix,
+    inertial_vector,
+    pseudo_inertia,
+    rotor_body_regressor,
+)
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, saturated
 from twin.measure.signals import advance, differentiate, lowpass
@@ -28,7 +34,8 @@ SMOOTH_RATE = 8.0  # links' columns are evaluated at least this many times the m
 ROWS_PER_HZ = 5.0  # rows kept per second and hertz of the low-pass
 CORRELATION_S = 4.0  # residuals farther apart are taken as independent
 STILL = 4.0  # standard deviations of the velocity's noise below which an axis stands
-PASSED = 0.1  # share of a column's amplitude the low-pass must leave for its parameter to be called identifiable
+MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit is allowed to have explained away
+PASSED = 0.3  # share of a column's amplitude the low-pass must leave for its parameter to be called identifiable
 LEAST_INFORMED = 1.0  # a parameter with a standard deviation above this many times its scale is not identified
 
 
@@ -135,9 +142,16 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Rows:
     coarse, fine = (max(1, int(np.ceil(least / rate))) for least in (SMOOTH_RATE * bands.motion[1], STEP_RATE_HZ))
     motion = motion_of_run(run, bands, coarse)
     dense = motion if fine == coarse else motion_of_run(run, bands, fine)
-    columns = ((regressor.bodies(motion), coarse), (regressor.laws(dense), fine))
-    matrix = np.concatenate([thinned(Y, upsample) for Y, upsample in columns], axis=2)
-    before = np.concatenate([np.sqrt(np.mean(Y**2, axis=(0, 1))) for Y, _ in columns])
+    bodies = regressor.bodies(motion)
+    n, p = regressor.robot.axis_count, len(regressor.columns)
+    before = np.zeros(p)
+    before[: 11 * n] = np.sqrt(np.mean(bodies**2, axis=(0, 1)))
+    smooth = thinned(bodies, coarse)
+    matrix = np.zeros((len(smooth), n, p))
+    matrix[:, :, : 11 * n] = smooth
+    for column, axis, law in regressor.laws(dense):
+        matrix[:, axis, column] += thinned(law[:, None], fine)[:, 0]
+        before[column] = np.hypot(before[column], np.sqrt(np.mean(law**2) / n))
     after = np.sqrt(np.mean(matrix**2, axis=(0, 1)))
     known = thinned(regressor.known_torque(dense), fine)
     torque = thinned(run.torque, 1)
@@ -151,6 +165,27 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Rows:
         run.name, time, motion.position[at], motion.velocity[at], motion.acceleration[at], torque - known, known,
         matrix, valid, after / np.where(before > 0, before, 1), rate / step,
     )  # fmt: skip
+
+
+def lost_rotor_terms(robot: Robot, run: MotionRun, bands: Bands) -> dict[str, float]:
+    """Rotors' terms in sin 2Nq (unequal transverse inertias) → share of their amplitude that the low-pass leaves.
+
+    They need no columns where that is little: they turn hundreds of times as fast as the joint. Runs in joint
+    coordinates; only uncoupled revolute drives with a gear have such terms.
+    """
+    if any(axis.type == "prismatic" for axis in robot.axes) or any(drive.coupling for drive in robot.drives):
+        return {}
+    motion = motion_of_run(run, bands)
+    Y = rotor_body_regressor(robot, motion)
+    left = {}
+    for i, drive in enumerate(robot.drives):
+        column = Y[:, :, 4 * i + 1]
+        before = float(np.sqrt(np.mean(column**2)))
+        # a rotor about a fixed axis has no such term
+        if abs(drive.gear_ratio) > 10 and before > 1e-9 * float(np.abs(Y).max()):
+            after = lowpass(column, run.sample_rate_hz, *bands.within(run.sample_rate_hz).fit)
+            left[f"drive{i + 1}.Ixx − drive{i + 1}.Iyy"] = float(np.sqrt(np.mean(after**2))) / before
+    return left
 
 
 @dataclass(frozen=True)
@@ -239,36 +274,44 @@ def _sandwich(
 ) -> tuple[FloatArray, FloatArray]:
     """Covariance (b, b) of weighted least squares under noise that is stationary and coloured, joint by joint."""
     b, n = len(value), len(noise)
-    information, spread = np.zeros((b, b)), np.zeros((b, b))
-    effective = np.zeros(n)
     lags = max(1, int(CORRELATION_S * rows[0].rate_hz))
-    for j in range(n):
-        product, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
-        masked = []
-        for r in rows:
-            A = np.where(r.valid[:, None], r.matrix[:, j, base.kept], 0.0) / noise[j]
-            e = np.where(r.valid, r.torque[:, j] / noise[j] - A @ value, 0.0)
-            size = scipy.fft.next_fast_len(len(e) + lags + 1, real=True)
-            spectra = np.abs(scipy.fft.rfft(np.stack([e, r.valid.astype(float)]), size)) ** 2
-            correlation = scipy.fft.irfft(spectra, size)[:, : lags + 1]
-            product[: correlation.shape[1]] += correlation[0]
-            pairs[: correlation.shape[1]] += correlation[1]
-            masked.append((A, size))
-            information += A.T @ A
-        lag = np.arange(lags + 1) / (lags + 1)
-        parzen = np.where(lag < 0.5, 1 - 6 * lag**2 + 6 * lag**3, 2 * (1 - lag) ** 3)
-        # the b parameters were fitted to n joints' rows
-        series = product / np.maximum(pairs, 1) * parzen
-        effective[j] = pairs[0] * series[0] / max(series[0] + 2 * series[1:].sum(), 1e-3 * series[0])
-        series *= 1 / max(1 - b / n / max(effective[j], b / n + 1), 0.1)
-        for A, size in masked:
-            spectrum = _density(series, size)
-            coloured = scipy.fft.irfft(
-                scipy.fft.rfft(A, size, axis=0) * np.sqrt(np.maximum(spectrum, 0))[:, None], size, axis=0
-            )
-            spread += coloured.T @ coloured
+    lag = np.arange(lags + 1) / (lags + 1)
+    parzen = np.where(lag < 0.5, 1 - 6 * lag**2 + 6 * lag**3, 2 * (1 - lag) ** 3)
+    weighted = [np.where(r.valid[:, None, None], r.matrix[:, :, base.kept], 0.0) / noise[None, :, None] for r in rows]
+    information = sum(np.einsum("mjb,mjc->bc", A, A) for A in weighted)
     scale = 1 / np.sqrt(np.diag(information))
     inverse = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    root = scale[:, None] * np.linalg.cholesky(_symmetric(inverse / np.outer(scale, scale)))
+    spread = np.zeros((b, b))
+    effective = np.zeros(n)
+    for j in range(n):
+        residual, leverage, pairs = np.zeros((3, lags + 1))
+        spectra = []
+        for r, A in zip(rows, weighted, strict=True):
+            e = np.where(r.valid, r.torque[:, j] / noise[j] - A[:, j] @ value, 0.0)
+            size = scipy.fft.next_fast_len(len(e) + lags + 1, real=True)
+            columns = scipy.fft.rfft(A[:, j], size, axis=0)
+            powers = np.stack([
+                np.abs(scipy.fft.rfft(e, size)) ** 2,
+                np.sum(np.abs(columns @ root) ** 2, axis=1),
+                np.abs(scipy.fft.rfft(r.valid.astype(float), size)) ** 2,
+            ])  # fmt: skip
+            for total, correlation in zip(
+                (residual, leverage, pairs), scipy.fft.irfft(powers, size)[:, : lags + 1], strict=True
+            ):
+                total += correlation
+            spectra.append((columns, size))
+        density = parzen / np.maximum(pairs, 1)
+        for columns, size in spectra:
+            # the fit has taken its share out of the residual, line by line: what the leverage says
+            taken = np.clip(_density(leverage * density, size), 0.0, MOST_TAKEN)
+            power = np.maximum(_density(residual * density, size), 0.0) / (1 - taken)
+            lines = np.full(len(power), 2.0)
+            lines[0] = 1.0
+            if size % 2 == 0:
+                lines[-1] = 1.0
+            spread += np.real(np.einsum("k,kb,kc->bc", lines * power / size, columns.conj(), columns, optimize=True))
+        effective[j] = pairs[0] * (lines @ power / size) / max(power[0], 1e-300)
     return inverse @ spread @ inverse, effective
 
 
@@ -470,6 +513,7 @@ def identify(
     bands = bands or Bands()
     regressor = Regressor(robot, offsets)
     rows, notes = [], list(log.notes)
+    lost: dict[str, float] = {}
     for name, run in log.runs.items():
         if run.torque is None:
             raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory cannot be identified from")
@@ -486,10 +530,19 @@ def identify(
                 f"runs/{name}: torque of joint{i + 1} is cut off at {np.abs(run.torque[cut[:, i], i]).max():.4g} for "
                 f"{cut[:, i].sum() / run.sample_rate_hz:.2g} s; left out with the filter's memory around it"
             )
-        rows.append(rows_of(regressor, joint_run(robot, run), bands))
+        joints = joint_run(robot, run)
+        rows.append(rows_of(regressor, joints, bands))
+        if not lost:
+            lost = lost_rotor_terms(robot, joints, bands)
     parts = split(rows, hold_out, bands, log.source)
     estimate = least_squares(regressor, parts.train, weighting)
     parameters = consistent(regressor, estimate)
+    for term, share in lost.items():
+        notes.append(
+            f"{term}: not identifiable, the low-pass leaves {share:.0%} of its torque's amplitude (sin 2Nq)"
+            if share < PASSED
+            else f"{term}: not modelled, though {share:.0%} of its torque's amplitude passes (sin 2Nq)"
+        )
     return Identification(
         regressor, estimate, parameters, regressor.robot_with(parameters), parts, bands, notes
     )  # fmt: skip

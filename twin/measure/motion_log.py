@@ -182,8 +182,7 @@ def _even(
             f"the first at {where_held:.3f} s; taken as missing"
         )
         time, series = time[~held], {key: values[~held] for key, values in series.items()}
-    steps = np.diff(time)
-    missing = np.round(steps / period).astype(int) - 1
+    missing = np.diff(_slots(time, 1 / rate)) - 1
     if missing.max() * period > LONGEST_GAP_S:
         k = int(np.argmax(missing))
         raise InputError(
@@ -209,6 +208,18 @@ def _even(
         notes.append(f"{where}: time stamps jitter by {1e3 * jitter:.2g} ms RMS; resampled to an even clock")
     rate = (count - 1) / float(time[-1] - time[0])
     return even, {key: resample(time, values, even) for key, values in series.items()}, rate, notes
+
+
+def _slots(time: FloatArray, period: float) -> np.ndarray:
+    """Sampling slot (nt,) of each stamp; the phase follows, so that neither jitter nor drift does harm."""
+    slots = np.zeros(len(time), int)
+    phase = time[0]
+    for k in range(1, len(time)):
+        ahead = max(1, round((time[k] - phase) / period))
+        slots[k] = slots[k - 1] + ahead
+        phase += ahead * period
+        phase += 0.05 * (time[k] - phase)
+    return slots
 
 
 def _held(series: dict[str, FloatArray]) -> np.ndarray:
