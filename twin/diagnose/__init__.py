@@ -1,0 +1,1 @@
+"""What is missing from a model: triage, locate, screen, refit, decide, next test."""

@@ -1,0 +1,85 @@
+"""From evidence to probabilities: none, a name, a set of names, or something that has no name here.
+
+Prior: nothing is missing with probability ``none``; else every effect alike, and every site of an effect alike, so that
+the many channels of the measurement chain do not win by their number. Evidence is divided by a temperature found on
+development cases. What the best entry leaves of the misfit tells whether the truth is among the names at all.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.refit import Fitted
+from twin.yamlfile import read_yaml
+
+
+@lru_cache
+def calibration() -> dict[str, float]:
+    """The decision's numbers."""
+    return {key: float(value) for key, value in read_yaml(Path(__file__).with_name("calibration.yaml")).items()}
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Who is left.
+
+    Attributes:
+        ranked: hypotheses fitted to the end, most probable first; ``probability`` of each.
+        none, other: probabilities that nothing, or something unnamed, is missing.
+    """
+
+    ranked: list[Fitted]
+    probability: list[float]
+    none: float
+    other: float
+
+    @property
+    def rivals(self) -> list[int]:
+        """Indices of the alternatives to the first that cannot be dismissed."""
+        least = calibration()["alternative"]
+        return [k for k, p in enumerate(self.probability) if k and p >= least]
+
+
+def decide(fits: Sequence[Fitted], base: Fitted, suspects: Sequence[Sequence[Hypothesis]]) -> Decision:
+    """Probabilities of hypotheses fitted to the same lines as the base model.
+
+    Args:
+        fits: at their optimum, on all lines.
+        base: the same for the base model.
+        suspects: all that was looked at, which sets the prior.
+    """
+    numbers = calibration()
+    sites: dict[str, int] = {}
+    for variants in suspects:
+        sites[variants[0].effect] = sites.get(variants[0].effect, 0) + 1
+    best_misfit = min([base.misfit, *(fit.misfit for fit in fits)])
+    scale = max(1.0, best_misfit)
+    logs = []
+    for fit in fits:
+        prior = np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(fit.hypothesis.effect, 10))
+        logs.append((fit.evidence(scale) - base.evidence(scale)) / numbers["temperature"] + prior)
+    weights = np.array([*logs, np.log(numbers["none"])])
+    weights = np.exp(weights - weights.max())
+    weights /= weights.sum()
+    other = _other(base.misfit, best_misfit, numbers)
+    order = np.argsort(-weights[:-1])
+    share = (1 - other) * weights
+    none = float(share[-1])
+    if base.misfit > 2 * numbers["noise_misfit"] and none > 0.5:  # a mismatch that nothing here explains
+        none, other = 0.0, other + none
+    return Decision([fits[k] for k in order], [float(share[k]) for k in order], none, float(other))
+
+
+def _other(base: float, best: float, numbers: Mapping[str, float]) -> float:
+    """Probability that what the best hypothesis leaves is a different physics."""
+    noise = numbers["noise_misfit"]
+    if best <= noise:
+        return 0.01
+    left = (best - noise) / max(base - noise, 1e-9)
+    return float(
+        np.clip(1 / (1 + np.exp(-(left - numbers["unexplained_share"]) / numbers["unexplained_width"])), 0.01, 0.99)
+    )

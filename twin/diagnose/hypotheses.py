@@ -1,0 +1,219 @@
+"""What could be missing: one hypothesis per effect and site, each the base model plus one entry with its own prior.
+
+Everything that is particular to an effect comes from its file in ``twin/physics``: what it would ordinarily be, how far
+that is known, from where a search has to start. A hypothesis may also be a number of the base model itself that is
+further from its description than its tolerance says (effect ``parameter``).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from twin.identify.parameters import Parameter, Parameters, independent, join
+from twin.measure.campaign import Brakes, Channels, FloatArray
+from twin.physics import CATALOGUE
+from twin.physics.chain import node_of
+from twin.physics.effect import Parameter as Quantity
+from twin.robot.description import Entry, Robot
+
+WIDENED = {"stiffness": np.log(3.0), "mass": 0.15, "com": 0.05, "inertia": 0.3, "gain": 0.1, "damping": np.log(20.0)}
+"""Prior deviation of a base parameter that is suspected of being wrong beyond its tolerance."""
+
+
+@dataclass(frozen=True)
+class Sprung(Parameters):
+    """Parameters whose springs are named after their coordinate, so that their derivatives are closed forms.
+
+    Attributes:
+        written: the same under the names of the description, through which values enter a robot.
+    """
+
+    written: Parameters
+
+    def apply(self, robot: Robot, values: FloatArray) -> Robot:
+        """The robot with the values that belong to it."""
+        return self.written.apply(robot, values)
+
+    def apply_one(self, robot: Robot, index: int, value: float) -> Robot:
+        """The robot with one value changed."""
+        return self.written.apply_one(robot, index, value)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One thing that may be missing.
+
+    Attributes:
+        effect, site: as in a diagnosis.
+        entries: what is added to the description, at the centre of its prior.
+        own: (m,) parameters of the entries, named as in the description.
+        scale: base parameters whose prior is widened: name → factor on the deviation.
+    """
+
+    effect: str
+    site: str
+    entries: tuple[Entry, ...] = ()
+    own: tuple[Parameter, ...] = ()
+    scale: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def key(self) -> str:
+        """``EFFECT@SITE``."""
+        return f"{self.effect}@{self.site}"
+
+    def robot(self, base: Robot) -> Robot:
+        """The description with the entries."""
+        return base.model_copy(update={"physics": [*base.physics, *self.entries]}) if self.entries else base
+
+    def parameters(self, base: Parameters) -> Parameters:
+        """Everything that is free under this hypothesis: the base model's parameters, then its own."""
+        if self.scale:
+            width = np.ones(len(base))
+            for name, factor in self.scale:
+                width[base.names.index(name)] = factor
+            items = tuple(replace(p, deviation=p.deviation * w) for p, w in zip(base, width, strict=True))
+            base = Parameters(items, base.covariance * np.outer(width, width))
+        if not self.own:
+            return base
+        return self._quick(join(base, independent(self.own)))
+
+    def _quick(self, written: Parameters) -> Parameters:
+        items = list(written.items)
+        for k, parameter in enumerate(items):
+            if "@" in parameter.name:
+                key, _, quantity = parameter.name.rpartition(".")
+                effect, _, site = key.partition("@")
+                if CATALOGUE[effect].sprung and quantity in ("stiffness", "damping"):
+                    items[k] = replace(parameter, name=f"{site}.{quantity}", kind="spring")
+        return Sprung(tuple(items), written.covariance, written)
+
+    @cached_property
+    def widths(self) -> FloatArray:
+        """Prior deviations (m,) of the own parameters."""
+        return np.array([p.deviation for p in self.own])
+
+
+def entry_hypothesis(base: Robot, effect: str, site: str, values: dict[str, Any]) -> Hypothesis:
+    """The hypothesis of one entry, its prior centred on ``values``."""
+    entry = Entry(effect=effect, site=site, **values)
+    same = sum(other.effect == effect and other.site == site for other in base.physics)
+    key = f"{effect}@{site}" + (f"#{same + 1}" if same else "")
+    own: list[Parameter] = []
+    for quantity in CATALOGUE[effect].parameters:
+        if quantity.word or not quantity.spread or quantity.name not in values:
+            continue
+        given = values[quantity.name]
+        numbers = given if quantity.length else [given]
+        for k, number in enumerate(numbers):
+            name = f"{key}.{quantity.name}" + (f"[{k}]" if quantity.length else "")
+            if effect == "transverse_compliance":
+                name = f"{site}.{quantity.name}"
+            own.append(_parameter(effect, name, quantity, float(number)))
+    return Hypothesis(effect, site, (entry,), tuple(own))
+
+
+def _parameter(effect: str, name: str, quantity: Quantity, centre: float) -> Parameter:
+    kind = "spring" if effect == "transverse_compliance" else "entry"
+    return Parameter(name, quantity.unit, kind, quantity.log, centre, quantity.spread, "usual size")  # type: ignore[arg-type]
+
+
+def sites(effect: str, axes: int, response: Channels, excitation: Channels) -> list[str]:
+    """Where an effect can act on a robot tested through these channels."""
+    found: list[str] = []
+    for pattern in CATALOGUE[effect].sites:
+        if "LABEL" in pattern:
+            labels = response.label if pattern.startswith("sensor") else excitation.label
+            found += [pattern.replace("LABEL", label) for label in labels]
+        elif "NODE" in pattern:
+            found += [pattern.replace("NODE", node) for node in dict.fromkeys(node_of(x) for x in response.label)]
+    return found + list(CATALOGUE[effect].fixed_sites(axes))
+
+
+def suspects(
+    base: Robot,
+    response: Channels,
+    excitation: Channels,
+    brakes: Iterable[Brakes | None],
+    band_hz: tuple[float, float],
+) -> list[list[Hypothesis]]:
+    """Every entry that a hammer test could show and the description does not have; one list of variants for each.
+
+    Brakes known to be on in every posture rule the servo out.
+    """
+    present = {(entry.effect, entry.site) for entry in base.physics}
+    held = all(state == "on" for state in brakes)
+    found: list[list[Hypothesis]] = []
+    for name, effect in CATALOGUE.items():
+        if "hammer" not in effect.seen_in or (name == "servo_compliance" and held):
+            continue
+        for site in sites(name, base.axis_count, response, excitation):
+            if (name, site) in present and not effect.repeatable:
+                continue
+            variants = effect.variants(base, site, band_hz)
+            if variants:
+                found.append([entry_hypothesis(base, name, site, values) for values in variants])
+    return found
+
+
+def widened(parameters: Parameters) -> list[Hypothesis]:
+    """Numbers of the base model that may be off beyond their tolerance: stiffnesses, masses of links."""
+    found = []
+    for parameter in parameters:
+        if parameter.kind == "spring" and parameter.quantity == "stiffness":
+            factor = WIDENED["stiffness"] / parameter.deviation
+            if factor > 1:
+                found.append(Hypothesis("parameter", parameter.name, scale=((parameter.name, factor),)))
+    for link in dict.fromkeys(p.name.partition(".")[0] for p in parameters if p.kind == "link"):
+        scale = []
+        for parameter in parameters:
+            if parameter.kind == "link" and parameter.name.startswith(f"{link}."):
+                what = parameter.name.split(".")[1]
+                if what == "mass":
+                    scale.append((parameter.name, max(1.0, WIDENED["mass"] / parameter.deviation)))
+        if scale:
+            found.append(Hypothesis("parameter", f"{link}.mass", scale=tuple(scale)))
+    return found
+
+
+def pair(first: Hypothesis, second: Hypothesis) -> Hypothesis:
+    """Both at once."""
+    return Hypothesis(
+        f"{first.effect}+{second.effect}", f"{first.site}+{second.site}", first.entries + second.entries,
+        first.own + second.own, first.scale + second.scale,
+    )  # fmt: skip
+
+
+def companions(
+    hypothesis: Hypothesis, base: Robot, parameters: Parameters, postures_q: Sequence[FloatArray]
+) -> list[Hypothesis]:
+    """What a hypothesis is known to be hard to tell from, by mechanics: judged beside it in any case."""
+    n, site = base.axis_count, hypothesis.site
+    turned = any(abs(q[0] - postures_q[0][0]) > 0.05 for q in postures_q)
+    found: list[tuple[str, str]] = []
+    if hypothesis.effect == "payload":
+        last = {"flange": f"link{n}", f"link{n}": "flange"}
+        found += [("payload", last[site])] if site in last else []
+        found += [("parameter", f"link{n if site == 'flange' else site[4:]}.mass")]
+    elif hypothesis.effect == "base_compliance":
+        found += [("parameter", "joint1.z.stiffness")] if site == "base.rz" else []
+        if not turned and site in ("base.rx", "base.ry"):
+            found += [("transverse_compliance", "joint1.x"), ("transverse_compliance", "joint1.y")]
+            found += [("parameter", "joint1.x.stiffness"), ("parameter", "joint1.y.stiffness")]
+    elif hypothesis.effect == "transverse_compliance" and site.startswith("joint1.") and not turned:
+        found += [("base_compliance", "base.rx"), ("base_compliance", "base.ry")]
+    elif hypothesis.effect == "servo_compliance":
+        found += [("parameter", f"{site}.z.stiffness")]
+    elif hypothesis.effect == "link_flexibility":
+        found += [("parameter", f"joint{site[4]}.{axis}.stiffness") for axis in "yz"]
+    present = {(entry.effect, entry.site) for entry in base.physics}
+    hypotheses = []
+    for effect, where in found:
+        if effect == "parameter":
+            hypotheses += [h for h in widened(parameters) if h.site == where]
+        elif (effect, where) not in present or CATALOGUE[effect].repeatable:
+            values = CATALOGUE[effect].typical(base, where)
+            hypotheses += [entry_hypothesis(base, effect, where, values)] if values else []
+    return hypotheses

@@ -1,0 +1,119 @@
+"""What to measure next, and what this test could have shown at all.
+
+Both rest on signature energy after projection: the squared difference two models predict, in units of noise, that is
+left when everything the model has free has moved, under its prior and the data so far, to hide it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.objective import Objective, Sample
+from twin.diagnose.refit import Fitted
+from twin.errors import InputError
+from twin.identify.sensitivity import Setup, frf, observe
+from twin.measure.campaign import Brakes, FloatArray
+from twin.robot.description import Robot
+
+SEEN = 8.0  # ln Bayes factor from which an effect would be seen
+CANDIDATES = 24
+
+
+def smallest_visible(
+    robot: Robot, fit: Fitted, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
+) -> list[dict[str, Any]]:
+    """The size of each entry whose signature, after projection, this recording would have shown.
+
+    A spring's signature grows with its compliance, any other with its size; the first parameter of the entry is given.
+    """
+    objective = Objective(robot, fit.parameters, sample)
+    residual, J = objective.jacobian(fit.z)
+    inverse = np.linalg.inv(J @ J.T + np.eye(len(J)))
+    found = []
+    for variants in suspects:
+        hypothesis = variants[len(variants) // 2]
+        parameters = hypothesis.parameters(fit.parameters)
+        own = np.zeros(len(hypothesis.own))
+        first = hypothesis.own[0]
+        if not first.log:
+            own[0] = 0.1
+        changed = Objective(hypothesis.robot(robot), parameters, sample).residual(np.concatenate([fit.z, own]))
+        secant = residual - changed
+        across = J @ secant
+        energy = float(secant @ secant - across @ inverse @ across)
+        ratio = float(np.sqrt(2 * SEEN / max(energy, 1e-300)))  # smallest over this size
+        if first.log:
+            value = first.mean / ratio if first.quantity == "stiffness" else first.mean * ratio
+        else:
+            value = 0.1 * first.deviation * ratio
+        found.append(
+            {
+                "effect": hypothesis.effect, "site": hypothesis.site,
+                "parameter": first.quantity.partition("[")[0], "value": value, "unit": first.unit,
+            }
+        )  # fmt: skip
+    return found
+
+
+def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: int = 0) -> dict[str, Any] | None:
+    """The posture, brake state that best separates two fitted hypotheses, with the expected separation.
+
+    Candidates: the recorded postures turned about joint 1, and random ones within the robot's limits.
+    """
+    rng = np.random.default_rng(seed)
+    reference = sample.recordings[0]
+    variance = np.median(
+        [r.variance for r in sample.recordings if r.variance.shape == reference.variance.shape], axis=0
+    )
+    limits = [axis.limits.position if axis.limits else None for axis in robot.axes]
+    places: list[tuple[FloatArray, Brakes | None]] = []
+    for r in sample.recordings:
+        for turn in (-np.pi / 3, np.pi / 3):
+            q = r.setup.q.copy()
+            q[0] += turn
+            places.append((q, r.setup.brakes))
+    while len(places) < CANDIDATES:
+        q = np.array([rng.uniform(*(limit or (-np.pi / 2, np.pi / 2))) for limit in limits])
+        places.append((q, reference.setup.brakes))
+    if reference.setup.brakes != "on":
+        places += [(r.setup.q, "on") for r in sample.recordings[:3]]
+    best: tuple[float, FloatArray, Brakes | None] | None = None
+    for q, brakes in places:
+        if any(limit and not limit[0] <= v <= limit[1] for v, limit in zip(q, limits, strict=True)):
+            continue
+        setup = replace(reference.setup, name="next", q=q, brakes=brakes)
+        try:
+            gain = _separation(first, rival, replace(reference, setup=setup, variance=variance), sample.repeat)
+        except InputError:
+            continue
+        if best is None or gain > best[0]:
+            best = gain, q, brakes
+    if best is None:
+        return None
+    gain, q, brakes = best
+    degrees = [round(value, 1) for value in robot.degrees(q)]
+    state = f", brakes {brakes}" if brakes and brakes != reference.setup.brakes else ""
+    names = [f"{fit.hypothesis.effect}@{fit.hypothesis.site}" for fit in (first, rival)]
+    return {
+        "description": f"the same hammer test at q = {degrees}°{state}: it should separate "
+        f"{names[0]} from {names[1]} by {gain:.0f} in ln evidence",
+        "separates": names, "posture_deg": degrees, "brakes": brakes, "expected_ln_bayes_factor": gain,
+    }  # fmt: skip
+
+
+def _separation(first: Fitted, rival: Fitted, recorded: Any, repeat: int) -> float:
+    """½ ‖H₁ − H₂‖² in units of noise, after the rival has moved what it has free within its posterior."""
+
+    def predicted(fit: Fitted, setup: Setup) -> Any:
+        seen, _ = observe(fit.robot, setup, fit.parameters, fit.values)
+        return frf(seen, recorded.s, recorded.power)
+
+    truth = predicted(first, recorded.setup)
+    objective = Objective(rival.robot, rival.parameters, Sample((replace(recorded, frf=truth),), repeat))
+    residual, J = objective.jacobian(rival.z)
+    information = rival.information + J @ J.T
+    gradient = J @ residual
+    return float(0.5 * (residual @ residual - gradient @ np.linalg.solve(information, gradient)))

@@ -1,0 +1,66 @@
+"""The variance of measured FRFs as a diagnosis uses it: what coherence says, pooled until it can be believed.
+
+Coherence from n hits gives a variance with 2(n − 1) degrees of freedom at every line: with five hits it scatters by a
+factor of two, and weights that scatter with the noise they weigh make a true model look wrong. A blow's noise has two
+parts, one that does not know the response (sensor, background) and one in proportion to it (force calibration, blows
+that differ), so per channel pair v = a(f) + b |H|², a and b pooled over lines.
+"""
+
+import numpy as np
+
+from twin.measure.campaign import FloatArray, PostureFRF, as_quantity, dead_channels, frf_variance
+
+NEIGHBOURS = 25  # lines over which the additive part is pooled
+ROUNDS = 4
+LEAST = 1e-4  # of |H|: no FRF is known better
+SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
+
+
+def pooled_variance(posture: PostureFRF) -> FloatArray | None:
+    """Variance (nf, nr, ne) of real and imaginary part in the unit of ``frf`` squared; infinite on dead channels.
+
+    ``None`` where the recording holds no coherence over two averages or more.
+    """
+    if frf_variance(posture) is None or posture.coherence is None or posture.averages is None:
+        return None
+    accelerance = as_quantity(posture, "accelerance").frf
+    n = posture.averages
+    power = np.abs(accelerance) ** 2
+    coherence = np.clip(posture.coherence, 1e-6, 1.0)
+    single = power * (1 - coherence) / (2 * n * coherence)
+    if _scattered(single, power):
+        single = single * n / (n - 1)  # a variance about the mean of its own n hits
+    dead = dead_channels(posture)
+    rms = np.sqrt(np.mean(power, axis=0))
+    floor = (SENSOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
+    b = np.median(single / np.maximum(power, 1e-300), axis=0)
+    a = np.broadcast_to(np.median(single, axis=0), single.shape)
+    kernel = min(NEIGHBOURS, len(single))
+    for _ in range(ROUNDS):
+        model = np.maximum(a + b * power, 1e-300)
+        # b from where the proportional part rules, a from the rest, both relative to what the model expects there
+        share = b * power / model
+        weight = share / model
+        b = np.maximum(np.sum(weight * (single - a), axis=0) / np.maximum(np.sum(weight * power, axis=0), 1e-300), 0)
+        own = (1 - share) / model
+        a = np.maximum(_smooth(own * (single - b * power), kernel) / np.maximum(_smooth(own, kernel), 1e-300), 0)
+    variance = np.maximum(a + b * power, np.maximum(floor, LEAST**2 * power))
+    scale = (power / np.maximum(np.abs(posture.frf) ** 2, 1e-300)) if posture.quantity != "accelerance" else 1.0
+    variance = variance / scale
+    variance[:, dead] = np.inf
+    return variance
+
+
+def _scattered(single: FloatArray, power: FloatArray) -> bool:
+    """Whether coherence was estimated from the hits (it scatters from line to line) or states what is expected."""
+    relative = single / np.maximum(power, 1e-300)
+    middle = np.maximum(0.5 * (relative[2:] + relative[:-2]), 1e-300)
+    return bool(np.median(np.abs(relative[1:-1] / middle - 1)) > 0.15)
+
+
+def _smooth(values: FloatArray, kernel: int) -> FloatArray:
+    """Running sum over lines (first axis)."""
+    half = kernel // 2
+    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    index = np.arange(len(values))
+    return np.asarray(total[np.minimum(index + half + 1, len(values))] - total[np.maximum(index - half, 0)])

@@ -1,0 +1,192 @@
+"""Posterior cost of a hypothesis on measured FRFs, with its derivatives: what screening and refits evaluate."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twin.diagnose.hypotheses import Sprung
+from twin.identify.elastic import LOG_SPREAD, Recorded
+from twin.identify.parameters import SIX, Parameters
+from twin.identify.sensitivity import (
+    Observed,
+    Setup,
+    Structure,
+    contract,
+    frf,
+    frf_slopes,
+    observe,
+    slopes,
+    spatial_inertia,
+)
+from twin.measure.campaign import ComplexArray, FloatArray
+from twin.robot.description import Robot
+from twin.robot.frames import inertia_matrix, inertia_six
+from twin.robot.mechanism import Inertial, cut
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Recordings as a fit sees them: each line stands for ``repeat`` lines."""
+
+    recordings: tuple[Recorded, ...]
+    repeat: int = 1
+
+    def thin(self, lines: int) -> "Sample":
+        """About so many lines of every recording, with the weight of all."""
+        step = max(1, min(len(r.s) for r in self.recordings) // lines)
+        return Sample(tuple(r.every(step) for r in self.recordings), self.repeat * step)
+
+    def first(self, count: int) -> "Sample":
+        """The first recordings."""
+        return Sample(self.recordings[:count], self.repeat)
+
+
+@dataclass
+class Objective:
+    """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz; with ``logarithmic``, Cauchy's robust sum of squares of ln(H/H(z)).
+
+    Attributes:
+        robot: the description before values are applied.
+        weight: 1/σ per recording (nf, nr, ne); zero where a line is not used.
+    """
+
+    robot: Robot
+    parameters: Parameters
+    sample: Sample
+    temper: float = 0.0
+    logarithmic: bool = False
+    weight: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for r in self.sample.recordings:
+            size = np.abs(r.frf) ** 2
+            if self.logarithmic:
+                relative = np.divide(r.variance, size, out=np.full(size.shape, np.inf), where=size > 0)
+                weight = 1 / np.sqrt(LOG_SPREAD**2 + relative)
+            else:
+                weight = 1 / np.sqrt(r.variance + self.temper**2 * size)
+            self.weight.append(np.sqrt(self.sample.repeat) * weight)
+
+    @property
+    def data(self) -> int:
+        """Number of real data that the lines stand for."""
+        return 2 * self.sample.repeat * sum(int(np.count_nonzero(w)) for w in self.weight)
+
+    def predicted(self, z: FloatArray) -> list[ComplexArray]:
+        """FRFs (nf, nr, ne) per recording."""
+        values = self.parameters.values(z)
+        robot = self.parameters.apply(self.robot, values)
+        return [frf(self._observe(robot, r.setup, values)[0], r.s, r.power) for r in self.sample.recordings]
+
+    def residual(self, z: FloatArray) -> FloatArray:
+        """Weighted linear residual (2 Σ nf nr ne,), measured minus predicted."""
+        parts = [
+            np.asarray((r.frf - H) * w, complex)
+            for r, H, w in zip(self.sample.recordings, self.predicted(z), self.weight, strict=True)
+        ]
+        return np.concatenate([part.reshape(-1).view(float) for part in parts])
+
+    def jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weighted residual (data,) and derivatives (n, data) of the weighted prediction with respect to z."""
+        values = self.parameters.values(z)
+        robot, transform = self.parameters.apply(self.robot, values), self.parameters.transform(values)
+        rows, rest = [], []
+        for r, w in zip(self.sample.recordings, self.weight, strict=True):
+            H, dH = self._slopes(robot, r, values, transform)
+            rows.append((dH * w).reshape(len(z), -1).view(float))
+            rest.append(((r.frf - H) * w).reshape(-1).view(float))
+        return np.concatenate(rest), np.concatenate(rows, axis=1)
+
+    def cost(self, z: FloatArray) -> float:
+        """Prior included."""
+        cost = 0.5 * float(z @ z)
+        for r, H, w in zip(self.sample.recordings, self.predicted(z), self.weight, strict=True):
+            e = self._error(r, H, w)[0]
+            cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
+        return cost
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
+        values = self.parameters.values(z)
+        robot, transform = self.parameters.apply(self.robot, values), self.parameters.transform(values)
+        cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
+        for r, w in zip(self.sample.recordings, self.weight, strict=True):
+            H, dH = self._slopes(robot, r, values, transform)
+            e, pull, factor = self._error(r, H, w)
+            cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
+            dH = dH * factor
+            G = dH.reshape(len(z), -1).view(float)
+            gradient += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
+            information += G @ G.T
+        return cost, gradient, information
+
+    def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Residual, what pulls on the parameters, and ∂ residual / ∂ H."""
+        if not self.logarithmic:
+            e = np.asarray((r.frf - H) * w, complex)
+            return e, e, -w.astype(complex)
+        ratio = np.divide(r.frf, H, out=np.ones_like(H), where=(H != 0) & (r.frf != 0))
+        repeat = np.sqrt(self.sample.repeat)
+        e = np.asarray(np.log(ratio) * w, complex)
+        size = np.abs(e) / repeat
+        soft = np.where(size > 1e-9, np.sqrt(np.log1p(size**2)) / np.maximum(size, 1e-9), 1.0)
+        weight = 1 / np.sqrt(1 + size**2)  # iteratively reweighted: slope of the robust sum
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.where(H != 0, -1 / H, 0)
+        return e * soft, e * weight, inverse * w * weight
+
+    def _observe(self, robot: Robot, setup: Setup, values: FloatArray) -> tuple[Observed, Structure]:
+        return observe(robot, setup, self.parameters, values)
+
+    def _slopes(
+        self, robot: Robot, r: Recorded, values: FloatArray, transform: FloatArray
+    ) -> tuple[ComplexArray, ComplexArray]:
+        seen, model = self._observe(robot, r.setup, values)
+        rate = _rates(robot, r.setup, self.parameters, values, seen, model)
+        return frf_slopes(seen, contract(rate, transform), r.s, r.power)
+
+
+def _rates(
+    robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, seen: Observed, model: Structure
+) -> Observed:
+    """:func:`twin.identify.sensitivity.slopes`, links that bend differentiated through their cut."""
+    split = {f"link{number}": plane for number, plane in model.mechanism.splits.items()}
+    through = [
+        k for k, p in enumerate(parameters) if p.kind == "link" and p.name.partition(".")[0] in split
+    ]  # fmt: skip
+    if not through:
+        return slopes(robot, setup, parameters, values, seen, model)
+    # The rest is asked for under a name that nothing answers to, and filled in here.
+    items = list(parameters.items)
+    for k in through:
+        items[k] = replace(items[k], name="gain.-", kind="gain")
+    written = parameters.written if isinstance(parameters, Sprung) else parameters
+    out = slopes(robot, setup, Sprung(tuple(items), parameters.covariance, written), values, seen, model)
+    for k in through:
+        body, _, quantity = parameters[k].name.partition(".")
+        origin, normal = split[body]
+        inertial = robot.links[int(body[4:]) - 1].inertial
+        step = parameters[k].step(values[k])
+        sides = [cut(_shifted(inertial, quantity, sign * step), origin, normal) for sign in (1.0, -1.0)]
+        for part, name, offset in ((0, body, np.zeros(3)), (1, f"{body}.tip", origin)):
+            high, low = (
+                spatial_inertia(m, com - offset, inertia) for m, com, inertia in (side[part] for side in sides)
+            )
+            dM, dK = model.inertial_slopes(name, ((high - low) / (2 * step))[None])
+            out.M[k] += dM[0]
+            out.K[k] += dK[0]
+    return out
+
+
+def _shifted(inertial: Inertial, quantity: str, step: float) -> Inertial:
+    mass, com, inertia = inertial
+    com = com.copy()
+    if quantity == "mass":
+        mass += step
+    elif quantity.startswith("com."):
+        com["xyz".index(quantity[-1])] += step
+    else:
+        six = inertia_six(inertia)
+        six[SIX.index(quantity.partition(".")[2])] += step
+        inertia = inertia_matrix(six)
+    return mass, com, inertia
