@@ -95,12 +95,13 @@ def by_sysid(robot: Robot, records: list[tuple[np.ndarray, str, np.ndarray, np.n
 
     def residual(_: Any, predicted: Any, measured: Any, model: Any, *__: Any, **___: Any) -> Any:
         column = model.sensor(SENSORS[0].label).adr[0]
-        n = min(len(predicted.times), len(measured.times) - 1)
-        difference = predicted.data[:n, column : column + 3] - measured.data[1 : n + 1, column : column + 3]
+        n = min(len(predicted.times), len(measured.times))
+        felt = predicted.data[:n, column : column + 3] + model.opt.gravity  # framelinacc stands still at +g
+        difference = felt - measured.data[:n, column : column + 3]
         return difference.ravel(), predicted, predicted
 
     function = sysid.build_residual_fn(models_sequences=sequences, modify_residual=residual)
-    found, _ = sysid.optimize(given, function, optimizer="mujoco", verbose=False, max_iter=MOST_ITERATIONS)
+    found, _ = sysid.optimize(given, function, optimizer="mujoco", verbose=False, max_iters=MOST_ITERATIONS)
     return {name: float(np.exp(np.ravel(found[name].value)[0])) for name in parameters.names}
 
 

@@ -335,15 +335,21 @@ def fit_frf(
     ends.sort(key=lambda end: end.cost)
     agreeing = sum(end.cost - ends[0].cost < AGREEMENT for end in ends)
     objective = linear_objective(robot, parameters, recordings)
-    z, cost, information, converged = minimise(objective, ends[0].z, 60, 1e-3, bound)
+    misfit = 2 * ends[0].cost / max(1, _data(few))
+    z, cost, information, converged = minimise(objective, ends[0].z, 60, 1e-3 * max(1.0, misfit), bound)
     if progress:
         progress(1)
-    data = 2 * sum(int(np.isfinite(r.variance).sum()) for r in recordings)
+    data = _data(recordings)
     values = parameters.values(z)
     return Fit(
         parameters, z, values, parameters.apply(robot, values), cost, (2 * cost - float(z @ z)) / max(data, 1),
         information - np.eye(len(z)), tuple(ends), agreeing, data, converged,
     )  # fmt: skip
+
+
+def _data(recordings: Sequence[Recorded]) -> int:
+    """Number of real data."""
+    return 2 * sum(int(np.isfinite(r.variance).sum()) for r in recordings)
 
 
 def without_limits(robot: Robot) -> Robot:
