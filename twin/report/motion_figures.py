@@ -42,7 +42,7 @@ def excitation(robot: Robot, found: Excitation, title: str) -> Figure:
                     edge = np.empty((3, 2))
                     edge[k], edge[(k + 1) % 3], edge[(k + 2) % 3] = box[k], box[(k + 1) % 3, a], box[(k + 2) % 3, b]
                     space.plot(*edge, color="#8a8f98", linewidth=0.8)
-        space.set_box_aspect(np.diff(box, axis=1)[:, 0])
+        space.set_box_aspect(np.diff(box, axis=1)[:, 0], zoom=0.85)
     space.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
     space.tick_params(labelsize=7)
     series = (
