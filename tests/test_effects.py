@@ -235,9 +235,9 @@ def test_measurement_effects_act_on_the_recording(with_entry: Callable[..., Robo
     np.testing.assert_allclose(turned[:, 1], true[:, 0], atol=1e-12)
     linear = linear_of(with_entry("sensor_gain", "sensor:21Z+", gain=1.0), milling)
     across = frf(linear, frequency, response, ["21X+", "21Z+"])
-    about_z = recorded("hammer_misalignment", "hammer:21Y+", angles=[np.pi / 2, 0])
+    about_z = recorded("hammer_misalignment", "hammer:21Y+", angles=[0, np.pi / 2])
     np.testing.assert_allclose(about_z[:, :, 0], -across[:, :, 0], atol=1e-12)
-    about_x = recorded("hammer_misalignment", "hammer:21Y+", angles=[0, np.pi / 2])
+    about_x = recorded("hammer_misalignment", "hammer:21Y+", angles=[np.pi / 2, 0])
     np.testing.assert_allclose(about_x[:, :, 0], across[:, :, 1], atol=1e-12)
 
 

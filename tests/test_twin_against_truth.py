@@ -63,6 +63,7 @@ HAMMER = [
     ("structural_damping", "joint2.z", {"loss_factor": 0.05}, 1e-6),
     ("sensor_gain", "sensor:21Z+", {"gain": 1.08}, 1e-6),
     ("sensor_misalignment", "sensor:21", {"angles": [0.05, -0.08, 0.1]}, 1e-6),
+    ("hammer_misalignment", "hammer:21Y+", {"angles": [0.05, -0.1]}, 1e-6),
     ("time_delay", "sensor:21X+", {"delay": 2e-4}, 1e-6),
 ]
 

@@ -10,7 +10,9 @@ from twin.robot.mjcf import build_spec, save_mjcf
 def make(path: Path = SHIPPED / "kr90.xml") -> None:
     """Write the model; the meshes are referenced relative to it."""
     robot = load_robot("kr90")
-    save_mjcf(path, build_spec(assemble(robot, robot.angles([0, 70, -100]), brakes="off", drives="servo")))
+    save_mjcf(
+        path, build_spec(assemble(robot, robot.angles([0, 70, -100]), brakes="off", drives="servo")), copy_meshes=False
+    )
 
 
 if __name__ == "__main__":

@@ -136,9 +136,8 @@ def table(folder: Path) -> None:
                 print(f"    {r['seed']} {r['site']} → {s['verdict']} {s['first']} {errors} floor {s['floor']:.4f}")
     print(f"all                      top-1 {wilson(totals[0], totals[2])}   top-3 {wilson(totals[1], totals[2])}")
     if results:
-        print(
-            f"wall {np.median([r['wall_s'] for r in results]):.0f} s, cpu {np.median([r['cpu_s'] for r in results]):.0f} s"
-        )
+        wall, cpu = (np.median([r[key] for r in results]) for key in ("wall_s", "cpu_s"))
+        print(f"wall {wall:.0f} s, cpu {cpu:.0f} s")
     for r in failed:
         print("failed:", r["seed"], r["effect"], r["site"], r["error"].strip().splitlines()[-1])
 

@@ -1,6 +1,7 @@
 """The ``twin`` command: one thin function per command; everything it calls is imported when it is called."""
 
 import contextlib
+import io
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -65,7 +66,7 @@ def simulate(
     """Modes, a hammer test in time and a replay of one posture.
 
     Prints the modes and writes robot.xml (MJCF for any MuJoCo viewer), hammer.h5 (simulated FRFs), figures, modes.rrd
-    (mode animation, see twin view) and simulate.json into the output folder, out/POSTURE by default. With --json,
+    (mode animation, see twin view) and simulate.json into the output folder, out/FILE by default. With --json,
     files are written only where --out says so. A posture file:
 
     ```yaml
@@ -274,18 +275,21 @@ def compare(
 
 @app.command()
 def view(
-    path: Annotated[Path, typer.Argument(help="An output folder, a .rrd, a robot.yaml or URDF, or a recording.")],
+    path: Annotated[Path, typer.Argument(help="An output folder, a .rrd, a robot or a recording.")],
+    robot: Robot = None,
+    without: Without = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write a .rrd instead of opening a viewer.")
     ] = None,
 ) -> None:
     """Look at modes, replays and robots in the rerun viewer.
 
-    Opens the animations of an output folder or a .rrd. A robot is shown in its middle posture, moving in its modes.
+    Opens the animations of an output folder or a .rrd. A robot is shown in its middle posture, a hammer test or modal
+    table in its first, moving in the model's modes; a motion log is replayed.
     """
     from twin.commands.view import view as run
 
-    print(run(path, out))
+    print(run(path, out, robot=robot, without=without))
 
 
 @contextlib.contextmanager
@@ -320,8 +324,14 @@ def _show(result: Any, json: bool) -> None:
 
 def main() -> None:
     """Entry point: bad input ends in one line on standard error and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without Greek letters is no reason to lose a result
     try:
         app()
     except InputError as error:
         print(f"twin: {error}", file=sys.stderr)
+        sys.exit(2)
+    except OSError as error:
+        print(f"twin: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
         sys.exit(2)

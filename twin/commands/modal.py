@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.measure.campaign import Campaign, PostureFRF, read_campaign
@@ -27,6 +28,7 @@ class ModalAnalysis:
         results: posture → modes.
         checks: what a test engineer asks of the FRFs.
         tables: posture → which hits counted, where raw hits were given.
+        notes: what could not be done, and why.
         files: what was written.
     """
 
@@ -34,6 +36,7 @@ class ModalAnalysis:
     results: dict[str, ModalResult]
     checks: dict[str, list[Check]] = field(default_factory=dict)
     tables: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
 
@@ -44,7 +47,13 @@ class ModalAnalysis:
             for name, found in self.checks.items()
             for c in found
         ]
-        return {**modal_report(self.results), "checks": checks, "files": self.files, "provenance": self.origin}
+        return {
+            **modal_report(self.results),
+            "checks": checks,
+            "notes": self.notes,
+            "files": self.files,
+            "provenance": self.origin,
+        }
 
     def __str__(self) -> str:
         lines = []
@@ -53,6 +62,7 @@ class ModalAnalysis:
                 lines.append(str(self.tables[name]))
             lines.append(str(result))
             lines += [f"  {check}" for check in self.checks.get(name, []) if not check.passed]
+        lines += self.notes
         if self.files:
             lines.append("wrote " + ", ".join(self.files))
         return "\n".join(lines)
@@ -106,8 +116,10 @@ def modal(
     """
     progress = progress or (lambda description, total: lambda count: None)
     campaign = read_recording(paths)
-    described = load_robot(robot or campaign.robot or "kr90", relative_to=Path(paths[0]).parent)
-    described = described.without(without or [])
+    check_out(out)
+    if not (fmin is None or np.isfinite(fmin)) or not (fmax is None or np.isfinite(fmax)) or max_order < 2:
+        raise InputError("--fmin, --fmax, --max-order", "", "expected finite frequencies and an order of 2 or more")
+    described, unknown = _robot(campaign, robot, without or [], Path(paths[0]).parent)
     source = str(paths[0])
     labels = campaign.response.label, campaign.excitation.label
     found = ModalAnalysis(campaign, {})
@@ -122,10 +134,24 @@ def modal(
         tick(1)
     if levels := linearity(campaign):
         found.checks.setdefault("force levels", []).extend(levels)
-    found.origin = provenance(paths, {"fmin": fmin, "fmax": fmax, "max_order": max_order, "method": method})
+    options = {"fmin": fmin, "fmax": fmax, "max_order": max_order, "method": method}
+    found.origin = provenance(paths, options | {"robot": robot, "without": without or []})
     if out is not None:
-        _write(found, described, source, out)
+        with Outputs(out) as outputs:
+            if unknown:
+                found.notes.append(f"shapes are not drawn on the robot: {unknown}")
+            _write(found, described, outputs)
     return found
+
+
+def _robot(campaign: Campaign, robot: str | None, without: list[str], folder: Path) -> tuple[Robot | None, str]:
+    """The robot to draw shapes on, or why there is none; one that was asked for has to be there."""
+    if robot is not None:
+        return load_robot(robot).without(without), ""
+    try:
+        return load_robot(campaign.robot or "kr90", relative_to=folder).without(without), ""
+    except InputError as error:
+        return None, str(error)
 
 
 def _from_hits(posture: PostureFRF, source: str) -> tuple[PostureFRF, Any]:
@@ -133,38 +159,45 @@ def _from_hits(posture: PostureFRF, source: str) -> tuple[PostureFRF, Any]:
     return posture_from_hits(posture.name, posture.q_deg, posture.brakes, posture.hits, source=source)
 
 
-def _write(found: ModalAnalysis, robot: Robot, source: str, out: Path) -> None:
+def _write(found: ModalAnalysis, robot: Robot | None, name: Outputs) -> None:
     from twin.measure.modal_table import ModalTable, write_modal_table
     from twin.measure.uff import write_uff_modes
     from twin.report import modal_figures
-
-    out.mkdir(parents=True, exist_ok=True)
-
-    def name(file: str) -> Path:
-        found.files.append(str(out / file))
-        return out / file
 
     write_modal_table(name("modes.yaml"), ModalTable.of(found.results, found.campaign.robot))
     for key, result in found.results.items():
         if result.modes:
             write_uff_modes(name(f"{key}_modes.unv"), result)
-            _draw_shapes(found.campaign, key, result, robot, source, name)
-    found.files += [str(path) for path in modal_figures.write_modal_figures(out, found.results)]
+            if robot is not None:
+                _draw_shapes(found, key, result, robot, name)
+    name.files += [str(name.out / path.name) for path in modal_figures.write_modal_figures(name.stage, found.results)]
     path = name("modal.json")
+    found.files = name.files
     write_json(path, found.data())
 
 
-def _draw_shapes(campaign: Campaign, key: str, result: ModalResult, robot: Robot, source: str, name: Any) -> None:
+def _draw_shapes(found: ModalAnalysis, key: str, result: ModalResult, robot: Robot, name: Outputs) -> None:
     """Shapes on the robot, as far as the recording says where its points are on it."""
     from twin.model.expansion import expand
     from twin.report import figures, scene
 
-    roving = campaign.response if result.roving == "response" else campaign.excitation
+    roving = found.campaign.response if result.roving == "response" else found.campaign.excitation
     known = {"base", *(f"link{i + 1}" for i in range(robot.axis_count))}
-    elastic = any(axis.stiffness is not None for axis in robot.axes)
-    if len(result.q_deg) != robot.axis_count or not set(roving.body) <= known or not elastic:
+    missing = ""
+    if len(result.q_deg) != robot.axis_count:
+        missing = f"{len(result.q_deg)} axis positions, robot {robot.name} has {robot.axis_count}"
+    elif unknown := set(roving.body) - known:
+        missing = f"points on {', '.join(sorted(unknown))}, which robot {robot.name} does not have"
+    elif all(axis.stiffness is None for axis in robot.axes):
+        missing = f"robot {robot.name} has no elastic axis"
+    else:
+        try:
+            q = robot.check_posture(robot.angles(result.q_deg), key, "q_deg")
+        except InputError as error:
+            missing = str(error)
+    if missing:
+        found.notes.append(f"{key}: shapes are not drawn on the robot: {missing}")
         return
-    q = robot.check_posture(robot.angles(result.q_deg), source, f"postures/{key}/q_deg")
     ratio = np.array([mode.damping_percent / 100 for mode in result.modes])
     omega = 2 * np.pi * np.array([mode.frequency_hz for mode in result.modes])
     pole = omega * (-ratio + 1j * np.sqrt(1 - ratio**2))

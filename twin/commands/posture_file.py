@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from twin.errors import InputError
-from twin.robot.description import Data, Number, Positive, Robot, first_problem, load_robot
+from twin.robot.description import Data, NonNegative, Number, Positive, Robot, first_problem, load_robot
 from twin.yamlfile import read_yaml
 
-NonNegative = Annotated[Number, Field(ge=0)]
+LONGEST_RECORD = 2e6  # samples
 
 
 def _as_list(value: Any) -> Any:
@@ -19,7 +19,7 @@ def _as_list(value: Any) -> Any:
 
 
 def _none_if_false(value: Any) -> Any:
-    return None if value is False else value
+    return {} if value is None else None if value is False else value
 
 
 class Hammer(Data):
@@ -29,16 +29,22 @@ class Hammer(Data):
     pulse_s: Positive = 0.008
     duration_s: Positive = 16.0
     sample_rate_hz: Positive = 2048.0
-    hits: Annotated[int, Field(ge=1)] = 3
+    hits: Annotated[int, Field(ge=1, strict=True)] = 3
     force_spread: NonNegative = 0.0
     force_noise_n: NonNegative = 0.0
     response_noise: NonNegative = 0.0
     off_axis_deg: NonNegative = 0.0
-    raw_hits: bool = False
+    raw_hits: Annotated[bool, Field(strict=True)] = False
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        if len({f"{level:g}" for level in self.force_n}) < len(self.force_n):
+            raise ValueError(f"force_n: expected different levels, found {self.force_n}")
+        return self
 
 
 class _Posture(Data):
-    name: str = "posture"
+    name: Annotated[str, Field(pattern=r"^[^/\\\x00]*[^/\\\x00.][^/\\\x00]*$", max_length=100)] = "posture"
     q_deg: list[Number]
     brakes: Literal["on", "off"] = "on"
 
@@ -111,9 +117,12 @@ def read_posture_file(path: str | Path, robot: str | None = None, without: list[
                 "hammer.sample_rate_hz",
                 f"a pulse of {content.hammer.pulse_s:g} s needs at least {4 * lines:g} Hz",
             )
+        if content.hammer.duration_s * content.hammer.sample_rate_hz > LONGEST_RECORD:
+            raise InputError(path, "hammer.duration_s", f"expected at most {LONGEST_RECORD:.0e} samples in a record")
         if content.hammer.duration_s < 4 * content.hammer.pulse_s:
             raise InputError(path, "hammer.duration_s", "expected a record much longer than the pulse")
+    inputs = [path, *([loaded.path] if loaded.path else []), *([replay] if replay else [])]
     return PostureFile(
-        loaded, content.posture.name, q, list(content.posture.q_deg), content.posture.brakes,
-        content.hammer, replay, [path, *([replay] if replay else [])],
+        loaded, content.posture.name, q, list(content.posture.q_deg), content.posture.brakes, content.hammer, replay,
+        inputs,
     )  # fmt: skip

@@ -1,18 +1,21 @@
 """``twin simulate``: posture in; modes, hammer FRFs, torques and pictures out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from twin.commands.outputs import Outputs, check_out
 from twin.commands.posture_file import PostureFile, read_posture_file
+from twin.errors import InputError
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import Modes, modes
 from twin.provenance import provenance, write_json
+from twin.robot.description import save_robot
 from twin.robot.mechanism import Mechanism, assemble
-from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.mjcf import EQUIVALENT_HZ, build_spec, save_mjcf
 
 FREQUENCY_SHARE = 0.8  # FRFs are kept up to this share of 1/pulse, where a half sine still excites
 
@@ -55,7 +58,7 @@ class Simulation:
                 {
                     "frequency_hz": float(m.frequency_hz[k]),
                     "damping_percent": float(m.damping_percent[k]),
-                    "dominant": [{"site": site, "share": share} for site, share in m.dominant(k)],
+                    "dominant": [{"site": site.split(".part")[0], "share": share} for site, share in m.dominant(k)],
                 }
                 for k in range(len(m))
             ],
@@ -131,6 +134,7 @@ def simulate(
         InputError: bad input; nothing is written.
     """
     progress = progress or (lambda description, total: lambda count: None)
+    check_out(out)
     case = read_posture_file(path, robot, without)
     runs = None
     if case.replay:
@@ -140,19 +144,22 @@ def simulate(
     mechanism = assemble(case.robot, case.q, brakes=case.brakes)
     linear = linearise(mechanism)
     found = Simulation(case, mechanism, linear, modes(linear))
+    if found.modes.growth > 1e-6 * np.abs(found.modes.pole).max(initial=1.0):
+        raise InputError(case.robot.name, case.name, "the posture is not a stable equilibrium: a stiffness is too low")
     found.origin = provenance(case.inputs, {"robot": robot, "without": without or [], "seed": seed})
-    if case.hammer and linear.coordinates:
+    if case.hammer and linear.coordinates and case.robot.accelerometers:
         found.campaign = _hammer(case, mechanism, linear, seed, progress)
     if runs:
-        from twin.model.replay import inverse_dynamics, motion_of, replay
+        from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
 
         for name, run in runs.runs.items():
             tick = progress(f"replay {name}", len(run.time))
-            found.replays[name] = _Replayed(
-                run, replay(case.robot, run, progress=tick), inverse_dynamics(case.robot, motion_of(run))
-            )
+            stepped = replay(case.robot, run, progress=tick, source=runs.source)
+            exact = recorded_torque(case.robot, run.time, inverse_dynamics(case.robot, motion_of(run)))
+            found.replays[name] = _Replayed(run, stepped, exact)
     if out is not None:
-        _write(found, out)
+        with Outputs(out) as outputs:
+            _write(found, outputs)
     return found
 
 
@@ -177,29 +184,43 @@ def _hammer(case: PostureFile, mechanism: Mechanism, linear: LinearModel, seed: 
             name, np.array(case.q_deg), case.brakes, hits,
             exponential_window_rate=rate, fmax=FREQUENCY_SHARE / test.pulse_s,
         )  # fmt: skip
-        postures[name] = _without_hits(posture) if not options.raw_hits else posture
-    return Campaign(
-        channels(mechanism, responses), channels(mechanism, excitations), postures, case.robot.name,
-        "simulated by twin simulate",
+        postures[name] = replace(
+            posture,
+            hits=posture.hits if options.raw_hits else None,
+            frf=posture.frf * _structural_share(case, linear, posture, responses, excitations),
+        )
+    comment = "simulated by twin simulate" + (
+        "; structural damping, which no time stepping has, put in by the ratio of the linear FRFs with it and with its "
+        "viscous stand-in" if linear.loss.any() else ""
     )  # fmt: skip
+    sides = channels(mechanism, responses), channels(mechanism, excitations)
+    return Campaign(*sides, postures, "robot.yaml", comment)
 
 
-def _without_hits(posture: Any) -> Any:
-    from dataclasses import replace
+def _structural_share(
+    case: PostureFile, linear: LinearModel, posture: Any, responses: list[str], excitations: list[str]
+) -> np.ndarray | float:
+    """What complex stiffnesses make of the FRFs of the viscous dampers that stand for them in MuJoCo."""
+    if not linear.loss.any():
+        return 1.0
+    from twin.model.frf import frf, measurement_chain
 
-    return replace(posture, hits=None)
+    viscous = replace(linear, loss=np.zeros_like(linear.loss), C=linear.C + linear.loss / (2 * np.pi * EQUIVALENT_HZ))
+    frequency, rate = np.maximum(posture.frequency, posture.frequency[1] / 2), posture.exponential_window_rate
+    both = [
+        frf(
+            model, frequency, measurement_chain(model, case.robot, responses, excitations), exponential_window_rate=rate
+        )
+        for model in (linear, viscous)
+    ]
+    return both[0] / both[1]
 
 
-def _write(found: Simulation, out: Path) -> None:
+def _write(found: Simulation, name: Outputs) -> None:
     from twin.report import figures, scene
 
     case, mechanism = found.case, found.mechanism
-
-    def name(file: str) -> Path:
-        found.files.append(str(out / file))
-        return out / file
-
-    out.mkdir(parents=True, exist_ok=True)
+    save_robot(name("robot.yaml"), case.robot)
     save_mjcf(name("robot.xml"), build_spec(mechanism))
     if len(found.modes):
         figures.save(figures.mode_shapes(mechanism, found.modes), name("modes.png"))
@@ -247,8 +268,9 @@ def _write(found: Simulation, out: Path) -> None:
                 torque["measured"] = item.run.torque
             servo = assemble(case.robot, r.position[0], brakes="off", drives="servo")
             scene.write_replay(name(f"{stem}.rrd"), servo, r.time, r.position, r.deflections, torque)
-        write_motion_log(name("replay.h5"), MotionLog(runs, case.robot.name))
+        write_motion_log(name("replay.h5"), MotionLog(runs, "robot.yaml"))
     path = name("simulate.json")
+    found.files = name.files
     write_json(path, found.data())
 
 

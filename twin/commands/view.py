@@ -1,14 +1,21 @@
 """``twin view``: open, or write, what can be looked at in the rerun viewer."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from twin.commands.compare import recording_kind
+from twin.commands.modal import read_recording
+from twin.commands.outputs import check_out
 from twin.errors import InputError
 from twin.robot.description import Robot, load_robot
+from twin.yamlfile import read_yaml
 
 
-def view(path: str | Path, out: Path | None = None) -> str:
+def view(
+    path: str | Path, out: Path | None = None, *, robot: str | None = None, without: list[str] | None = None
+) -> str:
     """Open an output folder, a ``.rrd``, a robot or a motion recording; with ``out`` write a ``.rrd`` instead.
 
     Returns:
@@ -22,28 +29,28 @@ def view(path: str | Path, out: Path | None = None) -> str:
     path = Path(path)
     if path.is_dir() or path.suffix == ".rrd":
         if out is not None:
-            raise InputError(path, "--out", "is already a rerun recording; --out is for robots and logs")
+            raise InputError("--out", str(out), "is for robots and recordings, which have to be drawn first")
         return scene.view(path)
     target = out or Path("out") / f"{path.stem}.rrd"
-    if path.suffix == ".csv" or (path.suffix == ".h5" and _is_log(path)):
-        _write_log(path, target)
-    elif path.suffix == ".h5":
-        _write_campaign(path, target)
+    check_out(target.parent)
+    if target.is_dir():
+        raise InputError("--out", str(target), "is a folder; expected a file name.rrd")
+    suffix = path.suffix.lower()
+    if suffix in (".yaml", ".yml") and path.is_file() and "postures" in read_yaml(path):
+        from twin.measure.modal_table import read_modal_table
+
+        table = read_modal_table(path)
+        _write_posture(table.robot, next(iter(table.postures.values())).q_deg, path, robot, without, target)
+    elif suffix in (".yaml", ".yml", ".urdf", ".xml", ""):
+        shown = load_robot(path).without(without or [])
+        middle = [np.mean(axis.limits.position) if axis.limits and axis.limits.position else 0.0 for axis in shown.axes]
+        _write_modes(shown, np.array(middle), target)
+    elif recording_kind(path)[0] == "motion-log":
+        _write_log(path, robot, without, target)
     else:
-        robot = load_robot(path)
-        middle = [np.mean(axis.limits.position) if axis.limits and axis.limits.position else 0.0 for axis in robot.axes]
-        _write_modes(robot, np.array(middle), target)
+        campaign = read_recording([path])
+        _write_posture(campaign.robot, next(iter(campaign.postures.values())).q_deg, path, robot, without, target)
     return f"wrote {target}" if out is not None else scene.view(target)
-
-
-def _is_log(path: Path) -> bool:
-    import h5py
-
-    try:
-        with h5py.File(path) as file:
-            return file.attrs.get("format") in ("motion-log", "trajectory")
-    except OSError as error:
-        raise InputError(path, "", "no such file, or not HDF5") from error
 
 
 def _write_modes(robot: Robot, q: np.ndarray, target: Path) -> None:
@@ -57,24 +64,33 @@ def _write_modes(robot: Robot, q: np.ndarray, target: Path) -> None:
     scene.write_modes(target, mechanism, modes(linearise(mechanism)))
 
 
-def _write_campaign(path: Path, target: Path) -> None:
-    """The robot of a hammer test in its first posture, moving in the model's modes."""
-    from twin.measure.campaign import read_campaign
+def _write_posture(
+    named: str | None,
+    q_deg: Sequence[float] | np.ndarray,
+    path: Path,
+    robot: str | None,
+    without: list[str] | None,
+    target: Path,
+) -> None:
+    """The robot of a recording in its first posture, moving in the model's modes."""
+    shown = load_robot(robot) if robot else load_robot(named or "kr90", relative_to=path.parent)
+    shown = shown.without(without or [])
+    if len(q_deg) != shown.axis_count:
+        raise InputError(
+            path, "q_deg", f"expected {shown.axis_count} values for robot {shown.name}, found {len(q_deg)}"
+        )
+    _write_modes(shown, shown.check_posture(shown.angles(q_deg), str(path)), target)
 
-    campaign = read_campaign(path)
-    robot = load_robot(campaign.robot or "kr90", relative_to=path.parent)
-    first = next(iter(campaign.postures.values()))
-    _write_modes(robot, robot.check_posture(robot.angles(first.q_deg), str(path), f"postures/{first.name}"), target)
 
-
-def _write_log(path: Path, target: Path) -> None:
+def _write_log(path: Path, named: str | None, without: list[str] | None, target: Path) -> None:
     from twin.measure.motion_log import read_motion_log, require_axes
     from twin.model.replay import replay
     from twin.report import scene
     from twin.robot.mechanism import assemble
 
     log = read_motion_log(path)
-    robot = load_robot(log.robot or "kr90", relative_to=path.parent)
+    robot = load_robot(named) if named else load_robot(log.robot or "kr90", relative_to=path.parent)
+    robot = robot.without(without or [])
     require_axes(log, robot.axis_count)
     target.parent.mkdir(parents=True, exist_ok=True)
     found = replay(robot, next(iter(log.runs.values())))

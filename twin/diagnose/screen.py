@@ -3,7 +3,8 @@
 Every entry in turn is put into the base model at a few sizes of its prior: its secant carries what a tangent at no
 effect cannot (a servo is collinear with gear stiffness to first order). The step frees the entry's own parameters and,
 under their priors, everything the base model has free: stiffness, damping, masses, posture angles, gains. That is
-the projection of nuisance parameters with unfitted tolerances as part of the covariance, and an implausible size pays for itself.
+the projection of nuisance parameters with unfitted tolerances as part of the covariance, and an implausible size pays
+for itself.
 
 Where the base model misses by much more than noise, no first-order model holds to the precision of that noise: the
 promise is then taken on the robust logarithmic residual, at the optimum of that residual.

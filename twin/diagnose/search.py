@@ -74,8 +74,9 @@ def explain(
     parameters = search.base.parameters
     few, more = sample.thin(SCREEN_LINES), sample.thin(REFIT_LINES)
     far = search.error > FAR
+    few = few if far else more  # the base model is converged on these
     z = search.robust if far else search.base.z
-    z, *_ = minimise(Objective(robot, parameters, few, search.error, far), z, 8 if far else 40, 0.05)
+    z, *_ = minimise(Objective(robot, parameters, few, search.error, far), z, 8, 0.05)
     setting = Setting(robot, parameters, z, few, search.error, far)
     search.promises = screen(setting, suspects, progress("screen", len(suspects)))
     least = RACE * search.promises[0].gain

@@ -86,7 +86,7 @@ class Verdict:
         word = {
             "adequate": "adequate: nothing is missing that these recordings could show",
             "named": "named", "ambiguous": "ambiguous: these recordings cannot tell the following apart",
-            "located": "located, without a name", 
+            "located": "located, without a name",
             "unexplained": "unexplained: a mismatch beyond noise that no known effect explains",
         }  # fmt: skip
         lines = [word[self.kind]]

@@ -1,0 +1,6 @@
+"""What the robot does: linear model, modes, FRFs, hammer tests and replay in time."""
+
+import mujoco
+
+# MuJoCo writes its warnings to a file in the user's folder; what matters of them is checked where models are stepped
+mujoco.set_mju_user_warning(lambda text: None)

@@ -12,10 +12,11 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from twin.errors import InputError
 from twin.measure.campaign import Channels, Hits
 from twin.model.frf import measurement_chain
 from twin.model.linear import LinearModel, linearise
-from twin.model.modes import modes
+from twin.model.modes import modes, state_matrix_poles
 from twin.robot.mechanism import Mechanism
 from twin.robot.mjcf import build_spec
 
@@ -128,6 +129,10 @@ def simulate_hits(
                 model, data, np.tile(state, (len(batch), 1)), control,
                 control_spec=mujoco.mjtState.mjSTATE_QFRC_APPLIED.value,
             )  # fmt: skip
+            if not np.isfinite(states).all() or any(w.number for item in data for w in item.warning):
+                raise InputError(
+                    mechanism.robot.name, "hammer", f"the simulation diverges under a blow of {force_n:g} N"
+                )
             for row, (e, h) in enumerate(batch):
                 speed = np.vstack([np.zeros(nr), states[row, :, velocity] @ sense.T])  # at the step boundaries
                 force[e, h] = _filtered(peak[e, h] * pulse, substeps)
@@ -148,9 +153,7 @@ def simulate_hits(
 def _stepping_model(mechanism: Mechanism, linear: LinearModel, sample_rate_hz: float) -> tuple[mujoco.MjModel, int]:
     """A lean model for stepping, and how many steps make a sample so that the fastest pole is resolved."""
     model = build_spec(mechanism, visual=False, instruments=False).compile()
-    nv = model.nv
-    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(linear.M, np.hstack([linear.K, linear.C]))]])
-    fastest = np.abs(np.linalg.eigvals(A)).max() if nv else 1.0
+    fastest = np.abs(state_matrix_poles(linear)).max(initial=1.0)
     substeps = max(1, int(np.ceil(fastest / sample_rate_hz)))
     model.opt.timestep = 1 / (sample_rate_hz * substeps)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4

@@ -106,7 +106,7 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 def posture_state(model: mujoco.MjModel, mechanism: Mechanism) -> mujoco.MjData:
     """The commanded posture at rest, deflections zero; rotors that are free are held up by applied torques."""
     data = mujoco.MjData(model)
-    rotors = [i for i in range(len(mechanism.q)) if (motor := mechanism.motor(i)) is not None and not motor.elastic]
+    rotors = [i for i in range(len(mechanism.q)) if mechanism.motor(i) is not None]
     data.qpos[[model.joint(f"motor{i + 1}").qposadr[0] for i in rotors]] = mechanism.q[rotors]
     mujoco.mj_forward(model, data)
     dof = [model.joint(f"motor{i + 1}").dofadr[0] for i in rotors]
@@ -145,10 +145,28 @@ def linearise(mechanism: Mechanism, model: mujoco.MjModel | None = None) -> Line
     return LinearModel(
         coordinates=tuple(joint.name for joint in order),
         M=M, C=C, K=K, loss=loss,
-        spring=np.array([joint.stiffness[0] for joint in order]),
+        spring=_springs(model, data),
         points=points,
         directions={point.label: np.asarray(point.direction) for point in mechanism.points},
     )  # fmt: skip
+
+
+def _springs(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Stiffness (nv,) of what is elastic along each coordinate at the state in ``data``, joints and tendons."""
+    rest, step = data.qpos.copy(), 1e-7
+    stiffness = np.zeros(model.nv)
+    for joint in range(model.njnt):
+        address, dof = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
+        force = []
+        for side in (step, -step):
+            data.qpos[:] = rest
+            data.qpos[address] += side
+            mujoco.mj_forward(model, data)
+            force.append(data.qfrc_passive[dof])
+        stiffness[dof] = (force[1] - force[0]) / (2 * step)
+    data.qpos[:] = rest
+    mujoco.mj_forward(model, data)
+    return np.maximum(stiffness, 0.0)
 
 
 def _symmetric(A: np.ndarray) -> np.ndarray:

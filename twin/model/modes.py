@@ -17,12 +17,14 @@ class Modes:
         shape: (nv, nm) complex, in the model's coordinates, largest displacement of the coordinates scaled to 1.
         share: (nv, nm) each coordinate's share of the strain energy of the springs.
         linear: the model they belong to.
+        growth: largest growth rate of any pole, 1/s; above zero the posture is not a stable equilibrium.
     """
 
     pole: np.ndarray
     shape: np.ndarray
     share: np.ndarray
     linear: LinearModel
+    growth: float = 0.0
 
     def __len__(self) -> int:
         return len(self.pole)
@@ -47,12 +49,22 @@ class Modes:
         return [(self.linear.coordinates[k], float(self.share[k, mode])) for k in order if self.share[k, mode] >= least]
 
 
+def state_matrix_poles(linear: LinearModel) -> np.ndarray:
+    """All poles of the linear model, rad/s, oscillating or not."""
+    return np.linalg.eigvals(_state_matrix(linear)) if linear.coordinates else np.zeros(0, complex)
+
+
+def _state_matrix(linear: LinearModel) -> np.ndarray:
+    nv = len(linear.coordinates)
+    K = linear.K + 1j * linear.loss if linear.loss.any() else linear.K
+    return np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(linear.M, np.hstack([K, linear.C]))]])
+
+
 def modes(linear: LinearModel) -> Modes:
     """Complex modes from the state-space form of the linear model (paper, Eqs. 19–22)."""
     nv = len(linear.coordinates)
-    K = linear.K + 1j * linear.loss if linear.loss.any() else linear.K
-    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(linear.M, np.hstack([K, linear.C]))]])
-    pole, vector = np.linalg.eig(A) if nv else (np.zeros(0, complex), np.zeros((0, 0), complex))
+    pole, vector = np.linalg.eig(_state_matrix(linear)) if nv else (np.zeros(0, complex), np.zeros((0, 0), complex))
+    growth = float(pole.real.max(initial=0.0))
     keep = np.flatnonzero(pole.imag > 1e-6 * np.abs(pole))
     keep = keep[np.argsort(np.abs(pole[keep]))]
     pole, shape = pole[keep], vector[:nv, keep]
@@ -60,4 +72,4 @@ def modes(linear: LinearModel) -> Modes:
         largest = np.argmax(np.abs(shape), axis=0)
         shape = shape / shape[largest, np.arange(len(keep))]
     energy = linear.spring[:, None] * np.abs(shape) ** 2
-    return Modes(pole, shape, energy / np.maximum(energy.sum(axis=0), np.finfo(float).tiny), linear)
+    return Modes(pole, shape, energy / np.maximum(energy.sum(axis=0), np.finfo(float).tiny), linear, growth)

@@ -7,12 +7,16 @@ import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
+from twin.errors import InputError
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
+from twin.model.linear import linearise
+from twin.model.modes import state_matrix_poles
 from twin.physics import CATALOGUE
+from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
-from twin.robot.description import Robot
-from twin.robot.mechanism import assemble
+from twin.robot.description import Entry, Robot
+from twin.robot.mechanism import Joint, assemble
 from twin.robot.mjcf import build_spec, compile_model
 
 STEP_S = 0.0005
@@ -65,6 +69,11 @@ def motion_of(run: MotionRun) -> Motion:
 def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
     """Torque (nt, n) through the gears of the rigid robot, without rotors and friction, from mj_inverse."""
     payloads = [entry for entry in robot.physics if entry.effect == "payload"]
+    for entry in robot.physics:
+        if entry.effect == "attached_resonator":  # along a rigid motion it is a mass
+            values = entry.values
+            weight = {"effect": "payload", "site": entry.site, "mass": values["mass"], "com": values["position"]}
+            payloads.append(Entry.model_validate(weight))
     rigid = robot.model_copy(
         update={
             "axes": [axis.model_copy(update={"stiffness": None, "limits": None}) for axis in robot.axes],
@@ -111,7 +120,9 @@ def _rotor_torque(robot: Robot, motion: Motion) -> np.ndarray:
     return torque
 
 
-def replay(robot: Robot, run: MotionRun, *, progress: Callable[[int], None] | None = None) -> Replay:
+def replay(
+    robot: Robot, run: MotionRun, *, progress: Callable[[int], None] | None = None, source: str = "motion log"
+) -> Replay:
     """Track a trajectory with servo actuators on the motor bodies and record torque and link motion.
 
     The servo is a position and velocity loop with the inverse dynamics fed forward, as a robot controller's; it
@@ -121,19 +132,25 @@ def replay(robot: Robot, run: MotionRun, *, progress: Callable[[int], None] | No
         robot: description.
         run: trajectory or motion log; its torque is not used.
         progress: called with the number of samples finished since the last call.
+        source: the file named in errors.
 
     Raises:
-        InputError: the trajectory leaves the axes' limits.
+        InputError: the trajectory leaves the axes' limits, or the simulation diverges.
     """
     motion = motion_of(run)
-    for k in (int(np.argmax(motion.position[:, i])) for i in range(robot.axis_count)):
-        robot.check_posture(motion.position[k], run.name, "position")
-    for k in (int(np.argmin(motion.position[:, i])) for i in range(robot.axis_count)):
-        robot.check_posture(motion.position[k], run.name, "position")
+    for extreme in (np.argmax, np.argmin):
+        for k in extreme(motion.position, axis=0):
+            robot.check_posture(motion.position[k], source, f"runs/{run.name}/position")
     feedforward = inverse_dynamics(robot, motion)
     mechanism = assemble(robot, motion.position[0], brakes="off", drives="servo")
     model = build_spec(mechanism, instruments=False, balanced=False).compile()
-    substeps = max(1, int(np.ceil(1 / (run.sample_rate_hz * STEP_S))))
+    for i, axis in enumerate(robot.axes):
+        rotor = model.dof_armature[model.joint(f"motor{i + 1}").dofadr[0]]
+        if axis.stiffness is not None and rotor <= 0 and not robot.drives[i].coupling:
+            where = f"drives[{i}].rotor_inertia"
+            raise InputError(robot.name, where, "an elastic axis needs its rotor's inertia in a replay")
+    fastest = np.abs(state_matrix_poles(linearise(assemble(robot, motion.position[0], drives="free")))).max(initial=0.0)
+    substeps = max(1, int(np.ceil(max(1 / STEP_S, fastest) / run.sample_rate_hz)))
     model.opt.timestep = 1 / (run.sample_rate_hz * substeps)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
@@ -176,12 +193,29 @@ def replay(robot: Robot, run: MotionRun, *, progress: Callable[[int], None] | No
         qpos[k] = data.qpos
         if progress:
             progress(1)
+    if not (np.isfinite(torque).all() and np.isfinite(qpos).all()) or any(w.number for w in data.warning):
+        raise InputError(
+            robot.name,
+            f"replay of {run.name}",
+            "the simulation diverges: stiffness, inertia or motion is beyond reason",
+        )
+    torque = recorded_torque(robot, run.time, torque)
     elastic = [joint.name for joint in mechanism.joints if joint.elastic]
     deflections = {name: qpos[:, model.joint(name).qposadr[0]] for name in elastic}
     link_position = qpos[:, motor]
     for i in range(n):
         link_position[:, i] += deflections.get(f"joint{i + 1}.z", 0.0)
     return Replay(run.time, qpos[:, motor], link_position, torque, deflections)
+
+
+def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """Torque (nt, n) as the controller records it: with the torque constants and the delay of the robot's entries."""
+    chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(robot.axis_count))
+    for entry in robot.physics:
+        CATALOGUE[entry.effect].record(chain, entry.site, robot.values(entry))
+    if chain.torque_delay:
+        torque = np.column_stack([np.interp(time - chain.torque_delay, time, column) for column in torque.T])
+    return torque * chain.torque_gain
 
 
 def passive_torque(forces: list, state: Motion) -> np.ndarray:
@@ -198,16 +232,16 @@ def passive_torque(forces: list, state: Motion) -> np.ndarray:
 
 
 def _wind_up(
-    model: mujoco.MjModel, data: mujoco.MjData, joints: list, acceleration: np.ndarray, motor_dof: np.ndarray
+    model: mujoco.MjModel, data: mujoco.MjData, joints: list[Joint], acceleration: np.ndarray, motor_dof: np.ndarray
 ) -> None:
     """Deflect the springs so that the motion starts without ringing: static balance, load of the first instant."""
-    elastic = [model.joint(joint.name).id for joint in joints if joint.elastic]
-    address, dof = model.jnt_qposadr[elastic], model.jnt_dofadr[elastic]
-    stiffness = model.jnt_stiffness[elastic]
-    wound = stiffness > 0
+    springs = [(joint, model.joint(joint.name)) for joint in joints if joint.elastic and joint.stiffness[0] > 0]
     for _ in range(5):
         data.qacc[:] = 0
         data.qacc[motor_dof] = acceleration
         mujoco.mj_inverse(model, data)
-        # qfrc_inverse is what the spring lacks of carrying the load
-        data.qpos[address[wound]] -= data.qfrc_inverse[dof[wound]] / stiffness[wound]
+        load = data.qfrc_inverse + data.qfrc_passive  # what the springs have to carry
+        for joint, place in springs:
+            carried = -float(load[place.dofadr[0]])
+            deflection = joint.rest(carried)
+            data.qpos[place.qposadr[0]] = deflection + np.sign(deflection) * joint.dead_zone / 2

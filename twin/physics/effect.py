@@ -158,7 +158,7 @@ _CHANNEL = re.compile("LABEL|NODE")
 
 def _matches(pattern: str, site: str, axes: int) -> bool:
     expression = re.escape(pattern).replace(re.escape("{i}"), r"([1-9]\d*)")
-    expression = _CHANNEL.sub(lambda _: r"\S+", expression)
+    expression = expression.replace("LABEL", r"\d+[XYZ][+-]").replace("NODE", r"\d+")
     found = re.fullmatch(expression, site)
     return found is not None and all(int(number) <= axes for number in found.groups())
 

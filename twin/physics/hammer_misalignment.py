@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class HammerMisalignment(Effect):
-    """Acts on one hammer degree of freedom; the other axes are the next two in the order x, y, z, x, y."""
+    """Acts on one hammer degree of freedom; turned about the two other axes in the order x, y, z."""
 
     name = "hammer_misalignment"
     sites = ("hammer:LABEL",)
@@ -23,8 +23,8 @@ class HammerMisalignment(Effect):
         for column in chain.excitations(site):
             direction = chain.excitation_direction[column]
             along = int(np.argmax(np.abs(direction)))
-            for step, angle in enumerate(values["angles"], start=1):
-                axis = np.eye(3)[(along + step) % 3]
+            others = np.delete(np.eye(3), along, axis=0)
+            for axis, angle in zip(others, values["angles"], strict=True):
                 direction = (
                     direction * np.cos(angle)
                     + np.cross(axis, direction) * np.sin(angle)

@@ -32,9 +32,11 @@ class Hysteresis(Effect):
         return None
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        joint = mechanism.motor(axis_of(site)) or mechanism.joint(site)
+        axis = axis_of(site)
+        joint = mechanism.motor(axis) or mechanism.joint(site)
         if joint is None:
             return
+        start = 0.0 if joint.elastic else float(mechanism.q[axis])  # unslipped where the motion begins
         for number, (stiffness, torque) in enumerate(zip(values["stiffness"], values["yield_torque"], strict=True)):
             if stiffness > 0 and torque > 0:
                 mechanism.tendon(
@@ -42,6 +44,7 @@ class Hysteresis(Effect):
                     {joint.name: 1.0},
                     stiffness=stiffness,
                     springyield=torque / stiffness,
+                    springlength=(start, start),
                 )
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:

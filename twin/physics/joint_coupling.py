@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.physics.effect import Effect, Parameter, Values, axis_of
 
 if TYPE_CHECKING:
@@ -49,9 +50,15 @@ class JointCoupling(Effect):
         driven, driving = mechanism.motor(axis_of(site)), mechanism.motor(axis_of(values["from"]))
         if driven and driving:
             viscous, coulomb = values["friction"]
-            driving.armature = max(0.0, driving.armature - values["inertia"])
-            driving.damping[0] = max(0.0, driving.damping[0] - viscous)
-            driving.frictionloss = max(0.0, driving.frictionloss - coulomb)
+            own = (driving.armature, driving.damping[0], driving.frictionloss)
+            if any(
+                part > whole * (1 + 1e-9)
+                for part, whole in zip((values["inertia"], viscous, coulomb), own, strict=True)
+            ):
+                message = f"{values['from']} has less inertia or friction than turns with {site} too"
+                raise InputError(mechanism.robot.name, f"joint_coupling@{site}", message)
+            driving.armature = max(0.0, own[0] - values["inertia"])
+            driving.damping[0], driving.frictionloss = max(0.0, own[1] - viscous), max(0.0, own[2] - coulomb)
             mechanism.tendon(
                 f"{site}.coupling",
                 {driving.name: 1.0, driven.name: values["ratio"]},

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of
 
 if TYPE_CHECKING:
@@ -29,21 +30,23 @@ class ServoCompliance(Effect):
     order = 1
     sprung = True
 
+    def complete(self, robot: "Robot", site: str, given: Values) -> Values:
+        drive = robot.drives[axis_of(site)]
+        return {"inertia": drive.gear_ratio**2 * drive.rotor_inertia} | dict(given)
+
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         i = axis_of(site)
+        rotor = mechanism.motor(i)
         if mechanism.drives == "servo":
             mechanism.servo_gains[i] = (values["stiffness"], values["damping"])
         elif mechanism.drives == "held" and mechanism.brakes == "off":
-            drive = mechanism.robot.drives[i]
-            rotor = mechanism.spring(
-                f"motor{i + 1}",
-                site,
-                UNIT_VECTORS["z"],
-                values["stiffness"],
-                values["damping"],
-                mechanism.axis_kind(i),
-            )
-            rotor.armature = values["inertia"] or drive.gear_ratio**2 * drive.rotor_inertia
+            stiffness, damping, kind = values["stiffness"], values["damping"], mechanism.axis_kind(i)
+            rotor = mechanism.spring(f"motor{i + 1}", site, UNIT_VECTORS["z"], stiffness, damping, kind)
+        if rotor:
+            if values["inertia"] <= 0:
+                where = f"drives[{i}].rotor_inertia"
+                raise InputError(mechanism.robot.name, where, f"servo_compliance at {site} needs the rotor's inertia")
+            rotor.armature = values["inertia"]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """Five times the gear's stiffness, 5 % damped on the rotor; only where a rotor has inertia."""

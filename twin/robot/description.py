@@ -3,6 +3,7 @@
 The schema of ``robot.yaml``; its keys, units and defaults are the fields below. ``docs/robot.md`` explains them.
 """
 
+import re
 import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
 from twin.errors import InputError
 from twin.physics import CATALOGUE
@@ -188,7 +189,7 @@ class Entry(BaseModel):
     @property
     def values(self) -> dict[str, Any]:
         """The parameters, defaults filled in."""
-        given = dict(self.model_extra or {})
+        given = {name: value for name, value in (self.model_extra or {}).items() if value is not None}
         for parameter in CATALOGUE[self.effect].parameters:
             if parameter.optional and parameter.name not in given:
                 given[parameter.name] = [parameter.null] * parameter.length if parameter.length > 0 else parameter.null
@@ -250,6 +251,16 @@ class Robot(Data):
     physics: list[Entry] = []
     priors: list[Prior] = []
     tolerances: Tolerances = Tolerances()
+    _path: Path | None = PrivateAttr(None)
+
+    @property
+    def path(self) -> Path | None:
+        """The file it was loaded from."""
+        return self._path
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both say the same, wherever they were read from."""
+        return isinstance(other, Robot) and self.__dict__ == other.__dict__
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -265,6 +276,10 @@ class Robot(Data):
         bodies = {"base", *(f"link{i + 1}" for i in range(n))}
         labels = [point.label for point in self.test_points]
         for k, point in enumerate(self.test_points):
+            if not re.fullmatch(r"\d+[XYZ][+-]", point.label):
+                raise ValueError(
+                    f"test_points[{k}].label: expected node, axis and sign as in 21Z+, found {point.label!r}"
+                )
             if point.body not in bodies:
                 raise ValueError(
                     f"test_points[{k}].body: unknown body {point.body!r}; bodies are base, link1 … link{n}"
@@ -274,6 +289,8 @@ class Robot(Data):
         for label in self.accelerometers:
             if label not in labels:
                 raise ValueError(f"accelerometers: {label!r} is not the label of a test point")
+            if self.accelerometers.count(label) > 1:
+                raise ValueError(f"accelerometers: {label!r} appears twice")
         for i, drive in enumerate(self.drives):
             for name in drive.coupling:
                 if name not in self.joint_names or name == f"joint{i + 1}":
@@ -341,7 +358,8 @@ class Robot(Data):
 
     def values(self, entry: Entry) -> dict[str, Any]:
         """The parameters of an entry: as given, completed from the rest of the description, null where left out."""
-        completed = CATALOGUE[entry.effect].complete(self, entry.site, dict(entry.model_extra or {}))
+        given = {name: value for name, value in (entry.model_extra or {}).items() if value is not None}
+        completed = CATALOGUE[entry.effect].complete(self, entry.site, given)
         return Entry(effect=entry.effect, site=entry.site, **completed).values
 
     def without(self, removals: Iterable[str]) -> "Robot":
@@ -355,12 +373,14 @@ class Robot(Data):
             effect, _, site = removal.partition("@")
             try:
                 _check_effect(effect)
-                if site:
+                if "@" in removal:
                     _check_site(effect, site, len(self.axes))
             except ValueError as error:
                 raise InputError("--without", removal, str(error)) from error
             entries = [e for e in entries if not (e.effect == effect and site in ("", e.site))]
-        return self.model_copy(update={"physics": entries})
+        gone = {e.site for e in self.physics} - {e.site for e in entries}
+        priors = [prior for prior in self.priors if prior.parameter.rpartition(".")[0] not in gone]
+        return self.model_copy(update={"physics": entries, "priors": priors})
 
 
 def check_entry(entry: Entry, axes: int, where: str) -> None:
@@ -376,7 +396,7 @@ def check_entry(entry: Entry, axes: int, where: str) -> None:
         if name not in known:
             raise ValueError(f"{where}.{name}: unknown parameter; {entry.effect} takes {', '.join(known)}")
     for name, parameter in known.items():
-        if name in given:
+        if given.get(name) is not None:
             if problem := parameter.check(given[name]):
                 raise ValueError(f"{where}.{name}: {problem}")
             others = [f"joint{i + 1}" for i in range(axes) if f"joint{i + 1}" != entry.site]
@@ -467,8 +487,11 @@ def load_robot(name: str | Path, relative_to: str | Path | None = None) -> Robot
     if path.suffix.lower() in (".urdf", ".xml"):
         from twin.robot.urdf import import_urdf
 
-        return import_urdf(path)
+        robot = import_urdf(path)
+        robot._path = path
+        return robot
     robot = parse_robot(read_yaml(path), path)
+    robot._path = path
     meshes: list[Link | Drive | Base] = [*robot.links, *robot.drives, robot.base]
     for holder in meshes:
         if holder.mesh is not None:
@@ -481,6 +504,8 @@ def load_robot(name: str | Path, relative_to: str | Path | None = None) -> Robot
 
 
 def _find_mesh(mesh: str, description: Path) -> Path:
+    if Path(mesh).suffix.lower() not in (".stl", ".obj", ".dae"):
+        raise InputError(description, "mesh", f"{mesh}: expected an STL, OBJ or DAE file")
     for folder in (description.parent, SHIPPED):
         if (folder / mesh).is_file():
             return (folder / mesh).resolve()
@@ -490,6 +515,9 @@ def _find_mesh(mesh: str, description: Path) -> Path:
 def save_robot(path: str | Path, robot: Robot) -> None:
     """Write a description that :func:`load_robot` reads back, with every documented key present."""
     data = robot.model_dump(mode="json")
+    for entry in data["physics"]:
+        for parameter in CATALOGUE[entry["effect"]].parameters:
+            entry.setdefault(parameter.name, None)
     for holder in (*data["links"], *data["drives"], data["base"]):
         if holder.get("mesh"):
             mesh = Path(holder["mesh"])

@@ -48,6 +48,18 @@ class Joint:
     dead_zone: float = 0.0
     range: tuple[float, float] | None = None
 
+    def rest(self, torque: float) -> float:
+        """Deflection (rad, m) at which the spring carries a torque: k₁x + k₂x² + k₃x³ = torque, the dead zone aside."""
+        k1, k2, k3 = self.stiffness
+        if k1 == 0:
+            return 0.0
+        rest = torque / k1
+        if k2 or k3:
+            roots = np.roots([k3, k2, k1, -torque])
+            real = roots[np.abs(roots.imag) < 1e-9 * max(1.0, abs(rest))].real
+            rest = float(real[np.argmin(np.abs(real - rest))])
+        return rest
+
 
 @dataclass
 class Body:
@@ -147,8 +159,12 @@ class Mechanism:
         return None
 
     def motor(self, axis: int) -> Joint | None:
-        """The rotor's coordinate of a zero-based axis, or ``None`` while it is held."""
-        return self.joint(f"motor{axis + 1}")
+        """The rotor's coordinate of a zero-based axis, or ``None`` while it is held or rests on its servo's spring.
+
+        Friction, ripple and the compensator act on moving drives: they matter for torque, not for the modes.
+        """
+        joint = next(iter(self.bodies[f"motor{axis + 1}"].joints), None)
+        return joint if joint is not None and not joint.elastic else None
 
     @property
     def joints(self) -> list[Joint]:
@@ -189,9 +205,9 @@ class Mechanism:
         self.bodies[name] = Body(name, carrier, position - self.offset(carrier), IDENTITY.copy(), mass, inertia=ball)
         return name
 
-    def tendon(self, name: str, joints: dict[str, float], **options: float) -> None:
+    def tendon(self, name: str, joints: dict[str, float], **options: Any) -> None:
         """Add a fixed tendon; options are the fields of :class:`Tendon`."""
-        self.tendons.append(Tendon(name, joints, **options))  # type: ignore[arg-type]
+        self.tendons.append(Tendon(name, joints, **options))
 
     def passive_motor(self, name: str, joint: str, **options: tuple[float, ...]) -> None:
         """Add cogging or LuGre friction to a joint; options are the fields of :class:`PassiveMotor`."""

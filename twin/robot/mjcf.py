@@ -3,6 +3,7 @@
 import ctypes
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -84,6 +85,9 @@ def build_spec(
         fixed.stiffness, fixed.damping = [tendon.stiffness, 0, 0], [tendon.damping, 0, 0]
         fixed.springlength, fixed.springyield = tendon.springlength, tendon.springyield
         fixed.armature, fixed.frictionloss = tendon.armature, tendon.frictionloss
+    for joint in mechanism.joints:
+        if joint.dead_zone:
+            _add_dead_band(spec, joint)
     _add_drives(spec, mechanism)
     if instruments:
         _add_instruments(spec, mechanism)
@@ -92,18 +96,54 @@ def build_spec(
     return spec
 
 
-def save_mjcf(path: str | Path, spec: mujoco.MjSpec) -> None:
+def save_mjcf(path: str | Path, spec: mujoco.MjSpec, *, copy_meshes: bool = True) -> None:
     """Write the spec as an XML file that any MuJoCo loads, at 12 significant digits.
 
-    Meshes are referenced relative to the file.
+    Args:
+        path: the file.
+        spec: from :func:`build_spec`.
+        copy_meshes: into ``assets`` beside the file, so that the folder can be moved; otherwise they are referenced
+            where they lie, relative to the file.
     """
     path = Path(path).resolve()
     with _xml_precision(17):
         text = spec.to_xml()
-    text = re.sub(r"(?<=[\s\"])-?\d+\.?\d*(?:e[-+]?\d+)?(?=[\s\"])", lambda n: _short(float(n.group())), text)
-    text = re.sub(r'file="([^"]+)"', lambda f: f'file="{os.path.relpath(f.group(1), path.parent)}"', text)
+
+    def numbers(found: re.Match[str]) -> str:
+        name, value = found.groups()
+        if name not in _NAMES:
+            value = re.sub(r"(?<!\S)-?\d+\.?\d*(?:e[-+]?\d+)?(?!\S)", lambda n: _short(float(n.group())), value)
+        return f'{name}="{value}"'
+
+    def mesh(found: re.Match[str]) -> str:
+        name, between, file = found.groups()
+        target = Path(file)
+        if copy_meshes:
+            target = path.parent / "assets" / f"{name}{target.suffix}"
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, target)
+        return f'<mesh name="{name}"{between} file="{os.path.relpath(target, path.parent)}"'
+
+    text = re.sub(r'(\w+)="([^"]*)"', numbers, text)
+    text = re.sub(r'<mesh name="([^"]*)"([^>]*) file="([^"]*)"', mesh, text)
     with atomic_write(path) as stream:
         stream.write(text)
+
+
+_NAMES = {
+    "name",
+    "model",
+    "class",
+    "childclass",
+    "site",
+    "joint",
+    "mesh",
+    "target",
+    "objname",
+    "tendon",
+    "body",
+    "file",
+}
 
 
 def _short(value: float) -> str:
@@ -169,22 +209,22 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
         if joint.range is not None:
             added.range = joint.range
     if body.mesh and visual:
-        name = Path(body.mesh).stem
-        if not spec.mesh(name):
-            mesh = spec.add_mesh(name=name, scale=[body.mesh_scale] * 3)
-            if Path(body.mesh).suffix.lower() == ".dae":  # a format MuJoCo does not read
-                import trimesh
+        mesh = spec.add_mesh(name=body.name, scale=[body.mesh_scale] * 3)
+        if Path(body.mesh).suffix.lower() == ".dae":  # a format MuJoCo does not read
+            import trimesh
 
-                shape = trimesh.load_mesh(body.mesh)
-                mesh.uservert, mesh.userface = shape.vertices.ravel(), shape.faces.ravel()
-            else:
-                mesh.file = body.mesh
-        item.add_geom(spec.find_default(body.kind), meshname=name)
+            shape = trimesh.load_mesh(body.mesh)
+            mesh.uservert, mesh.userface = shape.vertices.ravel(), shape.faces.ravel()
+        else:
+            mesh.file = body.mesh
+        item.add_geom(spec.find_default(body.kind), meshname=body.name)
     return item
 
 
 def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
     for passive in mechanism.passive_motors:
+        if any(passive.lugre) and mechanism.drives != "servo":
+            continue  # bristles are states: they are for stepping, and would keep a model from being linearised
         motor = spec.add_actuator(name=passive.name, target=passive.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_dcmotor(
             motorconst=[1e-9, 0.0],
@@ -238,21 +278,24 @@ def _balance(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
     addresses = {joint.name: model.joint(joint.name).qposadr[0] for joint in mechanism.joints}
     qpos = np.zeros(model.nq)
     for i, value in enumerate(mechanism.q):
-        if (motor := mechanism.motor(i)) is not None and not motor.elastic:
+        if (motor := mechanism.motor(i)) is not None:
             qpos[addresses[motor.name]] = value
     data.qpos[:] = qpos
     if mechanism.drives == "servo":
         for i, value in enumerate(mechanism.q):
             data.ctrl[model.actuator_ctrladr[model.actuator(f"motor{i + 1}").id]] = value
     mujoco.mj_forward(model, data)
+    missing = data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator
     for joint in springs:
-        torque = float(data.qfrc_bias[model.joint(joint.name).dofadr[0]])
+        # what else is passive there (cable, compensator on a freed rotor) carries its share
+        torque = float(missing[model.joint(joint.name).dofadr[0]])
+        rest, half = joint.rest(torque), joint.dead_zone / 2
         if joint.dead_zone:
-            _dead_band(spec, joint, torque)
+            centre = rest + np.sign(torque) * half
+            spec.tendon(f"{joint.name}.gap").springlength = (centre - half, centre + half)
         else:
-            spec.joint(joint.name).springref = _rest(joint, torque)
+            spec.joint(joint.name).springref = rest
     if mechanism.drives == "servo":
-        missing = data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator
         ctrl = np.zeros(model.nu)
         for i, value in enumerate(mechanism.q):
             servo = model.actuator(f"motor{i + 1}").id
@@ -261,25 +304,9 @@ def _balance(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
         spec.add_key(name="posture", qpos=qpos, ctrl=ctrl)
 
 
-def _rest(joint: Joint, torque: float) -> float:
-    """Rest position (rad, m) at which the spring at zero deflection balances a bias torque: k(−ref) = −torque."""
-    k1, k2, k3 = joint.stiffness
-    if k1 == 0:
-        return 0.0
-    rest = torque / k1
-    if k2 or k3:
-        roots = np.roots([k3, -k2, k1, -torque])
-        real = roots[np.abs(roots.imag) < 1e-9 * max(1.0, abs(rest))].real
-        rest = float(real[np.argmin(np.abs(real - rest))])
-    return rest
-
-
-def _dead_band(spec: mujoco.MjSpec, joint: Joint, torque: float) -> None:
-    """Replace the hinge's spring by a fixed tendon with a dead band, loaded by ``torque`` at zero deflection."""
+def _add_dead_band(spec: mujoco.MjSpec, joint: Joint) -> None:
+    """The hinge's spring as a fixed tendon with a dead band; the damper stays on the hinge."""
     tendon = spec.add_tendon(name=f"{joint.name}.gap")
     tendon.wrap_joint(joint.name, 1.0)
     tendon.stiffness = joint.stiffness
-    rest = _rest(joint, torque)
-    half = joint.dead_zone / 2
-    centre = rest + np.sign(torque) * half
-    tendon.springlength = (centre - half, centre + half)
+    tendon.springlength = (-joint.dead_zone / 2, joint.dead_zone / 2)

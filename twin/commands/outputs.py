@@ -1,0 +1,59 @@
+"""The output folder of a command: checked before anything is computed, filled only when everything is there."""
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from types import TracebackType
+
+from twin.errors import InputError
+
+
+def check_out(out: Path | None) -> None:
+    """Raise before the work starts what would spoil it at the end.
+
+    Raises:
+        InputError: the folder cannot be made or written to.
+    """
+    if out is None:
+        return
+    if out.exists() and not out.is_dir():
+        raise InputError("--out", str(out), "is a file; expected a folder")
+    parent = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        raise InputError("--out", str(out), f"cannot be written: no permission in {parent}")
+
+
+class Outputs:
+    """Context manager: files are written beside the folder and moved into it when all went well.
+
+    Attributes:
+        files: where the files will be, in the order they were asked for.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.files: list[str] = []
+
+    def __enter__(self) -> "Outputs":
+        parent = self.out.absolute().parent
+        parent.mkdir(parents=True, exist_ok=True)
+        self.stage = Path(tempfile.mkdtemp(dir=parent, prefix=f".{self.out.name}."))
+        return self
+
+    def __call__(self, name: str) -> Path:
+        """Path to write a file of that name to."""
+        self.files.append(str(self.out / name))
+        return self.stage / name
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                for file in sorted(path for path in self.stage.rglob("*") if path.is_file()):
+                    target = self.out / file.relative_to(self.stage)
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    os.replace(file, target)
+        finally:
+            shutil.rmtree(self.stage, ignore_errors=True)
