@@ -50,7 +50,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ("postures: {a: {q_deg: [0], modes: [{frequency_hz: -1}]}}", "frequency_hz: expected Hz above 0"),
         ("postures: {a: {q_deg: [0], modes: [{frequency_hz: 9, damping_percent: .nan}]}}", "damping_percent: expected"),
         ("postures: {a: {q_deg: [0], modes: [{frequency_hz: 9, shape: {21Z+: 1}}]}}", r"21Z\+: expected \[re, im\]"),
-        ("postures: {a: ", "expected YAML"),
+        ("postures: {a: ", "not valid YAML"),
     ],
 )
 def test_a_broken_table_is_one_line(tmp_path: Path, text: str, message: str) -> None:

@@ -21,9 +21,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import typer
 
+from twin.files import writing
 from twin.robot.description import SHIPPED, Link, Robot, load_robot
 from twin.robot.frames import inertia_matrix, inertia_six
-from twin.yamlfile import atomic_write
 
 OUT = SHIPPED / "kr90_identified.yaml"
 LINK_1, LINK_2 = 0.35, 1.35  # a1, a2: m
@@ -325,7 +325,7 @@ def _filled(chapter: str, key: str, values: list) -> str:
 def main(out: Annotated[Path, typer.Option(help="where the description is written")] = OUT) -> None:
     """Write kr90_identified.yaml and print how far it is from Table A1."""
     robot = identified(load_robot("kr90"))
-    with atomic_write(out) as stream:
+    with writing(out) as stream:
         stream.write(described(robot, (SHIPPED / "kr90.yaml").read_text(encoding="utf-8")))
     print("\n".join(statement(robot)))
 

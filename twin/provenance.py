@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import twin
-from twin.yamlfile import atomic_write
+from twin.files import writing
 
 
 def provenance(inputs: Iterable[str | Path], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -18,7 +18,7 @@ def provenance(inputs: Iterable[str | Path], options: Mapping[str, Any]) -> dict
 
 def write_json(path: str | Path, data: Mapping[str, Any]) -> None:
     """Write plain data as indented JSON, atomically."""
-    with atomic_write(path) as stream:
+    with writing(path) as stream:
         stream.write(to_json(data) + "\n")
 
 

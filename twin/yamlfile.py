@@ -1,7 +1,6 @@
 """YAML 1.2 in and out: ``6.1e6`` and ``2e-4`` are numbers, ``on`` is a word; files are written whole or not at all."""
 
-import os
-import tempfile
+import json
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from ruamel.yaml.error import YAMLError
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from twin.errors import InputError
+from twin.files import writing
 
 # Words that YAML 1.1 readers would take for booleans; quoted on writing so that every reader agrees.
 _YAML_1_1_BOOLEANS = {"on", "off", "yes", "no", "y", "n", "true", "false"}
@@ -26,12 +26,15 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     try:
         with path.open(encoding="utf-8") as stream:
             data = YAML(typ="safe", pure=True).load(stream)
+        json.dumps(data, default=str)  # refuses what holds itself
     except OSError as error:
         raise InputError(path, "", f"cannot be read ({error.strerror})") from error
     except (YAMLError, UnicodeDecodeError) as error:
         problem = getattr(error, "problem", None) or "not text in UTF-8"
         mark = getattr(error, "problem_mark", None)
         raise InputError(path, f"line {mark.line + 1}" if mark else "", f"not valid YAML: {problem}") from error
+    except (RecursionError, ValueError, TypeError) as error:
+        raise InputError(path, "", "not valid YAML: nested without end, or a value that is none") from error
     if not isinstance(data, dict):
         raise InputError(path, "", "expected a mapping of keys to values at the top level")
     return data
@@ -48,29 +51,8 @@ def write_yaml(path: str | Path, data: dict[str, Any]) -> None:
     writer.indent(mapping=2, sequence=4, offset=2)
     writer.representer.add_representer(float, _represent_float)
     writer.representer.add_representer(type(None), _represent_none)
-    with atomic_write(path) as stream:
+    with writing(path) as stream:
         writer.dump(_styled(data), stream)
-
-
-class atomic_write:
-    """Context manager: a text stream beside ``path`` that replaces it only when all went well."""
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-
-    def __enter__(self) -> Any:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        handle, self.aside = tempfile.mkstemp(dir=self.path.parent, prefix=f".{self.path.name}.")
-        os.fchmod(handle, 0o644)
-        self.stream = os.fdopen(handle, "w", encoding="utf-8")
-        return self.stream
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        self.stream.close()
-        if kind is None:
-            os.replace(self.aside, self.path)
-        else:
-            os.unlink(self.aside)
 
 
 def _styled(value: Any) -> Any:

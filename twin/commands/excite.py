@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from twin.commands.simulate import Progress
+from twin.files import writing
 from twin.identify.excitation import Criterion, Excitation, Limits, excite, violation
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot
-from twin.yamlfile import atomic_write
 
 SPLINE_POINTS = 100  # of a KRL spline block, per period
 
@@ -168,7 +168,7 @@ def _write(result: Excitations, out: Path, periods: int, rate: float, krl: bool)
         runs[stem] = trajectory_run(stem, e, periods, rate)
         write_motion_log(name(f"{stem}.csv"), MotionLog({stem: runs[stem]}))
         if krl:
-            with atomic_write(name(f"{stem}.src")) as stream:
+            with writing(name(f"{stem}.src")) as stream:
                 stream.write(krl_program(stem, e, periods))
         title = f"{result.robot.name}, trajectory {k}: condition number {e.condition:.1f}"
         save(motion_figures.excitation(result.robot, e, title), name(f"{stem}.png"))

@@ -5,11 +5,8 @@ is e^{+iωt}; every frequency response function (FRF) is SI per newton. What the
 :func:`check_campaign`, once, whichever format it came from.
 """
 
-import os
 import re
-import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -19,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.errors import InputError
+from twin.files import replacing
 
 FORMAT, VERSION = "frf-campaign", 1
 
@@ -489,7 +487,7 @@ def _read_posture(name: str, node: _Node) -> PostureFRF:
     if node.has("coherence"):
         coherence = node.real("coherence")
         averages = node.dataset("coherence").number("averages", averages)
-    if averages is not None and averages != int(averages):
+    if averages is not None and not averages.is_integer():
         raise node.fail(f"{node.field}/coherence: averages", f"expected a whole number, found {averages:g}")
     brakes: Any = node.text("brakes")
     return PostureFRF(
@@ -519,24 +517,6 @@ def _read_hits(node: _Node) -> Hits:
         windowed=bool(node.number("windowed", 0.0)),
         exponential_window_rate=node.number("exponential_window_rate") or 0.0,
     )
-
-
-@contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """A scratch path beside ``path`` that takes its place when the block ends, and vanishes when it fails."""
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise InputError(path, "", f"expected an existing folder, {path.parent} is none")
-    handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    try:
-        yield Path(scratch)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(scratch, 0o666 & ~umask)
-        os.replace(scratch, path)
-    finally:
-        Path(scratch).unlink(missing_ok=True)
 
 
 def write_campaign(path: str | Path, campaign: Campaign) -> None:

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.error import YAMLError
 
 from twin.errors import InputError
-from twin.measure.campaign import FloatArray, replacing
+from twin.files import writing
+from twin.measure.campaign import FloatArray
 from twin.measure.modal import ModalResult
+from twin.yamlfile import read_yaml
 
 
 @dataclass(frozen=True)
@@ -65,14 +66,8 @@ class ModalTable:
 def read_modal_table(path: str | Path) -> ModalTable:
     """Read and check a modal table; :class:`InputError` says what it lacks."""
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "", "expected a file, there is none")
-    try:
-        # Pure Python: the C parser is a YAML 1.1 one, for which 2e-4 is a word and on is true.
-        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise InputError(path, "", f"expected YAML: {error}") from None
-    if not isinstance(content, dict) or not isinstance(content.get("postures"), dict) or not content["postures"]:
+    content = read_yaml(path)
+    if not isinstance(content.get("postures"), dict) or not content["postures"]:
         raise InputError(path, "postures", "expected a mapping of posture names to q_deg and modes")
     robot = content.get("robot")
     return ModalTable(
@@ -139,7 +134,7 @@ def write_modal_table(path: str | Path, table: ModalTable) -> None:
         content["postures"][name] = CommentedMap({"q_deg": q, "modes": modes})
     yaml = YAML()
     yaml.width = 10**6
-    with replacing(path) as scratch, scratch.open("w", encoding="utf-8") as file:
+    with writing(path) as file:
         yaml.dump(content, file)
 
 

@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 
 from twin.errors import InputError
-from twin.measure.campaign import FloatArray, replacing
+from twin.files import replacing, writing
+from twin.measure.campaign import FloatArray
 from twin.measure.signals import resample
-from twin.yamlfile import atomic_write
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -315,7 +315,7 @@ def _write_csv(path: Path, log: MotionLog) -> None:
     if run.torque is not None:
         names += [f"tau{i + 1}" for i in range(n)]
         columns.append(run.torque)
-    with atomic_write(path) as stream:
+    with writing(path) as stream:
         np.savetxt(stream, np.hstack(columns), delimiter=",", header=",".join(names), comments="", fmt="%.12g")
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import pyuff
 
 from twin.errors import InputError
+from twin.files import replacing
 from twin.measure.campaign import (
     Campaign,
     Channels,
@@ -25,7 +26,6 @@ from twin.measure.campaign import (
     Quantity,
     check_campaign,
     check_unit,
-    replacing,
 )
 from twin.measure.modal import ModalResult
 from twin.measure.modal_table import TableMode

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jinja2 import Environment
 
-from twin.yamlfile import atomic_write
+from twin.files import writing
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -70,7 +70,7 @@ def write_html(path: str | Path, title: str, lead: str, sections: Sequence[Secti
         for section in sections
     ]  # fmt: skip
     page = Environment(autoescape=True).from_string(_PAGE)
-    with atomic_write(path) as stream:
+    with writing(path) as stream:
         stream.write(page.render(title=title, lead=lead, sections=content, footer=footer))
 
 

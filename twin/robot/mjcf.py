@@ -11,9 +11,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from twin.files import writing
 from twin.robot.frames import inertia_six, quaternion_of
 from twin.robot.mechanism import Body, Joint, Mechanism
-from twin.yamlfile import atomic_write
 
 TIMESTEP_S = 0.001
 EQUIVALENT_HZ = 15.0
@@ -126,7 +126,7 @@ def save_mjcf(path: str | Path, spec: mujoco.MjSpec, *, copy_meshes: bool = True
 
     text = re.sub(r'(\w+)="([^"]*)"', numbers, text)
     text = re.sub(r'<mesh name="([^"]*)"([^>]*) file="([^"]*)"', mesh, text)
-    with atomic_write(path) as stream:
+    with writing(path) as stream:
         stream.write(text)
 
 
