@@ -1,13 +1,15 @@
 """From hammer hits to FRFs: rejection, windows, estimators, checks."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from twin.errors import InputError
-from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF
+from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, read_campaign, write_campaign
 from twin.measure.modal import identify_modes
 from twin.measure.spectra import (
     driving_points,
@@ -17,6 +19,7 @@ from twin.measure.spectra import (
     posture_from_hits,
     reciprocity,
     spectra,
+    with_frfs,
 )
 
 F, ZETA = np.array([10.0, 11.69, 11.83, 19.2, 23.7]), np.array([1.4, 0.9, 0.8, 0.5, 0.8]) / 100
@@ -211,3 +214,14 @@ def test_linearity_over_force_levels_is_one_for_a_linear_structure() -> None:
     assert not check.passed
     assert check.value > 20
     assert linearity(campaign(low)) == []
+
+
+def test_a_posture_of_hits_alone_is_read_and_gets_its_frfs(tmp_path: Path) -> None:
+    posture, _ = posture_from_hits("test", np.zeros(3), "on", hits(duration=4))
+    write_campaign(tmp_path / "hits.h5", campaign(posture))
+    with h5py.File(tmp_path / "hits.h5", "r+") as file:
+        for name in ("frf", "frequency", "coherence"):
+            del file[f"postures/test/{name}"]
+    found, tables = with_frfs(read_campaign(tmp_path / "hits.h5"))
+    np.testing.assert_array_equal(found.postures["test"].frf, posture.frf)
+    assert str(tables["test"]) == "9 of 9 hits accepted"

@@ -10,9 +10,9 @@ import numpy as np
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
-from twin.measure.campaign import Campaign, PostureFRF, read_campaign
+from twin.measure.campaign import Campaign, read_campaign
 from twin.measure.modal import Method, ModalResult, identify_modes, modal_report
-from twin.measure.spectra import Check, driving_points, linearity, posture_from_hits, reciprocity
+from twin.measure.spectra import Check, driving_points, linearity, reciprocity, with_frfs
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot
 
@@ -69,7 +69,16 @@ class ModalAnalysis:
 
 
 def read_recording(paths: Sequence[str | Path]) -> Campaign:
-    """One ``frf-campaign`` file, or one or several universal files that belong together.
+    """One ``frf-campaign`` file, or one or several universal files that belong together; FRFs from hits if need be.
+
+    Raises:
+        InputError: the files break the contract, or kinds are mixed.
+    """
+    return with_frfs(_read(paths), str(paths[0]))[0]
+
+
+def _read(paths: Sequence[str | Path]) -> Campaign:
+    """The files as they are.
 
     Raises:
         InputError: the files break the contract, or kinds are mixed.
@@ -115,18 +124,16 @@ def modal(
         InputError: bad input; nothing is written.
     """
     progress = progress or (lambda description, total: lambda count: None)
-    campaign = read_recording(paths)
+    campaign, tables = with_frfs(_read(paths), str(paths[0]))
     check_out(out)
     if not (fmin is None or np.isfinite(fmin)) or not (fmax is None or np.isfinite(fmax)) or max_order < 2:
         raise InputError("--fmin, --fmax, --max-order", "", "expected finite frequencies and an order of 2 or more")
     described, unknown = _robot(campaign, robot, without or [], Path(paths[0]).parent)
     source = str(paths[0])
     labels = campaign.response.label, campaign.excitation.label
-    found = ModalAnalysis(campaign, {})
+    found = ModalAnalysis(campaign, {}, tables=tables)
     tick = progress("modes", len(campaign.postures))
     for name, posture in campaign.postures.items():
-        if posture.frf.size == 0 and posture.hits is not None:
-            posture, found.tables[name] = _from_hits(posture, source)
         found.results[name] = identify_modes(
             posture, fmin, fmax, max_order, method=method, labels=labels, source=source
         )
@@ -152,11 +159,6 @@ def _robot(campaign: Campaign, robot: str | None, without: list[str], folder: Pa
         return load_robot(campaign.robot or "kr90", relative_to=folder).without(without), ""
     except InputError as error:
         return None, str(error)
-
-
-def _from_hits(posture: PostureFRF, source: str) -> tuple[PostureFRF, Any]:
-    assert posture.hits is not None
-    return posture_from_hits(posture.name, posture.q_deg, posture.brakes, posture.hits, source=source)
 
 
 def _write(found: ModalAnalysis, robot: Robot | None, name: Outputs) -> None:

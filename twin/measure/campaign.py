@@ -246,6 +246,10 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
     _check_array(source, f"{field}: q_deg", posture.q_deg, (None,))
     if posture.brakes not in (None, "on", "off"):
         raise InputError(source, f"{field}: brakes", f'expected "on" or "off", found {posture.brakes!r}')
+    if posture.hits is not None:
+        _check_hits(source, field, posture.hits, nr, ne)
+        if posture.frf.size == 0:
+            return
     frequency = posture.frequency
     _check_array(source, f"{field}/frequency", frequency, (None,))
     nf = frequency.size
@@ -280,22 +284,21 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
     if posture.peak_force_n is not None and not posture.peak_force_n > 0:
         raise InputError(source, f"{field}: peak_force_n", f"expected newtons above 0, found {posture.peak_force_n:g}")
     _check_rate(source, field, posture.exponential_window_rate)
-    if posture.hits is not None:
-        hits = posture.hits
-        _check_array(source, f"{field}/hits/force", hits.force, (ne, None, None), "excitation, hit, sample")
-        shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
-        _check_array(source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample")
-        if not (np.isfinite(hits.sample_rate_hz) and hits.sample_rate_hz > 0):
-            raise InputError(
-                source, f"{field}/hits: sample_rate_hz", f"expected Hz above 0, found {hits.sample_rate_hz:g}"
-            )
-        if not 0 <= hits.pretrigger_s < hits.force.shape[2] / hits.sample_rate_hz:
-            raise InputError(
-                source,
-                f"{field}/hits: pretrigger_s",
-                f"expected seconds within the record, found {hits.pretrigger_s:g}",
-            )
-        _check_rate(source, f"{field}/hits", hits.exponential_window_rate)
+
+
+def _check_hits(source: str | Path, field: str, hits: Hits, nr: int, ne: int) -> None:
+    _check_array(source, f"{field}/hits/force", hits.force, (ne, None, None), "excitation, hit, sample")
+    shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
+    _check_array(source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample")
+    if not (np.isfinite(hits.sample_rate_hz) and hits.sample_rate_hz > 0):
+        raise InputError(source, f"{field}/hits: sample_rate_hz", f"expected Hz above 0, found {hits.sample_rate_hz:g}")
+    if not 0 <= hits.pretrigger_s < hits.force.shape[2] / hits.sample_rate_hz:
+        raise InputError(
+            source,
+            f"{field}/hits: pretrigger_s",
+            f"expected seconds within the record, found {hits.pretrigger_s:g}",
+        )
+    _check_rate(source, f"{field}/hits", hits.exponential_window_rate)
 
 
 def _check_rate(source: str | Path, field: str, rate: float) -> None:
@@ -477,6 +480,11 @@ def _read_posture(name: str, node: _Node) -> PostureFRF:
         q_deg = np.atleast_1d(np.asarray(node.item.attrs["q_deg"], dtype=np.float64))
     except (TypeError, ValueError):
         raise node.fail(f"{node.field}: q_deg", f"expected numbers, found {node.attribute('q_deg')!r}") from None
+    hits = _read_hits(node.group("hits")) if node.has("hits") else None
+    brakes: Any = node.text("brakes")
+    if hits is not None and not node.has("frf"):  # time records alone
+        empty = np.zeros((0, hits.response.shape[2] if hits.response.ndim == 4 else 0, len(hits.force)))
+        return PostureFRF(name, q_deg, brakes, np.zeros(0), empty.astype(complex), "accelerance", hits=hits)
     frf = node.dataset("frf")
     quantity: Any = frf.text("quantity")
     if quantity is None:
@@ -489,7 +497,6 @@ def _read_posture(name: str, node: _Node) -> PostureFRF:
         averages = node.dataset("coherence").number("averages", averages)
     if averages is not None and not averages.is_integer():
         raise node.fail(f"{node.field}/coherence: averages", f"expected a whole number, found {averages:g}")
-    brakes: Any = node.text("brakes")
     return PostureFRF(
         name=name,
         q_deg=q_deg,
@@ -501,7 +508,7 @@ def _read_posture(name: str, node: _Node) -> PostureFRF:
         averages=None if averages is None else int(averages),
         peak_force_n=node.number("peak_force_n"),
         exponential_window_rate=node.number("exponential_window_rate") or 0.0,
-        hits=_read_hits(node.group("hits")) if node.has("hits") else None,
+        hits=hits,
     )
 
 

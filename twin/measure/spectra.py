@@ -6,7 +6,7 @@ later estimate is free of it.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -273,6 +273,17 @@ def posture_from_hits(
         hits=hits,
     )
     return posture, found.table
+
+
+def with_frfs(campaign: Campaign, source: str = "") -> tuple[Campaign, dict[str, HitTable]]:
+    """A campaign whose postures all hold FRFs, and for each that held time records alone which hits counted."""
+    postures, tables = dict(campaign.postures), {}
+    for name, posture in postures.items():
+        if posture.frf.size == 0 and posture.hits is not None:
+            postures[name], tables[name] = posture_from_hits(
+                name, posture.q_deg, posture.brakes, posture.hits, source=source
+            )
+    return (replace(campaign, postures=postures) if tables else campaign), tables
 
 
 # --- checks -----------------------------------------------------------------------------------------------
