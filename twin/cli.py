@@ -41,6 +41,7 @@ Without = Annotated[
 Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for everything that is written.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else on standard output.")]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
+NoSeed = Annotated[int, typer.Option("--seed", help="Taken as everywhere; nothing here is random.")]
 
 
 @app.callback()
@@ -96,6 +97,7 @@ def modal(
     method: Annotated[str, typer.Option(help="Estimator of the chart: plscf or lsce (the paper's).")] = "plscf",
     out: Out = None,
     json: Json = False,
+    seed: NoSeed = 0,
 ) -> None:
     """Modes of a measured hammer test, with standard deviations, not told how many.
 
@@ -220,6 +222,7 @@ def identify(
     weighting: Annotated[str, typer.Option(help="joint (by each joint's noise) or none.")] = "joint",
     out: Out = None,
     json: Json = False,
+    seed: NoSeed = 0,
 ) -> None:
     """Inertial, rotor, friction and compensator parameters from torque logs, with intervals.
 
@@ -257,6 +260,7 @@ def compare(
     ] = False,
     out: Out = None,
     json: Json = False,
+    seed: NoSeed = 0,
 ) -> None:
     """The error of a robot on recordings, without fitting it, split by posture or run, channel and band.
 
@@ -281,6 +285,8 @@ def view(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write a .rrd instead of opening a viewer.")
     ] = None,
+    json: Json = False,
+    seed: NoSeed = 0,
 ) -> None:
     """Look at modes, replays and robots in the rerun viewer.
 
@@ -289,7 +295,12 @@ def view(
     """
     from twin.commands.view import view as run
 
-    print(run(path, out, robot=robot, without=without))
+    said = run(path, out, robot=robot, without=without)
+    if json:
+        from twin.provenance import to_json
+
+        said = to_json({"shown": said})
+    print(said)
 
 
 @contextlib.contextmanager
