@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from twin.commands.identify import in_joints
+from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.identify.regressor import Regressor
@@ -109,6 +110,7 @@ def compare(
     Raises:
         InputError: bad input; nothing is written.
     """
+    check_out(out)
     progress = progress or (lambda description, total: lambda step: None)
     errors: dict[str, float] = {}
     parts: list[dict[str, Any]] = []
@@ -133,11 +135,11 @@ def compare(
     options = {"robot": robot, "without": without or [], "as_is": as_is, "low_pass": list(low_pass)}
     result.origin = provenance(recordings, options)
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        for path, loaded, found in logs:
-            _figures(result, found, loaded, out, Path(path).stem)
-        result.files.append(str(out / "compare.json"))
-        write_json(out / "compare.json", result.data())
+        with Outputs(out) as outputs:
+            result.files = outputs.files
+            for path, loaded, found in logs:
+                _figures(found, loaded, outputs, Path(path).stem)
+            write_json(outputs("compare.json"), result.data())
     return result
 
 
@@ -235,17 +237,15 @@ def _stepped(robot: Robot, run: Any, bands: Bands, rows: Rows, progress: Progres
     return smooth[:: round(run.sample_rate_hz / rows.rate_hz)]
 
 
-def _figures(result: Compared, found: LogComparison, robot: Robot, out: Path, stem: str) -> None:
+def _figures(found: LogComparison, robot: Robot, name: Outputs, stem: str) -> None:
     from twin.report.figures import replay, save
     from twin.report.motion_figures import axis_units
 
     for r, predicted in zip(found.rows, found.predicted, strict=True):
-        path = out / f"{stem}-{r.name}.png"
         measured = np.where(r.valid[:, None], r.torque + r.known, np.nan)
         shown = np.where(r.valid[:, None], predicted, np.nan)
         keep = r.valid
         save(
             replay(r.time[keep], measured[keep], shown[keep], shown[keep], robot.joint_names, axis_units(robot)[1]),
-            path,
+            name(f"{stem}-{r.name}.png"),
         )
-        result.files.append(str(path))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.files import writing
 from twin.identify.excitation import Criterion, Excitation, Limits, excite, violation
@@ -97,6 +98,7 @@ def excitations(
     Raises:
         InputError: bad input, or no trajectory within the limits.
     """
+    check_out(out)
     progress = progress or (lambda description, total: lambda step: None)
     loaded = load_robot(robot or "kr90").without(without or [])
     limits = Limits.of(loaded)
@@ -115,7 +117,9 @@ def excitations(
     inputs = [robot] if robot and Path(robot).is_file() else []
     result.origin = provenance(inputs, options)
     if out is not None:
-        _write(result, out, periods, sample_rate_hz, krl)
+        with Outputs(out) as outputs:
+            result.files = outputs.files
+            _write(result, outputs, periods, sample_rate_hz, krl)
     return result
 
 
@@ -153,15 +157,10 @@ def krl_program(name: str, found: Excitation, periods: int) -> str:
     return "\n".join(lines)
 
 
-def _write(result: Excitations, out: Path, periods: int, rate: float, krl: bool) -> None:
+def _write(result: Excitations, name: Outputs, periods: int, rate: float, krl: bool) -> None:
     from twin.report import motion_figures
     from twin.report.figures import save
 
-    def name(file: str) -> Path:
-        result.files.append(str(out / file))
-        return out / file
-
-    out.mkdir(parents=True, exist_ok=True)
     runs = {}
     for k, e in enumerate(result.found, start=1):
         stem = f"excitation{k}"

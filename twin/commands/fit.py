@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.commands.modal import read_recording
+from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.identify.elastic import Fit, Recorded, base_name, fit_frf, prepare
@@ -197,6 +198,7 @@ def fit(
     Raises:
         InputError: bad input; nothing is written.
     """
+    check_out(out)
     progress = progress or (lambda description, total: lambda count: None)
     path = Path(paths[0])
     options = {
@@ -215,7 +217,9 @@ def fit(
         )
     found.origin = provenance(paths, options)
     if out is not None:
-        _write(found, out, path)
+        with Outputs(out) as outputs:
+            found.files = outputs.files
+            _write(found, outputs, path)
     return found
 
 
@@ -568,25 +572,19 @@ def _runs(mask: FloatArray) -> list[tuple[int, int]]:
 # --- what is written --------------------------------------------------------------------------------------------------
 
 
-def _write(found: FitResult, out: Path, path: Path) -> None:
+def _write(found: FitResult, name: Outputs, path: Path) -> None:
     from twin.report import figures, fit_report
     from twin.report.html import write_html
-
-    out.mkdir(parents=True, exist_ok=True)
-
-    def name(file: str) -> Path:
-        found.files.append(str(out / file))
-        return out / file
 
     save_robot(name("robot.yaml"), found.robot)
     first = next(iter(found.postures.values()))
     mechanism = assemble(found.robot, _inside(found.robot, found.robot.angles(first["q_deg"])))
     save_mjcf(name("robot.xml"), build_spec(mechanism))
-    found.model = {"robot": str(out / "robot.yaml"), "mjcf": str(out / "robot.xml")}
-    drawn = fit_report.draw(found)
-    for file, figure in drawn.items():
-        figures.save(figure, name(file))
-    images = {file: out / file for file in drawn}
+    found.model = {"robot": str(name.out / "robot.yaml"), "mjcf": str(name.out / "robot.xml")}
+    images = {}
+    for file, figure in fit_report.draw(found).items():
+        images[file] = name(file)
+        figures.save(figure, images[file])
     report = name("report.html")
     write_json(name("fit.json"), found.data())
     footer = f"twin {found.origin['version']} · " + " · ".join(

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.identify.rigid import Bands, Identification, identify, joint_run, relative_error
@@ -138,6 +139,7 @@ def identify_log(
     """
     if not 0 < low_pass[0] < low_pass[1]:
         raise InputError("--low-pass", "", f"expected 0 < pass < stop, found {low_pass[0]:g} {low_pass[1]:g}")
+    check_out(out)
     progress = progress or (lambda description, total: lambda step: None)
     log = read_motion_log(path)
     name, folder = (robot, None) if robot else (log.robot or "kr90", Path(path).parent)
@@ -152,7 +154,9 @@ def identify_log(
     options = {"robot": robot, "without": without or [], "hold_out": hold_out or [], "low_pass": list(low_pass)}
     result.origin = provenance(inputs, {**options, "weighting": weighting})
     if out is not None:
-        _write(result, out)
+        with Outputs(out) as outputs:
+            result.files = outputs.files
+            _write(result, outputs)
     return result
 
 
@@ -170,17 +174,11 @@ def in_joints(log: MotionLog, robot: Robot) -> MotionLog:
     return turned
 
 
-def _write(result: Identified, out: Path) -> None:
+def _write(result: Identified, name: Outputs) -> None:
     from twin.report import motion_figures
     from twin.report.figures import save
 
     found = result.found
-
-    def name(file: str) -> Path:
-        result.files.append(str(out / file))
-        return out / file
-
-    out.mkdir(parents=True, exist_ok=True)
     save_robot(name("robot.yaml"), found.robot)
     middle = np.mean([run.position.mean(axis=0) for run in result.log.runs.values()], axis=0)
     for i, axis in enumerate(found.robot.axes):
