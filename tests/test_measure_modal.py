@@ -1,6 +1,5 @@
 """From FRFs to modes, on a published milling robot and on what breaks other packages."""
 
-import time
 from dataclasses import replace
 from functools import cache
 
@@ -208,16 +207,14 @@ def test_a_dead_sensor_changes_nothing() -> None:
     assert np.abs(result.shapes[:, 5]).max() < 1e-9
 
 
-def test_the_chart_of_a_large_test_is_drawn_and_read_in_ten_seconds() -> None:
-    """74 points × 3 references, 1600 lines, order 60."""
+def test_the_chart_of_a_large_test_is_read() -> None:
+    """74 points × 3 references, 1600 lines, order 60; the benchmark says how long it takes."""
     frequency = np.arange(1, 1601) * 0.125
     rng = np.random.default_rng(0)
     f, zeta = np.sort(rng.uniform(6, 190, 20)), rng.uniform(0.005, 0.03, 20)
     phi = rng.normal(size=(74, 20))
     frf = noisy(accelerance(frequency, f, zeta, phi, phi[:3]), 0)
-    start = time.process_time()
     physical = clusters(chart(plscf(frf, frequency, range(1, 61))))
-    assert time.process_time() - start < 20  # two cores
     near = np.min(np.abs(np.array([abs(c.pole) for c in physical])[:, None] / (2 * np.pi) / f - 1), axis=0)
     assert np.count_nonzero(near < 0.01) >= 17
 
