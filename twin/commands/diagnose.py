@@ -1,19 +1,30 @@
 """``twin diagnose``: recordings in; what the model leaves out, how sure, and a new model out."""
 
+import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from twin.commands.compare import recording_kind
 from twin.commands.modal import read_recording
+from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.diagnose.decide import decide
+from twin.diagnose.edit import check_linear, check_xml, payload_edit, with_modes
+from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
 from twin.diagnose.locate import mismatch
 from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
-from twin.diagnose.refit import noise_floor, recorded_error
+from twin.diagnose.physical import physical
+from twin.diagnose.records import FrfRecord, frf_records
+from twin.diagnose.refit import noise_floor
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.triage import triage
-from twin.diagnose.verdict import Verdict, judge
+from twin.diagnose.verdict import Finding, Missing, Source, Verdict, judge, missing_of
 from twin.errors import InputError
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import free_parameters
@@ -22,6 +33,8 @@ from twin.provenance import provenance, write_json
 from twin.robot.description import Axis, Robot, load_robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, save_mjcf
+
+TABLES = (".yaml", ".yml")
 
 
 def diagnose(
@@ -34,33 +47,60 @@ def diagnose(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Verdict:
-    """Diagnose hammer tests.
+    """Diagnose recordings of one robot.
 
     Args:
-        recordings: a campaign, or universal files that belong together.
-        robot: shipped name, ``robot.yaml`` or URDF; wins over the recording's.
+        recordings: a hammer test (a campaign, or universal files that belong together).
+        robot: shipped name, ``robot.yaml`` or URDF; wins over the recordings'.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
-        hold_out: postures not used, by name; by default those the others cover best.
-        out: folder for the new model and diagnosis.json; ``None`` writes nothing.
+        hold_out: postures or runs not used, by name; by default those the others cover best.
+        out: folder for the new model, report, figures and diagnosis.json; ``None`` writes nothing.
         seed: of the starts.
         progress: makes progress bars.
 
     Raises:
         InputError: bad input; nothing is written.
     """
-    source = Path(recordings[0])
-    campaign = read_recording(recordings)
-    named = load_robot(robot) if robot else load_robot(campaign.robot or "kr90", relative_to=source.parent)
-    given = named.without(without or [])
-    if not free_parameters(given, tolerances=False).items:
-        raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
-    verdict = diagnose_campaign(campaign, given, str(source), hold_out=hold_out, seed=seed, progress=progress)
+    check_out(out)
+    progress = progress or (lambda description, total: lambda count: None)
+    by_kind = _by_kind(recordings)
+    findings = []
+    for kind, paths in by_kind.items():
+        if kind != "frf-campaign":
+            raise InputError(paths[0], "format", f"expected a hammer test, found a {kind}")
+        campaign, source = read_recording(paths), str(paths[0])
+        named = load_robot(robot) if robot else load_robot(campaign.robot or "kr90", relative_to=paths[0].parent)
+        given = named.without(without or [])
+        findings.append(diagnose_campaign(campaign, given, source, hold_out=hold_out, seed=seed, progress=progress))
+    verdict = Verdict.of(findings[0])
     verdict.origin = provenance(
         recordings, {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
     )
-    if out is not None:
-        _write(verdict, campaign, given, out)
+    _finish(verdict, out)
     return verdict
+
+
+def _by_kind(recordings: Sequence[str | Path]) -> dict[Source, list[Path]]:
+    """Recordings sorted by kind, motion logs first: what moves masses is known best from them.
+
+    Raises:
+        InputError: a file is missing or of no kind.
+    """
+    found: dict[Source, list[Path]] = {}
+    for path in map(Path, recordings):
+        if path.suffix.lower() in TABLES:
+            if not path.is_file():
+                raise InputError(path, "", "no such file")
+            found.setdefault("modal-table", []).append(path)
+        elif path.suffix.lower() in (".csv",) or recording_kind(path)[0] == "motion-log":
+            found.setdefault("motion-log", []).append(path)
+        else:
+            found.setdefault("frf-campaign", []).append(path)
+    order: tuple[Source, ...] = ("motion-log", "frf-campaign", "modal-table")
+    return {kind: found[kind] for kind in order if kind in found}
+
+
+# --- hammer tests -----------------------------------------------------------------------------------------------------
 
 
 def diagnose_campaign(
@@ -71,8 +111,14 @@ def diagnose_campaign(
     hold_out: list[str] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> Verdict:
-    """The same on a campaign in memory."""
+) -> Finding:
+    """What a campaign in memory says.
+
+    Raises:
+        InputError: the robot has no springs, or the campaign does not fit it.
+    """
+    if not free_parameters(given, tolerances=False).items:
+        raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
     found = triage(campaign, given, source, hold_out)
     base = without_limits(given)
     sample, kept = Sample(tuple(found.used)), found.kept
@@ -85,42 +131,91 @@ def diagnose_campaign(
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
     decision = decide(fits, settled, looked_at)
-    kind = judge(decision)
-    best = decision.ranked[0] if kind in ("named", "ambiguous") else settled
-
-    def error(robot: Robot, train: float) -> dict[str, float | None]:
-        return {"train": train, "held_out": recorded_error(robot, kept) if kept else None}
-
-    floor = noise_floor(sample.recordings)
-    verdict = Verdict(
-        kind, best.robot.model_copy(update={"axes": _limits(best.robot, given)}), decision, settled,
-        {
-            "as_given": error(base, recorded_error(base, sample.recordings)),
-            "before": error(settled.robot, floor * settled.misfit**0.5),
-            "after": error(best.robot, floor * best.misfit**0.5), "noise_floor": floor,
-        },
-        list(found.held_out), checks=found.warnings,
-    )  # fmt: skip
+    word = judge(decision)
+    best = decision.ranked[0] if word in ("named", "ambiguous") else settled
+    records, errors = frf_records(base, settled, best, found.used, kept)
+    records = with_modes(records, physical(settled.robot), physical(best.robot))
+    errors["noise_floor"] = noise_floor(sample.recordings)
     where = mismatch(settled, sample.thin(REFIT_LINES))
     site = best.hypothesis.site or next(iter(where.sites), "")
-    verdict.location = [{"recording": source, "site": site, **spot} for spot in where.spots()]
     few = sample.thin(SCREEN_LINES)
-    verdict.smallest_visible = smallest_visible(base, settled, few, looked_at)
-    if decision.rivals and kind == "ambiguous":
-        verdict.next_test = next_test(base, decision.ranked[0], decision.ranked[decision.rivals[0]], few, seed)
-    return verdict
+    missing = missing_of(decision, settled) if best is not settled else []
+    finding = Finding(
+        source, "frf-campaign", word, missing, decision.none, decision.other,
+        given, _limited(settled.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
+        [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
+        smallest_visible(base, settled, few, looked_at), warnings=found.warnings,
+    )  # fmt: skip
+    finding.missing = [told(m, finding) for m in missing]
+    if decision.rivals and word == "ambiguous":
+        finding.next_test = next_test(base, decision.ranked[0], decision.ranked[decision.rivals[0]], few, seed)
+    return finding
 
 
-def _limits(robot: Robot, given: Robot) -> list[Axis]:
-    """The axes of a fitted robot with the limits the fit took away."""
-    return [axis.model_copy(update={"limits": old.limits}) for axis, old in zip(robot.axes, given.axes, strict=True)]
+def told(missing: Missing, finding: Finding) -> Missing:
+    """With the sentence of evidence, where the engine has not written one."""
+    if missing.evidence:
+        return missing
+    return replace(
+        missing, evidence=sentence(missing.first.title, finding.records, finding.error, finding.held_out)
+    )  # fmt: skip
 
 
-def _write(verdict: Verdict, campaign: Campaign, given: Robot, out: Path) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    save_robot(out / "robot.yaml", verdict.robot)
-    posture = next(iter(campaign.postures.values()))
-    mechanism = assemble(verdict.robot, given.angles(posture.q_deg), brakes=posture.brakes or "off")
-    save_mjcf(out / "robot.xml", build_spec(mechanism))
-    verdict.model = {"robot": str(out / "robot.yaml"), "mjcf": str(out / "robot.xml")}
-    write_json(out / "diagnosis.json", verdict.data())
+def _limited(robot: Robot, given: Robot) -> Robot:
+    """A fitted robot with inertias a body can have and the limits the fit took away."""
+    robot = physical(robot)
+    axes: list[Axis] = [
+        axis.model_copy(update={"limits": old.limits}) for axis, old in zip(robot.axes, given.axes, strict=True)
+    ]
+    return robot.model_copy(update={"axes": axes})
+
+
+# --- what is written --------------------------------------------------------------------------------------------------
+
+
+def _finish(verdict: Verdict, out: Path | None) -> None:
+    """Write the model, check it as written, and write what people look at; all of it or nothing."""
+    if out is None:
+        with tempfile.TemporaryDirectory() as folder:
+            _check(verdict, _write_model(verdict, Path(folder)))
+        return
+    with Outputs(out) as name:
+        _write_model(verdict, name("robot.yaml").parent)
+        name("robot.xml")
+        _check(verdict, name.stage)
+        verdict.model = {"robot": "robot.yaml", "mjcf": "robot.xml"}
+        _write_report(verdict, name)
+        page = name("diagnosis.json")
+        verdict.files = list(name.files)
+        write_json(page, verdict.data())
+
+
+def _write_model(verdict: Verdict, folder: Path) -> Path:
+    save_robot(folder / "robot.yaml", verdict.robot)
+    q, brakes = _posture(verdict)
+    save_mjcf(folder / "robot.xml", build_spec(assemble(without_limits(verdict.robot), q, brakes=brakes)))
+    return folder
+
+
+def _posture(verdict: Verdict) -> tuple[np.ndarray, Any]:
+    """Where robot.xml stands: the first posture of the recordings."""
+    for finding in verdict.findings:
+        for record in finding.records:
+            if isinstance(record, FrfRecord):
+                return record.q, record.brakes or "off"
+    return np.zeros(verdict.robot.axis_count), "off"
+
+
+def _check(verdict: Verdict, folder: Path) -> None:
+    """The edit test: the written model, read again, in MuJoCo."""
+    frfs = [r for finding in verdict.findings for r in finding.records if isinstance(r, FrfRecord)]
+    if not frfs:
+        return
+    q, brakes = _posture(verdict)
+    verdict.checks.append(check_linear(folder / "robot.yaml", frfs))
+    verdict.checks.append(check_xml(folder / "robot.xml", verdict.robot, q, brakes))
+    verdict.payload_edit = payload_edit(verdict.base, verdict.robot, frfs)
+
+
+def _write_report(verdict: Verdict, name: Outputs) -> None:
+    pass

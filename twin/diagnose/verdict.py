@@ -1,16 +1,130 @@
-"""The result of a diagnosis: what is missing, how sure, how much better the model becomes. It prints itself."""
+"""The result of a diagnosis: what is missing, how sure, how much better the model becomes. It prints itself.
 
+Whatever the recording (hammer test, modal table, motion log), an engine hands over one :class:`Finding`; a
+:class:`Verdict` is one finding, or several settled on one model.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from twin.diagnose.decide import Decision, calibration
+from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
 from twin.identify.uncertainty import NINETY
-from twin.robot.description import Robot
+from twin.robot.description import Entry, Robot
 
-Kind = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
+Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
+Source = Literal["frf-campaign", "modal-table", "motion-log"]
+
+MEANING: dict[Word, str] = {
+    "adequate": "adequate: nothing is missing that these recordings could show",
+    "named": "named: one effect at one site stands out",
+    "ambiguous": "ambiguous: these recordings cannot tell the following apart",
+    "located": "located: the site is clear, no known effect fits",
+    "unexplained": "unexplained: a mismatch beyond noise that no known effect explains",
+}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One thing that may be missing, fitted.
+
+    Attributes:
+        effect, site: as in the vocabulary, or ``parameter`` or ``discovered``.
+        ln_bayes_factor: over the base model refitted to the same recording.
+        robot: the description with it, refitted.
+        parameters: name → ``value``, ``unit``, ``interval90``; lists where the parameter is a list.
+        formula: of a discovered law.
+    """
+
+    effect: str
+    site: str
+    ln_bayes_factor: float
+    robot: Robot
+    parameters: dict[str, Any]
+    formula: str | None = None
+
+    @property
+    def key(self) -> str:
+        """``EFFECT@SITE``."""
+        return f"{self.effect}@{self.site}"
+
+    @property
+    def title(self) -> str:
+        """``EFFECT at SITE``, for sentences."""
+        return f"{self.effect} at {self.site}"
+
+
+@dataclass(frozen=True)
+class Missing:
+    """The first answer for one thing that is missing, and who else it could be.
+
+    Attributes:
+        alternatives: with their probabilities, most probable first.
+        evidence: one sentence a person can check.
+    """
+
+    first: Candidate
+    probability: float
+    alternatives: tuple[tuple[Candidate, float], ...]
+    evidence: str
+
+    @property
+    def rivals(self) -> list[tuple[Candidate, float]]:
+        """Alternatives that cannot be dismissed."""
+        return [(c, p) for c, p in self.alternatives if p >= calibration()["alternative"]]
+
+    def data(self) -> dict[str, Any]:
+        """As in diagnosis.json."""
+        data: dict[str, Any] = {
+            "effect": self.first.effect, "site": self.first.site, "probability": self.probability,
+            "alternatives": [{"effect": c.effect, "site": c.site, "probability": p} for c, p in self.alternatives],
+            "parameters": self.first.parameters, "evidence": self.evidence,
+        }  # fmt: skip
+        if self.first.formula is not None:
+            data["formula"] = self.first.formula
+        return data
+
+
+@dataclass
+class Finding:
+    """What one recording says.
+
+    Attributes:
+        recording: the file, as given; ``source`` its kind.
+        word: the verdict.
+        missing: empty unless something is named, ambiguous or located.
+        none, other: probabilities that nothing, or something without a name here, is missing.
+        given, base, robot: the description as it came, refitted, and with the answer.
+        error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
+        held_out: names of postures or runs not used.
+        records: the recording beside the three models.
+        location: where the base model misses, as in diagnosis.json.
+        sites: site → what freeing it alone would take off the misfit (drop of ½ χ²).
+        smallest_visible: per effect and site, the size this recording would have shown.
+        warnings: of the triage, one line each.
+    """
+
+    recording: str
+    source: Source
+    word: Word
+    missing: list[Missing]
+    none: float
+    other: float
+    given: Robot
+    base: Robot
+    robot: Robot
+    error: dict[str, Any]
+    held_out: list[str]
+    records: Sequence[Record] = ()
+    location: list[dict[str, Any]] = field(default_factory=list)
+    sites: dict[str, float] = field(default_factory=dict)
+    smallest_visible: list[dict[str, Any]] = field(default_factory=list)
+    next_test: dict[str, Any] | None = None
+    warnings: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -18,106 +132,144 @@ class Verdict:
     """``twin diagnose``'s answer; ``data()`` is the content of diagnosis.json.
 
     Attributes:
-        kind: the verdict's word.
-        robot: the description with what was found, or the base model refitted.
-        decision: who was left, with probabilities.
-        error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
-        location: where the base model misses.
-        smallest_visible: per effect and site, the size this recording would have shown.
-        checks: triage, one line each.
+        findings: one per recording; with several, ``word``, ``missing``, ``none`` and ``other`` are what they say together.
+        robot: the new description; ``base`` the one without what was found.
+        checks: what was run on the new model: ``name``, ``value``, ``limit``, ``passed``, ``description``.
+        payload_edit: what a payload would do to the model before and after.
     """
 
-    kind: Kind
+    findings: list[Finding]
+    word: Word
+    missing: list[Missing]
+    none: float
+    other: float
+    base: Robot
     robot: Robot
-    decision: Decision
-    base: Fitted
-    error: dict[str, Any]
-    held_out: list[str]
-    location: list[dict[str, Any]] = field(default_factory=list)
-    smallest_visible: list[dict[str, Any]] = field(default_factory=list)
-    next_test: dict[str, Any] | None = None
-    checks: list[str] = field(default_factory=list)
+    checks: list[dict[str, Any]] = field(default_factory=list)
+    payload_edit: dict[str, Any] | None = None
     model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
+    files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, finding: Finding) -> "Verdict":
+        """The verdict of a single recording."""
+        return cls(
+            [finding], finding.word, finding.missing, finding.none, finding.other, finding.base, finding.robot
+        )  # fmt: skip
+
+    @property
+    def error(self) -> dict[str, Any]:
+        """As in diagnosis.json: numbers, or recording → number where there are several."""
+        if len(self.findings) == 1:
+            return self.findings[0].error
+
+        def by_recording(stage: str, part: str) -> dict[str, Any]:
+            return {f.recording: f.error[stage][part] for f in self.findings}
+
+        both = {s: {part: by_recording(s, part) for part in ("train", "held_out")} for s in STAGES}
+        return {**both, "noise_floor": {f.recording: f.error["noise_floor"] for f in self.findings}}
+
+    @property
+    def location(self) -> list[dict[str, Any]]:
+        """Where the base model misses, recording by recording."""
+        return [spot for finding in self.findings for spot in finding.location]
+
+    @property
+    def next_test(self) -> dict[str, Any] | None:
+        """What to measure next, where rivals remain."""
+        return next((f.next_test for f in self.findings if f.next_test), None) if self.word == "ambiguous" else None
+
+    @property
+    def held_out(self) -> list[str]:
+        """Postures and runs not used."""
+        return [name for finding in self.findings for name in finding.held_out]
+
+    @property
+    def smallest_visible(self) -> list[dict[str, Any]]:
+        """The smallest size that any of the recordings would have shown; a spring's the stiffest."""
+        best: dict[tuple[str, str, str], dict[str, Any]] = {}
+        for item in (item for finding in self.findings for item in finding.smallest_visible):
+            key = item["effect"], item["site"], item["parameter"]
+            wins = max if item["parameter"] == "stiffness" else min
+            best[key] = wins((best.get(key, item), item), key=lambda one: one["value"])
+        return list(best.values())
 
     def data(self) -> dict[str, Any]:
         """Plain data in the format ``twin-diagnosis``."""
         return {
-            "format": "twin-diagnosis", "version": 1, "verdict": self.kind, "effects": self._effects(),
-            "probabilities": {"none": self.decision.none, "other": self.decision.other},
+            "format": "twin-diagnosis", "version": 1, "verdict": self.word,
+            "effects": [missing.data() for missing in self.missing],
+            "probabilities": {"none": self.none, "other": self.other},
             "location": self.location, "error": self.error, "smallest_visible": self.smallest_visible,
-            "next_test": self.next_test, "model": self.model, "held_out": self.held_out, "triage": self.checks,
-            "provenance": self.origin,
+            "next_test": self.next_test, "model": self.model, "held_out": self.held_out,
+            "triage": [text for finding in self.findings for text in finding.warnings],
+            "checks": self.checks, "payload_edit": self.payload_edit,
+            "recordings": [
+                {"recording": f.recording, "kind": f.source, "verdict": f.word,
+                 "effects": [m.data() for m in f.missing], "probabilities": {"none": f.none, "other": f.other},
+                 "sites": f.sites, "parts": [_part(record) for record in f.records]}
+                for f in self.findings
+            ],
+            "files": self.files, "provenance": self.origin,
         }  # fmt: skip
-
-    def _effects(self) -> list[dict[str, Any]]:
-        if self.kind not in ("named", "ambiguous") or not self.decision.ranked:
-            return []
-        first, probability = self.decision.ranked[0], self.decision.probability
-        others = [
-            {"effect": fit.hypothesis.effect, "site": fit.hypothesis.site, "probability": p}
-            for fit, p in list(zip(self.decision.ranked, probability, strict=True))[1:]
-        ]
-        return [
-            {
-                "effect": first.hypothesis.effect, "site": first.hypothesis.site, "probability": probability[0],
-                "alternatives": others, "parameters": estimates(first), "evidence": self._evidence(first),
-            }
-        ]  # fmt: skip
-
-    def _evidence(self, first: Fitted) -> str:
-        before, after = self.error["before"], self.error["after"]
-        where = self.location[0] if self.location else None
-        spot = (
-            " The base model misses most in {} at {:.1f}–{:.1f} Hz.".format(where["posture"], *where["band_hz"])
-            if where
-            else ""
-        )
-        held = ""
-        if before["held_out"] is not None:
-            falls = f"{before['held_out']:.2%} → {after['held_out']:.2%}"
-            held = f", on {', '.join(self.held_out)}, which was not used, {falls}"
-        return (
-            f"With it the error on the recordings used falls {before['train']:.2%} → {after['train']:.2%}{held} "
-            f"(noise {self.error['noise_floor']:.2%}).{spot}"
-        )
 
     def __str__(self) -> str:
-        word = {
-            "adequate": "adequate: nothing is missing that these recordings could show",
-            "named": "named", "ambiguous": "ambiguous: these recordings cannot tell the following apart",
-            "located": "located, without a name",
-            "unexplained": "unexplained: a mismatch beyond noise that no known effect explains",
-        }  # fmt: skip
-        lines = [word[self.kind]]
-        for effect in self._effects():
-            lines.append(f"  {effect['effect']} at {effect['site']}   probability {effect['probability']:.2f}")
-            for name, item in effect["parameters"].items():
-                values = item["value"] if isinstance(item["value"], list) else [item["value"]]
-                ranges = item["interval90"] if isinstance(item["value"], list) else [item["interval90"]]
-                for value, (low, high) in zip(values, ranges, strict=True):
-                    lines.append(f"      {name} {value:.4g} {item['unit']}   90 %: {low:.4g} … {high:.4g}")
-            for other in effect["alternatives"]:
-                if other["probability"] >= calibration()["alternative"]:
-                    lines.append(f"  or {other['effect']} at {other['site']}   probability {other['probability']:.2f}")
-            lines.append(f"  {effect['evidence']}")
-        lines.append(f"  nothing missing {self.decision.none:.2f}, something else {self.decision.other:.2f}")
-        for name in ("as_given", "before", "after"):
-            item = self.error[name]
-            held = "" if item["held_out"] is None else f", held out {item['held_out']:.2%}"
-            lines.append(f"  error {name.replace('_', ' '):9s} {item['train']:.2%}{held}")
-        lines.append(
-            f"  noise floor {self.error['noise_floor']:.2%}; held out: {', '.join(self.held_out) or 'nothing'}"
-        )
+        lines = [MEANING[self.word]]
+        for missing in self.missing:
+            lines.append(f"  {missing.first.title}   probability {missing.probability:.2f}")
+            lines += [f"      {row}" for row in parameter_rows(missing.first.parameters)]
+            if missing.first.formula:
+                lines.append(f"      torque {missing.first.formula}")
+            lines += [f"  or {rival.title}   probability {p:.2f}" for rival, p in missing.rivals]
+            lines.append(f"  {missing.evidence}")
+        lines.append(f"  nothing missing {self.none:.2f}, something else {self.other:.2f}")
+        for finding in self.findings:
+            if len(self.findings) > 1:
+                lines.append(f"  {finding.recording}: {finding.word}")
+            for stage in STAGES:
+                item = finding.error[stage]
+                held = "" if item["held_out"] is None else f", held out {item['held_out']:.2%}"
+                lines.append(f"  error {stage.replace('_', ' '):9s} {item['train']:.2%}{held}")
+            floor = finding.error["noise_floor"]
+            noise = "unknown" if floor is None else f"{floor:.2%}"
+            lines.append(f"  noise floor {noise}; held out: {', '.join(finding.held_out) or 'nothing'}")
         if self.next_test:
             lines.append(f"  next test: {self.next_test['description']}")
-        lines += [f"  check: {check}" for check in self.checks]
-        if self.model["robot"]:
-            lines.append(f"  wrote {self.model['robot']}, {self.model['mjcf']}")
+        lines += [f"  triage: {text}" for finding in self.findings for text in finding.warnings]
+        for check in self.checks:
+            lines.append(f"  {'check' if check['passed'] else 'check FAILED'}: {check['description']}")
+        if self.payload_edit:
+            lines.append(f"  edit: {self.payload_edit['description']}")
+        if self.files:
+            lines.append("  wrote " + ", ".join(self.files))
         return "\n".join(lines)
 
 
-def judge(decision: Decision) -> Kind:
+def parameter_rows(parameters: dict[str, Any]) -> list[str]:
+    """``gap 0.0002 rad   90 %: 0.00017 … 0.00024``, one line per number."""
+    rows = []
+    for name, item in parameters.items():
+        many = isinstance(item["value"], list)
+        values, ranges = (item["value"], item["interval90"]) if many else ([item["value"]], [item["interval90"]])
+        for value, (low, high) in zip(values, ranges, strict=True):
+            rows.append(f"{name} {value:.4g} {item['unit']}   90 %: {low:.4g} … {high:.4g}")
+    return rows
+
+
+def _part(record: Record) -> dict[str, Any]:
+    """Errors of one posture or run."""
+    floor = record.floor
+    return {
+        "name": record.name, "held_out": record.held_out, "error": {stage: record.error(stage) for stage in STAGES},
+        "noise_floor": floor if np.isfinite(floor) else None,
+    }  # fmt: skip
+
+
+# --- from the hammer engine's decision --------------------------------------------------------------------------------
+
+
+def judge(decision: Decision) -> Word:
     """The word for a decision."""
     top = decision.probability[0] if decision.probability else 0.0
     if decision.none >= max(top, decision.other):
@@ -127,26 +279,68 @@ def judge(decision: Decision) -> Kind:
     return "ambiguous" if decision.rivals or decision.none >= calibration()["alternative"] else "named"
 
 
-def estimates(fit: Fitted) -> dict[str, Any]:
-    """Value, unit and 90 % interval of a hypothesis' own parameters; a list's numbers in one list."""
+def missing_of(decision: Decision, base: Fitted) -> list[Missing]:
+    """Answers of a decision, one for each thing in its first hypothesis; evidence is left to be written.
+
+    A hypothesis of several things gives each its own alternatives: those that stand in its place beside the others.
+    """
+    first = decision.ranked[0]
+    sets = [frozenset(parts(fit)) for fit in decision.ranked]
+    found = []
+    for part in parts(first):
+        kept = sets[0] - {part}
+        probability = sum(p for s, p in zip(sets, decision.probability, strict=True) if part in s)
+        others = []
+        for fit, s, p in zip(decision.ranked, sets, decision.probability, strict=True):
+            if part not in s and kept <= s and len(s) == len(sets[0]):
+                others.append((_candidate(fit, next(iter(s - kept)), base), p))
+        found.append(Missing(_candidate(first, part, base), probability, tuple(others), ""))
+    return found
+
+
+def parts(fit: Fitted) -> list[tuple[str, str]]:
+    """Effects and sites of a hypothesis."""
+    hypothesis = fit.hypothesis
+    if not hypothesis.scale and len(hypothesis.entries) > 1:
+        return [(entry.effect, entry.site) for entry in hypothesis.entries]
+    if hypothesis.scale and hypothesis.entries:
+        return [*((e.effect, e.site) for e in hypothesis.entries), ("parameter", hypothesis.scale[0][0])]
+    return [(hypothesis.effect, hypothesis.site)]
+
+
+def _candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
+    scale = max(1.0, fit.misfit)
+    return Candidate(*part, fit.evidence(scale) - base.evidence(scale), fit.robot, estimates(fit, part))
+
+
+def estimates(fit: Fitted, part: tuple[str, str]) -> dict[str, Any]:
+    """Value, unit and 90 % interval of the parameters of one of a hypothesis' things; a list's numbers in one list."""
     root = fit.parameters.root
     covariance = root @ np.linalg.inv(fit.information) @ root.T * max(1.0, fit.misfit)
     x = root @ fit.z
+    indices = [k for k in fit.own if _belongs(fit.parameters[k].name, part, fit.hypothesis.entries)]
+    if part[0] == "parameter":
+        indices = [fit.parameters.names.index(name) for name, _ in fit.hypothesis.scale[:1]]
     found: dict[str, Any] = {}
-    indices = fit.own
-    if not indices and fit.hypothesis.effect == "parameter":
-        indices = [fit.parameters.names.index(fit.hypothesis.scale[0][0])]
     for k in indices:
         parameter = fit.parameters[k]
         deviation = float(np.sqrt(covariance[k, k]))
-        ends = [float(parameter.value(x[k] + side * NINETY * deviation)) for side in (-1, 1)]
+        ends = sorted(float(parameter.value(x[k] + side * NINETY * deviation)) for side in (-1, 1))
         name = parameter.name.rpartition(".")[2]
         found[name] = {"value": float(fit.values[k]), "unit": parameter.unit, "interval90": ends}
     for name in [name for name in found if name.endswith("[0]")]:
         stem = name[:-3]
-        items = [found.pop(f"{stem}[{k}]") for k in range(3) if f"{stem}[{k}]" in found]
+        items = [found.pop(key) for key in [key for key in found if key.startswith(f"{stem}[")]]
         found[stem] = {
             "value": [i["value"] for i in items], "unit": items[0]["unit"],
             "interval90": [i["interval90"] for i in items],
         }  # fmt: skip
     return found
+
+
+def _belongs(name: str, part: tuple[str, str], entries: Sequence[Entry]) -> bool:
+    """Whether an own parameter is one of an effect at a site; springs are named after their coordinate alone."""
+    if len(entries) == 1:
+        return True
+    effect, site = part
+    return name.startswith((f"{effect}@{site}.", f"{effect}@{site}#")) or name.startswith(f"{site}.")

@@ -1,0 +1,183 @@
+"""Checks run on the new model as it was written: MuJoCo predicts what the search's algebra predicts; what an edit does.
+
+The search evaluates FRFs with its own algebra (:mod:`twin.identify.sensitivity`). Here the written files are read
+again, compiled by MuJoCo, and predict the same FRFs: linearised, and in time under a blow where the answer is nonlinear.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from twin.diagnose.records import FrfRecord
+from twin.identify.elastic import without_limits
+from twin.identify.parameters import independent
+from twin.identify.sensitivity import Setup, observe
+from twin.identify.sensitivity import frf as algebra
+from twin.measure.campaign import QUANTITIES, ComplexArray, laplace
+from twin.model.expansion import with_channels
+from twin.model.frf import frf, measurement_chain
+from twin.model.hammer import HammerTest, simulate_hits
+from twin.model.linear import linearise
+from twin.model.modes import modes
+from twin.robot.description import Entry, Robot, load_robot
+from twin.robot.mechanism import assemble
+
+LINEAR = 1e-6  # relative difference allowed between MuJoCo and the algebra
+STEPPED = 0.02  # the same for time stepping, whose records end and whose steps are finite
+NONLINEAR = frozenset({"hardening_stiffness", "backlash", "hysteresis"})
+LINES = 60  # per posture are compared
+EDIT_SHARE = 0.05  # of the robot's mass is the payload of the edit test
+EDIT_MODES = 4
+
+
+def check_linear(description: Path, records: Sequence[FrfRecord]) -> dict[str, Any]:
+    """The written description, linearised by MuJoCo, against the algebra that found it.
+
+    Args:
+        description: ``robot.yaml`` as written.
+        records: postures and channels to predict.
+    """
+    robot = without_limits(load_robot(description))
+    worst = 0.0
+    for record in {r.posture: r for r in records}.values():
+        lines = record.frequency[:: max(1, len(record.frequency) // LINES)]
+        H = predicted_by_mujoco(robot, record, lines)
+        expected = predicted_by_algebra(robot, record, lines)
+        worst = max(worst, float(np.linalg.norm(H - expected) / np.linalg.norm(expected)))
+    return {
+        "name": "model in MuJoCo", "value": worst, "limit": LINEAR, "passed": worst < LINEAR,
+        "description": "robot.yaml read again and linearised by MuJoCo (mjd_transitionFD) predicts the FRFs of the "
+        f"search within {worst:.1e} (limit {LINEAR:.0e})",
+    }  # fmt: skip
+
+
+def predicted_by_mujoco(robot: Robot, record: FrfRecord, frequency: np.ndarray) -> ComplexArray:
+    """FRFs (nf, nr, ne) of a record's posture and channels by MuJoCo's linearisation."""
+    tested = with_channels(robot, record.excitation, record.response)
+    linear = linearise(assemble(tested, record.q, brakes=record.brakes or "off"))
+    chain = measurement_chain(linear, tested, record.response.label, record.excitation.label)
+    return np.asarray(frf(linear, frequency, chain, quantity=record.quantity))
+
+
+def predicted_by_algebra(robot: Robot, record: FrfRecord, frequency: np.ndarray) -> ComplexArray:
+    """The same by the algebra of the search."""
+    setup = Setup(record.posture, record.q, record.brakes, record.response, record.excitation)
+    seen, _ = observe(robot, setup, independent([]), np.zeros(0))
+    return algebra(seen, laplace(frequency), QUANTITIES.index(record.quantity))
+
+
+def check_xml(mjcf: Path, robot: Robot, q: np.ndarray, brakes: Any) -> dict[str, Any]:
+    """The written XML in plain MuJoCo has the poles of the description."""
+    mechanism = assemble(without_limits(robot), q, brakes=brakes or "off")
+    described = modes(linearise(mechanism)).pole
+    written = modes(linearise(mechanism, mujoco.MjModel.from_xml_path(str(mjcf)))).pole
+    alike = len(described) == len(written)
+    worst = float(np.max(np.abs(written / described - 1), initial=0.0)) if alike else float("inf")
+    return {
+        "name": "MJCF in MuJoCo", "value": worst if alike else None, "limit": LINEAR,
+        "passed": worst < LINEAR,
+        "description": f"robot.xml loaded by MuJoCo has the poles of robot.yaml within {worst:.1e} (limit {LINEAR:.0e})",
+    }  # fmt: skip
+
+
+def is_nonlinear(robot: Robot) -> bool:
+    """Whether an entry answers differently to different force levels."""
+    return any(entry.effect in NONLINEAR for entry in robot.physics)
+
+
+def check_stepped(robot: Robot, record: FrfRecord, force_n: float, pulse_s: float = 0.008) -> dict[str, Any]:
+    """One blow stepped in MuJoCo's time against what the search predicts for this force level.
+
+    The response to one hammer point, on all sensors; the record is as long as the recording's lines are apart.
+    """
+    tested = with_channels(without_limits(robot), record.excitation, record.response)
+    mechanism = assemble(tested, record.q, brakes=record.brakes or "off")
+    column = _loudest(record)
+    step = float(record.frequency[1] - record.frequency[0])
+    test = HammerTest(pulse_s=pulse_s, duration_s=1 / step, hits=1)
+    hits = simulate_hits(mechanism, test, force_n, [record.excitation.label[column]], record.response.label, threads=1)
+    H = _frf_of_blow(hits, record)
+    expected = record.predicted["after"][:, :, column]
+    off = float(np.linalg.norm(H - expected) / np.linalg.norm(expected))
+    return {
+        "name": "time stepping", "value": off, "limit": STEPPED, "passed": off < STEPPED,
+        "description": f"a blow of {force_n:g} N on {record.excitation.label[column]} in '{record.name}', stepped in "
+        f"time by MuJoCo, gives the FRFs the search predicts within {off:.1%} (limit {STEPPED:.0%})",
+    }  # fmt: skip
+
+
+def _loudest(record: FrfRecord) -> int:
+    """The hammer point whose FRFs are largest."""
+    return int(np.argmax(np.linalg.norm(record.measured, axis=(0, 1))))
+
+
+def _frf_of_blow(hits: Any, record: FrfRecord) -> ComplexArray:
+    """Response over force (nf, nr) at the record's lines, in its quantity."""
+    t = np.arange(hits.force.shape[-1]) / hits.sample_rate_hz
+    kernel = np.exp(-2j * np.pi * record.frequency[:, None] * t)
+    H = (kernel @ hits.response[0, 0].T) / (kernel @ hits.force[0, 0])[:, None]
+    return np.asarray(H * laplace(record.frequency)[:, None] ** (QUANTITIES.index(record.quantity) - 2))
+
+
+def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> dict[str, Any] | None:
+    """What a payload at the flange does to both models without refitting: an experiment that tells them apart.
+
+    Returns:
+        Mass, posture and the lowest modes' frequencies with it, of the posture and mode where the models differ most;
+        ``None`` for a robot whose flange carries nothing in the catalogue's sense, or without modes.
+    """
+    total = sum(link.inertial[0] for link in after.links)
+    mass = float(f"{EDIT_SHARE * total:.1g}")
+    found: list[tuple[float, dict[str, Any]]] = []
+    for record in {r.posture: r for r in records}.values():
+        moved = []
+        for robot in (before, after):
+            loaded = _with_payload(robot, mass)
+            moved.append([_frequencies(each, record) for each in (robot, loaded)])
+        count = min(EDIT_MODES, *(len(f) for pair in moved for f in pair))
+        if not count:
+            continue
+        shift = np.array([pair[1][:count] / pair[0][:count] - 1 for pair in moved])
+        k = int(np.argmax(np.abs(shift[1] - shift[0])))
+        low, high = float(record.frequency[0]), float(record.frequency[-1])
+        rows = [
+            {"mode": m + 1, "before_hz": [float(pair[m]) for pair in moved[0]], "after_hz": [float(p[m]) for p in moved[1]]}
+            for m in range(count)
+        ]  # fmt: skip
+        text = (
+            f"{mass:g} kg more at the flange would move mode {k + 1} in '{record.posture}' from {moved[1][0][k]:.2f} to "
+            f"{moved[1][1][k]:.2f} Hz ({100 * shift[1][k]:+.1f} %); the model without what was found says "
+            f"{100 * shift[0][k]:+.1f} %, from {moved[0][0][k]:.2f} to {moved[0][1][k]:.2f} Hz"
+        )
+        told = {"mass_kg": mass, "posture": record.posture, "modes": rows, "description": text}
+        inside = low <= moved[1][0][k] <= high
+        found.append((float(np.abs(shift[1] - shift[0])[k]) * (1.0 if inside else 0.1), told))
+    return max(found, key=lambda item: item[0])[1] if found else None
+
+
+def _with_payload(robot: Robot, mass: float) -> Robot:
+    """With a point mass more at the flange's centre."""
+    entry = Entry(effect="payload", site="flange", mass=mass, com=[float(v) for v in robot.flange.position], inertia=[])
+    return robot.model_copy(update={"physics": [*robot.physics, entry]})
+
+
+def _frequencies(robot: Robot, record: FrfRecord) -> np.ndarray:
+    mechanism = assemble(without_limits(robot), record.q, brakes=record.brakes or "off")
+    return modes(linearise(mechanism)).frequency_hz
+
+
+def with_modes(records: Sequence[FrfRecord], before: Robot, after: Robot) -> list[FrfRecord]:
+    """Records with the natural frequencies of the models before and after in their posture."""
+    found: dict[str, dict[str, np.ndarray]] = {}
+    out = []
+    for record in records:
+        if record.posture not in found:
+            found[record.posture] = {
+                "before": _frequencies(before, record), "after": _frequencies(after, record)
+            }  # fmt: skip
+        out.append(replace(record, modes_hz=found[record.posture]))
+    return out

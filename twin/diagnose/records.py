@@ -1,0 +1,177 @@
+"""Recordings beside the model as it came, before and after: what errors, figures and sentences of evidence read off."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from twin.diagnose.objective import Objective, Sample
+from twin.diagnose.physical import physical
+from twin.diagnose.refit import Fitted
+from twin.identify.elastic import Recorded
+from twin.identify.elastic_compare import judge, relative_error
+from twin.measure.campaign import QUANTITIES, Brakes, Channels, ComplexArray, FloatArray, Quantity
+from twin.robot.description import Robot
+
+Stage = Literal["as_given", "before", "after"]
+STAGES: tuple[Stage, ...] = ("as_given", "before", "after")
+
+
+@dataclass(frozen=True)
+class FrfRecord:
+    """One posture and force level.
+
+    Attributes:
+        name: of the group; ``posture`` is its base name, shared by force levels.
+        held_out: not used for fitting.
+        q: (n,) rad (m).
+        frequency: (nf,) Hz.
+        measured: (nf, nr, ne); ``variance`` of real and imaginary part, infinite where a line is not used.
+        predicted: stage → (nf, nr, ne).
+        modes_hz: stage → natural frequencies of the model in this posture.
+    """
+
+    name: str
+    posture: str
+    held_out: bool
+    q: FloatArray
+    brakes: Brakes | None
+    response: Channels
+    excitation: Channels
+    frequency: FloatArray
+    quantity: Quantity
+    measured: ComplexArray
+    variance: FloatArray
+    predicted: Mapping[Stage, ComplexArray]
+    modes_hz: Mapping[Stage, FloatArray] = field(default_factory=dict)
+
+    def energy(self, stage: Stage) -> FloatArray:
+        """|residual|²/σ² (nf, nr, ne); zero where a line is not used; two for every line that is pure noise."""
+        return np.asarray(np.abs(self.measured - self.predicted[stage]) ** 2 / self.variance)
+
+    def error(self, stage: Stage) -> float:
+        """Weighted RMS of the residual over that of the data."""
+        return float(np.sqrt(self.energy(stage).sum() / self._power))
+
+    @property
+    def floor(self) -> float:
+        """The same for a residual that is all noise."""
+        return float(np.sqrt(2 * np.isfinite(self.variance).sum() / self._power))
+
+    @property
+    def _power(self) -> float:
+        return max(float((np.abs(self.measured) ** 2 / self.variance).sum()), 1e-300)
+
+    @property
+    def pairs(self) -> list[str]:
+        """Channel pairs in the order of the last two axes, flattened."""
+        return [f"{r}/{e}" for r in self.response.label for e in self.excitation.label]
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """One run of a motion log, in joint coordinates, after the identification's own low-pass.
+
+    Attributes:
+        time: (nt,) s; ``position``, ``velocity``, ``measured`` (nt, n).
+        valid: (nt,) rows that count.
+        predicted: stage → torque (nt, n), offsets included.
+        noise: (n,) RMS of the torque noise after the same low-pass; NaN where unknown.
+    """
+
+    name: str
+    held_out: bool
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    measured: FloatArray
+    valid: np.ndarray
+    predicted: Mapping[Stage, FloatArray]
+    noise: FloatArray
+
+    def error(self, stage: Stage) -> float:
+        """RMS over joints of residual RMS over torque RMS."""
+        rest = np.mean((self.measured - self.predicted[stage])[self.valid] ** 2, axis=0)
+        return float(np.sqrt(np.mean(rest / np.maximum(np.mean(self.measured[self.valid] ** 2, axis=0), 1e-300))))
+
+    @property
+    def floor(self) -> float:
+        """The same for a residual that is all noise."""
+        power = np.maximum(np.mean(self.measured[self.valid] ** 2, axis=0), 1e-300)
+        return float(np.sqrt(np.mean(self.noise**2 / power)))
+
+
+@dataclass(frozen=True)
+class ModalRecord:
+    """One posture of a modal table.
+
+    Attributes:
+        measured: (nm, 2) Hz and percent of critical, NaN where a number is missing.
+        deviation: (nm, 2) standard deviations, relative.
+        predicted: stage → (nm, 2) of the model's modes paired with them.
+    """
+
+    name: str
+    held_out: bool
+    q: FloatArray
+    measured: FloatArray
+    deviation: FloatArray
+    predicted: Mapping[Stage, FloatArray]
+
+    def error(self, stage: Stage) -> float:
+        """RMS of relative frequency differences."""
+        return float(np.sqrt(np.nanmean((self.predicted[stage][:, 0] / self.measured[:, 0] - 1) ** 2)))
+
+    @property
+    def floor(self) -> float:
+        """RMS of the relative standard deviations of the frequencies."""
+        return float(np.sqrt(np.nanmean(self.deviation[:, 0] ** 2)))
+
+
+Record = FrfRecord | LogRecord | ModalRecord
+
+
+def frf_records(
+    given: Robot, before: Fitted, after: Fitted, used: Sequence[Recorded], kept: Sequence[Recorded]
+) -> tuple[list[FrfRecord], dict[str, Any]]:
+    """Every posture of a campaign beside the three models, and the errors of a diagnosis.
+
+    Models are judged as they will be written, see :func:`physical`. Where a model was fitted, its own posture angles and
+    gains are used; elsewhere they are re-estimated within the description's tolerances, and nothing else is.
+
+    Args:
+        given: the description as it came.
+        before, after: base model and answer, both fitted to all lines of ``used``.
+        used, kept: recordings fitted to and held out.
+
+    Returns:
+        Records, used ones first, and stage → ``train`` and ``held_out`` (``None`` without any).
+    """
+    predicted: dict[Stage, list[ComplexArray]] = {}
+    errors: dict[str, Any] = {}
+    for stage, robot, fit in (
+        ("as_given", given, None),
+        ("before", before.robot, before),
+        ("after", after.robot, after),
+    ):
+        robot = physical(robot)
+        if fit is None or robot is not fit.robot:
+            train = judge(robot, used)
+            on_used, error = list(train.predicted), train.error
+        else:
+            on_used = Objective(fit.robot, fit.parameters, Sample(tuple(used))).predicted(fit.z)
+            error = relative_error(used, on_used)
+        rest = judge(robot, kept) if kept else None
+        predicted[stage] = [*on_used, *(rest.predicted if rest else ())]  # type: ignore[index]
+        errors[stage] = {"train": error, "held_out": rest.error if rest else None}
+    records = []
+    for k, r in enumerate([*used, *kept]):
+        records.append(
+            FrfRecord(
+                r.group, r.setup.name, k >= len(used), r.setup.q, r.setup.brakes, r.setup.response, r.setup.excitation,
+                r.frequency, QUANTITIES[r.power], r.frf, r.variance,
+                {stage: predicted[stage][k] for stage in STAGES},
+            )
+        )  # fmt: skip
+    return records, errors
