@@ -302,3 +302,71 @@ def test_known_torque_is_not_fitted(kr90: Robot, fourier: list[Fourier]) -> None
     assert result.estimate.value[k] == pytest.approx(true[k], rel=1e-3)
     motion = fourier[0].motion(np.arange(10.0))
     assert isinstance(motion, Motion)
+
+
+def rewritten(key: str, values: object) -> Callable[[h5py.Group], None]:
+    def edit(run: h5py.Group) -> None:
+        del run[key]
+        run[key] = values
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("edit", "says"),
+    [
+        (rewritten("position", np.full((20, 3), b"x")), "runs/a/position: expected real numbers, found |S1"),
+        (rewritten("torque", np.ones((20, 3)) * 1j), "runs/a/torque: expected real numbers, found complex128"),
+        (
+            lambda run: run.attrs.update(sample_rate_hz="fast"),
+            "runs/a: sample_rate_hz: expected a number, found 'fast'",
+        ),
+        (lambda run: run.file.attrs.update(version="one"), "version: expected a number, found 'one'"),
+        (lambda run: run["position"].attrs.update(unit="deg"), "runs/a/position: unit: expected rad or m, found 'deg'"),
+        (rewritten("position", np.zeros((20, 0))), "runs/a/position: expected at least one axis, found shape (20, 0)"),
+        (lambda run: run.file.create_dataset("runs/b", data=0.0), "runs/b: expected a group, found a dataset"),
+    ],
+)
+def test_files_made_by_hand_are_read_or_refused_in_one_line(
+    tmp_path: Path, edit: Callable[[h5py.Group], None], says: str
+) -> None:
+    """Text or complex data, wrong attributes, units: one line with file and field; nine samples are read."""
+    path = tmp_path / "log.h5"
+    short = MotionRun("a", np.arange(20) / RATE, np.linspace([0, 0, 0], [1, 1, 1], 20), RATE, np.ones((20, 3)))
+    for count in (2, 9, 20):
+        series = {key: getattr(short, key)[:count] for key in ("time", "position", "torque")}
+        write_motion_log(path, MotionLog({"a": replace(short, **series)}))
+        assert read_motion_log(path).runs["a"].position.shape == (count, 3)
+    with h5py.File(path, "r+") as file:
+        edit(file["runs/a"])
+    with pytest.raises(InputError) as raised:
+        read_motion_log(path)
+    assert str(raised.value) == f"{path}: {says}"
+
+
+def test_a_csv_may_carry_a_byte_order_mark_but_must_be_text(tmp_path: Path) -> None:
+    """As spreadsheets write it; what is no UTF-8 text, or no table of numbers, is refused in one line."""
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{k / RATE},{0.01 * k},1.5\n" for k in range(20))
+    path.write_bytes(b"\xef\xbb\xbf" + f"time,q1,tau1\n{rows}".encode())
+    assert read_motion_log(path).runs["log"].torque.shape == (20, 1)
+    for content in (
+        b"time,q1,tau\xb9\n0,1,2\n",
+        b"",
+        b"time,q1,tau1\n",
+        b"time;q1;tau1\n0;1;2\n",
+        b"time,q1,tau1\n0,1\n",
+    ):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="expected"):
+            read_motion_log(path)
+
+
+def test_a_run_without_a_usable_row_is_left_out(kr90: Robot, log: MotionLog) -> None:
+    """Half a second is less than the low-pass needs at its ends: a note, not a failure of the whole log."""
+    run = log.runs["run1"]
+    brief = replace(run, **{key: getattr(run, key)[:125] for key in ("time", "position", "torque")})
+    result = identify(MotionLog({**log.runs, "brief": replace(brief, name="brief")}), kr90)
+    assert any("runs/brief: 0.5 s are too short" in note for note in result.notes)
+    with pytest.raises(InputError, match=r"log\.h5: runs: 0\.5 s are too short"):
+        identify(MotionLog({"brief": brief}, source="log.h5"), kr90)

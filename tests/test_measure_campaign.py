@@ -15,13 +15,13 @@ from twin.measure.campaign import (
     Hits,
     PostureFRF,
     as_quantity,
-    check_unit,
     convert,
     dead_channels,
     frf_variance,
     read_campaign,
     write_campaign,
 )
+from twin.measure.hdf5 import check_unit
 
 NR, NE, NF, NH, NT = 3, 2, 40, 4, 64
 

@@ -13,7 +13,8 @@ from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.identify.regressor import Regressor
-from twin.identify.rigid import Bands, Rows, rows_of
+from twin.identify.rigid import TOO_SHORT, Bands, Rows, rows_of
+from twin.measure.hdf5 import Node
 from twin.measure.motion_log import MotionLog, read_motion_log
 from twin.measure.signals import lowpass
 from twin.provenance import provenance, write_json
@@ -159,13 +160,13 @@ def recording_kind(path: str | Path) -> tuple[str, str | None]:
         return "frf-campaign", None
     try:
         with h5py.File(path) as file:
-            kind, robot = file.attrs.get("format"), file.attrs.get("robot")
+            root = Node(path, file)
+            kind, robot = root.text("format"), root.text("robot")
     except OSError as error:
         raise InputError(path, "", "expected an HDF5, UFF or CSV recording") from error
-    kind, robot = (x.decode() if isinstance(x, bytes) else x for x in (kind, robot))
     if kind not in ("motion-log", "frf-campaign"):
         raise InputError(path, "format", f"expected 'motion-log' or 'frf-campaign', found {kind!r}")
-    return str(kind), robot
+    return kind, robot
 
 
 def compare_log(
@@ -198,6 +199,8 @@ def compare_log(
         if run.torque is None:
             raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory has nothing to compare")
         r = rows_of(regressor, run, bands)
+        if not r.valid.any():
+            raise InputError(log.source, f"runs/{name}", TOO_SHORT.format(run.time[-1] - run.time[0]))
         measured = r.torque + r.known
         predicted = r.matrix @ regressor.described + r.known
         replayed = _stepped(robot, run, bands, r, progress) if stepped else None

@@ -36,6 +36,7 @@ CORRELATION_S = 4.0  # residuals farther apart are taken as independent
 STILL = 4.0  # standard deviations of the velocity's noise below which an axis stands
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit is allowed to have explained away
 PASSED = 0.3  # share of a column's amplitude the low-pass must leave for its parameter to be called identifiable
+TOO_SHORT = "{:.2g} s are too short: the ends of the low-pass take up all of it"
 LEAST_INFORMED = 1.0  # a parameter with a standard deviation above this many times its scale is not identified
 
 
@@ -220,7 +221,9 @@ class Estimate:
         return self.value[:, None] + QUANTILE * self.deviation[:, None] * np.array([-1.0, 1.0])
 
 
-def least_squares(regressor: Regressor, rows: list[Rows], weighting: str = "joint") -> Estimate:
+def least_squares(
+    regressor: Regressor, rows: list[Rows], weighting: str = "joint", source: str = "motion log"
+) -> Estimate:
     """Base parameters from the valid rows (paper, Eqs. 6 and 7).
 
     Args:
@@ -229,6 +232,7 @@ def least_squares(regressor: Regressor, rows: list[Rows], weighting: str = "join
         weighting: ``"joint"`` divides every joint's rows by its noise (found by iteration); ``"none"`` is ordinary
             least squares. Deviations are right for either: they come from the residual's own correlation in time
             (sandwich estimate), not from the number of rows.
+        source: the file named in errors.
 
     Raises:
         InputError: fewer rows than parameters.
@@ -238,7 +242,8 @@ def least_squares(regressor: Regressor, rows: list[Rows], weighting: str = "join
     torque = np.concatenate([r.torque[r.valid] for r in rows])
     m, n, _ = data.shape
     if m * n < 2 * len(base.kept):
-        raise InputError(rows[0].name if rows else "log", "", f"{m} rows are too few for {len(base.kept)} parameters")
+        seconds = sum(r.valid.sum() / r.rate_hz for r in rows)
+        raise InputError(source, "runs", f"{seconds:.2g} s to fit are too few for {len(base.kept)} parameters")
     # What this motion does not move apart stays together, whatever the robot could do.
     base = _merge(base, base_parameters(data[:, :, base.kept].reshape(m * n, -1), [base.columns[k] for k in base.kept]))
     A = data[:, :, base.kept]
@@ -531,11 +536,17 @@ def identify(
                 f"{cut[:, i].sum() / run.sample_rate_hz:.2g} s; left out with the filter's memory around it"
             )
         joints = joint_run(robot, run)
-        rows.append(rows_of(regressor, joints, bands))
+        made = rows_of(regressor, joints, bands)
+        if not made.valid.any():
+            notes.append(f"runs/{name}: {TOO_SHORT.format(run.time[-1] - run.time[0])}; left out")
+            continue
+        rows.append(made)
         if not lost:
             lost = lost_rotor_terms(robot, joints, bands)
+    if not rows:
+        raise InputError(log.source, "runs", TOO_SHORT.format(max(np.ptp(run.time) for run in log.runs.values())))
     parts = split(rows, hold_out, bands, log.source)
-    estimate = least_squares(regressor, parts.train, weighting)
+    estimate = least_squares(regressor, parts.train, weighting, log.source)
     parameters = consistent(regressor, estimate)
     for term, share in lost.items():
         notes.append(

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.errors import InputError
 from twin.files import replacing
+from twin.measure.hdf5 import Node
 
 FORMAT, VERSION = "frf-campaign", 1
 
@@ -306,140 +307,7 @@ def _check_rate(source: str | Path, field: str, rate: float) -> None:
         raise InputError(source, f"{field}: exponential_window_rate", f"expected 1/s from 0 upwards, found {rate:g}")
 
 
-# --- units --------------------------------------------------------------------------------------------------
-
-_DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a factor
-    "m": (1, 0, 0),
-    "kg": (0, 1, 0),
-    "s": (0, 0, 1),
-    "N": (1, 1, -2),
-    "Hz": (0, 0, -1),
-    "1": (0, 0, 0),
-}
-_SUPERSCRIPT = str.maketrans("⁻⁰¹²³⁴", "-01234")
-_TOKEN = re.compile(r"\s*(?:(?P<unit>kg|Hz|[a-zA-Zµ°%]+|1)(?:\^|\*\*)?(?P<power>[-+]?\d+)?|(?P<mark>[/*·().⋅]))\s*")
-
-
-def _dimension(unit: str) -> tuple[int, ...] | None:
-    """Exponents of m, kg, s in ``unit`` (a / holds for the next factor or bracket), None unless plain SI."""
-    text = re.sub(r"\^\((-?\d+)\)", r"^\1", unit.translate(_SUPERSCRIPT))
-    total, sign, outer, at = np.zeros(3, dtype=int), 1, [1], 0
-    while at < len(text):
-        token = _TOKEN.match(text, at)
-        if token is None:
-            return None
-        at = token.end()
-        match token["mark"]:
-            case "/":
-                sign = -1
-            case "(":
-                outer.append(outer[-1] * sign)
-                sign = 1
-            case ")":
-                if len(outer) == 1:
-                    return None
-                outer.pop()
-                sign = 1
-            case None:
-                if token["unit"] not in _DIMENSION:
-                    return None
-                power = sign * outer[-1] * int(token["power"] or 1)
-                total += power * np.array(_DIMENSION[token["unit"]])
-                sign = 1
-    return tuple(int(n) for n in total)
-
-
-def check_unit(source: str | Path, field: str, unit: str, expected: str) -> None:
-    """Raise :class:`InputError` unless ``unit`` is the SI unit ``expected``, however it is spelt."""
-    if _dimension(unit) != _dimension(expected):
-        raise InputError(source, f"{field}: unit", f"expected {expected}, found {unit!r}")
-
-
 # --- HDF5 ---------------------------------------------------------------------------------------------------
-
-
-def _plain(value: Any) -> Any:
-    """An attribute or string dataset as plain Python: bytes decoded, arrays of one unpacked."""
-    if isinstance(value, np.ndarray):
-        if value.size == 1:
-            return _plain(value.reshape(-1)[0])
-        return [_plain(item) for item in value.tolist()]
-    if isinstance(value, bytes):
-        return value.decode("utf-8", errors="replace")
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    return value
-
-
-class _Node:
-    """A group or dataset of an open file that turns what is missing or malformed into one clear line."""
-
-    def __init__(self, source: Path, item: h5py.Group | h5py.Dataset) -> None:
-        self.source, self.item = source, item
-        self.field = item.name.strip("/")
-
-    def fail(self, name: str, expected: str) -> InputError:
-        return InputError(self.source, name, expected)
-
-    def attribute(self, name: str) -> Any:
-        """Plain value, None where absent."""
-        return _plain(self.item.attrs[name]) if name in self.item.attrs else None
-
-    def text(self, name: str) -> str | None:
-        value = self.attribute(name)
-        return None if value is None else str(value)
-
-    def number(self, name: str, default: float | None = None) -> float | None:
-        value = self.attribute(name)
-        if value is None or isinstance(value, h5py.Empty):
-            return default
-        try:
-            return float(value)
-        except (TypeError, ValueError):
-            raise self.fail(f"{self.field}: {name}", f"expected a number, found {value!r}") from None
-
-    def group(self, name: str) -> "_Node":
-        item = self.item.get(name)
-        if not isinstance(item, h5py.Group):
-            raise self.fail(f"{self.field}/{name}".strip("/"), "expected a group, it is missing")
-        return _Node(self.source, item)
-
-    def dataset(self, name: str) -> "_Node":
-        item = self.item.get(name)
-        if not isinstance(item, h5py.Dataset):
-            raise self.fail(f"{self.field}/{name}", "expected a dataset, it is missing")
-        return _Node(self.source, item)
-
-    def has(self, name: str) -> bool:
-        return name in self.item
-
-    def real(self, name: str, unit: str | None = None) -> FloatArray:
-        node = self.dataset(name)
-        if node.item.dtype.kind not in "iuf":
-            raise self.fail(node.field, f"expected real numbers, found {node.item.dtype}")
-        node.check_unit(unit)
-        return np.asarray(node.item[()], dtype=np.float64)
-
-    def check_unit(self, expected: str | None) -> None:
-        unit = self.text("unit")
-        if unit is not None and expected is not None:
-            check_unit(self.source, self.field, unit, expected)
-
-    def complex(self) -> ComplexArray:
-        dtype = self.item.dtype
-        values = self.item[()]
-        if dtype.names is not None and len(dtype.names) == 2:  # {real, imag} pairs, as MATLAB writes them
-            return np.asarray(values[dtype.names[0]] + 1j * values[dtype.names[1]], dtype=np.complex128)
-        if dtype.kind != "c":
-            raise self.fail(self.field, f"expected complex numbers, found {dtype}")
-        return np.asarray(values, dtype=np.complex128)
-
-    def strings(self, name: str) -> tuple[str, ...]:
-        node = self.dataset(name)
-        values = np.atleast_1d(node.item[()])
-        if values.dtype.kind not in "OSU":
-            raise self.fail(node.field, f"expected text, found {node.item.dtype}")
-        return tuple(str(_plain(value)) for value in values.ravel())
 
 
 def read_campaign(path: str | Path) -> Campaign:
@@ -452,7 +320,7 @@ def read_campaign(path: str | Path) -> Campaign:
     except OSError:
         raise InputError(path, "", "expected an HDF5 file") from None
     with file:
-        root = _Node(path, file)
+        root = Node(path, file)
         if root.text("format") != FORMAT:
             raise InputError(path, "format", f'expected "{FORMAT}", found {root.text("format")!r}')
         if root.number("version") != VERSION:
@@ -469,11 +337,11 @@ def read_campaign(path: str | Path) -> Campaign:
     return campaign
 
 
-def _read_channels(node: _Node) -> Channels:
+def _read_channels(node: Node) -> Channels:
     return Channels(node.strings("label"), node.strings("body"), node.real("position", "m"), node.real("direction"))
 
 
-def _read_posture(name: str, node: _Node) -> PostureFRF:
+def _read_posture(name: str, node: Node) -> PostureFRF:
     if "q_deg" not in node.item.attrs:
         raise node.fail(f"{node.field}: q_deg", "expected the axis positions, the attribute is missing")
     try:
@@ -489,8 +357,9 @@ def _read_posture(name: str, node: _Node) -> PostureFRF:
     quantity: Any = frf.text("quantity")
     if quantity is None:
         raise node.fail(f"{frf.field}: quantity", f"expected one of {', '.join(QUANTITIES)}, the attribute is missing")
-    for holder in (frf, node):
-        holder.check_unit(UNITS.get(quantity))
+    if quantity in UNITS:
+        for holder in (frf, node):
+            holder.check_unit(UNITS[quantity])
     coherence, averages = None, node.number("averages")
     if node.has("coherence"):
         coherence = node.real("coherence")
@@ -512,7 +381,7 @@ def _read_posture(name: str, node: _Node) -> PostureFRF:
     )
 
 
-def _read_hits(node: _Node) -> Hits:
+def _read_hits(node: Node) -> Hits:
     rate = node.number("sample_rate_hz")
     if rate is None:
         raise node.fail(f"{node.field}: sample_rate_hz", "expected Hz, the attribute is missing")

@@ -14,6 +14,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.files import replacing, writing
 from twin.measure.campaign import FloatArray
+from twin.measure.hdf5 import Node
 from twin.measure.signals import resample
 
 if TYPE_CHECKING:
@@ -22,7 +23,13 @@ if TYPE_CHECKING:
 VERSION = 1
 LONGEST_GAP_S = 0.05  # longer ones are not bridged: a spline knows nothing of what a robot did in them
 FLAT_S = 0.02  # torque that stays at its largest value for so long while the axis moves was cut off
-SERIES = ("position", "torque", "velocity", "acceleration", "link_position")
+SERIES = {  # units, where a file states them: revolute or linear axis
+    "position": ("rad", "m"),
+    "torque": ("N·m", "N"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s²", "m/s²"),
+    "link_position": ("rad", "m"),
+}
 
 
 @dataclass(frozen=True)
@@ -76,27 +83,27 @@ def read_motion_log(path: str | Path) -> MotionLog:
     except OSError as error:
         raise InputError(path, "", "not an HDF5 file") from error
     with file:
-        kind = _text(file.attrs.get("format"))
+        root = Node(path, file)
+        kind = root.text("format")
         if kind not in ("motion-log", "trajectory"):
             raise InputError(path, "format", f"expected 'motion-log' or 'trajectory', found {kind!r}")
-        if int(file.attrs.get("version", VERSION)) != VERSION:
-            raise InputError(path, "version", f"expected {VERSION}, found {file.attrs['version']}")
-        if "runs" not in file or not len(file["runs"]):
+        if root.number("version", VERSION) != VERSION:
+            raise InputError(path, "version", f"expected {VERSION}, found {root.attribute('version')!r}")
+        groups = root.group("runs")
+        if not len(groups.item):
             raise InputError(path, "runs", "expected at least one run")
         runs, notes = {}, []
-        for name, group in file["runs"].items():
-            where = f"runs/{name}"
-            series = {key: np.asarray(group[key], float) for key in SERIES if key in group}
-            if "time" not in group:
-                raise InputError(path, f"{where}/time", "missing")
-            rate = group.attrs.get("sample_rate_hz")
-            if rate is None:
-                raise InputError(path, f"{where}/sample_rate_hz", "missing attribute")
-            runs[name], repairs = _checked(path, where, name, np.asarray(group["time"], float), series, float(rate))
+        for name in groups.item:
+            group = groups.group(name)
+            if (rate := group.number("sample_rate_hz")) is None:
+                raise InputError(path, f"{group.field}/sample_rate_hz", "missing attribute")
+            time = group.real("time", "s")
+            series = {key: group.real(key, *unit) for key, unit in SERIES.items() if group.has(key)}
+            runs[name], repairs = _checked(path, group.field, name, time, series, rate)
             notes += repairs
             if kind == "motion-log" and runs[name].torque is None:
-                raise InputError(path, f"{where}/torque", "missing")
-        return MotionLog(runs, _text(file.attrs.get("robot")), str(path), tuple(notes))
+                raise InputError(path, f"{group.field}/torque", "missing")
+        return MotionLog(runs, root.text("robot"), str(path), tuple(notes))
 
 
 def write_motion_log(path: str | Path, log: MotionLog) -> None:
@@ -145,6 +152,8 @@ def _checked(
     if "position" not in series:
         raise InputError(path, f"{where}/position", "missing")
     shape = series["position"].shape
+    if not series["position"].size:
+        raise InputError(path, f"{where}/position", f"expected at least one axis, found shape {shape}")
     for key, values in series.items():
         if values.ndim != 2 or len(values) != len(time) or values.shape != shape:
             expected = f"({len(time)}, {shape[1] if len(shape) == 2 else 'n'})"
@@ -230,7 +239,8 @@ def _held(series: dict[str, FloatArray]) -> np.ndarray:
         [[False], np.all([np.all(np.diff(values, axis=0) == 0, axis=1) for values in series.values()], axis=0)]
     )
     step = np.abs(np.diff(series["position"], axis=0, prepend=series["position"][:1])).max(axis=1)
-    pace = np.convolve(step, np.ones(11) / 11, "same")  # over eleven samples: standing still is not dropping samples
+    window = min(11, len(step))
+    pace = np.convolve(step, np.ones(window) / window, "same")  # standing still is not dropping samples
     return same & (pace > 0.2 * np.median(step[step > 0])) if np.any(step > 0) else np.zeros_like(same)
 
 
@@ -282,17 +292,22 @@ def check_against(log: MotionLog, robot: "Robot") -> None:
 
 
 def _read_csv(path: Path) -> MotionLog:
-    with path.open(encoding="utf-8") as stream:
-        header = [word.strip() for word in stream.readline().split(",")]
-        try:
-            table = np.loadtxt(stream, delimiter=",", ndmin=2)
-        except ValueError as error:
-            raise InputError(path, "", f"expected numbers separated by commas: {error}") from error
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(path, "", "expected a text file in UTF-8") from error
+    header = [word.strip() for word in lines[0].split(",")] if lines else []
     n = sum(word.startswith("q") for word in header)
     torque = [f"tau{i + 1}" for i in range(n)]
     expected = ["time", *(f"q{i + 1}" for i in range(n))]
     if header not in (expected, expected + torque) or n == 0:
-        raise InputError(path, "header", "expected time,q1..qn,tau1..taun")
+        raise InputError(path, "header", f"expected time,q1..qn,tau1..taun, found {','.join(header)[:60]!r}")
+    try:
+        table = np.loadtxt(lines[1:], delimiter=",", ndmin=2) if any(map(str.strip, lines[1:])) else np.empty((0, 1))
+    except ValueError as error:
+        raise InputError(path, "", f"expected numbers separated by commas: {error}") from error
+    if not len(table):
+        raise InputError(path, "", "expected rows of numbers, found none")
     if table.shape[1] != len(header):
         raise InputError(path, "", f"expected {len(header)} columns, found {table.shape[1]}")
     series = {"position": table[:, 1 : n + 1]}
@@ -317,7 +332,3 @@ def _write_csv(path: Path, log: MotionLog) -> None:
         columns.append(run.torque)
     with writing(path) as stream:
         np.savetxt(stream, np.hstack(columns), delimiter=",", header=",".join(names), comments="", fmt="%.12g")
-
-
-def _text(value: object) -> str | None:
-    return value.decode() if isinstance(value, bytes) else None if value is None else str(value)

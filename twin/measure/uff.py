@@ -25,8 +25,8 @@ from twin.measure.campaign import (
     PostureFRF,
     Quantity,
     check_campaign,
-    check_unit,
 )
+from twin.measure.hdf5 import check_unit
 from twin.measure.modal import ModalResult
 from twin.measure.modal_table import TableMode
 

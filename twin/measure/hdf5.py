@@ -1,0 +1,148 @@
+"""Reading HDF5 that others wrote: what is missing, malformed or in another unit becomes one clear line."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.errors import InputError
+
+_DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a factor
+    "m": (1, 0, 0),
+    "kg": (0, 1, 0),
+    "s": (0, 0, 1),
+    "N": (1, 1, -2),
+    "Hz": (0, 0, -1),
+    "Nm": (2, 1, -2),
+    "rad": (0, 0, 0),
+    "1": (0, 0, 0),
+}
+_SUPERSCRIPT = str.maketrans("⁻⁰¹²³⁴", "-01234")
+_TOKEN = re.compile(r"\s*(?:(?P<unit>kg|Hz|[a-zA-Zµ°%]+|1)(?:\^|\*\*)?(?P<power>[-+]?\d+)?|(?P<mark>[/*·().⋅]))\s*")
+
+
+def _dimension(unit: str) -> tuple[int, ...] | None:
+    """Exponents of m, kg, s in ``unit`` (a / holds for the next factor or bracket), None unless plain SI."""
+    text = re.sub(r"\^\((-?\d+)\)", r"^\1", unit.translate(_SUPERSCRIPT))
+    total, sign, outer, at = np.zeros(3, dtype=int), 1, [1], 0
+    while at < len(text):
+        token = _TOKEN.match(text, at)
+        if token is None:
+            return None
+        at = token.end()
+        match token["mark"]:
+            case "/":
+                sign = -1
+            case "(":
+                outer.append(outer[-1] * sign)
+                sign = 1
+            case ")":
+                if len(outer) == 1:
+                    return None
+                outer.pop()
+                sign = 1
+            case None:
+                if token["unit"] not in _DIMENSION:
+                    return None
+                power = sign * outer[-1] * int(token["power"] or 1)
+                total += power * np.array(_DIMENSION[token["unit"]])
+                sign = 1
+    return tuple(int(n) for n in total)
+
+
+def check_unit(source: str | Path, field: str, unit: str, *expected: str) -> None:
+    """Raise :class:`InputError` unless ``unit`` is one of the SI units ``expected``, however it is spelt."""
+    if _dimension(unit) not in [_dimension(one) for one in expected]:
+        raise InputError(source, f"{field}: unit", f"expected {' or '.join(expected)}, found {unit!r}")
+
+
+def _plain(value: Any) -> Any:
+    """An attribute or string dataset as plain Python: bytes decoded, arrays of one unpacked."""
+    if isinstance(value, np.ndarray):
+        if value.size == 1:
+            return _plain(value.reshape(-1)[0])
+        return [_plain(item) for item in value.tolist()]
+    if isinstance(value, bytes):
+        return value.decode("utf-8", errors="replace")
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    return value
+
+
+class Node:
+    """A group or dataset of an open file; every reading method raises :class:`InputError` for what it cannot read."""
+
+    def __init__(self, source: Path, item: h5py.Group | h5py.Dataset) -> None:
+        self.source, self.item = source, item
+        self.field = item.name.strip("/")
+
+    def fail(self, name: str, expected: str) -> InputError:
+        return InputError(self.source, name, expected)
+
+    def attribute(self, name: str) -> Any:
+        """Plain value, None where absent."""
+        return _plain(self.item.attrs[name]) if name in self.item.attrs else None
+
+    def text(self, name: str) -> str | None:
+        value = self.attribute(name)
+        return None if value is None or isinstance(value, h5py.Empty) else str(value)
+
+    def number(self, name: str, default: float | None = None) -> float | None:
+        value = self.attribute(name)
+        if value is None or isinstance(value, h5py.Empty):
+            return default
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            raise self.fail(f"{self.field}: {name}".strip(": "), f"expected a number, found {value!r}") from None
+
+    def group(self, name: str) -> "Node":
+        item = self.item.get(name)
+        if not isinstance(item, h5py.Group):
+            what = "it is missing" if item is None else "found a dataset"
+            raise self.fail(f"{self.field}/{name}".strip("/"), f"expected a group, {what}")
+        return Node(self.source, item)
+
+    def dataset(self, name: str) -> "Node":
+        item = self.item.get(name)
+        if not isinstance(item, h5py.Dataset):
+            what = "it is missing" if item is None else "found a group"
+            raise self.fail(f"{self.field}/{name}".strip("/"), f"expected a dataset, {what}")
+        return Node(self.source, item)
+
+    def has(self, name: str) -> bool:
+        return name in self.item
+
+    def real(self, name: str, *unit: str) -> NDArray[np.float64]:
+        node = self.dataset(name)
+        if node.item.dtype.kind not in "iuf" or node.item.shape is None:
+            raise self.fail(node.field, f"expected real numbers, found {node.item.dtype}")
+        node.check_unit(*unit)
+        try:
+            return np.asarray(node.item[()], dtype=np.float64)
+        except OSError as error:
+            raise self.fail(node.field, "expected readable data, the file is damaged") from error
+
+    def check_unit(self, *expected: str) -> None:
+        unit = self.text("unit")
+        if unit is not None and expected:
+            check_unit(self.source, self.field, unit, *expected)
+
+    def complex(self) -> NDArray[np.complex128]:
+        dtype = self.item.dtype
+        values = self.item[()]
+        if dtype.names is not None and len(dtype.names) == 2:  # {real, imag} pairs, as MATLAB writes them
+            return np.asarray(values[dtype.names[0]] + 1j * values[dtype.names[1]], dtype=np.complex128)
+        if dtype.kind != "c":
+            raise self.fail(self.field, f"expected complex numbers, found {dtype}")
+        return np.asarray(values, dtype=np.complex128)
+
+    def strings(self, name: str) -> tuple[str, ...]:
+        node = self.dataset(name)
+        values = np.atleast_1d(node.item[()])
+        if values.dtype.kind not in "OSU":
+            raise self.fail(node.field, f"expected text, found {node.item.dtype}")
+        return tuple(str(_plain(value)) for value in values.ravel())
