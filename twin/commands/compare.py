@@ -9,17 +9,21 @@ import h5py
 import numpy as np
 
 from twin.commands.identify import in_joints
+from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
+from twin.identify.elastic_compare import Comparison, compare_frf, compare_modes
 from twin.identify.regressor import Regressor
 from twin.identify.rigid import TOO_SHORT, Bands, Rows, rows_of
 from twin.measure.hdf5 import Node
+from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import MotionLog, read_motion_log
 from twin.measure.signals import lowpass
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot
 
+TABLES = (".yaml", ".yml")
 OFFSET_TOLERANCE = 0.1  # a recording's constant torque may be this share of a joint's RMS torque
 
 
@@ -99,7 +103,7 @@ def compare(
     """Errors of a robot on recordings, after re-estimating only what belongs to a recording itself.
 
     Args:
-        recordings: motion logs and hammer tests.
+        recordings: motion logs, hammer tests and modal tables.
         robot: shipped name, ``robot.yaml`` or URDF; wins over the recordings'.
         without: entries to remove.
         out: folder for compare.json and figures; ``None`` writes nothing.
@@ -115,7 +119,7 @@ def compare(
     progress = progress or (lambda description, total: lambda step: None)
     errors: dict[str, float] = {}
     parts: list[dict[str, Any]] = []
-    texts, logs, name = [], [], robot or ""
+    texts, logs, tests, name = [], [], [], robot or ""
     for path in recordings:
         kind, named = recording_kind(path)
         loaded = load_robot(robot) if robot else load_robot(named or "kr90", Path(path).parent)
@@ -125,10 +129,11 @@ def compare(
             log = read_motion_log(path)
             found: Any = compare_log(log, loaded, as_is, Bands(fit=low_pass), stepped, progress)
             logs.append((path, loaded, found))
+        elif kind == "modal-table":
+            found = compare_modes(loaded, read_modal_table(path), str(path))
         else:
-            from twin.identify.elastic_compare import compare_frf
-
-            found = compare_frf(path, loaded, as_is)
+            found = compare_frf(loaded, read_recording([path]), str(path), as_is=as_is)
+            tests.append((path, found))
         errors[str(path)] = found.error
         parts += list(found.parts)
         texts.append(f"{path} · {found}")
@@ -139,13 +144,15 @@ def compare(
         with Outputs(out) as outputs:
             result.files = outputs.files
             for path, loaded, found in logs:
-                _figures(found, loaded, outputs, Path(path).stem)
+                _draw_log(found, loaded, outputs, Path(path).stem)
+            for path, found in tests:
+                _draw_frfs(found, outputs, Path(path).stem)
             write_json(outputs("compare.json"), result.data())
     return result
 
 
 def recording_kind(path: str | Path) -> tuple[str, str | None]:
-    """``"motion-log"`` or ``"frf-campaign"``, and the robot a recording names.
+    """``"motion-log"``, ``"frf-campaign"`` or ``"modal-table"``, and the robot a recording names.
 
     Raises:
         InputError: no such file, or another kind.
@@ -156,14 +163,18 @@ def recording_kind(path: str | Path) -> tuple[str, str | None]:
     suffix = path.suffix.lower()
     if suffix == ".csv":
         return "motion-log", None
-    if suffix in (".unv", ".uff", ".uf"):
+    if suffix in UFF:
         return "frf-campaign", None
+    if suffix in TABLES:
+        return "modal-table", read_modal_table(path).robot
     try:
         with h5py.File(path) as file:
             root = Node(path, file)
             kind, robot = root.text("format"), root.text("robot")
     except OSError as error:
-        raise InputError(path, "", "expected an HDF5, UFF or CSV recording") from error
+        raise InputError(
+            path, "", "expected a hammer test (HDF5, UFF), a modal table (YAML) or a motion log (HDF5, CSV)"
+        ) from error
     if kind not in ("motion-log", "frf-campaign"):
         raise InputError(path, "format", f"expected 'motion-log' or 'frf-campaign', found {kind!r}")
     return kind, robot
@@ -240,7 +251,7 @@ def _stepped(robot: Robot, run: Any, bands: Bands, rows: Rows, progress: Progres
     return smooth[:: round(run.sample_rate_hz / rows.rate_hz)]
 
 
-def _figures(found: LogComparison, robot: Robot, name: Outputs, stem: str) -> None:
+def _draw_log(found: LogComparison, robot: Robot, name: Outputs, stem: str) -> None:
     from twin.report.figures import replay, save
     from twin.report.motion_figures import axis_units
 
@@ -252,3 +263,13 @@ def _figures(found: LogComparison, robot: Robot, name: Outputs, stem: str) -> No
             replay(r.time[keep], measured[keep], shown[keep], shown[keep], robot.joint_names, axis_units(robot)[1]),
             name(f"{stem}-{r.name}.png"),
         )
+
+
+def _draw_frfs(found: Comparison, name: Outputs, stem: str) -> None:
+    from twin.report import fit_figures
+    from twin.report.figures import save
+    from twin.report.fit_report import overlay
+
+    save(fit_figures.errors({stem: found}), name(f"{stem}-errors.png"))
+    for r, H in zip(found.judged.recordings, found.judged.predicted, strict=True):
+        save(overlay(r, H, "measured"), name(f"{stem}-frf-{r.group}.png"))

@@ -11,7 +11,7 @@ from twin.commands.modal import read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
-from twin.identify.elastic import Fit, Recorded, base_name, fit_frf, prepare
+from twin.identify.elastic import Fit, Recorded, base_name, fit_frf, noise_stated, prepare
 from twin.identify.elastic_compare import Comparison, comparison, expected_error
 from twin.identify.elastic_modal import (
     ModalObjective,
@@ -258,20 +258,20 @@ def _fit_campaign(
         return fit_frf(described, used, free, starts=starts, seed=seed, progress=tick)
 
     fitted = run(train)
-    noise_known = all(p.coherence is not None for p in campaign.postures.values())
+    noise_known = noise_stated(recordings)
     final = _checked(fitted.parameters.apply(described, fitted.values))
-    comparisons = {"fitted": comparison(final, train, source, noise_known=noise_known)}
+    comparisons = {"fitted": comparison(final, train, source)}
     error: dict[str, float | None] = {"train": comparisons["fitted"].error, "held_out": None}
     expected: dict[str, float | None] = {"noise_floor": comparisons["fitted"].noise_floor, "held_out": None}
     if rest:
-        comparisons["held out"] = comparison(final, rest, source, noise_known=noise_known)
+        comparisons["held out"] = comparison(final, rest, source)
         error["held_out"] = comparisons["held out"].error
         expected["held_out"] = expected_error(final, fitted, rest) if noise_known else None
     left_out = {}
     for name in left:
         other = run([r for r in recordings if r.setup.name != name])
         changed = other.parameters.apply(described, other.values)
-        judged = comparison(changed, [r for r in recordings if r.setup.name == name], source, noise_known=noise_known)
+        judged = comparison(changed, [r for r in recordings if r.setup.name == name], source)
         left_out[name] = judged.error
     found = estimates(fitted, noise_known)
     result = FitResult(
@@ -386,15 +386,7 @@ def _fit_table(
     table: ModalTable = read_modal_table(path)
     described = _robot(robot, table.robot, path).without(without or [])
     _require_springs(described)
-    for name, posture in table.postures.items():
-        if posture.q_deg.size != described.axis_count:
-            raise InputError(
-                path, f"postures.{name}.q_deg",
-                f"expected {described.axis_count} values for robot {described.name}, found {posture.q_deg.size}",
-            )  # fmt: skip
-        if not posture.modes:
-            raise InputError(path, f"postures.{name}.modes", "expected at least one mode")
-    measured = modal_postures(table, described)
+    measured = modal_postures(table, described, str(path))
     held = _held_out(str(path), hold_out, list(measured), {name: name for name in measured})
     free = _modal_parameters(described, tolerances)
 

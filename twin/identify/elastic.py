@@ -8,7 +8,7 @@ every eighth line; the best ends on all lines.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from twin.measure.campaign import (
     ComplexArray,
     FloatArray,
     PostureFRF,
+    dead_channels,
     frf_variance,
     laplace,
 )
@@ -35,8 +36,8 @@ LARGEST_STEP = 2.0  # in prior deviations
 LEAST_DAMPING = 0.1  # of a step that did not lower the cost
 AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8)
 
-Objective = Callable[..., tuple[float, FloatArray, FloatArray]]
-"""z (n,), derivatives=True → cost, gradient (n,), Gauss–Newton matrix (n, n), prior included."""
+Objective = Callable[[FloatArray], tuple[float, FloatArray, FloatArray]]
+"""z (n,) → cost, gradient (n,), Gauss–Newton matrix (n, n), prior included."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class Recorded:
         s: (nf,) Laplace points; ``power`` of s in the quantity over receptance.
         frf: (nf, nr, ne), SI per newton.
         variance: (nf, nr, ne) of real and imaginary part; infinite where a line is not used.
+        stated: the variance is the recording's; where it states none, a share of the channel's RMS.
     """
 
     group: str
@@ -57,12 +59,13 @@ class Recorded:
     power: int
     frf: ComplexArray
     variance: FloatArray
+    stated: bool
 
     def every(self, step: int) -> "Recorded":
         """Every ``step``-th line."""
         keep = slice(step // 2, None, step)
-        return Recorded(
-            self.group, self.setup, self.frequency[keep], self.s[keep], self.power, self.frf[keep], self.variance[keep]
+        return replace(
+            self, frequency=self.frequency[keep], s=self.s[keep], frf=self.frf[keep], variance=self.variance[keep]
         )
 
 
@@ -136,23 +139,32 @@ def prepare(
         lines = (posture.frequency > 0) & (posture.frequency >= low) & (posture.frequency <= high)
         if np.count_nonzero(lines) < 2:
             raise InputError(source, f"postures/{name}/frequency", f"no lines from {low:g} to {high:g} Hz")
-        variance = measured_variance(posture)
+        variance, stated = measured_variance(posture)
         found[name] = Recorded(
             name, setup, posture.frequency[lines],
             laplace(posture.frequency[lines], posture.exponential_window_rate),
-            QUANTITIES.index(posture.quantity), posture.frf[lines], variance[lines],
+            QUANTITIES.index(posture.quantity), posture.frf[lines], variance[lines], stated,
         )  # fmt: skip
     return found
 
 
-def measured_variance(posture: PostureFRF) -> FloatArray:
-    """Variance (nf, nr, ne) of real and imaginary part, from coherence or, without it, a share of the channel's RMS."""
+def measured_variance(posture: PostureFRF) -> tuple[FloatArray, bool]:
+    """Variance (nf, nr, ne) of real and imaginary part, and whether the recording states it.
+
+    From coherence and averages; without them, a share of the channel's RMS.
+    """
     variance = frf_variance(posture)
-    if variance is None:
-        power = np.mean(np.abs(posture.frf) ** 2, axis=0)
-        variance = np.broadcast_to(UNKNOWN_NOISE**2 * power, posture.frf.shape).copy()
-        variance[:, power <= 1e-12 * np.median(power)] = np.inf
-    return variance
+    if variance is not None:
+        return variance, True
+    power = np.mean(np.abs(posture.frf) ** 2, axis=0)
+    variance = np.broadcast_to(UNKNOWN_NOISE**2 * power, posture.frf.shape).copy()
+    variance[:, dead_channels(posture)] = np.inf
+    return variance, False
+
+
+def noise_stated(recordings: Sequence[Recorded]) -> bool:
+    """Every recording states its variance."""
+    return all(r.stated for r in recordings)
 
 
 def _check_bodies(campaign: Campaign, robot: Robot, source: str) -> None:
@@ -215,26 +227,18 @@ def _objective(
     recordings: Sequence[Recorded],
     residual: Callable[[Recorded, ComplexArray, int], tuple[ComplexArray, ComplexArray]],
 ) -> Objective:
-    def evaluate(z: FloatArray, derivatives: bool = True) -> tuple[float, FloatArray, FloatArray]:
+    def evaluate(z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         values = parameters.values(z)
         changed = parameters.apply(robot, values)
         transform = parameters.transform(values)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
-        cache: dict[tuple[str, bytes, str | None], tuple[Observed, Observed | None]] = {}
+        cache: dict[tuple[str, bytes, str | None], tuple[Observed, Observed]] = {}
         for k, r in enumerate(recordings):
             key = (r.setup.name, r.setup.q.tobytes(), r.setup.brakes)
             if key not in cache:
                 seen, model = observe(changed, r.setup, parameters, values)
-                rate = None
-                if derivatives:
-                    rate = contract(slopes(changed, r.setup, parameters, values, seen, model), transform)
-                cache[key] = (seen, rate)
+                cache[key] = seen, contract(slopes(changed, r.setup, parameters, values, seen, model), transform)
             seen, rate = cache[key]
-            if rate is None:
-                e, _ = residual(r, frf(seen, r.s, r.power), k)
-                e = e[0] if e.ndim == 4 else e
-                cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
-                continue
             H, dH = frf_slopes(seen, rate, r.s, r.power)
             e, factor = residual(r, H, k)
             own, pull = (e[0], e[1]) if e.ndim == 4 else (e, e)
@@ -273,15 +277,14 @@ def minimise(
             step[free] = -np.linalg.solve(curvature + damping * np.eye(len(pull)), pull)
             step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
             next_z = np.clip(z + step, -bound, bound)
-            trial = objective(next_z, False)[0]
-            if np.isfinite(trial) and trial < cost:
+            trial = objective(next_z)
+            if np.isfinite(trial[0]) and trial[0] < cost:
                 break
             damping = max(10 * damping, LEAST_DAMPING)
             if damping > LEAST_DAMPING * 1e12:
                 return z, cost, information, gain < 10 * tolerance
         damping = damping / 10 if damping > LEAST_DAMPING else 0.0
-        z = next_z
-        cost, gradient, information = objective(z)
+        z, (cost, gradient, information) = next_z, trial
     return z, cost, information, False
 
 

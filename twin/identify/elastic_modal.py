@@ -5,14 +5,15 @@ measured mode is known to have, or from the second round on those of the model's
 stays together when two frequencies cross.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from twin.identify.elastic import AGREEMENT, Fit, Start, minimise, without_limits
+from twin.errors import InputError
+from twin.identify.elastic import AGREEMENT, Fit, Objective, Start, minimise, without_limits
 from twin.identify.parameters import Parameters, free_parameters
 from twin.identify.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
@@ -61,12 +62,30 @@ class PairedMode:
     mac: float | None
     dominant: tuple[tuple[str, float], ...]
 
+    def __str__(self) -> str:
+        said = "" if np.isnan(self.measured_damping) else f" {self.measured_damping:7.2%}"
+        line = f"measured {self.measured_hz:7.2f} Hz{said}"
+        if self.frequency_hz is None or self.damping is None:
+            return f"{line}   no mode of the model"
+        away = self.frequency_hz / self.measured_hz - 1
+        line += f"   model {self.frequency_hz:7.2f} Hz {self.damping:7.2%}   {away:+7.1%}"
+        return line if self.mac is None else f"{line}   MAC {self.mac:.0%}"
 
-def modal_postures(table: ModalTable, robot: Robot) -> dict[str, ModalPosture]:
-    """The table as the fit uses it; shapes are at the robot's test points of the same labels."""
+
+def modal_postures(table: ModalTable, robot: Robot, source: str = "table") -> dict[str, ModalPosture]:
+    """The table as the fit uses it; shapes are at the robot's test points of the same labels.
+
+    Raises:
+        InputError: a posture the robot does not have, or one without modes.
+    """
     points = {point.label: point for point in robot.test_points}
     found = {}
     for name, posture in table.postures.items():
+        if posture.q_deg.size != robot.axis_count:
+            expected = f"expected {robot.axis_count} values for robot {robot.name}, found {posture.q_deg.size}"
+            raise InputError(source, f"postures.{name}.q_deg", expected)
+        if not posture.modes:
+            raise InputError(source, f"postures.{name}.modes", "expected at least one mode")
         modes = sorted(posture.modes, key=lambda mode: mode.frequency_hz)
         labels = [x for x in points if modes and all(x in mode.shape for mode in modes)]
         channels = Channels(
@@ -232,8 +251,8 @@ def _modal_objective(
     parameters: Parameters,
     objective: ModalObjective,
     pairing: list[_Pairing],
-) -> Callable[..., tuple[float, FloatArray, FloatArray]]:
-    def evaluate(z: FloatArray, derivatives: bool = True) -> tuple[float, FloatArray, FloatArray]:
+) -> Objective:
+    def evaluate(z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         values = parameters.values(z)
         changed = parameters.apply(robot, values)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
@@ -255,16 +274,15 @@ def _modal_objective(
                 [(size / measured - 1) / f_spread, np.where(stated, (-real / size / ratio - 1) / zeta_spread, 0)]
             )
             cost += 0.5 * float(r @ r)
-            if derivatives:
-                rate = contract(
-                    slopes(changed, posture.setup, parameters, values, seen, model), parameters.transform(values)
-                )
-                dpole = pole_slopes(seen, rate, pole[column], shape[:, column])
-                dsize = (pole[column].conj() * dpole).real / size
-                dzeta = -dpole.real / size + real * dsize / size**2
-                J = np.hstack([dsize / (measured * f_spread), np.where(stated, dzeta / (ratio * zeta_spread), 0)])
-                gradient += J @ r
-                information += J @ J.T
+            rate = contract(
+                slopes(changed, posture.setup, parameters, values, seen, model), parameters.transform(values)
+            )
+            dpole = pole_slopes(seen, rate, pole[column], shape[:, column])
+            dsize = (pole[column].conj() * dpole).real / size
+            dzeta = -dpole.real / size + real * dsize / size**2
+            J = np.hstack([dsize / (measured * f_spread), np.where(stated, dzeta / (ratio * zeta_spread), 0)])
+            gradient += J @ r
+            information += J @ J.T
         return cost, gradient, information
 
     return evaluate
