@@ -44,13 +44,22 @@ class Decision:
         return [k for k, p in enumerate(self.probability) if k and p >= least]
 
 
-def decide(fits: Sequence[Fitted], base: Fitted, suspects: Sequence[Sequence[Hypothesis]]) -> Decision:
+def decide(
+    fits: Sequence[Fitted],
+    base: Fitted,
+    suspects: Sequence[Sequence[Hypothesis]],
+    *,
+    handicap: Sequence[float] | None = None,
+    other: float | None = None,
+) -> Decision:
     """Probabilities of hypotheses fitted to the same lines as the base model.
 
     Args:
         fits: at their optimum, on all lines.
         base: the same for the base model.
         suspects: all that was looked at, which sets the prior.
+        handicap: evidence taken off each fit, where a simpler one is within reach.
+        other: probability that something unnamed is missing, where the engine has a better measure than the misfit.
     """
     numbers = calibration()
     sites: dict[str, int] = {}
@@ -59,13 +68,13 @@ def decide(fits: Sequence[Fitted], base: Fitted, suspects: Sequence[Sequence[Hyp
     best_misfit = min([base.misfit, *(fit.misfit for fit in fits)])
     scale = max(1.0, best_misfit)
     logs = []
-    for fit in fits:
+    for fit, less in zip(fits, handicap or [0.0] * len(fits), strict=True):
         prior = np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(fit.hypothesis.effect, 10))
-        logs.append((fit.evidence(scale) - base.evidence(scale)) / numbers["temperature"] + prior)
+        logs.append((fit.evidence(scale) - base.evidence(scale) - less) / numbers["temperature"] + prior)
     weights = np.array([*logs, np.log(numbers["none"])])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
-    other = _other(base.misfit, best_misfit, numbers)
+    other = _other(base.misfit, best_misfit, numbers) if other is None else other
     order = np.argsort(-weights[:-1])
     share = (1 - other) * weights
     none = float(share[-1])

@@ -50,10 +50,13 @@ class Hysteresis(Effect):
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         axis = axis_of(site)
         stiffness, limit = np.array(values["stiffness"], float), np.array(values["yield_torque"], float)
-        steps = np.diff(motion.position[:, axis], prepend=motion.position[0, axis])
+        x = motion.position[:, axis]
+        direction = np.sign(np.diff(x))
+        turns = np.flatnonzero(direction[1:] * direction[:-1] < 1) + 1  # between two an element loads one way
         element = np.zeros_like(stiffness)
-        total = np.empty_like(steps)
-        for k, step in enumerate(steps):
-            element = np.clip(element + stiffness * step, -limit, limit)
-            total[k] = element.sum()
+        total = np.zeros_like(x)
+        for first, last in zip([0, *turns], [*turns, len(x) - 1], strict=True):
+            loaded = np.clip(element + np.outer(x[first + 1 : last + 1] - x[first], stiffness), -limit, limit)
+            total[first + 1 : last + 1] = loaded.sum(axis=1)
+            element = loaded[-1] if len(loaded) else element
         return {axis: total}

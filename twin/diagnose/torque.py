@@ -1,0 +1,153 @@
+"""What a motion log says is missing from a robot description: the motion-log side of ``twin diagnose``."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.evidence import sentence
+from twin.diagnose.records import STAGES, LogRecord, Stage
+from twin.diagnose.refit import Fitted
+from twin.diagnose.torque_fit import Base, System, base_of, stops_of, system_of
+from twin.diagnose.torque_laws import entry_torque, log_suspects, with_values
+from twin.diagnose.torque_search import Progress, Search, explain
+from twin.diagnose.torque_signal import Prepared, Run, prepare
+from twin.diagnose.verdict import Finding, Missing, Word, missing_of
+from twin.diagnose.verdict import judge as word_of
+from twin.identify.rigid import Bands
+from twin.measure.campaign import FloatArray
+from twin.measure.motion_log import MotionLog
+from twin.robot.description import Entry, Robot
+
+SETTLING_S = 0.15  # about a stop, where the encoder cannot tell creeping from standing: not counted in errors
+
+
+def diagnose_log(
+    log: MotionLog,
+    robot: Robot,
+    source: str = "motion log",
+    *,
+    hold_out: list[str] | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    bands: Bands | None = None,
+) -> Finding:
+    """What a motion log says.
+
+    Args:
+        log: as recorded.
+        robot: the description, removals applied.
+        source: the file, for messages.
+        hold_out: runs not to use; chosen when ``None``.
+        seed: kept for one signature with the hammer test's; nothing here is random.
+        progress: makes progress bars.
+        bands: low-passes; what the log allows by default.
+
+    Raises:
+        InputError: no torque, too short, or runs that are not there.
+    """
+    prepared = prepare(log, robot, source, hold_out, bands)
+    suspects = log_suspects(robot, prepared.used)
+    system = system_of(prepared, suspects)
+    search = explain(system, prepared.kept, suspects, progress)
+    last = search.found[-1] if search.found else search.steps[-1]
+    word, missing, none, other = _answer(search)
+    after = last.decision.ranked[0] if last.accepted else last.base
+    base = search.steps[0].base
+    records, errors = log_records(prepared, system, base, last.system, after)
+    finding = Finding(
+        source, "motion-log", word, missing, none, other, robot, base.robot, after.robot, errors,
+        list(prepared.held_out), records, [], {}, [], warnings=list(prepared.notes),
+    )  # fmt: skip
+    finding.missing = [
+        m if m.evidence else replace(m, evidence=sentence(m.first.title, records, errors, prepared.held_out))
+        for m in missing
+    ]
+    return finding
+
+
+def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
+    """Verdict, what is missing, and the probabilities that nothing or something unnamed is."""
+    first = search.steps[0].decision
+    if not search.found:
+        return word_of(first), [], first.none, first.other
+    missing: list[Missing] = []
+    for step in search.found:
+        missing += missing_of(step.decision, step.base)
+    word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"
+    return word, missing, first.none, first.other
+
+
+def log_records(
+    prepared: Prepared, first: System, base: Fitted, last: System, after: Fitted
+) -> tuple[list[LogRecord], dict[str, Any]]:
+    """Every run beside the three models, and the errors of a diagnosis; offsets of held-out runs are re-estimated."""
+    noise = first.noise
+    entries = [*last.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
+    if after.hypothesis.scale:
+        width = np.array([dict(after.hypothesis.scale).get(name, 1.0) for name in first.parameters.names])
+        after = replace(after, z=after.z * width)
+    stages: tuple[tuple[Stage, FloatArray, Sequence[Entry]], ...] = (
+        ("as_given", np.zeros(len(first.base.parameters)), ()),
+        ("before", base.z, ()),
+        ("after", after.z, entries),
+    )
+    records = []
+    for held, base_, runs in ((False, first.base, prepared.used), (True, None, prepared.kept)):
+        columns = base_ or (base_of(prepared.regressor, runs) if runs else None)
+        if columns is None:
+            continue
+        for k, run in enumerate(runs):
+            settled = run.valid & _settled(run)
+            predicted = {stage: _predicted(columns, k, z, found, settled) for stage, z, found in stages}
+            records.append(
+                LogRecord(
+                    run.name, held, run.time, run.motion.position, run.motion.velocity, run.torque, settled,
+                    predicted, noise,
+                )
+            )  # fmt: skip
+    errors: dict[str, Any] = {}
+    for stage in STAGES:
+        errors[stage] = {
+            part: _pooled([r for r in records if r.held_out is held], stage)
+            for part, held in (("train", False), ("held_out", True))
+        }
+    used = [r for r in records if not r.held_out]
+    power = np.mean(np.concatenate([r.measured[r.valid] for r in used]) ** 2, axis=0)
+    errors["noise_floor"] = float(np.sqrt(np.mean(noise**2 / np.maximum(power, 1e-300))))
+    return records, errors
+
+
+def _predicted(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], valid: np.ndarray) -> FloatArray:
+    """Torque (m, n) of run k, its offsets estimated under their prior."""
+    run = base.runs[k]
+    known = np.zeros(len(base.parameters))
+    size = base.spread.shape[1]
+    known[:size] = z[:size]
+    state = base.state(k, known)
+    for entry in entries:
+        state.torque[...] += entry_torque(run, state, entry, entry.values)
+    rest = (run.torque - state.torque)[valid]
+    weight = base.offset**2 * len(rest)
+    level = np.var(rest, axis=0)
+    return np.asarray(state.torque + rest.mean(axis=0) * weight / (weight + level))
+
+
+def _settled(run: Run) -> np.ndarray:
+    """Rows (m,) at which no axis is about to stop or start."""
+    out = np.ones(len(run.time), bool)
+    for joint in range(run.torque.shape[1]):
+        for sample, _ in stops_of(run, joint):
+            out &= np.abs(run.time - run.dense.time[min(sample, len(run.dense.time) - 1)]) > SETTLING_S
+    return out
+
+
+def _pooled(records: Sequence[LogRecord], stage: Stage) -> float | None:
+    """RMS over joints of residual RMS over torque RMS, runs together."""
+    if not records:
+        return None
+    rest = np.concatenate([(r.measured - r.predicted[stage])[r.valid] for r in records])
+    torque = np.concatenate([r.measured[r.valid] for r in records])
+    ratio = np.mean(rest**2, axis=0) / np.maximum(np.mean(torque**2, axis=0), 1e-300)
+    return float(np.sqrt(np.mean(ratio)))

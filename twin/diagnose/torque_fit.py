@@ -1,0 +1,736 @@
+"""Posterior of a base model and of one more entry on the torque of a motion log, linear in all but the entry's shape.
+
+The base model's numbers (masses, centres of mass, inertias, rotors, friction, compensator, offsets of the runs) enter
+as z with a standard normal prior about the description: y = A z + e. Torque noise is coloured, so rows are whitened,
+joint by joint, with an autoregression of the residual that the richest model leaves: base, every suspect and a free
+function of each joint's state. What such a rich fit has taken out of the noise is put back line by line (leverage).
+An entry's own numbers are found by Gauss–Newton with z eliminated (variable projection; Golub, Pereyra, SIAM J. Numer.
+Anal. 10, 1973).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+import scipy.linalg
+from scipy.signal import lfilter
+
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.refit import NONE, Fitted
+from twin.diagnose.torque_laws import USUAL, State, Suspect, entry_torque, on_dense, smooth_columns, with_values
+from twin.diagnose.torque_signal import Prepared, Run
+from twin.identify.parameters import TOLERANCE_DEVIATION, Parameter, Parameters, independent, join, link_parameters
+from twin.identify.regressor import Column, Regressor, body_of, inertial_vector, pseudo_inertia
+from twin.measure.campaign import FloatArray
+from twin.measure.signals import lowpass
+from twin.physics import CATALOGUE
+from twin.physics.effect import axis_of
+from twin.robot.description import Entry, Robot
+from twin.robot.frames import inertia_matrix, inertia_six
+
+FARTHEST = 3.0  # prior deviations of a shape (a speed, an order, a travel)
+ORDER = 30  # of the autoregression
+MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit may have explained away
+RIDGE = 1e-4  # of the noise's power: white noise added to the autoregression, so that stop bands are not amplified
+ROTOR, COMPENSATOR, FRICTION = 0.1, 0.1, 0.5  # relative prior deviations of what the description states
+SERIES = 0.003  # of the largest coefficient: what a compensator's series, cut at three terms, is off by
+STEP = 0.02  # of a prior deviation, for differences
+OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
+CREEP_S = (
+    (-0.12, -0.04),
+    (-0.04, 0.0),
+    (0.0, 0.04),
+    (0.04, 0.12),
+)  # about a stop: the encoder hardly counts, the axis may creep
+MOST_STOPS = 60  # per run that the noise is estimated without
+STANDSTILL_S = 0.12  # shorter is a reversal
+UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero
+
+
+@dataclass(frozen=True)
+class Base:
+    """The base model's columns and prior.
+
+    Attributes:
+        runs: fitted or held out; ``matrix`` (m, n, p) per run, torque per unit of the regressor's columns.
+        known: (m, n) per run, torque of what has no column.
+        described: (p,) values; ``spread`` (p, z) their change per prior deviation.
+        parameters: (z + offsets) free numbers, offsets of the runs last.
+        offset: (n,) their prior deviation; ``friction`` (n,) a joint's dry friction as described, N·m (N).
+    """
+
+    regressor: Regressor
+    runs: list[Run]
+    matrix: list[FloatArray]
+    known: list[FloatArray]
+    described: FloatArray
+    spread: FloatArray
+    parameters: Parameters
+    offset: FloatArray
+    friction: FloatArray
+
+    @property
+    def rest(self) -> list[FloatArray]:
+        """Recorded less described torque (m, n) of every run."""
+        return [
+            r.torque - known - m @ self.described
+            for r, known, m in zip(self.runs, self.known, self.matrix, strict=True)
+        ]
+
+    @property
+    def links(self) -> int:
+        """Number of link parameters, which come first."""
+        return sum(p.kind == "link" for p in self.parameters)
+
+    def values(self, z: FloatArray) -> FloatArray:
+        """Parameters (p,) of the regressor."""
+        return np.asarray(self.described + self.spread @ z[: self.spread.shape[1]])
+
+    def design(self, k: int) -> FloatArray:
+        """Torque of run k per unit z, (m, n, z + offsets)."""
+        n = self.regressor.robot.axis_count
+        rows = self.matrix[k] @ self.spread
+        runs = len(self.runs)
+        offsets = np.zeros((*rows.shape[:2], n * runs))
+        for j in range(n):
+            offsets[:, j, k * n + j] = self.offset[j]
+        return np.concatenate([rows, offsets], axis=2)
+
+    def state(self, k: int, z: FloatArray) -> State:
+        """What laws that act on other torques see of run k; of the base model alone."""
+        run, values = self.runs[k], self.values(z)
+        links = 10 * self.regressor.robot.axis_count
+        torque = self.matrix[k] @ values + self.known[k]
+        load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
+        friction = np.zeros_like(load)
+        roles = [CATALOGUE[c.name.partition("@")[0]].role if c.group == "entry" else "" for c in self.regressor.columns]
+        for column, axis, law in self.regressor.laws(run.dense):
+            if roles[column] == "load":
+                load[:, axis] += values[column] * law
+            elif roles[column] == "friction":
+                friction[:, axis] += values[column] * law
+        return State(torque, load, friction)
+
+
+def base_of(regressor: Regressor, runs: Sequence[Run]) -> Base:
+    """Columns of the base model on runs, and the prior its description states."""
+    robot, columns = regressor.robot, regressor.columns
+    n = robot.axis_count
+    scale = np.sqrt(np.mean(np.concatenate([r.torque[r.valid] for r in runs]) ** 2, axis=0))
+    matrices, known = [], []
+    curved = any(e.effect == "payload" or e.effect not in _LINEAR_EFFECTS for e in robot.physics) or any(
+        drive.rotor_mass for drive in robot.drives
+    )
+    for run in runs:
+        matrix = np.zeros((*run.torque.shape, len(columns)))
+        matrix[:, :, : 11 * n] = run.bodies
+        for column, axis, law in regressor.laws(run.dense):
+            matrix[:, axis, column] += run.filtered(law)
+        matrices.append(matrix)
+        known.append(run.filtered(regressor.known_torque(run.dense)) if curved else np.zeros_like(run.torque))
+    links, covariance = link_parameters(robot)
+    inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance / TOLERANCE_DEVIATION**2)
+    items = [replace(p, deviation=p.deviation / TOLERANCE_DEVIATION) for p in links]
+    others, width = [], []
+    for k, column in enumerate(columns[10 * n :], 10 * n):
+        rms = np.sqrt(
+            np.mean(np.concatenate([m[r.valid][:, :, k] for m, r in zip(matrices, runs, strict=True)]) ** 2, axis=0)
+        )
+        unknown = UNKNOWN * float(np.max(scale / np.maximum(rms, 1e-300), where=rms > 0, initial=0.0))
+        deviation = _deviation(robot, columns, k) or unknown or 1.0
+        width.append(deviation)
+        others.append(Parameter(column.name, column.unit, "entry", False, column.value, deviation, "description"))
+    spread = scipy.linalg.block_diag(inertial, np.diag(width))
+    offset = OFFSET * scale
+    offsets = [
+        Parameter(f"torque_offset@joint{j + 1}.{run.name}", "N·m", "gain", False, 0.0, float(max(offset[j], 1e-12)))
+        for run in runs
+        for j in range(n)
+    ]
+    parameters = join(Parameters(tuple(items), covariance / TOLERANCE_DEVIATION**2), independent([*others, *offsets]))
+    friction = USUAL * scale
+    for entry in robot.physics:
+        if entry.effect == "coulomb_friction":
+            friction[axis_of(entry.site)] = max(entry.values["torque"], friction[axis_of(entry.site)])
+    return Base(regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction)
+
+
+_LINEAR_EFFECTS = frozenset(
+    {
+        "viscous_friction", "coulomb_friction", "asymmetric_friction", "stribeck_friction", "hysteresis",
+        "gravity_compensator", "cable_stiffness", "torque_ripple", "rotor_inertia", "transverse_compliance",
+        "base_compliance", "link_flexibility", "servo_compliance", "structural_damping", "hardening_stiffness",
+        "sensor_gain", "sensor_misalignment", "hammer_misalignment", "time_delay", "torque_constant",
+    }
+)  # fmt: skip
+
+
+def _deviation(robot: Robot, columns: Sequence[Column], k: int) -> float:
+    column = columns[k]
+    if column.group == "rotor":
+        drive = robot.drives[k - 10 * robot.axis_count]
+        unknown = max(link.inertial[2].max() for link in robot.links) / drive.gear_ratio**2
+        return float(ROTOR * drive.rotor_inertia or unknown)
+    effect = column.name.partition("@")[0]
+    if effect == "gravity_compensator":
+        key = column.name.rpartition(".")[0]
+        largest = max(abs(c.value) for c in columns if c.name.startswith(key))
+        return float(np.hypot(COMPENSATOR * column.value, SERIES * largest))
+    if effect == "rotor_inertia":
+        return ROTOR * abs(column.value)
+    return FRICTION * abs(column.value)
+
+
+def _link_spread(robot: Robot, items: Sequence[Parameter]) -> FloatArray:
+    """∂ (ten parameters of every link) / ∂ x of the link parameters, (10 n, items)."""
+    out = np.zeros((10 * robot.axis_count, len(items)))
+    for k, parameter in enumerate(items):
+        i = int(parameter.name.partition(".")[0][4:]) - 1
+        sides = []
+        for sign in (1, -1):
+            mass, com, inertia = robot.links[i].inertial
+            quantity = parameter.name.partition(".")[2]
+            h = sign * 1e-4 * (1.0 if quantity == "mass" else max(parameter.deviation, 1e-9))
+            if quantity == "mass":
+                mass *= np.exp(h)
+            elif quantity.startswith("com."):
+                com["xyz".index(quantity[-1])] += h
+            else:
+                six = inertia_six(inertia)
+                six[("xx", "yy", "zz", "xy", "xz", "yz").index(quantity.partition(".")[2])] += h
+                inertia = inertia_matrix(six)
+            sides.append(inertial_vector(mass, com, inertia))
+        out[10 * i : 10 * i + 10, k] = (sides[0] - sides[1]) / (2 * abs(h))
+    return out
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Whitened columns (N_active, k), zero on every joint that is not in ``joints``."""
+
+    joints: tuple[int, ...]
+    rows: FloatArray
+
+
+@dataclass
+class System:
+    """Whitened rows of a log and the base model on them; N rows, joint by joint, run by run.
+
+    Attributes:
+        whitening: (n, ORDER + 1) prediction-error filter per joint over the noise's deviation.
+        parameters: the base model's numbers; ``found`` entries that belong to it, beyond the description's.
+        A: (N, z) whitened design; ``y`` (N,) whitened torque less the description's.
+        state: per run, what laws that act on other torques see.
+        level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
+        noise: (n,) RMS of the noise at the rows, N·m (N).
+        stops: per joint, where an axis comes to rest or starts: rows, whitened direction, and the share taken off it.
+    """
+
+    base: Base
+    whitening: FloatArray
+    parameters: Parameters
+    found: tuple[Suspect, ...] = ()
+    A: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    y: FloatArray = field(default_factory=lambda: np.zeros(0))
+    state: list[State] = field(default_factory=list)
+    level: FloatArray = field(default_factory=lambda: np.ones(0))
+    noise: FloatArray = field(default_factory=lambda: np.ones(0))
+    stops: list[list[tuple[slice, FloatArray, float]]] = field(default_factory=list)
+
+    @cached_property
+    def masks(self) -> list[np.ndarray]:
+        """Rows (m,) of each run whose whitened residual rests on valid rows only."""
+        out = []
+        for run in self.base.runs:
+            bad = np.cumsum(np.concatenate([np.ones(ORDER, int), ~run.valid]))
+            out.append(run.valid & (bad[ORDER:] - bad[:-ORDER] == 0))
+        return out
+
+    @property
+    def count(self) -> int:
+        """Rows per joint."""
+        return int(sum(mask.sum() for mask in self.masks))
+
+    def rows(self, joint: int) -> slice:
+        """Rows of a joint."""
+        return slice(joint * self.count, (joint + 1) * self.count)
+
+    def whiten(self, parts: Sequence[FloatArray]) -> Columns:
+        """Torque (m, n) or (m, n, k) of every run, whitened."""
+        joints = tuple(j for j in range(len(self.whitening)) if any(part[:, j].any() for part in parts))
+        out = []
+        for j in joints:
+            filtered = [
+                lfilter(self.whitening[j], [1.0], part[:, j], axis=0)[mask]
+                for part, mask in zip(parts, self.masks, strict=True)
+            ]
+            rows = np.concatenate(filtered)
+            rows = rows.reshape(len(rows), -1)
+            for place, direction, share in self.stops[j] if self.stops else ():
+                rows[place] -= np.outer(share * direction, direction @ rows[place])
+            out.append(rows)
+        size = int(np.prod(parts[0].shape[2:], dtype=int))
+        return Columns(joints, np.concatenate(out) if out else np.zeros((0, size)))
+
+    def full(self, columns: Columns) -> FloatArray:
+        """Columns on all rows (N, k)."""
+        out = np.zeros((len(self.whitening) * self.count, columns.rows.shape[1]))
+        for part, j in enumerate(columns.joints):
+            out[self.rows(j)] = columns.rows[part * self.count : (part + 1) * self.count]
+        return out
+
+    def on(self, rows: FloatArray, columns: Columns) -> FloatArray:
+        """Those of N rows where columns act (N_active, …)."""
+        return np.concatenate([rows[self.rows(j)] for j in columns.joints]) if columns.joints else rows[:0]
+
+    def assemble(self) -> None:
+        """Whiten design and data."""
+        base = self.base
+        self.stops = _stops(self)
+        self.A = self.full(self.whiten([base.design(k) for k in range(len(base.runs))]))
+        self.y = self.full(self.whiten(base.rest))[:, 0]
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """Gauss–Newton matrix (z, z), prior included."""
+        return np.asarray(self.A.T @ self.A + np.eye(self.A.shape[1]))
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Of the information."""
+        return np.asarray(np.linalg.inv(self.information))
+
+    @cached_property
+    def z(self) -> FloatArray:
+        """The base model's optimum."""
+        return np.asarray(self.inverse @ (self.y @ self.A))
+
+    @cached_property
+    def residual(self) -> FloatArray:
+        """y − A z (N,)."""
+        return np.asarray(self.y - self.A @ self.z)
+
+    def entries(self, z: FloatArray) -> list[Entry]:
+        """What was found so far, at z."""
+        at, out = len(self.base.parameters), []
+        for suspect in self.found:
+            own = suspect.hypothesis.own
+            out += with_values(suspect.hypothesis, own_values(own, z[at : at + len(own)]))
+            at += len(own)
+        return out
+
+    def torque(self, entries: Sequence[Entry]) -> list[FloatArray]:
+        """What entries add (m, n), run by run."""
+        out = []
+        for run, state in zip(self.base.runs, self.state, strict=True):
+            out.append(sum((entry_torque(run, state, e, e.values) for e in entries), np.zeros_like(run.torque)))
+        return out
+
+    def across(self, columns: Columns) -> FloatArray:
+        """CᵀA (k, z)."""
+        return np.asarray(columns.rows.T @ self.on(self.A, columns))
+
+    def projected(self, columns: Columns) -> tuple[FloatArray, FloatArray]:
+        """CᵀPC (k, k) and CᵀPy (k,), the base model's numbers eliminated."""
+        across = self.across(columns)
+        pull = columns.rows.T @ self.on(self.residual, columns)
+        return columns.rows.T @ columns.rows - across @ self.inverse @ across.T, pull
+
+
+def _stops(system: System) -> list[list[tuple[slice, FloatArray, float]]]:
+    """The moments at which an axis comes to rest or starts are known to the encoder's noise only.
+
+    Its friction between creeping and standing is then anything up to its level: a few directions of the whitened rows
+    per stop, with that prior, are left out of every judgement.
+    """
+    out: list[list[tuple[slice, FloatArray, float]]] = []
+    for j, whitening in enumerate(system.whitening):
+        found: list[tuple[slice, FloatArray, float]] = []
+        at = 0
+        for run, mask in zip(system.base.runs, system.masks, strict=True):
+            place = at + np.cumsum(mask) - 1
+            for near, rows in stop_columns(run, j):
+                inside = mask[near]
+                if not inside.any():
+                    continue
+                direction = lfilter(whitening, [1.0], system.base.friction[j] * rows)[inside]
+                first = int(place[near][np.argmax(inside)])
+                span = slice(first, first + len(direction))
+                for earlier, d, share in found[-8:]:
+                    if earlier.stop > span.start:
+                        full = np.zeros(max(earlier.stop, span.stop))
+                        full[span] = direction
+                        full[earlier] -= share * d * (d @ full[earlier])
+                        span = slice(min(earlier.start, span.start), len(full))
+                        direction = full[span]
+                size = float(direction @ direction)
+                if size > 1e-6:
+                    found.append((span, direction / np.sqrt(size), 1 - 1 / np.sqrt(1 + size)))
+            at += int(mask.sum())
+        out.append(found)
+    return out
+
+
+def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
+    """Low-passed boxes about every moment at which a joint stops or starts: rows, and values on them."""
+    step = (len(run.dense.time) - 1) // (len(run.time) - 1)
+    count, pad = len(run.time), 2 * ORDER
+    found = []
+    for sample, sense in stops_of(run, joint):
+        for first, last in CREEP_S:
+            box = np.zeros(len(run.dense.time))
+            ends = sorted(sample + int(round(sense * edge * run.rate_hz * step)) for edge in (first, last))
+            box[max(ends[0], 0) : max(ends[1], 0)] = 1.0
+            near = slice(max(0, ends[0] // step - pad), min(count - 1, ends[1] // step + pad))
+            if near.stop - near.start > pad:
+                window = slice(near.start * step, near.stop * step + 1)
+                rows = lowpass(box[window], run.rate_hz * step, *run.bands.fit)[::step]
+                found.append((slice(near.start, near.stop + 1), rows))
+    return found
+
+
+def stops_of(run: Run, joint: int) -> list[tuple[int, int]]:
+    """Dense samples at which a joint comes to rest (+1) or starts to move (−1)."""
+    speed = run.dense.velocity[:, joint]
+    still = (run.dense.sign(speed) == 0).astype(int)
+    edges = np.diff(np.concatenate([[0], still, [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    least = STANDSTILL_S * len(speed) / (run.dense.time[-1] - run.dense.time[0])
+    found = []
+    for first, last in zip(starts, ends, strict=True):
+        if last - first > least:
+            found += [(int(first), 1), (int(last), -1)]
+    return found
+
+
+def refer(system: System, z: FloatArray) -> None:
+    """Let laws that act on other torques see the model at z."""
+    system.state = [system.base.state(k, z) for k in range(len(system.base.runs))]
+    for entry in system.entries(z):
+        for state, extra in zip(system.state, system.torque([entry]), strict=True):
+            state.torque[...] += extra
+
+
+def extended(system: System, trial: "Trial") -> System:
+    """The same rows with an entry in the base model: its numbers are nuisances from now on."""
+    slopes = system.full(trial.slopes)
+    bigger = replace(
+        system, found=(*system.found, trial.suspect),
+        parameters=join(system.parameters, independent(trial.suspect.hypothesis.own)),
+        A=np.column_stack([system.A, slopes]), y=system.y - system.full(trial.column)[:, 0] + slopes @ trial.u,
+    )  # fmt: skip
+    refer(bigger, bigger.z)
+    return bigger
+
+
+def base_fit(system: System) -> Fitted:
+    """The base model at its optimum."""
+    return _fitted(system, NONE, system.parameters, system.z, system.residual, system.information)
+
+
+def _fitted(
+    system: System, hypothesis: Hypothesis, parameters: Parameters, z: FloatArray, residual: FloatArray,
+    information: FloatArray,
+) -> Fitted:  # fmt: skip
+    chi2, data = float(residual @ residual), int(system.count * system.level.sum())
+    values = np.array([p.value(x) for p, x in zip(parameters, parameters.root @ z, strict=True)])
+    entries = with_values(hypothesis, values[len(values) - len(hypothesis.own) :]) if hypothesis.own else []
+    robot = robot_of(system, z, entries)
+    return Fitted(
+        hypothesis, parameters, z, values, robot, 0.5 * (chi2 + float(z @ z)), chi2 / max(data, 1), information, data,
+        True,
+    )  # fmt: skip
+
+
+def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Robot:
+    """The description at z, with entries; links stay bodies that can exist, as near to z as that allows."""
+    base = system.base
+    robot = base.regressor.robot
+    values = base.values(z)
+    for i in range(robot.axis_count):
+        part = slice(10 * i, 10 * i + 10)
+        here, step = base.described[part], values[part] - base.described[part]
+        share = 1.0
+        while share > 1e-3 and not _possible(here + share * step):
+            share *= 0.7
+        values[part] = here + (share if share > 1e-3 else 0.0) * step
+    for k, column in enumerate(base.regressor.columns):
+        if column.nonnegative:
+            values[k] = max(values[k], 0.0)
+    fitted = base.regressor.robot_with(values)
+    added = [_rounded(entry, fitted) for entry in (*system.entries(z), *entries)]
+    return fitted.model_copy(update={"physics": [*fitted.physics, *added]})
+
+
+def _possible(vector: FloatArray) -> bool:
+    if vector[0] <= 0 or np.linalg.eigvalsh(pseudo_inertia(vector))[0] <= 0:
+        return False
+    principal = np.linalg.eigvalsh(body_of(vector)[2])
+    return bool(principal[0] > 0 and principal[0] + principal[1] > principal[2] * (1 + 1e-9))
+
+
+def _rounded(entry: Entry, robot: Robot) -> Entry:
+    """An entry whose numbers are in the range that its effect allows."""
+    values = dict(entry.values)
+    for parameter in CATALOGUE[entry.effect].parameters:
+        if parameter.nonnegative and parameter.name in values and not parameter.word:
+            given = values[parameter.name]
+            values[parameter.name] = [max(x, 0.0) for x in given] if isinstance(given, list) else max(given, 0.0)
+    return Entry(effect=entry.effect, site=entry.site, **values)
+
+
+# --- noise ------------------------------------------------------------------------------------------------------------
+
+
+def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | None = None) -> System:
+    """The used runs of a log, whitened by the residual of the richest model there is."""
+    base = base_of(prepared.regressor, prepared.used if runs is None else runs)
+    n = prepared.regressor.robot.axis_count
+    system = System(base, np.zeros((n, ORDER + 1)), base.parameters)
+    refer(system, np.zeros(len(base.parameters)))
+    for _ in range(2):  # the second time with friction, load and torque as fitted
+        z = _plain_fit(system)
+        refer(system, z)
+    system.whitening, system.level, system.noise = _whitening(system, rich)
+    system.assemble()
+    refer(system, system.z)
+    return system
+
+
+def _plain_fit(system: System) -> FloatArray:
+    """z by least squares with white noise at the level of the residual."""
+    base = system.base
+    D = np.concatenate([base.design(k)[r.valid] for k, r in enumerate(base.runs)])
+    y = np.concatenate([rest[r.valid] for rest, r in zip(base.rest, base.runs, strict=True)])
+    noise = 0.05 * np.sqrt(np.mean(y**2, axis=0)) + 1e-9
+    for _ in range(3):
+        W = (D / noise[None, :, None]).reshape(-1, D.shape[2])
+        z = np.linalg.solve(W.T @ W + np.eye(W.shape[1]), (y / noise).ravel() @ W)
+        noise = np.maximum(np.sqrt(np.mean((y - D @ z) ** 2, axis=0)), 1e-9 * np.abs(y).max(axis=0) + 1e-300)
+    return np.asarray(z)
+
+
+def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    base = system.base
+    n = base.regressor.robot.axis_count
+    extra: list[list[FloatArray]] = [[] for _ in range(n)]  # per joint, columns over all runs
+    for suspect in rich:
+        for column in _shapes(system, suspect):
+            for j in range(n):
+                if any(part[:, j].any() for part in column):
+                    extra[j].append(np.concatenate([part[:, j] for part in column]))
+    out, level, noise = np.zeros((n, ORDER + 1)), np.ones(n), np.ones(n)
+    valid = np.concatenate([r.valid for r in base.runs])
+    ends = np.cumsum([len(r.time) for r in base.runs])[:-1]
+    designs = np.concatenate([base.design(k) for k in range(len(base.runs))])
+    data = np.concatenate(base.rest)
+    for j in range(n):
+        free = np.concatenate([smooth_columns(r, j, *span_of(base.runs, j)) for r in base.runs])
+        stops = []
+        for k, run in enumerate(base.runs):
+            for near, rows in stop_columns(run, j)[:MOST_STOPS]:
+                stops.append(np.zeros(len(valid)))
+                stops[-1][(ends[k - 1] if k else 0) :][near] = rows
+        B = np.column_stack([designs[:, j], free, *extra[j], *stops]) * valid[:, None]
+        scale = np.linalg.norm(B, axis=0)
+        B = B[:, scale > 1e-9 * scale.max()] / scale[scale > 1e-9 * scale.max()]
+        size, turn = np.linalg.eigh(B.T @ B)
+        keep = size > 1e-7 * size[-1]
+        Q = B @ (turn[:, keep] / np.sqrt(size[keep]))
+        y = data[:, j] * valid
+        e = y - Q @ (Q.T @ y)
+        correlation = _correlation(np.split(e, ends), np.split(Q, ends), np.split(valid, ends))
+        out[j] = _prediction_filter(correlation)
+        white = np.concatenate([lfilter(out[j], [1.0], part)[ORDER:] for part in np.split(e, ends)])
+        level[j] = np.mean(white**2) * len(e) / max(len(e) - Q.shape[1], 1)
+        noise[j] = np.sqrt(correlation[0])
+    return out, level, noise
+
+
+def _shapes(system: System, suspect: Suspect) -> list[list[FloatArray]]:
+    """A few columns that span what a suspect could add, run by run (m, n)."""
+    starts = suspect.starts
+    if len(starts) > 40:
+        return []
+    return [column for start in starts for column in _unit_columns(system, suspect, start)]
+
+
+def _unit_columns(system: System, suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
+    """Torque per prior deviation of every size at a start, where all sizes are null; else of the entry as it is."""
+    own = suspect.hypothesis.own
+    if not suspect.sizes:
+        return [system.torque(with_values(suspect.hypothesis, start))]
+    columns = []
+    for k in suspect.sizes:
+        shifted = start.copy()
+        shifted[k] += own[k].deviation
+        columns.append(system.torque(with_values(suspect.hypothesis, shifted)))
+    return columns
+
+
+def span_of(runs: Sequence[Run], j: int) -> tuple[float, float, float]:
+    q = np.concatenate([r.motion.position[:, j] for r in runs])
+    v = np.concatenate([r.motion.velocity[:, j] for r in runs])
+    half = max(0.5 * float(np.ptp(q)), 1e-9)
+    return float(q.min()) + half, half, max(float(np.abs(v).max()), 1e-9)
+
+
+def _correlation(residual: list[FloatArray], Q: list[FloatArray], valid: list[np.ndarray]) -> FloatArray:
+    """Autocovariance (ORDER + 1,) of the noise under a residual whose fit had the orthonormal basis Q."""
+    size = scipy.fft.next_fast_len(max(len(e) for e in residual) + 16 * ORDER, real=True)
+    power, taken, count = np.zeros(size // 2 + 1), np.zeros(size // 2 + 1), 0
+    for e, q, use in zip(residual, Q, valid, strict=True):
+        power += np.abs(scipy.fft.rfft(e, size)) ** 2
+        taken += np.sum(np.abs(scipy.fft.rfft(q, size, axis=0)) ** 2, axis=1)
+        count += int(use.sum())
+    lags = 8 * ORDER
+    window = np.hanning(2 * lags + 1)[lags:]
+
+    def smooth(density: FloatArray) -> FloatArray:
+        correlation = scipy.fft.irfft(density, size)[: lags + 1] * window
+        circle = np.zeros(size)
+        circle[: lags + 1] = correlation
+        circle[-lags:] = correlation[:0:-1]
+        return np.maximum(scipy.fft.rfft(circle).real, 0.0)
+
+    left = 1 - np.clip(smooth(taken) / max(count, 1), 0.0, MOST_TAKEN)
+    correlation = scipy.fft.irfft(smooth(power) / left, size)[: ORDER + 1] / max(count, 1)
+    return correlation if correlation[0] > 0 else np.eye(1, ORDER + 1)[0]
+
+
+def _prediction_filter(correlation: FloatArray) -> FloatArray:
+    """Prediction-error filter (ORDER + 1,) over the innovation's deviation (Levinson)."""
+    correlation = correlation.copy()
+    correlation[0] *= 1 + RIDGE
+    coefficients = scipy.linalg.solve_toeplitz(correlation[:-1], correlation[1:])
+    innovation = correlation[0] - coefficients @ correlation[1:]
+    return np.concatenate([[1.0], -coefficients]) / np.sqrt(max(innovation, 1e-12 * correlation[0]))
+
+
+# --- entries ----------------------------------------------------------------------------------------------------------
+
+
+def own_prior(own: Sequence[Parameter], values: FloatArray) -> FloatArray:
+    """Own values in prior deviations (m,)."""
+    return np.array(
+        [
+            (np.log(max(v, 1e-300) / p.mean) if p.log else v - p.mean) / p.deviation
+            for p, v in zip(own, values, strict=True)
+        ]
+    )
+
+
+def own_values(own: Sequence[Parameter], u: FloatArray) -> FloatArray:
+    """Values (m,) of own parameters in prior deviations."""
+    return np.array([p.value(p.deviation * x) for p, x in zip(own, u, strict=True)])
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A suspect somewhere: own numbers u in prior deviations, the fall of the cost, whitened torque and slopes."""
+
+    suspect: Suspect
+    u: FloatArray
+    gain: float
+    column: Columns
+    slopes: Columns
+
+
+def evaluate(system: System, suspect: Suspect, u: FloatArray, slopes: bool = True) -> Trial:
+    """The suspect's torque at own numbers u, the base model refitted beside it."""
+    own = suspect.hypothesis.own
+
+    def torque(at: FloatArray) -> list[FloatArray]:
+        return system.torque(with_values(suspect.hypothesis, own_values(own, at)))
+
+    here = torque(u)
+    parts = [here]
+    for k in range(len(u) if slopes else 0):
+        moved = u.copy()
+        moved[k] += STEP
+        parts.append([(a - b) / STEP for a, b in zip(torque(moved), here, strict=True)])
+    together = system.whiten([np.stack(rows, -1) for rows in zip(*parts, strict=True)])
+    column = Columns(together.joints, together.rows[:, :1])
+    return Trial(suspect, u, _gain(system, column, u), column, Columns(together.joints, together.rows[:, 1:]))
+
+
+def _gain(system: System, column: Columns, u: FloatArray) -> float:
+    information, pull = system.projected(column)
+    return float(pull[0] - 0.5 * information[0, 0] - 0.5 * u @ u)
+
+
+def start(system: System, suspect: Suspect) -> Trial:
+    """The best of a suspect's starts, sizes solved for."""
+    own = suspect.hypothesis.own
+    width = max(1, len(suspect.sizes))
+    columns = [column for values in suspect.starts for column in _unit_columns(system, suspect, values)]
+    whitened = system.whiten([np.stack(rows, -1) for rows in zip(*columns, strict=True)])
+    across = system.across(whitened)
+    pulls = whitened.rows.T @ system.on(system.residual, whitened)
+    best: tuple[float, FloatArray] | None = None
+    for number, values in enumerate(suspect.starts):
+        part = slice(number * width, (number + 1) * width)
+        C = whitened.rows[:, part]
+        information = C.T @ C - across[part] @ system.inverse @ across[part].T
+        u = own_prior(own, values)
+        if suspect.sizes:
+            size = np.linalg.solve(information + np.eye(width), pulls[part])
+            u[list(suspect.sizes)] = size
+            u = _inside(suspect, u)
+            size = u[list(suspect.sizes)]
+            gain = float(size @ pulls[part] - 0.5 * size @ information @ size - 0.5 * u @ u)
+        else:
+            gain = float(pulls[part][0] - 0.5 * information[0, 0] - 0.5 * u @ u)
+        if best is None or gain > best[0]:
+            best = gain, u
+    assert best is not None
+    return evaluate(system, suspect, best[1])
+
+
+def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
+    """u with sizes that cannot be negative at zero or above, and shapes where they are looked for."""
+    own = suspect.hypothesis.own
+    bounded = zip(own, suspect.nonnegative, strict=True)
+    least = [-FARTHEST if p.log else -p.mean / p.deviation if bound else -np.inf for p, bound in bounded]
+    return np.clip(u, least, [FARTHEST if p.log else np.inf for p in own])
+
+
+def refine(system: System, trial: Trial, iterations: int = 8) -> Trial:
+    """Gauss–Newton on the own numbers, the base model's eliminated, with Levenberg's damping."""
+    damping = 1e-3
+    for _ in range(iterations):
+        information, pull = system.projected(trial.slopes)
+        here = system.across(trial.column)
+        pull = pull - trial.u - trial.slopes.rows.T @ trial.column.rows[:, 0]
+        pull += (system.across(trial.slopes) @ system.inverse @ here.T)[:, 0]
+        ahead = trial
+        for _ in range(6):
+            step = np.linalg.solve(information + (1 + damping) * np.eye(len(pull)), pull)
+            step *= min(1.0, 1.5 / max(float(np.abs(step).max()), 1e-12)) if damping > 1e-2 else 1.0
+            ahead = evaluate(system, trial.suspect, _inside(trial.suspect, trial.u + step), slopes=False)
+            if ahead.gain > trial.gain:
+                break
+            damping = max(8 * damping, 1e-1)
+        gained = ahead.gain - trial.gain
+        if gained <= 0:
+            return trial
+        trial = evaluate(system, trial.suspect, ahead.u)
+        damping = max(damping / 8, 1e-6)
+        if gained < 0.02:
+            return trial
+    return trial
+
+
+def fitted(system: System, trial: Trial) -> Fitted:
+    """A refined suspect as a fit of all numbers."""
+    own = trial.suspect.hypothesis.own
+    parameters = join(system.parameters, independent(own))
+    column = system.full(trial.column)[:, 0]
+    z = system.inverse @ ((system.y - column) @ system.A)
+    residual = system.y - column - system.A @ z
+    across = system.across(trial.slopes)
+    within = trial.slopes.rows.T @ trial.slopes.rows + np.eye(len(own))
+    information = np.block([[system.information, across.T], [across, within]])
+    return _fitted(system, trial.suspect.hypothesis, parameters, np.concatenate([z, trial.u]), residual, information)

@@ -1,0 +1,254 @@
+"""From the base model to what a motion log's torque says is missing: screen, refine, decide, go on with it in the model.
+
+Each thing found must lower the error on runs that were not used, must reach nine tenths of what a free function of the
+joint's state gains, and gives way to a simpler one within reach: no law is exact, so a richer one nearly always fits
+better.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twin.diagnose.decide import Decision, decide
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.refit import Fitted
+from twin.diagnose.torque_fit import (
+    Base,
+    System,
+    Trial,
+    base_fit,
+    base_of,
+    extended,
+    fitted,
+    refer,
+    refine,
+    robot_of,
+    span_of,
+    start,
+)
+from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns, with_values
+from twin.diagnose.torque_signal import Run
+from twin.measure.campaign import FloatArray
+from twin.robot.description import Entry
+
+FINALISTS = 8
+RACE = 0.05  # of the best gain: less is not refined
+REACH = 0.9  # of the gain of a free function of the joint's state: less is no name
+SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches it is preferred
+MOST = 3  # things found one after the other
+WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
+SHARE = 0.3  # of the gain on the rows used, per row, that runs not used must show
+LEAST = 0.004  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
+
+Progress = Callable[[str, int], Callable[[int], None]]
+
+
+@dataclass
+class Step:
+    """One thing looked for with all found before it in the model.
+
+    Attributes:
+        system: the base model then; ``base`` its fit.
+        decision: who explains what it misses.
+        trials: of the ranked hypotheses, by key.
+        free: per joint, evidence gained by a free function of its state.
+        held: fall of ½ χ² on the rows kept aside, with the first of the ranked.
+        accepted: it goes into the model.
+    """
+
+    system: System
+    base: Fitted
+    decision: Decision
+    trials: dict[str, Trial]
+    free: FloatArray
+    held: float = 0.0
+    accepted: bool = False
+
+
+@dataclass
+class Search:
+    """Steps, in order; the last was not accepted, or was the last allowed."""
+
+    steps: list[Step] = field(default_factory=list)
+
+    @property
+    def found(self) -> list[Step]:
+        """Those whose first answer is in the model."""
+        return [step for step in self.steps if step.accepted]
+
+
+def explain(
+    system: System, kept: Sequence[Run], suspects: Sequence[Suspect], progress: Progress | None = None
+) -> Search:
+    """Look for what is missing, one thing after the other.
+
+    Args:
+        system: base model on the rows used.
+        kept: runs (or blocks) not used.
+        suspects: all that could be missing.
+    """
+    progress = progress or (lambda description, total: lambda count: None)
+    search = Search()
+    judge = Judge(system, kept) if kept else None
+    for number in range(MOST):
+        known = {s.hypothesis.key for s in system.found}
+        open_ = [s for s in suspects if s.hypothesis.key not in known]
+        step = _look(system, open_, progress("screen" if not number else "look for more", len(open_)))
+        search.steps.append(step)
+        first = step.decision.ranked[0] if step.decision.ranked else None
+        if first is None or step.decision.probability[0] < max(step.decision.none, step.decision.other):
+            break
+        trial = step.trials.get(first.hypothesis.key)
+        if judge is not None:
+            step.held, enough = judge.gain(system, first, trial)
+            if not enough:
+                step.decision = _nothing(step.decision)
+                break
+        step.accepted = True
+        if trial is None:  # a number of the base model itself: nothing to add
+            break
+        system = extended(system, trial)
+    return search
+
+
+def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None]) -> Step:
+    base = base_fit(system)
+    started = []
+    for suspect in suspects:
+        started.append(start(system, suspect))
+        tick(1)
+    started.sort(key=lambda trial: -trial.gain)
+    least = max(RACE * started[0].gain, 1.0)
+    chosen = [trial for trial in _varied(started) if trial.gain > least]
+    trials, fits = {}, []
+    for trial in chosen:
+        trial = refine(system, trial)
+        fit = fitted(system, trial)
+        trials[fit.hypothesis.key] = trial
+        fits.append(fit)
+    fits += widened_fits(system)
+    free = np.array([free_gain(system, j) for j in range(len(system.whitening))])
+    gains = np.array([fit.evidence() - base.evidence() for fit in fits])
+    best = float(gains.max(initial=0.0))
+    fewest = min((len(f.hypothesis.own) for f, g in zip(fits, gains, strict=True) if g > SIMPLER * best), default=0)
+    handicap = [(1 - SIMPLER) * best * (len(f.hypothesis.own) > fewest) for f in fits]
+    other = 0.01
+    if best > 0 and free.max() > 10.0:
+        other = float(np.clip(1 / (1 + np.exp(-(REACH - best / free.max()) / 0.03)), 0.01, 0.99))
+    hypotheses = [[s.hypothesis] for s in suspects]
+    decision = decide(fits, base, hypotheses, handicap=handicap, other=other)
+    return Step(system, base, decision, trials, free)
+
+
+def _varied(started: Sequence[Trial]) -> list[Trial]:
+    """The most promising, at most half of them from one effect."""
+    kept: list[Trial] = []
+    for trial in started:
+        same = sum(other.suspect.hypothesis.effect == trial.suspect.hypothesis.effect for other in kept)
+        if same < FINALISTS // 2:
+            kept.append(trial)
+        if len(kept) == FINALISTS:
+            break
+    return kept
+
+
+def _nothing(decision: Decision) -> Decision:
+    """A decision that runs not used do not bear out."""
+    left = 1 - decision.none - decision.other
+    return replace(decision, probability=[0.1 * p for p in decision.probability], none=decision.none + 0.9 * left)
+
+
+def free_gain(system: System, joint: int) -> float:
+    """Evidence gained by a free smooth function of a joint's position and velocity."""
+    runs = system.base.runs
+    middle, half, speed = span_of(runs, joint)
+    scale = USUAL * np.sqrt(np.mean(np.concatenate([r.torque[r.valid, joint] for r in runs]) ** 2))
+    parts = []
+    for run in runs:
+        columns = smooth_columns(run, joint, middle, half, speed)
+        rows = np.zeros((*run.torque.shape, columns.shape[1]))
+        rows[:, joint] = columns * scale
+        parts.append(rows)
+    information, pull = system.projected(system.whiten(parts))
+    inside = information + np.eye(len(pull))
+    return float(0.5 * pull @ np.linalg.solve(inside, pull) - 0.5 * np.linalg.slogdet(inside)[1])
+
+
+def widened_fits(system: System) -> list[Fitted]:
+    """Numbers of the base model that may be off beyond what the description allows, each in turn."""
+    names = system.parameters.names
+    groups: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        if (name.startswith("link") and name.endswith(".mass")) or name.endswith(".rotor_inertia"):
+            groups[name] = [k]
+        elif name.startswith("gravity_compensator@"):
+            groups.setdefault(name, []).append(k)
+    found = []
+    for name, members in groups.items():
+        width = np.ones(len(names))
+        width[members] = WIDENED
+        A = system.A * width
+        wider = replace(system, A=A)
+        fit = base_fit(wider)
+        hypothesis = Hypothesis("parameter", name, scale=tuple((names[k], WIDENED) for k in members))
+        z = fit.z * width
+        unscaled = base_fit_at(system, hypothesis, z, fit)
+        found.append(unscaled)
+    return found
+
+
+def base_fit_at(system: System, hypothesis: Hypothesis, z: FloatArray, fit: Fitted) -> Fitted:
+    """A fit under a widened prior, written in the numbers of the base model."""
+    parameters = hypothesis.parameters(system.parameters)
+    x = system.parameters.root @ z
+    values = np.array([p.value(v) for p, v in zip(system.parameters, x, strict=True)])
+    return replace(fit, hypothesis=hypothesis, parameters=parameters, values=values, robot=robot_of(system, z))
+
+
+# --- runs not used ----------------------------------------------------------------------------------------------------
+
+
+class Judge:
+    """Rows kept aside, whitened as those used; the offsets of their runs are their own."""
+
+    def __init__(self, system: System, kept: Sequence[Run]) -> None:
+        self.base: Base = base_of(system.base.regressor, kept)
+        self.system = System(self.base, system.whitening, self.base.parameters, level=system.level, noise=system.noise)
+        refer(self.system, np.zeros(len(self.base.parameters)))
+        self.system.assemble()
+        self.size = self.base.spread.shape[1]
+
+    def rest(self, z: FloatArray, entries: Sequence[Entry]) -> FloatArray:
+        """Whitened residual (N,) of a model fitted elsewhere, offsets re-estimated."""
+        known = np.zeros(len(self.base.parameters))
+        known[: self.size] = z[: self.size]
+        refer(self.system, known)
+        residual = self.system.y - self.system.A @ known
+        for entry in entries:
+            column = self.system.full(self.system.whiten(self.system.torque([entry])))
+            residual = residual - column[:, 0]
+            for state, extra in zip(self.system.state, self.system.torque([entry]), strict=True):
+                state.torque[...] += extra
+        offsets = self.system.A[:, self.size :]
+        own = np.linalg.solve(offsets.T @ offsets + np.eye(offsets.shape[1]), residual @ offsets)
+        return np.asarray(residual - offsets @ own)
+
+    def gain(self, system: System, fit: Fitted, trial: Trial | None) -> tuple[float, bool]:
+        """Fall of ½ χ², and whether it is enough to believe the fit."""
+        before = self.rest(system.z, system.entries(system.z))
+        entries = system.entries(fit.z)
+        if trial is not None:
+            entries = [*entries, *with_values(fit.hypothesis, fit.values[fit.own])]
+        after = self.rest(fit.z, entries)
+        joints = trial.column.joints if trial is not None else tuple(range(len(system.whitening)))
+        count = self.system.count
+        fall = np.array(
+            [0.5 * (np.sum(before[self.system.rows(j)] ** 2) - np.sum(after[self.system.rows(j)] ** 2)) for j in joints]
+        )
+        power = np.array([0.5 * np.sum(before[self.system.rows(j)] ** 2) for j in joints])
+        expected = (
+            0.5 * (float(system.residual @ system.residual) - fit.misfit * fit.data) * count / max(system.count, 1)
+        )
+        total = float(fall.sum())
+        return total, bool(total > SHARE * expected and (fall / power).max() > LEAST)

@@ -1,0 +1,183 @@
+"""Motion logs as a diagnosis uses them: low-passed rows of torque, and the same low-pass over any torque law.
+
+Torque and every column go through one zero-phase low-pass at the band where the encoder is still above its noise. Laws
+that step where an axis turns back are evaluated on a dense clock first, with the share of each interval spent on either
+side of the reversal, so that filtered they are exact; smooth laws on a coarser one. Rows are thinned to what the band
+holds.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.interpolate
+import scipy.signal
+
+from twin.errors import InputError
+from twin.identify.regressor import Regressor
+from twin.identify.rigid import Bands, joint_run, motion_of_run, split
+from twin.identify.rigid import Rows as _Rows
+from twin.measure.campaign import FloatArray
+from twin.measure.motion_log import MotionLog, MotionRun, saturated
+from twin.measure.signals import lowpass
+from twin.physics.motion import Motion
+from twin.robot.description import Robot
+
+LARGEST_BAND_HZ = 10.0
+ROWS = 2.5  # per second and hertz of the low-pass
+SMOOTH, DENSE = 2, 5  # instants per row of smooth laws, and of laws that step
+RECORDED = 1e-5  # of its largest density: torque was low-passed in recording where its spectrum falls below
+MOST_CUT = 0.05  # share of a run whose torque may be cut off
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run, m rows of n joints.
+
+    Attributes:
+        time: (m,) s, the campaign's clock.
+        motion: (m, n) the state at the rows; ``smooth`` and ``dense`` the same on denser clocks.
+        torque: (m, n) of the joints, N·m (N), low-passed.
+        bodies: (m, n, 11 n) low-passed torque per unit of links' and rotors' parameters.
+        twist: (m, n) motor minus link encoder, rad (m), low-passed, where the run has both.
+        valid: (m,) rows that count.
+        rate_hz: rows per second.
+    """
+
+    name: str
+    time: FloatArray
+    motion: Motion
+    smooth: Motion
+    dense: Motion
+    torque: FloatArray
+    bodies: FloatArray
+    twist: FloatArray | None
+    valid: np.ndarray
+    bands: Bands
+    rate_hz: float
+
+    def filtered(self, law: FloatArray) -> FloatArray:
+        """A law's torque (nt, …) on the dense or the smooth clock, low-passed at the rows (m, …)."""
+        step = (len(law) - 1) // (len(self.time) - 1)
+        return np.ascontiguousarray(lowpass(law, self.rate_hz * step, *self.bands.fit)[::step])
+
+
+def bands_of(log: MotionLog) -> Bands:
+    """The low-pass a log allows: 10 Hz, less where it was sampled slowly or its torque low-passed in recording."""
+    stop = LARGEST_BAND_HZ
+    for run in log.runs.values():
+        if run.torque is None:
+            continue
+        rate = run.sample_rate_hz
+        stop = min(stop, 0.4 * rate)
+        length = min(len(run.torque), int(max(20 * rate, 256)))
+        frequency, power = scipy.signal.welch(run.torque, rate, nperseg=length, axis=0)
+        share = np.max(power / np.maximum(power.max(axis=0), 1e-300), axis=1)
+        held = np.flatnonzero(share > RECORDED)
+        stop = min(stop, max(float(frequency[held[-1]]), 8 / (run.time[-1] - run.time[0])))
+    return Bands((0.8 * stop, stop), (1.2 * stop, 1.5 * stop))
+
+
+def run_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Run:
+    """A run in joint coordinates as rows."""
+    assert run.torque is not None
+    rate = run.sample_rate_hz
+    bands = bands.within(rate)
+    stop = bands.fit[1]
+    start, end = float(run.time[0]), float(run.time[0]) + (len(run.time) - 1) / rate
+    count = int((end - start) * ROWS * stop) + 1
+    rows_hz = (count - 1) / (end - start)
+    upsample = max(1, int(np.ceil(DENSE * ROWS * stop / rate)))
+    wide = motion_of_run(run, bands, upsample)
+
+    def on(step: int) -> Motion:
+        time = start + np.arange((count - 1) * step + 1) / (rows_hz * step)
+        q, v, a = (_at(wide.time, x, time) for x in (wide.position, wide.velocity, wide.acceleration))
+        return Motion(time, q, v, a, sign=_mean_sign(wide.sign))
+
+    dense, smooth, rows = on(DENSE), on(SMOOTH), on(1)
+
+    def thin(signal: FloatArray) -> FloatArray:
+        return _at(run.time, lowpass(signal, rate, *bands.fit), rows.time)
+
+    bodies = regressor.bodies(smooth)
+    flat = bodies.reshape(len(smooth.time), -1)
+    used = np.flatnonzero(np.any(flat != 0, axis=0))
+    thinned = np.zeros((count, flat.shape[1]))
+    thinned[:, used] = lowpass(flat[:, used], rows_hz * SMOOTH, *bands.fit)[::SMOOTH]
+    trim = 3 / stop
+    valid = (rows.time > start + trim) & (rows.time < end - trim)
+    cut = saturated(run).any(axis=1)
+    for instant in run.time[cut]:
+        valid &= np.abs(rows.time - instant) > 1 / (bands.fit[1] - bands.fit[0])
+    twist = None if run.link_position is None else thin(run.position - run.link_position)
+    return Run(
+        run.name, rows.time, rows, smooth, dense, thin(run.torque), thinned.reshape(count, *bodies.shape[1:]),
+        twist, valid, bands, rows_hz,
+    )  # fmt: skip
+
+
+def _at(time: FloatArray, signal: FloatArray, instants: FloatArray) -> FloatArray:
+    """A signal that is smooth between its samples, at other instants."""
+    if len(time) == len(instants) and np.abs(time - instants).max() < 1e-9:
+        return signal
+    return scipy.interpolate.CubicSpline(time, signal)(np.clip(instants, time[0], time[-1]))
+
+
+def _mean_sign(sign: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
+    """Mean over a sampling interval of the signum of a velocity: its reversals fall between samples."""
+
+    def mean(speed: FloatArray) -> FloatArray:
+        half = 0.5 * np.abs(np.gradient(speed))
+        return np.where(sign(speed) == 0, 0.0, np.clip(speed / np.maximum(half, 1e-300), -1, 1))
+
+    return mean
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A log divided into what is fitted and what is kept aside.
+
+    Attributes:
+        used, kept: rows count in one or the other; with a single run both hold it, with other rows valid.
+        held_out: in words.
+        notes: what was repaired or left out.
+    """
+
+    regressor: Regressor
+    used: list[Run]
+    kept: list[Run]
+    held_out: list[str]
+    bands: Bands
+    notes: list[str]
+
+
+def prepare(
+    log: MotionLog, robot: Robot, source: str, hold_out: list[str] | None = None, bands: Bands | None = None
+) -> Prepared:
+    """Rows of every run, whole runs held out; of a single run contiguous blocks.
+
+    Raises:
+        InputError: no torque, torque cut off too often, a run too short, or a name to hold out that is not there.
+    """
+    bands = bands or bands_of(log)
+    regressor = Regressor(robot)
+    runs, notes = [], list(log.notes)
+    for name, run in log.runs.items():
+        if run.torque is None:
+            raise InputError(source, f"runs/{name}/torque", "missing: a trajectory cannot be diagnosed")
+        if (run.time[-1] - run.time[0]) * bands.fit[1] < 40:
+            raise InputError(source, f"runs/{name}/time", f"shorter than {40 / bands.fit[1]:.2g} s: too short to judge")
+        if (share := saturated(run).any(axis=1).mean()) > MOST_CUT:
+            raise InputError(source, f"runs/{name}/torque", f"saturated for {share:.0%} of the run")
+        runs.append(run_of(regressor, joint_run(robot, run), bands))
+    none = np.zeros((0, 0))
+    rows = [
+        _Rows(r.name, r.time, none, none, none, r.torque, none, none, r.valid, none, r.rate_hz) for r in runs
+    ]  # fmt: skip
+    parts = split(rows, hold_out, bands, source)
+    by_name = {r.name: r for r in runs}
+    used = [replace(by_name[r.name], valid=r.valid) for r in parts.train]
+    kept = [replace(by_name[r.name], valid=r.valid) for r in parts.held_out]
+    held = [parts.text] if len(runs) == 1 else [r.name for r in kept]
+    return Prepared(regressor, used, kept, held, bands, notes)
