@@ -95,6 +95,8 @@ EFFECTS: dict[str, Kind] = {
     "eddy_current_damper": Kind(JOINT_Z, {"coefficient": (3e5, 1e7)}, "levels"),
     "posture_stiffness": Kind(JOINT_Z, {"amplitude": (0.1, 0.4), "phase": (SIGNED, 3.1)}, "frf"),
     "fractional_damper": Kind(JOINT_XYZ, {"coefficient": (1e4, 1e5), "order": (0.3, 0.7)}, "frf"),
+    "quadratic_friction": Kind(JOINT, {"coefficient": (5, 300)}, "log"),  # c q̇|q̇|: churned oil
+    "position_friction": Kind(JOINT, {"torque": (5, 100), "order": (1, 4), "phase": (SIGNED, 3.1)}, "log"),
 }
 # A blow deflects a joint by 1e-5 to 2e-4 rad, a motion log sees travel of 1e-4 rad and more.
 LOG_RANGES: dict[str, dict[str, tuple[float, float]]] = {

@@ -222,6 +222,10 @@ def friction(
         level[:, e.joint] += e["static_excess"] * np.exp(-((v[:, e.joint] / e["velocity"]) ** 2))
     for e in of.get("load_dependent_friction", []):
         level[:, e.joint] += e["coefficient"] * np.abs(load[:, e.joint])
+    for e in of.get("quadratic_friction", []):
+        viscous[:, e.joint] += e["coefficient"] * np.abs(v[:, e.joint])
+    for e in of.get("position_friction", []):  # a worn stretch: never less than no friction at all
+        level[:, e.joint] += e["torque"] * (1 + np.sin(e["order"] * q[:, e.joint] + e["phase"])) / 2
     for e in of.get("asymmetric_friction", []):
         tilt[e.joint] += e["torque_difference"] / 2
         lean[e.joint] += e["viscous_difference"] / 2

@@ -1,0 +1,116 @@
+"""What simpler minds would score on the same cases, and what a cheat would find who sees everything but the physics."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tools.trials.score import Rate, Scored, aliases
+
+
+def chance(cases: Sequence[Scored]) -> Rate:
+    """Top-1 of always answering the most frequent hypothesis of the same kind of recording."""
+    one = [c for c in cases if c.kind in ("single", "chain")]
+    right = 0
+    for recording in {c.recording for c in one}:
+        here = [c.truth[0] for c in one if c.recording == recording]
+        right += Counter(here).most_common(1)[0][1]
+    return Rate(right, len(one))
+
+
+def by_finalists(cases: Sequence[Scored], results: dict[str, dict[str, Any]], rule: str) -> tuple[Rate, Rate]:
+    """Top-1 and false alarms of another rule on the hypotheses that the engine refitted.
+
+    ``fit``: the best fit wins, always. ``bic``: the best Bayes information criterion wins, nothing missing included.
+    """
+    top, alarms = [], []
+    for c in cases:
+        rows = ((results[c.name]["diagnosis"] or {}).get("finalists")) or []
+        if not rows or c.kind not in ("none", "single", "chain"):
+            continue
+        scores = {}
+        for row in rows:
+            chi2 = row["misfit"] * row["data"]
+            penalty = row["own_parameters"] * np.log(max(row["data"], 2)) if rule == "bic" else 0.0
+            scores[f"{row['effect']}@{row['site']}" if row["effect"] != "none" else "none"] = chi2 + penalty
+        if rule == "fit" and len(scores) > 1:
+            scores.pop("none", None)
+        answer = min(scores, key=lambda name: scores[name])
+        if c.kind == "none":
+            alarms.append(answer != "none")
+        else:
+            top.append(c.truth[0] in aliases(answer))
+    return Rate(sum(top), len(top)), Rate(sum(alarms), len(alarms))
+
+
+def impostors(cases: Sequence[Scored], results: dict[str, dict[str, Any]]) -> tuple[Rate, float]:
+    """With the truth struck from the list: how often the rest still beats nothing missing, and the misfit it takes away.
+
+    The share is the median of what the strongest impostor explains of the misfit that the truth explains.
+    """
+    fooled, share = [], []
+    for c in cases:
+        rows = ((results[c.name]["diagnosis"] or {}).get("finalists")) or []
+        if c.kind != "single" or not rows:
+            continue
+        misfit = {f"{r['effect']}@{r['site']}": r["misfit"] for r in rows}
+        base = next((r["misfit"] for r in rows if r["effect"] == "none"), None)
+        same = aliases(c.truth[0])
+        true = [m for name, m in misfit.items() if name in same]
+        rest = [m for name, m in misfit.items() if name not in same and not name.startswith("none@")]
+        if base is None or not true or not rest or base <= min(true):
+            continue
+        taken = (base - min(rest)) / (base - min(true))
+        share.append(taken)
+        fooled.append(taken > 0.5)
+    return Rate(sum(fooled), len(fooled)), float(np.median(share)) if share else float("nan")
+
+
+def metadata(path: Path) -> np.ndarray:
+    """What a cheat sees of a recording without its physics: counts, sizes, noise levels, names' lengths."""
+    with h5py.File(path) as file:
+        if "postures" in file:
+            postures = list(file["postures"].values())
+            first = postures[0]
+            brakes = {"on": 1.0, "off": 2.0}.get(str(postures[0].attrs.get("brakes", "")), 0.0)
+            coherence = np.median([np.median(p["coherence"][()]) for p in postures])
+            row = [1, len(postures), len(first["frequency"]), first["frequency"][0], float(coherence), brakes,
+                   float(first["coherence"].attrs.get("averages", 0)),
+                   float(first.attrs.get("exponential_window_rate", 0))]  # fmt: skip
+        else:
+            runs = list(file["runs"].values())
+            rough = [np.median(np.abs(np.diff(run["torque"][()], axis=0))) for run in runs]
+            row = [2, len(runs), len(runs[0]["time"]), float("link_position" in runs[0]), float(np.median(rough)),
+                   runs[0]["time"][0], sum(len(run["time"]) for run in runs), 0]  # fmt: skip
+    return np.array([*row, np.log(path.stat().st_size)], float)
+
+
+def leak_probe(
+    cases: Sequence[Scored], split: Path, without: dict[str, list[str]], neighbours: int = 5
+) -> dict[str, Rate]:
+    """Nearest neighbours on metadata, left-one-out: how often they tell a null, and the effect; beside the majority."""
+    here = [c for c in cases if c.kind in ("none", "single")]
+    rows = np.array([[*metadata(split / "recordings" / f"{c.name}.h5"), len(without[c.name])] for c in here])
+    rows = (rows - rows.mean(0)) / np.where(rows.std(0) > 0, rows.std(0), 1)
+    rows[:, 0] *= 10  # never across kinds of recording
+    distance = np.linalg.norm(rows[:, None] - rows[None], axis=2) + np.diag(np.full(len(rows), np.inf))
+    null = [c.kind == "none" for c in here]
+    name = [c.truth[0].partition("@")[0] if c.truth else "" for c in here]
+    told_null, told_name = [], []
+    for k in range(len(here)):
+        near = np.argsort(distance[k])[:neighbours]
+        told_null.append(Counter(null[j] for j in near).most_common(1)[0][0] == null[k])
+        if not null[k]:
+            named = [name[j] for j in near if name[j]]
+            told_name.append(bool(named) and Counter(named).most_common(1)[0][0] == name[k])
+    common = max(sum(null), len(null) - sum(null))
+    names = Counter(n for n in name if n)
+    return {
+        "null or not, by metadata": Rate(sum(told_null), len(told_null)),
+        "null or not, majority": Rate(common, len(null)),
+        "effect, by metadata": Rate(sum(told_name), len(told_name)),
+        "effect, most frequent": Rate(names.most_common(1)[0][1] if names else 0, sum(names.values())),
+    }

@@ -1,0 +1,328 @@
+"""What the answers are worth: pure functions over cases (truth beside result), no file touched.
+
+A hypothesis is written EFFECT@SITE. Probability mass of one case lies on hypotheses, on `none` and on `other`; what the
+command leaves out is taken as nothing.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+Z95 = 1.959964
+LEVEL = 0.9  # of the credible set
+VISIBLE = 2.0  # multiples of the smallest visible size from which rates are asked for
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One case.
+
+    Attributes:
+        truth: hypotheses that are concealed, most visible first; empty: nothing.
+        multiples: their sizes over the smallest visible.
+        kind, recording: as drawn.
+        groups: for each effect reported, its hypotheses and probabilities, first answer first.
+        none, other: probabilities.
+    """
+
+    name: str
+    kind: str
+    recording: str
+    truth: tuple[str, ...]
+    multiples: tuple[float, ...]
+    verdict: str
+    groups: tuple[tuple[tuple[str, float], ...], ...]
+    none: float
+    other: float
+    error: dict[str, Any]
+    intervals: dict[str, tuple[float, float]]
+    true_values: dict[str, float]
+    location: str
+    edit_error: float | None
+    wall_s: float
+
+    @property
+    def named(self) -> list[str]:
+        """First answer of every effect."""
+        return [group[0][0] for group in self.groups if group]
+
+    @property
+    def size(self) -> float:
+        """The smaller multiple: a set is as hard to find as its faintest part."""
+        return min(self.multiples, default=0.0)
+
+    def right(self, guess: str, truth: str) -> bool:
+        """Whether a guess is the truth, or an alias of it that comes with the truth beside it."""
+        return guess == truth or (truth in aliases(guess) and any(truth in dict(group) for group in self.groups))
+
+    @property
+    def top1(self) -> bool:
+        return bool(self.named) and self.right(self.named[0], self.truth[0])
+
+    @property
+    def top3(self) -> bool:
+        return any(self.right(h, self.truth[0]) for group in self.groups[:1] for h, _ in group[:3])
+
+    @property
+    def credible(self) -> list[str]:
+        """The fewest answers that hold `LEVEL` of the first effect's probability, none and other among them."""
+        mass = [*(self.groups[0] if self.groups else ()), ("none", self.none), ("other", self.other)]
+        kept, total = [], 0.0
+        for name, p in sorted(mass, key=lambda item: -item[1]):
+            kept.append(name)
+            total += p
+            if total >= LEVEL:
+                break
+        return kept
+
+    @property
+    def exact(self) -> bool:
+        """Whether the set of named effects is the set of concealed ones."""
+        return len(self.named) == len(self.truth) and all(
+            any(self.right(guess, t) for guess in self.named) for t in self.truth
+        )
+
+
+def aliases(hypothesis: str) -> set[str]:
+    """Hypotheses that mechanics does not tell from this one."""
+    pairs = [
+        {"payload@flange", "payload@link3", "parameter@link3.mass"},
+        {"base_compliance@base.rz", "parameter@joint1.z.stiffness", "servo_compliance@joint1"},
+        *({f"payload@link{i}", f"parameter@link{i}.mass"} for i in (1, 2)),
+        *({f"servo_compliance@joint{i}", f"parameter@joint{i}.z.stiffness"} for i in (1, 2, 3)),
+        *(
+            {
+                f"link_flexibility@link{i}.{a}",
+                f"parameter@joint{i}.{a}.stiffness",
+                f"transverse_compliance@joint{i}.{a}",
+            }
+            for i in (1, 2, 3)
+            for a in "yz"
+        ),
+    ]
+    return set().union({hypothesis}, *(pair for pair in pairs if hypothesis in pair))
+
+
+def scored(answer: dict[str, Any], result: dict[str, Any]) -> Scored:
+    """Truth and result put side by side. A command that failed has said nothing: no verdict, all mass on `other`."""
+    effects = sorted(answer["effects"], key=lambda e: -e["multiple"])
+    d = result["diagnosis"] or {"verdict": "failed", "effects": [], "probabilities": {"none": 0.0, "other": 1.0}}
+    groups = tuple(
+        (
+            (f"{e['effect']}@{e['site']}", float(e["probability"])),
+            *((f"{a['effect']}@{a['site']}", float(a["probability"])) for a in e.get("alternatives", [])),
+        )
+        for e in d["effects"]
+        if e["effect"] != "discovered"
+    )
+    intervals, values = _parameters(effects, d["effects"])
+    location = d.get("location") or [{}]
+    edit = result.get("edit_error")
+    return Scored(
+        result["id"], answer["kind"], answer["recording"],
+        tuple(f"{e['effect']}@{e['site']}" for e in effects), tuple(e["multiple"] for e in effects),
+        d["verdict"], groups, float(d["probabilities"]["none"]), float(d["probabilities"]["other"]),
+        d.get("error") or {}, intervals, values, str(location[0].get("site") or ""),
+        _number(edit), float(result["wall_s"]),
+    )  # fmt: skip
+
+
+def _number(error: Any) -> float | None:
+    if isinstance(error, dict):
+        error = next((v for v in error.values() if isinstance(v, int | float)), None)
+    return float(error) if isinstance(error, int | float) else None
+
+
+def _parameters(
+    truth: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]]
+) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+    """90 % intervals and true values of scalar parameters of effects that were named rightly."""
+    intervals, values = {}, {}
+    for t in truth:
+        for f in found:
+            if (t["effect"], t["site"]) != (f["effect"], f["site"]):
+                continue
+            for name, item in f.get("parameters", {}).items():
+                true = t["parameters"].get(name)
+                if isinstance(true, int | float) and np.size(item.get("interval90") or []) == 2:
+                    key = f"{t['effect']}@{t['site']}.{name}"
+                    intervals[key] = tuple(item["interval90"])
+                    values[key] = float(true)
+    return intervals, values
+
+
+@dataclass(frozen=True)
+class Rate:
+    """k of n, with Wilson's 95 % interval."""
+
+    k: int
+    n: int
+
+    @property
+    def value(self) -> float:
+        return self.k / self.n if self.n else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        if not self.n:
+            return 0.0, 1.0
+        p, n = self.value, self.n
+        centre = (p + Z95**2 / 2 / n) / (1 + Z95**2 / n)
+        half = Z95 / (1 + Z95**2 / n) * np.sqrt(p * (1 - p) / n + Z95**2 / 4 / n**2)
+        return max(0.0, centre - half), min(1.0, centre + half)
+
+    def __str__(self) -> str:
+        if not self.n:
+            return "–"
+        low, high = self.interval
+        return f"{self.k}/{self.n} = {self.value:.0%} [{low:.0%}, {high:.0%}]"
+
+
+def rate(cases: Iterable[Scored], good: Callable[[Scored], bool]) -> Rate:
+    """How many of the cases are good."""
+    flags = [bool(good(c)) for c in cases]
+    return Rate(sum(flags), len(flags))
+
+
+def headline(cases: Sequence[Scored]) -> dict[str, Any]:
+    """The vector of scores."""
+    null = [c for c in cases if c.kind == "none"]
+    one = [c for c in cases if c.kind in ("single", "chain")]
+    clear = [c for c in one if c.size >= VISIBLE]
+    pairs = [c for c in cases if c.kind == "pair"]
+    clear_pairs = [c for c in pairs if c.size >= VISIBLE]
+    outside = [c for c in cases if c.kind == "outside" and c.size >= VISIBLE]
+    hits = [claim(c) for c in [*null, *one]]
+    held = [g for c in clear if (g := _gain(c)) is not None]
+    inside = [
+        low <= c.true_values[key] <= high for c in [*one, *pairs] for key, (low, high) in c.intervals.items()
+    ]  # fmt: skip
+    return {
+        "false alarms": rate(null, lambda c: bool(c.named)),
+        "found at all (above twice visible)": rate(clear, lambda c: c.verdict != "adequate"),
+        "top-1 (above twice visible)": rate(clear, lambda c: c.top1),
+        "top-3 (above twice visible)": rate(clear, lambda c: c.top3),
+        "top-1 by effect alone": rate(clear, lambda c: bool(c.named) and _effect(c.named[0]) == _effect(c.truth[0])),
+        "pairs, exact set": rate(clear_pairs, lambda c: c.exact),
+        "pairs, one of both first": rate(
+            clear_pairs, lambda c: bool(c.named) and any(c.right(c.named[0], t) for t in c.truth)
+        ),
+        "precision over sets": _rate([any(c.right(h, t) for t in c.truth) for c in cases for h in c.named]),
+        "recall over sets": _rate(
+            [any(c.right(h, t) for h in c.named) for c in [*clear, *clear_pairs] for t in c.truth]
+        ),
+        "credible set holds the truth": rate(
+            [*null, *one],
+            lambda c: any(t in c.credible or aliases(t) & set(c.credible) for t in (c.truth[:1] or ("none",))),
+        ),
+        "mean size of the credible set": float(np.mean([len(c.credible) for c in [*null, *one]])) if one else np.nan,
+        "wrong name on unknown physics": rate(outside, lambda c: bool(c.named)),
+        "right joint on unknown physics": rate(outside, lambda c: _joint(c.truth[0]) in c.location),
+        "90 % intervals hold the truth": _rate(inside),
+        "calibration error": calibration(hits)[0],
+        "Brier score": float(np.mean([brier(c) for c in [*null, *one]])) if null or one else np.nan,
+        "log score": float(np.mean([log_score(c) for c in [*null, *one]])) if null or one else np.nan,
+        "held-out gain over the true model's": float(np.median(held)) if held else np.nan,
+        "failed": rate(cases, lambda c: c.verdict == "failed"),
+        "seconds, median": float(np.median([c.wall_s for c in cases])) if cases else np.nan,
+    }
+
+
+def _rate(flags: Sequence[bool]) -> Rate:
+    return Rate(sum(map(bool, flags)), len(flags))
+
+
+def _effect(hypothesis: str) -> str:
+    return hypothesis.partition("@")[0]
+
+
+def _joint(hypothesis: str) -> str:
+    return hypothesis.partition("@")[2].partition(".")[0]
+
+
+def claim(c: Scored) -> tuple[bool, float]:
+    """The most probable answer: whether it was right, and the probability claimed for it."""
+    answer, p = max(masses(c).items(), key=lambda item: item[1])
+    return (c.right(answer, c.truth[0]) if c.truth else answer == "none"), p
+
+
+def _gain(c: Scored) -> float | None:
+    """Fall of the held-out error over the fall down to the noise floor, which no model can beat by much."""
+    try:
+        before, after = c.error["before"]["held_out"], c.error["after"]["held_out"]
+        floor = c.error["noise_floor"]
+    except (KeyError, TypeError):
+        return None
+    if not all(isinstance(v, int | float) for v in (before, after, floor)) or before <= 1.1 * floor:
+        return None
+    return float(np.clip((before - after) / (before - floor), -1, 1.2))
+
+
+def calibration(claims: Sequence[tuple[bool, float]], bins: int = 10) -> tuple[float, list[tuple[float, Rate]]]:
+    """Expected calibration error, and the curve: mean probability claimed and how often it was right, per bin."""
+    if not claims:
+        return float("nan"), []
+    right, p = np.array([c[0] for c in claims]), np.array([c[1] for c in claims])
+    index = np.minimum((p * bins).astype(int), bins - 1)
+    error, curve = 0.0, []
+    for b in np.unique(index):
+        here = index == b
+        curve.append((float(p[here].mean()), Rate(int(right[here].sum()), int(here.sum()))))
+        error += here.mean() * abs(right[here].mean() - p[here].mean())
+    return float(error), curve
+
+
+def masses(c: Scored) -> dict[str, float]:
+    """Probability of every answer to a case with one effect or none."""
+    found = dict(c.groups[0]) if c.groups else {}
+    return {**found, "none": c.none, "other": c.other}
+
+
+def brier(c: Scored) -> float:
+    """Σ (p − truth)² over answers; 0 perfect, 2 worst."""
+    mass, truth = masses(c), c.truth[0] if c.truth else "none"
+    return sum((p - (h == truth)) ** 2 for h, p in mass.items()) + (truth not in mass)
+
+
+def log_score(c: Scored) -> float:
+    """−ln of the probability given to the truth, at most ln 1000."""
+    truth = c.truth[0] if c.truth else "none"
+    return float(-np.log(max(masses(c).get(truth, 0.0), 1e-3)))
+
+
+def power(cases: Sequence[Scored], edges: Sequence[float] = (1, 2, 4, 8, 16, 31)) -> list[tuple[float, Rate, Rate]]:
+    """Geometric middle of a size bin, rate of being found at all, rate of top-1."""
+    one = [c for c in cases if c.kind in ("single", "chain")]
+    found = []
+    for low, high in pairwise(edges):
+        here = [c for c in one if low <= c.size < high]
+        found.append(
+            (float(np.sqrt(low * high)), rate(here, lambda c: c.verdict != "adequate"), rate(here, lambda c: c.top1))
+        )
+    return found
+
+
+def by_effect(cases: Sequence[Scored]) -> dict[str, tuple[Rate, Rate]]:
+    """Top-1 and top-3 of every effect, above twice the smallest visible size, and by recording."""
+    clear = [c for c in cases if c.kind in ("single", "chain") and c.size >= VISIBLE]
+    names = sorted({(c.recording, _effect(c.truth[0])) for c in clear})
+    out = {}
+    for recording, name in names:
+        here = [c for c in clear if c.recording == recording and _effect(c.truth[0]) == name]
+        out[f"{name} ({recording})"] = rate(here, lambda c: c.top1), rate(here, lambda c: c.top3)
+    return out
+
+
+def confusion(cases: Sequence[Scored]) -> tuple[list[str], list[str], np.ndarray]:
+    """Concealed effect (rows) against first answer (columns), counts; nulls, unknowns included."""
+    here = [c for c in cases if c.kind != "pair"]
+    rows = sorted({_effect(c.truth[0]) if c.truth else "none" for c in here})
+    said = [_effect(c.named[0]) if c.named else c.verdict for c in here]
+    columns = sorted(set(said))
+    table = np.zeros((len(rows), len(columns)), int)
+    for c, answer in zip(here, said, strict=True):
+        table[rows.index(_effect(c.truth[0]) if c.truth else "none"), columns.index(answer)] += 1
+    return rows, columns, table

@@ -1,0 +1,67 @@
+"""A split on disk: recordings that tell nothing by name, answers kept apart and hashed, results, and who looked when.
+
+SPLIT/manifest.json          case ids, SHA-256 of recordings and answers, what the command is called with
+SPLIT/recordings/ID.h5       what `twin diagnose` is given
+SPLIT/edit/ID.h5             the same robot carrying another load, for the edit test
+SPLIT/answers/ID.json        the truth; opened by the scorer only
+SPLIT/results/ID.json        what the command said
+SPLIT/ledger.json            every opening of the answers: when, by which version of the engine
+"""
+
+import hashlib
+import json
+import os
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+ENGINE = ("twin/diagnose", "twin/identify", "twin/physics", "twin/model", "twin/robot", "twin/measure")
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+def write(path: Path, content: Any) -> None:
+    """Whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    aside.write_text(json.dumps(content, indent=1))
+    os.replace(aside, path)
+
+
+def sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def engine_hash() -> str:
+    """One hash of all that decides: code and calibration."""
+    digest = hashlib.sha256()
+    for room in ENGINE:
+        for file in sorted((ROOT / room).rglob("*")):
+            if file.suffix in (".py", ".yaml"):
+                digest.update(str(file.relative_to(ROOT)).encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def commit() -> str:
+    """The commit of the working tree, marked where it has changes; empty outside a repository."""
+    try:
+        found = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return found.stdout.strip()
+
+
+def opened(split: Path, why: str) -> list[dict[str, str]]:
+    """Enter one more opening of the answers into the ledger, and return all of them."""
+    path = split / "ledger.json"
+    ledger = read(path) if path.exists() else []
+    entry = {"engine": engine_hash(), "commit": commit(), "why": why}
+    ledger.append({"time": datetime.now(UTC).isoformat(timespec="seconds"), **entry})
+    write(path, ledger)
+    return list(ledger)

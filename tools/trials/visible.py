@@ -1,0 +1,200 @@
+"""How large an effect has to be to be seen: its signature after everything a modeller would refit has moved to hide it.
+
+Both recordings are turned into vectors in units of their noise, y(truth). The signature of an effect is y with it minus
+y without, projected off the derivatives of y with respect to what nobody knows exactly (springs, dampers, masses,
+posture, gains, friction), each under its tolerance as a prior. The smallest visible size is the one at which half the
+squared length of that is `SEEN`, in logarithms of a likelihood ratio. All of it by the truth code alone.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tools.truth.blows import half_sine, transform
+from tools.truth.chain import Array, Link
+from tools.truth.effects import Effect
+from tools.truth.motion import Log, Run, motor_torque
+from tools.truth.recording import SENSORS, STEP_HZ, HammerTest, Posture, Truth, accelerance
+
+SEEN = 8.0
+LINES = 40  # of an FRF, standing for all
+HIGHEST_HZ = 10.0  # of a torque: above, the low-pass of any identification has the word
+EVERY = 5  # samples of a motion log, of which one is taken
+STEP = 1e-3  # of a nuisance, in deviations
+
+Signal = Callable[[Truth], Array]
+
+
+def scaled(effect: Effect, factor: float) -> Effect:
+    """The effect `factor` times as large: a spring in series so much softer, any other so much stronger."""
+    p = dict(effect.parameters)
+    kind = effect.kind
+    if kind in ("transverse_compliance", "base_compliance", "link_flexibility", "servo_compliance"):
+        p = {**p, "stiffness": effect["stiffness"] / factor, "damping": effect["damping"] / factor}
+    elif kind in ("sensor_gain", "torque_constant"):
+        p["gain"] = 1 + (effect["gain"] - 1) * factor
+    elif kind == "hysteresis":
+        p = {name: (effect.array(name) * factor).tolist() for name in ("stiffness", "yield_torque")}
+    elif kind == "asymmetric_friction":
+        p = {name: effect[name] * factor for name in p}
+    else:
+        first = {"cable_stiffness": "stiffness", "torque_ripple": "amplitude", "joint_coupling": "ratio"}
+        name = first.get(kind, next(iter(p)))
+        p[name] = (effect.array(name) * factor).tolist() if isinstance(p[name], list) else effect[name] * factor
+    return Effect(kind, effect.site, p)
+
+
+def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: float, project: bool = True) -> Effect:
+    """The effect at so many times its smallest visible size on this recording."""
+    without = replace(truth, effects=tuple(e for e in truth.effects if e is not effect))
+    others = without.effects
+    y = signal(without)
+    basis = None
+    if project:
+        J = np.array([_slope(change, without, signal, y) for change in _nuisances(without)])
+        basis = J, np.linalg.inv(J @ J.T + np.eye(len(J)))
+
+    def energy(factor: float) -> float:
+        difference = signal(replace(without, effects=(*others, scaled(effect, factor)))) - y
+        size = float(difference @ difference)
+        if basis is not None:
+            across = basis[0] @ difference
+            size -= float(across @ basis[1] @ across)
+        return 0.5 * size
+
+    low, high = 1e-3, 1e3
+    factor = 1.0
+    for _ in range(12):  # energy grows about as the square of the size
+        found = energy(factor)
+        low, high = (factor, high) if found < SEEN else (low, factor)
+        if abs(np.log(max(found, 1e-300) / SEEN)) < 0.2:
+            break
+        step = factor * np.sqrt(SEEN / max(found, 1e-12))
+        factor = float(step if low < step < high else np.sqrt(low * high))
+    return scaled(effect, factor * multiple)
+
+
+def _slope(change: Callable[[Truth, float], Truth], truth: Truth, signal: Signal, y: Array) -> Array:
+    return (signal(change(truth, STEP)) - y) / STEP
+
+
+def _nuisances(truth: Truth) -> Iterator[Callable[[Truth, float], Truth]]:
+    """Changes of a truth by so many deviations of what a modeller does not know."""
+    chain, log = truth.chain, not truth.posture_error
+
+    def of_chain(name: str, index: tuple[int, ...], width: float) -> Callable[[Truth, float], Truth]:
+        def change(truth: Truth, z: float) -> Truth:
+            values = getattr(truth.chain, name).copy()
+            values[index] *= np.exp(width * z)
+            return replace(truth, chain=replace(truth.chain, **{name: values}))
+
+        return change
+
+    def of_link(i: int, edit: Callable[[Link, float], Link]) -> Callable[[Truth, float], Truth]:
+        def change(truth: Truth, z: float) -> Truth:
+            links = list(truth.chain.links)
+            links[i] = edit(links[i], z)
+            return replace(truth, chain=replace(truth.chain, links=tuple(links)))
+
+        return change
+
+    for i in range(chain.n):
+        yield of_link(i, lambda link, z: replace(link, mass=link.mass * (1 + 0.03 * z)))
+        for k in range(3):
+            yield of_link(i, lambda link, z, k=k: replace(link, com=link.com + 0.01 * z * np.eye(3)[k]))
+            yield of_link(i, lambda link, z, k=k: replace(link, inertia=_stretched(link.inertia, k, 0.03 * z)))
+    if log:
+        for i in range(chain.n):
+            for name in ("viscous", "coulomb", "rotor_inertia"):
+                yield of_chain(name, (i,), 0.3 if name != "rotor_inertia" else 0.1)
+        for index in zip(*np.nonzero(chain.compensator), strict=True):
+            yield of_chain("compensator", index, 0.1)
+        return
+    for index in np.ndindex(chain.stiffness.shape):
+        if np.isfinite(chain.stiffness[index]):
+            yield of_chain("stiffness", index, np.log(1.3))
+            yield of_chain("damping", index, np.log(2.0))
+    for name in truth.posture_error:
+        for i in range(chain.n):
+            yield lambda truth, z, name=name, i=i: replace(
+                truth,
+                posture_error={
+                    **truth.posture_error,
+                    name: truth.posture_error[name] + np.deg2rad(0.2) * z * np.eye(chain.n)[i],
+                },
+            )
+    for channel in SENSORS:
+        yield lambda truth, z, label=channel.label: replace(
+            truth, gain={**truth.gain, label: truth.gain.get(label, 1.0) * (1 + 0.01 * z)}
+        )
+
+
+def _stretched(inertia: Array, k: int, share: float) -> Array:
+    out = inertia.copy()
+    out[k, k] *= 1 + share
+    return out
+
+
+def hammer_signal(postures: tuple[Posture, ...], test: HammerTest) -> Signal:
+    """FRFs of a linear truth in units of their noise, thinned to `LINES`."""
+    span = test.lines * test.spacing_hz
+    thin = replace(test, lines=LINES, spacing_hz=span / LINES, window=test.decay, levels_n=(), hits=0)
+    deviation: list[Array] = []
+
+    def signal(truth: Truth) -> Array:
+        frfs = [frf[0, 0] for frf in accelerance(truth, postures, thin)]
+        if not deviation:
+            deviation.extend(_deviation(frf, test, thin.frequency) / np.sqrt(test.lines / LINES) for frf in frfs)
+        return np.concatenate(
+            [(frf / d).astype(complex).ravel().view(float) for frf, d in zip(frfs, deviation, strict=True)]
+        )
+
+    return signal
+
+
+def level_signal(postures: tuple[Posture, ...], test: HammerTest) -> Signal:
+    """Difference between the highest and the lowest force level in units of its noise: zero for a linear truth."""
+    coarse = replace(test, levels_n=(min(test.levels_n), max(test.levels_n)), spread=0.0)
+
+    def signal(truth: Truth) -> Array:
+        parts = []
+        for frf in accelerance(truth, postures[:2], coarse):
+            low, high = frf[0, 0], frf[1, 0]
+            pairs = zip((low, high), coarse.peaks, strict=True)
+            noise = [_deviation(f, replace(test, peak_n=p), test.frequency) for f, p in pairs]
+            parts.append(((high - low) / np.hypot(*noise)).ravel().view(float))
+        return np.concatenate(parts)
+
+    return signal
+
+
+def _deviation(frf: Array, test: HammerTest, frequency: Array) -> Array:
+    """Standard deviation of real and imaginary part of an averaged FRF."""
+    pulse = transform(half_sine(np.array([test.peak_n]), test.pulse_s, 8 * STEP_HZ), 8 * STEP_HZ, frequency)
+    seen = 1 / test.spacing_hz
+    variance = test.noise**2 * seen / 2 / np.abs(pulse[:, None, :]) ** 2 + (test.scatter * np.abs(frf)) ** 2
+    return np.sqrt(variance / 2 / test.averages)
+
+
+@dataclass(frozen=True)
+class LogSignal:
+    """Torques in units of their coloured noise, up to `HIGHEST_HZ`, offsets free."""
+
+    runs: tuple[Run, ...]
+    log: Log
+
+    def __call__(self, truth: Truth) -> Array:
+        parts, rate = [], self.log.rate_hz / EVERY
+        plain = replace(self.log, friction="coulomb")  # which memory friction has matters to its size by little
+        for run in self.runs:
+            _, _, torque = motor_torque(truth, replace(run, time=run.time[::EVERY]), plain)
+            total = np.sum(list(torque.values()), axis=0)
+            spectrum = np.fft.rfft(total, axis=0) / np.sqrt(len(total) / 2)
+            frequency = np.fft.rfftfreq(len(total), 1 / rate)
+            kept = (frequency > 0) & (frequency <= HIGHEST_HZ)
+            keep = np.exp(-1 / (self.log.colour_s * rate))
+            shape = (1 - keep**2) / np.abs(1 - keep * np.exp(-2j * np.pi * frequency / rate)) ** 2
+            density = self.log.white**2 / EVERY + self.log.coloured**2 * shape
+            parts.append((spectrum[kept] / np.sqrt(density[kept])[:, None]).ravel().view(float))
+        return np.concatenate(parts)
