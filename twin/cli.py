@@ -278,6 +278,49 @@ def compare(
 
 
 @app.command()
+def diagnose(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Hammer tests (.h5, .uff, .unv), motion logs (.h5, .csv), modal tables (.yaml), of one robot."
+        ),
+    ],
+    robot: Robot = None,
+    without: Without = None,
+    hold_out: HoldOut = None,
+    out: Out = None,
+    json: Json = False,
+    seed: Seed = 0,
+) -> None:
+    """What physics a model leaves out: find it, name it, say how sure, write it into the model and show the proof.
+
+    Refits the model as it is; screens every effect of the vocabulary at every site the recordings can show; refits the
+    most promising; and judges on postures or runs that were not used. The verdict is one of
+
+    - **adequate**: nothing is missing that these recordings could show;
+    - **named**: one effect at one site stands out;
+    - **ambiguous**: the recordings cannot tell several apart; the next test that would is proposed;
+    - **located**: the site is clear, no known effect fits; a law is given by its formula;
+    - **unexplained**: a mismatch beyond noise that is none of these.
+
+    Recordings of both kinds are settled on one model. Writes the new robot.yaml and robot.xml (always), diagnosis.json,
+    the report diagnosis.html, figures, and the modes before and after (see twin view) into the output folder,
+    out/RECORDING by default. With --json, files are written only where --out says so.
+
+    Try it on what is known: twin diagnose frf.h5 --without transverse_compliance@joint1.x conceals a soft bearing.
+    """
+    from twin.commands.diagnose import diagnose as run
+
+    if out is None and not json:
+        out = Path("out") / recordings[0].stem
+    with _progress() as progress:
+        found = run(
+            recordings, robot=robot, without=without, hold_out=hold_out, out=out, seed=seed, progress=progress
+        )  # fmt: skip
+    _show(found, json)
+
+
+@app.command()
 def view(
     path: Annotated[Path, typer.Argument(help="An output folder, a .rrd, a robot or a recording.")],
     robot: Robot = None,

@@ -29,6 +29,8 @@ from twin.errors import InputError
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import free_parameters
 from twin.measure.campaign import Campaign
+from twin.model.linear import linearise
+from twin.model.modes import modes
 from twin.provenance import provenance, write_json
 from twin.robot.description import Axis, Robot, load_robot, save_robot
 from twin.robot.mechanism import assemble
@@ -218,4 +220,22 @@ def _check(verdict: Verdict, folder: Path) -> None:
 
 
 def _write_report(verdict: Verdict, name: Outputs) -> None:
-    pass
+    """Figures, the page and the modes before and after."""
+    from twin.report import diagnosis, figures
+    from twin.report.html import write_html
+    from twin.report.scene import write_modes
+
+    q, brakes = _posture(verdict)
+    for stage, shown in (("before", verdict.base), ("after", verdict.robot)):
+        mechanism = assemble(without_limits(shown), q, brakes=brakes)
+        found = modes(linearise(mechanism))
+        if len(found):
+            write_modes(name(f"modes-{stage}.rrd"), mechanism, found)
+    drawn = diagnosis.draw(verdict)
+    images = {file: name(file) for file in drawn}
+    for file, figure in drawn.items():
+        figures.save(figure, images[file])
+    origin = verdict.origin
+    footer = f"twin {origin['version']} · " + " · ".join(f"{k} {v[:12]}" for k, v in origin["inputs"].items())
+    sections = diagnosis.sections(verdict, images)
+    write_html(name("diagnosis.html"), diagnosis.title(verdict), diagnosis.lead(verdict), sections, footer)

@@ -1,7 +1,8 @@
 """Checks run on the new model as it was written: MuJoCo predicts what the search's algebra predicts; what an edit does.
 
 The search evaluates FRFs with its own algebra (:mod:`twin.identify.sensitivity`). Here the written files are read
-again, compiled by MuJoCo, and predict the same FRFs: linearised, and in time under a blow where the answer is nonlinear.
+again, compiled by MuJoCo, and predict the same FRFs: linearised, and in time under a blow where the answer is
+nonlinear.
 """
 
 from collections.abc import Sequence
@@ -12,12 +13,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from twin.diagnose.records import FrfRecord
+from twin.diagnose.records import FrfRecord, Stage
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import independent
 from twin.identify.sensitivity import Setup, observe
 from twin.identify.sensitivity import frf as algebra
-from twin.measure.campaign import QUANTITIES, ComplexArray, laplace
+from twin.measure.campaign import QUANTITIES, ComplexArray, FloatArray, laplace
 from twin.model.expansion import with_channels
 from twin.model.frf import frf, measurement_chain
 from twin.model.hammer import HammerTest, simulate_hits
@@ -80,7 +81,8 @@ def check_xml(mjcf: Path, robot: Robot, q: np.ndarray, brakes: Any) -> dict[str,
     return {
         "name": "MJCF in MuJoCo", "value": worst if alike else None, "limit": LINEAR,
         "passed": worst < LINEAR,
-        "description": f"robot.xml loaded by MuJoCo has the poles of robot.yaml within {worst:.1e} (limit {LINEAR:.0e})",
+        "description": "robot.xml loaded by MuJoCo has the poles of robot.yaml within "
+        f"{worst:.1e} (limit {LINEAR:.0e})",
     }  # fmt: skip
 
 
@@ -145,13 +147,13 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
         k = int(np.argmax(np.abs(shift[1] - shift[0])))
         low, high = float(record.frequency[0]), float(record.frequency[-1])
         rows = [
-            {"mode": m + 1, "before_hz": [float(pair[m]) for pair in moved[0]], "after_hz": [float(p[m]) for p in moved[1]]}
+            {"mode": m + 1, "before_hz": [float(f[m]) for f in moved[0]], "after_hz": [float(f[m]) for f in moved[1]]}
             for m in range(count)
         ]  # fmt: skip
         text = (
-            f"{mass:g} kg more at the flange would move mode {k + 1} in '{record.posture}' from {moved[1][0][k]:.2f} to "
-            f"{moved[1][1][k]:.2f} Hz ({100 * shift[1][k]:+.1f} %); the model without what was found says "
-            f"{100 * shift[0][k]:+.1f} %, from {moved[0][0][k]:.2f} to {moved[0][1][k]:.2f} Hz"
+            f"{mass:g} kg more at the flange would move mode {k + 1} in '{record.posture}' from "
+            f"{moved[1][0][k]:.2f} to {moved[1][1][k]:.2f} Hz ({100 * shift[1][k]:+.1f} %); "
+            f"the model without what was found says {100 * shift[0][k]:+.1f} %, from {moved[0][0][k]:.2f} to {moved[0][1][k]:.2f} Hz"
         )
         told = {"mass_kg": mass, "posture": record.posture, "modes": rows, "description": text}
         inside = low <= moved[1][0][k] <= high
@@ -161,18 +163,19 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
 
 def _with_payload(robot: Robot, mass: float) -> Robot:
     """With a point mass more at the flange's centre."""
-    entry = Entry(effect="payload", site="flange", mass=mass, com=[float(v) for v in robot.flange.position], inertia=[])
+    values: dict[str, Any] = {"mass": mass, "com": [float(v) for v in robot.flange.position]}
+    entry = Entry(effect="payload", site="flange", **values)
     return robot.model_copy(update={"physics": [*robot.physics, entry]})
 
 
-def _frequencies(robot: Robot, record: FrfRecord) -> np.ndarray:
+def _frequencies(robot: Robot, record: FrfRecord) -> FloatArray:
     mechanism = assemble(without_limits(robot), record.q, brakes=record.brakes or "off")
     return modes(linearise(mechanism)).frequency_hz
 
 
 def with_modes(records: Sequence[FrfRecord], before: Robot, after: Robot) -> list[FrfRecord]:
     """Records with the natural frequencies of the models before and after in their posture."""
-    found: dict[str, dict[str, np.ndarray]] = {}
+    found: dict[str, dict[Stage, FloatArray]] = {}
     out = []
     for record in records:
         if record.posture not in found:

@@ -12,6 +12,7 @@ from twin.measure.campaign import FloatArray
 
 PROMINENCE = np.log(2.0)  # of a peak above the valleys beside it
 REACH = np.log(1.4)  # between a measured peak and the model's
+NOWHERE = 0.15  # what a peak counts that the model does not have near
 SHIFT = 0.01  # of a peak's frequency: less is told by its height
 HEIGHT = np.log(1.05)
 
@@ -23,7 +24,7 @@ class Spot:
     Attributes:
         channel: flat index of the pair; ``line`` of the measured peak.
         measured, before, after: frequency (Hz) and height of the peak; NaN where the model has none near.
-        by_height: the height tells more than the frequency.
+        by_height: the height tells more than the frequency; ``score`` how plainly it tells.
     """
 
     record: FrfRecord
@@ -45,14 +46,15 @@ def best_spot(records: Sequence[FrfRecord], channel: int | None = None) -> Spot 
     """The peak whose place or height the answer puts right most plainly, ``None`` where nothing moves visibly."""
     found: list[Spot] = []
     for record in records:
+        loudest = float(np.abs(np.where(np.isfinite(record.variance), record.measured, 0)).max())
         for pair in range(len(record.pairs)) if channel is None else [channel]:
-            found += _spots(record, pair)
+            found += _spots(record, pair, loudest)
     return max(found, key=lambda spot: spot.score, default=None)
 
 
-def _spots(record: FrfRecord, pair: int) -> list[Spot]:
-    """Candidates on one channel pair: every prominent measured peak."""
-    flat = (slice(None), *np.unravel_index(pair, record.measured.shape[1:]))
+def _spots(record: FrfRecord, pair: int, loudest: float) -> list[Spot]:
+    """Candidates on one channel pair: every prominent measured peak; loud ones tell more."""
+    flat = record.channel(pair)
     if not np.isfinite(record.variance[flat]).any():
         return []
     measured, before, after = (
@@ -62,21 +64,20 @@ def _spots(record: FrfRecord, pair: int) -> list[Spot]:
     if not peaks:
         return []
     models = [_peaks(record.frequency, H) for H in (before, after)]
-    loudest = max(height for _, height, _ in peaks)
     found = []
     for line, height, frequency in peaks:
         noise = np.sqrt(2 * record.variance[flat][line])
-        if height < 0.05 * loudest or height < 5 * noise:
+        if height < 0.02 * loudest or height < 5 * noise:
             continue
         (f0, h0), (f1, h1) = (_nearest(model, frequency) for model in models)
         if not np.isfinite(f1):
             continue
         weight = np.log1p(10 * height / loudest)
-        off = [abs(np.log(f / frequency)) if np.isfinite(f) else REACH for f in (f0, f1)]
+        off = [abs(np.log(f / frequency)) if np.isfinite(f) else NOWHERE for f in (f0, f1)]
         spacing = float(record.frequency[1] - record.frequency[0]) / frequency
         gain = off[0] - off[1] - spacing
-        heights = [abs(np.log(h / height)) if np.isfinite(h) else 1.0 for h in (h0, h1)]
-        taller = 0.2 * (heights[0] - heights[1]) if np.isfinite(f0) else 0.0
+        heights = [min(abs(np.log(h / height)), 1.0) if np.isfinite(h) else 1.0 for h in (h0, h1)]
+        taller = 0.1 * (heights[0] - heights[1]) if np.isfinite(f0) else 0.0
         by_height = off[0] < max(SHIFT, 2 * spacing) and heights[0] > HEIGHT
         score = weight * (taller if by_height else gain)
         if score > 0:
@@ -134,12 +135,12 @@ def fall(errors: dict[str, Any], held_out: Sequence[str]) -> str:
     return f"The error on what was used falls {before['train']:.2%} → {after['train']:.2%}{held}{noise}."
 
 
-def off_by(value: float, reference: float, high: str = "too high", low: str = "too low") -> str:
+def off_by(value: float, reference: float) -> str:
     """``8 % too high``."""
     ratio = value / reference - 1
     size = abs(100 * ratio)
     digits = 0 if size >= 3 else 1 if size >= 0.3 else 2
-    return f"{size:.{digits}f} % {high if ratio > 0 else low}"
+    return f"{size:.{digits}f} % {'too high' if ratio > 0 else 'too low'}"
 
 
 def _frf_sentence(name: str, records: Sequence[FrfRecord]) -> str:
@@ -147,18 +148,21 @@ def _frf_sentence(name: str, records: Sequence[FrfRecord]) -> str:
     if spot is None:
         return _residual_sentence(name, records)
     record = spot.record
-    unused = ", not used," if record.held_out else ""
     frequency, height = spot.measured
-    peak = f"the peak of {spot.pair} at {frequency:.2f} Hz in '{record.name}'{unused}"
     mode = _mode_number(record, frequency)
+    what = f"the peak of {spot.pair} at {frequency:.2f} Hz"
     if mode is not None:
-        peak = f"mode {mode} at {frequency:.2f} Hz in '{record.name}'{unused} (peak of {spot.pair})"
+        what = f"mode {mode} at {frequency:.2f} Hz (peak of {spot.pair})"
+    peak = f"{what} in '{record.name}'{', not used,' if record.held_out else ''}"
     if not np.isfinite(spot.before[0]):
-        return f"Without {name} the refitted model has no {peak.removeprefix('the ')}; with it, at {spot.after[0]:.2f} Hz."
+        return (
+            f"Without {name} the refitted model has no peak in the measured band near {peak.rstrip(',')}; "
+            f"with it, at {spot.after[0]:.2f} Hz."
+        )
     if spot.by_height:
         return (
-            f"Without {name} {peak} is {off_by(spot.before[1], height, 'too tall', 'too low')} in the refitted model; "
-            f"with it {off_by(spot.after[1], height, 'too tall', 'too low')}."
+            f"Without {name} {peak} comes out {off_by(spot.before[1], height)} in amplitude in the refitted model; "
+            f"with it {off_by(spot.after[1], height)}."
         )
     return (
         f"Without {name} {peak} comes out {off_by(spot.before[0], frequency)} in the refitted model, "
@@ -183,18 +187,18 @@ def _residual_sentence(name: str, records: Sequence[FrfRecord]) -> str:
         edges = np.array_split(np.arange(len(record.frequency)), 6)
         total = np.array([fallen[lines].sum(axis=0).ravel() for lines in edges])
         b, c = np.unravel_index(int(np.argmax(total)), total.shape)
-        lines, cut = edges[b], np.unravel_index(c, record.measured.shape[1:])
+        lines, (_, i, j) = edges[b], record.channel(int(c))
         ratio = [
             np.sqrt(
-                np.sum(np.abs(record.measured - record.predicted[stage])[lines, cut[0], cut[1]] ** 2)
-                / np.sum(np.abs(record.measured)[lines, cut[0], cut[1]] ** 2)
+                np.sum(np.abs(record.measured - record.predicted[stage])[lines, i, j] ** 2)
+                / np.sum(np.abs(record.measured)[lines, i, j] ** 2)
             )
             for stage in ("before", "after")
         ]
         low, high = record.frequency[lines[0]], record.frequency[lines[-1]]
         text = (
-            f"Without {name} the refitted model misses {record.pairs[int(c)]} in '{record.name}' at {low:.1f}–{high:.1f} Hz "
-            f"by {ratio[0]:.1%} of its amplitude, with it by {ratio[1]:.1%}."
+            f"Without {name} the refitted model misses {record.pairs[int(c)]} in '{record.name}' at "
+            f"{low:.1f}–{high:.1f} Hz by {ratio[0]:.1%} of its amplitude, with it by {ratio[1]:.1%}."
         )
         if best is None or total[b, c] > best[0]:
             best = float(total[b, c]), text
@@ -232,8 +236,9 @@ def _modal_sentence(name: str, records: Sequence[ModalRecord]) -> str:
             continue
         k = int(np.nanargmax(gain))
         text = (
-            f"Without {name} mode {k + 1} at {f[k]:.2f} Hz in '{record.name}'{', not used,' if record.held_out else ''} "
-            f"comes out {off_by(before[k], f[k])} in the refitted model, with it {off_by(after[k], f[k])}."
+            f"Without {name} mode {k + 1} at {f[k]:.2f} Hz in '{record.name}'"
+            f"{', not used,' if record.held_out else ''} comes out {off_by(before[k], f[k])} in the "
+            f"refitted model, with it {off_by(after[k], f[k])}."
         )
         if best is None or gain[k] > best[0]:
             best = float(gain[k]), text

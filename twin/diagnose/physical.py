@@ -16,7 +16,7 @@ def physical(robot: Robot) -> Robot:
     """
     links = []
     for link in robot.links:
-        mass, com, inertia = link.inertial
+        *_, inertia = link.inertial
         moment, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
         if moment[0] >= 0:
             links.append(link)

@@ -63,6 +63,10 @@ class FrfRecord:
     def _power(self) -> float:
         return max(float((np.abs(self.measured) ** 2 / self.variance).sum()), 1e-300)
 
+    def channel(self, pair: int) -> tuple[slice, int, int]:
+        """Index of a channel pair, given its number in ``pairs``, into the arrays (nf, nr, ne)."""
+        return slice(None), pair // len(self.excitation.label), pair % len(self.excitation.label)
+
     @property
     def pairs(self) -> list[str]:
         """Channel pairs in the order of the last two axes, flattened."""
@@ -137,8 +141,8 @@ def frf_records(
 ) -> tuple[list[FrfRecord], dict[str, Any]]:
     """Every posture of a campaign beside the three models, and the errors of a diagnosis.
 
-    Models are judged as they will be written, see :func:`physical`. Where a model was fitted, its own posture angles and
-    gains are used; elsewhere they are re-estimated within the description's tolerances, and nothing else is.
+    Models are judged as they will be written, see :func:`physical`. Where a model was fitted, its own posture angles
+    and gains are used; elsewhere they are re-estimated within the description's tolerances, and nothing else is.
 
     Args:
         given: the description as it came.

@@ -132,7 +132,7 @@ class Verdict:
     """``twin diagnose``'s answer; ``data()`` is the content of diagnosis.json.
 
     Attributes:
-        findings: one per recording; with several, ``word``, ``missing``, ``none`` and ``other`` are what they say together.
+        findings: one per recording; ``word``, ``missing``, ``none`` and ``other`` are what they say together.
         robot: the new description; ``base`` the one without what was found.
         checks: what was run on the new model: ``name``, ``value``, ``limit``, ``passed``, ``description``.
         payload_edit: what a payload would do to the model before and after.
@@ -167,7 +167,7 @@ class Verdict:
         def by_recording(stage: str, part: str) -> dict[str, Any]:
             return {f.recording: f.error[stage][part] for f in self.findings}
 
-        both = {s: {part: by_recording(s, part) for part in ("train", "held_out")} for s in STAGES}
+        both: dict[str, Any] = {s: {part: by_recording(s, part) for part in ("train", "held_out")} for s in STAGES}
         return {**both, "noise_floor": {f.recording: f.error["noise_floor"] for f in self.findings}}
 
     @property
