@@ -153,7 +153,8 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
         text = (
             f"{mass:g} kg more at the flange would move mode {k + 1} in '{record.posture}' from "
             f"{moved[1][0][k]:.2f} to {moved[1][1][k]:.2f} Hz ({100 * shift[1][k]:+.1f} %); "
-            f"the model without what was found says {100 * shift[0][k]:+.1f} %, from {moved[0][0][k]:.2f} to {moved[0][1][k]:.2f} Hz"
+            f"the model without what was found says {100 * shift[0][k]:+.1f} %, from "
+            f"{moved[0][0][k]:.2f} to {moved[0][1][k]:.2f} Hz"
         )
         told = {"mass_kg": mass, "posture": record.posture, "modes": rows, "description": text}
         inside = low <= moved[1][0][k] <= high
