@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install test lint demo bench clean
+.PHONY: install test lint demo bench proof clean
 
 install: $(VENV)/.installed
 
@@ -27,6 +27,9 @@ demo: install
 
 bench: install
 	$(BIN)/python tools/benchmark.py
+
+proof: install
+	$(BIN)/python -m tools.trials prove --split sealed --cases 240 --page docs/proof.md
 
 clean:
 	rm -rf $(VENV) out

@@ -47,7 +47,7 @@ def by_finalists(cases: Sequence[Scored], results: dict[str, dict[str, Any]], ru
 
 
 def impostors(cases: Sequence[Scored], results: dict[str, dict[str, Any]]) -> tuple[Rate, float]:
-    """With the truth struck from the list: how often the rest still beats nothing missing, and the misfit it takes away.
+    """With the truth struck from the list: how often another explains most of the misfit, and how much of it.
 
     The share is the median of what the strongest impostor explains of the misfit that the truth explains.
     """

@@ -176,8 +176,9 @@ def _hammer(
     truth = draw_truth(seed, (), postures, Tolerances())
     # Every other base model is without a transverse spring; the robot has it only where that is what is concealed.
     missing = [e.site for e in effects if e.kind == "transverse_compliance"]
-    if not missing and looks.random() < 0.5:
-        missing = [str(looks.choice(SITES["hammer"]["transverse_compliance"]))]
+    unused, lacking = str(looks.choice(SITES["hammer"]["transverse_compliance"])), looks.random() < 0.5
+    if lacking and not missing:
+        missing = [unused]
     stiffness = truth.chain.stiffness.copy()
     for site in missing:
         stiffness[int(site[5]) - 1, "zxy".index(site[-1])] = np.inf
@@ -191,7 +192,7 @@ def _hammer(
 def _log(kind: str, seed: int, effects: list[Effect], hidden: np.random.Generator, looks: np.random.Generator) -> Case:
     chain = kr90()
     truth = draw_truth(seed, (), (), Tolerances(inertia=0.05), log=True)
-    encoder = any(e.kind == "backlash" for e in effects) or looks.random() < 0.3
+    encoder = looks.random() < 0.3 or any(e.kind == "backlash" for e in effects)
     log = Log(
         white=float(looks.uniform(5, 15)), coloured=float(looks.uniform(2, 10)), ripple=float(looks.uniform(0, 3)),
         friction=str(looks.choice(["coulomb", "lugre", "slip"])), compensator=str(looks.choice(["series", "gas"])),

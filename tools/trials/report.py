@@ -42,10 +42,11 @@ def page(
     kinds = ", ".join(f"{sum(c.kind == k for c in cases)} {k}" for k in dict.fromkeys(c.kind for c in cases))
     parts = [
         f"# {title}", "",
-        f"{len(cases)} cases: {kinds}. Engine {next(iter({r['engine'] for r in results.values()}), '')}, answers opened "
-        f"{len(ledger)} time(s), last {ledger[-1]['time']}.", "",
-        "Every rate with Wilson's 95 % interval. Sizes are multiples of the smallest visible size of each effect on its "
-        "own recording (`tools/trials/visible.py`); `python -m tools.trials --help` says how to run this again.", "",
+        f"{len(cases)} cases: {kinds}. Engine {' '.join(sorted({r['engine'] for r in results.values()}))}, answers "
+        f"opened {len(ledger)} time(s), last {ledger[-1]['time']}.", "",
+        "Every rate with Wilson's 95 % interval. Sizes are multiples of the smallest visible size of each effect on "
+        "its own recording (`tools/trials/visible.py`); `python -m tools.trials --help` says how to run this again.",
+        "",
         "## Scores", "", *_scores(cases), "",
         "## By kind of recording", "", *_by_recording(cases), "",
         "## By effect", "", "Above twice the smallest visible size.", "", *_effects(cases), "",
@@ -94,8 +95,8 @@ def _baselines(cases: Sequence[Scored], results: dict[str, dict[str, Any]]) -> l
     ]
     fooled, share = baselines.impostors(cases, results)
     note = (
-        f"With the truth struck from the list, the strongest impostor explains more than half of what the truth explains "
-        f"in {fooled}; in the median {share:.0%}."
+        "With the truth struck from the list, the strongest impostor explains more than half of what the truth "
+        f"explains in {fooled}; in the median {share:.0%}."
     )
     return [*_table(("rule", "top-1, all sizes", "false alarms"), rows), "", note]
 
