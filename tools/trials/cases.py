@@ -57,9 +57,13 @@ OUTSIDE: dict[Recording, dict[str, tuple[str, ...]]] = {
     "log": {"quadratic_friction": JOINTS, "position_friction": JOINTS},
 }
 CHAIN = ("sensor_gain", "sensor_misalignment", "hammer_misalignment", "time_delay")
+ENTRIES = (
+    *((kind, j) for j in JOINTS for kind in ("viscous_friction", "coulomb_friction")),
+    ("gravity_compensator", "joint2"),
+)  # what the base model knows of friction and compensator
 MIX = {"none": 0.25, "single": 0.40, "pair": 0.20, "outside": 0.10, "chain": 0.05}
 RECORDINGS = {"hammer": 0.5, "levels": 0.1, "log": 0.4}
-MULTIPLES = 1.0, 30.0  # of the smallest visible size
+MULTIPLES = {"hammer": (1, 100), "levels": (1, 30), "log": (1, 30)}  # of the smallest visible size
 
 
 @dataclass(frozen=True)
@@ -184,7 +188,7 @@ def _hammer(
         stiffness[int(site[5]) - 1, "zxy".index(site[-1])] = np.inf
     truth = replace(truth, chain=replace(truth.chain, stiffness=stiffness))
     signals = hammer_signal(postures, test), level_signal(postures, test) if levels else None
-    truth, multiples = _sized(effects, *MULTIPLES, truth, hidden, *signals)
+    truth, multiples = _sized(effects, *MULTIPLES[recording], truth, hidden, *signals)
     without = tuple(f"transverse_compliance@{site}" for site in missing)
     return Case(seed, kind, recording, truth, multiples, without, postures, test)
 
@@ -192,10 +196,22 @@ def _hammer(
 def _log(kind: str, seed: int, effects: list[Effect], hidden: np.random.Generator, looks: np.random.Generator) -> Case:
     chain = kr90()
     truth = draw_truth(seed, (), (), Tolerances(inertia=0.05), log=True)
+    # Every other base model is without an entry it usually has; the robot has it only where that is what is concealed.
+    missing = [(e.kind, e.site) for e in effects if (e.kind, e.site) in ENTRIES]
+    unused, lacking = ENTRIES[int(looks.integers(len(ENTRIES)))], looks.random() < 0.5
+    if lacking and not missing:
+        missing = [unused]
+    for effect, site in missing:
+        name = {"viscous_friction": "viscous", "coulomb_friction": "coulomb", "gravity_compensator": "compensator"}[
+            effect
+        ]
+        values = getattr(truth.chain, name).copy()
+        values[int(site[5]) - 1] = 0.0
+        truth = replace(truth, chain=replace(truth.chain, **{name: values}))
     encoder = looks.random() < 0.3 or any(e.kind == "backlash" for e in effects)
     log = Log(
         white=float(looks.uniform(5, 15)), coloured=float(looks.uniform(2, 10)), ripple=float(looks.uniform(0, 3)),
-        friction=str(looks.choice(["coulomb", "lugre", "slip"])), compensator=str(looks.choice(["series", "gas"])),
+        friction=str(looks.choice(["coulomb", "coulomb", "lugre"])), compensator=str(looks.choice(["series", "gas"])),
         link_encoder=bool(encoder),
     )  # fmt: skip
     runs, start = [], 0.0
@@ -204,5 +220,6 @@ def _log(kind: str, seed: int, effects: list[Effect], hidden: np.random.Generato
         time = np.arange(int(seconds * log.rate_hz)) / log.rate_hz
         runs.append(Run(f"run{k + 1}", draw_fourier(chain, looks, seconds, dwells), time, start))
         start += seconds + float(looks.uniform(5, 60))
-    truth, multiples = _sized(effects, *MULTIPLES, truth, hidden, LogSignal(tuple(runs[:2]), log))
-    return Case(seed, kind, "log", truth, multiples, log=log, runs=tuple(runs))
+    truth, multiples = _sized(effects, *MULTIPLES["log"], truth, hidden, LogSignal(tuple(runs[:2]), log))
+    without = tuple(f"{effect}@{site}" for effect, site in missing)
+    return Case(seed, kind, "log", truth, multiples, without, log=log, runs=tuple(runs))

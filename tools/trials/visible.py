@@ -106,8 +106,9 @@ def _nuisances(truth: Truth) -> Iterator[Callable[[Truth, float], Truth]]:
             yield of_link(i, lambda link, z, k=k: replace(link, inertia=_stretched(link.inertia, k, 0.03 * z)))
     if log:
         for i in range(chain.n):
-            for name in ("viscous", "coulomb", "rotor_inertia"):
-                yield of_chain(name, (i,), 0.3 if name != "rotor_inertia" else 0.1)
+            for name, width in (("viscous", 0.3), ("coulomb", 0.3), ("rotor_inertia", 0.1)):
+                if getattr(chain, name)[i]:
+                    yield of_chain(name, (i,), width)
         for index in zip(*np.nonzero(chain.compensator), strict=True):
             yield of_chain("compensator", index, 0.1)
         return
