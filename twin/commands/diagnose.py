@@ -2,14 +2,14 @@
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twin.commands.compare import recording_kind
-from twin.commands.modal import read_recording
+from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.diagnose.decide import decide
@@ -20,15 +20,18 @@ from twin.diagnose.locate import mismatch
 from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
-from twin.diagnose.records import FrfRecord, frf_records
+from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import noise_floor
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
+from twin.diagnose.torque import diagnose_log
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Finding, Missing, Source, Verdict, judge, missing_of
 from twin.errors import InputError
-from twin.identify.elastic import without_limits
+from twin.identify.elastic import base_name, without_limits
 from twin.identify.parameters import free_parameters
 from twin.measure.campaign import Campaign
+from twin.measure.modal_table import read_modal_table
+from twin.measure.motion_log import read_motion_log
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.provenance import provenance, write_json
@@ -36,7 +39,6 @@ from twin.robot.description import Axis, Robot, load_robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, save_mjcf
 
-TABLES = (".yaml", ".yml")
 
 
 def diagnose(
@@ -52,7 +54,7 @@ def diagnose(
     """Diagnose recordings of one robot.
 
     Args:
-        recordings: a hammer test (a campaign, or universal files that belong together).
+        recordings: hammer tests (universal files belong together), motion logs, modal tables.
         robot: shipped name, ``robot.yaml`` or URDF; wins over the recordings'.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         hold_out: postures or runs not used, by name; by default those the others cover best.
@@ -65,15 +67,14 @@ def diagnose(
     """
     check_out(out)
     progress = progress or (lambda description, total: lambda count: None)
-    by_kind = _by_kind(recordings)
+    tests = [_read(kind, paths) for kind, paths in _grouped(recordings)]
+    given = _described(tests, robot).without(without or [])
+    chosen = _shared_out(hold_out, tests)
     findings = []
-    for kind, paths in by_kind.items():
-        if kind != "frf-campaign":
-            raise InputError(paths[0], "format", f"expected a hammer test, found a {kind}")
-        campaign, source = read_recording(paths), str(paths[0])
-        named = load_robot(robot) if robot else load_robot(campaign.robot or "kr90", relative_to=paths[0].parent)
-        given = named.without(without or [])
-        findings.append(diagnose_campaign(campaign, given, source, hold_out=hold_out, seed=seed, progress=progress))
+    for test, held in zip(tests, chosen, strict=True):
+        if test.kind not in ENGINES:
+            raise InputError(test.source, "", "expected hammer tests or motion logs: a modal table has too few numbers")
+        findings.append(ENGINES[test.kind](test.content, given, test.source, hold_out=held, seed=seed, progress=progress))
     verdict = Verdict.of(findings[0])
     verdict.origin = provenance(
         recordings, {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
@@ -82,24 +83,82 @@ def diagnose(
     return verdict
 
 
-def _by_kind(recordings: Sequence[str | Path]) -> dict[Source, list[Path]]:
-    """Recordings sorted by kind, motion logs first: what moves masses is known best from them.
+@dataclass(frozen=True)
+class _Test:
+    """A recording that was read; ``names`` are its postures or runs, ``named`` the robot it names."""
+
+    kind: Source
+    source: str
+    content: Any
+    named: str | None
+    names: tuple[str, ...]
+
+
+def _grouped(recordings: Sequence[str | Path]) -> list[tuple[Source, list[Path]]]:
+    """Files that make one recording, motion logs first: masses are known best from them.
 
     Raises:
-        InputError: a file is missing or of no kind.
+        InputError: a file is missing or of no kind, or given twice.
     """
-    found: dict[Source, list[Path]] = {}
-    for path in map(Path, recordings):
-        if path.suffix.lower() in TABLES:
-            if not path.is_file():
-                raise InputError(path, "", "no such file")
-            found.setdefault("modal-table", []).append(path)
-        elif path.suffix.lower() in (".csv",) or recording_kind(path)[0] == "motion-log":
-            found.setdefault("motion-log", []).append(path)
+    found: dict[Source, list[list[Path]]] = {"motion-log": [], "frf-campaign": [], "modal-table": []}
+    universal: list[Path] = []
+    paths = [Path(path) for path in recordings]
+    for path in paths:
+        if paths.count(path) > 1:
+            raise InputError(path, "", "is given twice")
+        kind: Any = recording_kind(path)[0]
+        if path.suffix.lower() in UFF:
+            universal.append(path)
         else:
-            found.setdefault("frf-campaign", []).append(path)
-    order: tuple[Source, ...] = ("motion-log", "frf-campaign", "modal-table")
-    return {kind: found[kind] for kind in order if kind in found}
+            found[kind].append([path])
+    if universal:
+        found["frf-campaign"].append(universal)
+    return [(kind, group) for kind, groups in found.items() for group in groups]
+
+
+def _read(kind: Source, paths: list[Path]) -> _Test:
+    source = str(paths[0])
+    if kind == "motion-log":
+        log = read_motion_log(paths[0])
+        return _Test(kind, source, log, log.robot, tuple(log.runs))
+    if kind == "frf-campaign":
+        campaign = read_recording(paths)
+        bases = [base_name(campaign, group) for group in campaign.postures]
+        return _Test(kind, source, campaign, campaign.robot, tuple(dict.fromkeys([*bases, *campaign.postures])))
+    table = read_modal_table(paths[0])
+    return _Test(kind, source, table, table.robot, tuple(table.postures))
+
+
+def _described(tests: Sequence[_Test], robot: str | None) -> Robot:
+    """The one robot of all recordings.
+
+    Raises:
+        InputError: the recordings name different robots.
+    """
+    if robot:
+        return load_robot(robot)
+    named = {test.named: test for test in tests if test.named}
+    if len(named) > 1:
+        first, second = list(named)[:2]
+        raise InputError(
+            named[second].source, "robot", f"is {second!r}, of {named[first].source} {first!r}; say which with --robot"
+        )
+    for name, test in named.items():
+        return load_robot(str(name), relative_to=Path(test.source).parent)
+    return load_robot("kr90")
+
+
+def _shared_out(hold_out: list[str] | None, tests: Sequence[_Test]) -> list[list[str] | None]:
+    """Names to hold out, each to the recordings that have it; a recording that none belongs to chooses itself.
+
+    Raises:
+        InputError: a name that no recording has.
+    """
+    for name in hold_out or []:
+        if not any(name in test.names for test in tests):
+            has = "; ".join(f"{test.source} has {', '.join(test.names)}" for test in tests)
+            raise InputError("--hold-out", name, f"no such posture or run: {has}")
+    return [[name for name in hold_out or [] if name in test.names] or None for test in tests]
 
 
 # --- hammer tests -----------------------------------------------------------------------------------------------------
@@ -154,6 +213,10 @@ def diagnose_campaign(
     return finding
 
 
+ENGINES: dict[Source, Any] = {"motion-log": diagnose_log, "frf-campaign": diagnose_campaign}
+"""What diagnoses a recording of each kind: (content, description, source, *, hold_out, seed, progress) → Finding."""
+
+
 def told(missing: Missing, finding: Finding) -> Missing:
     """With the sentence of evidence, where the engine has not written one."""
     if missing.evidence:
@@ -205,6 +268,8 @@ def _posture(verdict: Verdict) -> tuple[np.ndarray, Any]:
         for record in finding.records:
             if isinstance(record, FrfRecord):
                 return record.q, record.brakes or "off"
+            if isinstance(record, LogRecord):
+                return record.position[0], "off"
     return np.zeros(verdict.robot.axis_count), "off"
 
 
