@@ -15,30 +15,31 @@ from twin.commands.simulate import Progress
 from twin.diagnose.decide import decide
 from twin.diagnose.edit import check_linear, check_xml, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
-from twin.diagnose.hypotheses import suspects
+from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, suspects, widened
+from twin.diagnose.joint import Knowledge, pooled, predicted_by, settled_with, shared, together
 from twin.diagnose.locate import mismatch
 from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
-from twin.diagnose.refit import noise_floor
+from twin.diagnose.refit import Fitted, descend, noise_floor
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.triage import triage
-from twin.diagnose.verdict import Finding, Missing, Source, Verdict, judge, missing_of
+from twin.diagnose.verdict import Candidate, Finding, Missing, Source, Verdict, judge, missing_of
 from twin.errors import InputError
-from twin.identify.elastic import base_name, without_limits
-from twin.identify.parameters import free_parameters
+from twin.identify.elastic import Recorded, base_name, without_limits
+from twin.identify.parameters import Parameters, free_parameters
 from twin.measure.campaign import Campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import read_motion_log
 from twin.model.linear import linearise
 from twin.model.modes import modes
+from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json
 from twin.robot.description import Axis, Robot, load_robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, save_mjcf
-
 
 
 def diagnose(
@@ -70,17 +71,34 @@ def diagnose(
     tests = [_read(kind, paths) for kind, paths in _grouped(recordings)]
     given = _described(tests, robot).without(without or [])
     chosen = _shared_out(hold_out, tests)
-    findings = []
+    findings: list[Finding] = []
     for test, held in zip(tests, chosen, strict=True):
-        if test.kind not in ENGINES:
+        told_by = findings[-1] if findings else None
+        options: Any = {"hold_out": held, "seed": seed, "progress": progress}
+        if test.kind == "motion-log":
+            findings.append(diagnose_log(test.content, told_by.robot if told_by else given, test.source, **options))
+        elif test.kind == "frf-campaign":
+            findings.append(diagnose_campaign(test.content, given, test.source, **options, told_by=told_by))
+        else:
             raise InputError(test.source, "", "expected hammer tests or motion logs: a modal table has too few numbers")
-        findings.append(ENGINES[test.kind](test.content, given, test.source, hold_out=held, seed=seed, progress=progress))
-    verdict = Verdict.of(findings[0])
+    verdict = _settled(findings, tests, chosen)
     verdict.origin = provenance(
         recordings, {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
     )
     _finish(verdict, out)
     return verdict
+
+
+def _settled(findings: list[Finding], tests: "Sequence[_Test]", chosen: Sequence[list[str] | None]) -> Verdict:
+    """The verdict on the one model that the last finding ends with; the others are judged on it."""
+    if len(findings) == 1:
+        return Verdict.of(findings[0])
+    last = findings[-1]
+    for finding, test, held in zip(findings[:-1], tests, chosen, strict=False):
+        if test.kind == "motion-log":
+            finding.records = predicted_by(last.robot, test.content, finding, held)
+            finding.error = {**finding.error, "after": pooled(finding.records, "after")}
+    return together(findings, last.base, last.robot)
 
 
 @dataclass(frozen=True)
@@ -172,8 +190,19 @@ def diagnose_campaign(
     hold_out: list[str] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    told_by: Finding | None = None,
 ) -> Finding:
     """What a campaign in memory says.
+
+    Args:
+        campaign: as recorded.
+        given: the description, removals applied.
+        source: the file, for messages.
+        hold_out: postures not to use; chosen when ``None``.
+        seed: of the starts.
+        progress: makes progress bars.
+        told_by: what another recording of the same robot said. Its answer is in the model, what it knows of links and
+            payloads is their prior, and the probabilities of its answers change by what this campaign says of them.
 
     Raises:
         InputError: the robot has no springs, or the campaign does not fit it.
@@ -181,10 +210,11 @@ def diagnose_campaign(
     if not free_parameters(given, tolerances=False).items:
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
     found = triage(campaign, given, source, hold_out)
-    base = without_limits(given)
+    base = without_limits(told_by.robot if told_by else given)
     sample, kept = Sample(tuple(found.used)), found.kept
-    free = free_parameters(base, dict.fromkeys(r.setup.name for r in found.used), campaign.response.label)
-    free = free.select(k for k, p in enumerate(free) if p.kind != "sag")
+    free = _free(base, found.used)
+    if told_by and told_by.fit:
+        free = Knowledge.of(told_by.fit).on(free, base)
     search = converge(base, free, sample, seed=seed)
     band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
     brakes = [r.setup.brakes for r in found.recordings.values()]
@@ -194,8 +224,11 @@ def diagnose_campaign(
     decision = decide(fits, settled, looked_at)
     word = judge(decision)
     best = decision.ranked[0] if word in ("named", "ambiguous") else settled
-    records, errors = frf_records(base, settled, best, found.used, kept)
-    records = with_modes(records, physical(settled.robot), physical(best.robot))
+    before = settled
+    if told_by and told_by.missing:
+        before = _weighed(told_by, without_limits(given), settled, sample, seed)
+    records, errors = frf_records(without_limits(given), before, best, found.used, kept)
+    records = with_modes(records, physical(before.robot), physical(best.robot))
     errors["noise_floor"] = noise_floor(sample.recordings)
     where = mismatch(settled, sample.thin(REFIT_LINES))
     site = best.hypothesis.site or next(iter(where.sites), "")
@@ -203,27 +236,60 @@ def diagnose_campaign(
     missing = missing_of(decision, settled) if best is not settled else []
     finding = Finding(
         source, "frf-campaign", word, missing, decision.none, decision.other,
-        given, _limited(settled.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
+        given, _limited(before.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         smallest_visible(base, settled, few, looked_at), warnings=found.warnings,
     )  # fmt: skip
-    finding.missing = [told(m, finding) for m in missing]
+    finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
     if decision.rivals and word == "ambiguous":
         finding.next_test = next_test(base, decision.ranked[0], decision.ranked[decision.rivals[0]], few, seed)
     return finding
 
 
-ENGINES: dict[Source, Any] = {"motion-log": diagnose_log, "frf-campaign": diagnose_campaign}
-"""What diagnoses a recording of each kind: (content, description, source, *, hold_out, seed, progress) → Finding."""
+def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
+    """Everything a base model has free on recordings; the sag of the springs is not."""
+    free = free_parameters(base, dict.fromkeys(r.setup.name for r in used), used[0].setup.response.label)
+    return free.select(k for k, p in enumerate(free) if p.kind != "sag")
 
 
-def told(missing: Missing, finding: Finding) -> Missing:
-    """With the sentence of evidence, where the engine has not written one."""
+def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, seed: int) -> Fitted:
+    """The base model without what another recording found, whose probabilities change by what is said of them here.
+
+    Rivals that can be seen here are fitted in the place of the first answer.
+    """
+    free = _free(given, sample.recordings)
+    search = converge(given, free, sample, seed=seed)
+    plain = settle(given, search, sample)[-1]
+    gains: dict[str, float] = {}
+    for missing in told_by.missing:
+        if not shared(missing.first.effect):
+            continue
+        gains[missing.first.key] = settled.evidence() - plain.evidence()
+        for rival, _ in missing.rivals:
+            for hypothesis in _hypotheses(rival, given, free):
+                parameters = hypothesis.parameters(free)
+                z = np.concatenate([plain.z, np.zeros(len(parameters) - len(plain.z))])
+                fit = descend(given, hypothesis, parameters, sample, z, tempered=8, linear=20)
+                gains[rival.key] = max(gains.get(rival.key, -np.inf), fit.evidence() - plain.evidence())
+    told_by.missing, told_by.none = settled_with(told_by.missing, gains, told_by.none, told_by.other)
+    return plain
+
+
+def _hypotheses(rival: Candidate, base: Robot, free: Parameters) -> list[Hypothesis]:
+    """A rival as a hypothesis about a hammer test; none where a hammer test cannot show it."""
+    if rival.effect == "parameter":
+        return [h for h in widened(free) if h.site == rival.site]
+    if not shared(rival.effect):
+        return []
+    values = CATALOGUE[rival.effect].typical(base, rival.site)
+    return [entry_hypothesis(base, rival.effect, rival.site, values)] if values else []
+
+
+def _told(missing: Missing, finding: Finding) -> str:
+    """The sentence of evidence, where the engine has not written one."""
     if missing.evidence:
-        return missing
-    return replace(
-        missing, evidence=sentence(missing.first.title, finding.records, finding.error, finding.held_out)
-    )  # fmt: skip
+        return missing.evidence
+    return sentence(missing.first.title, finding.records, finding.error, finding.held_out)
 
 
 def _limited(robot: Robot, given: Robot) -> Robot:

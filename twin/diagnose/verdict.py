@@ -106,6 +106,7 @@ class Finding:
         sites: site → what freeing it alone would take off the misfit (drop of ½ χ²).
         smallest_visible: per effect and site, the size this recording would have shown.
         warnings: of the triage, one line each.
+        fit: of ``robot``, where another recording can build on it.
     """
 
     recording: str
@@ -125,6 +126,7 @@ class Finding:
     smallest_visible: list[dict[str, Any]] = field(default_factory=list)
     next_test: dict[str, Any] | None = None
     warnings: list[str] = field(default_factory=list)
+    fit: Fitted | None = None
 
 
 @dataclass

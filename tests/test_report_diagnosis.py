@@ -1,0 +1,198 @@
+"""Evidence, errors and figures of a diagnosis on FRFs and torques written down by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin.diagnose.evidence import best_spot, off_by, sentence
+from twin.diagnose.joint import Knowledge, pooled, settled_with, together
+from twin.diagnose.physical import physical
+from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord
+from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
+from twin.identify.parameters import free_parameters
+from twin.measure.campaign import Channels
+from twin.report import diagnosis
+from twin.robot.description import Robot, check_inertia
+
+F = np.arange(5.0, 30.0, 0.125)
+
+
+def oscillators(*frequencies: float, gain: float = 1.0, damping: float = 0.01) -> np.ndarray:
+    """Accelerance (nf, 1, 1) of masses on springs side by side: −ω²/(ω₀² − ω² + 2iζω₀ω) each."""
+    s = 2j * np.pi * F
+    parts = [s**2 / (w**2 + s**2 + 2 * damping * w * s) for w in 2 * np.pi * np.array(frequencies)]
+    return gain * np.sum(parts, axis=0)[:, None, None]
+
+
+def record(before: np.ndarray, after: np.ndarray, measured: np.ndarray, **changed: object) -> FrfRecord:
+    channel = Channels(("21Z+",), ("link3",), np.zeros((1, 3)), np.array([[0, 0, 1.0]]))
+    blow = Channels(("4Y+",), ("link1",), np.zeros((1, 3)), np.array([[0, 1.0, 0]]))
+    values: dict[str, object] = {
+        "name": "upright", "posture": "upright", "held_out": False, "q": np.zeros(3), "brakes": "off",
+        "response": channel, "excitation": blow, "frequency": F, "quantity": "accelerance", "measured": measured,
+        "variance": np.full(measured.shape, 1e-4), "predicted": {"as_given": before, "before": before, "after": after},
+        "modes_hz": {"after": np.array([11.0, 20.0])},
+    }  # fmt: skip
+    return FrfRecord(**(values | changed))  # type: ignore[arg-type]
+
+
+ERRORS = {
+    "before": {"train": 0.2, "held_out": 0.3}, "after": {"train": 0.01, "held_out": 0.02}, "noise_floor": 0.009,
+}  # fmt: skip
+
+
+def test_the_sentence_names_mode_posture_channel_and_by_how_much_it_is_off() -> None:
+    shifted = record(oscillators(11.0 * 1.08, 20.0), oscillators(11.0, 20.0), oscillators(11.0, 20.0))
+    text = sentence("payload at flange", [shifted], ERRORS, ["rigid"])
+    assert "mode 1 at 11.00 Hz (peak of 21Z+/4Y+) in 'upright' comes out 8 % too high" in text
+    assert "with it at 11.00 Hz" in text
+    assert "20.00% → 1.00%, and on rigid, not used, 30.00% → 2.00% (noise alone 0.90%)" in text
+
+
+def test_a_peak_of_the_right_place_and_wrong_height_is_told_by_its_height() -> None:
+    damped = record(oscillators(11.0, 20.0, gain=0.8), oscillators(11.0, 20.0), oscillators(11.0, 20.0))
+    assert "comes out 20 % too low in amplitude" in sentence("sensor_gain at sensor:21Z+", [damped], ERRORS, [])
+
+
+def test_a_peak_the_model_does_not_have_is_said_to_be_missing() -> None:
+    absent = record(oscillators(20.0), oscillators(11.0, 20.0), oscillators(11.0, 20.0))
+    text = sentence("attached_resonator at link3", [absent], ERRORS, [])
+    assert "no peak in the measured band near mode 1 at 11.00 Hz" in text
+
+
+def test_where_no_peak_moves_the_sentence_tells_the_residual() -> None:
+    same = oscillators(11.0, 20.0)
+    noisy = record(same * 1.03, same, same)
+    assert best_spot([noisy]) is None
+    assert "misses 21Z+/4Y+ in 'upright'" in sentence("sensor_gain at sensor:21Z+", [noisy], ERRORS, [])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1.08, "8 % too high"), (0.985, "1.5 % too low"), (1.0012, "0.12 % too high")]
+)
+def test_differences_keep_two_digits_that_matter(value: float, text: str) -> None:
+    assert off_by(value, 1.0) == text
+
+
+def test_the_error_of_a_record_is_the_weighted_ratio_and_noise_alone_gives_its_floor() -> None:
+    rng = np.random.default_rng(0)
+    H = np.repeat(np.repeat(oscillators(11.0), 3, axis=1), 4, axis=2)
+    noise = 0.01 * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
+    r = record(H * 1.1, H, H + noise, variance=np.full(H.shape, 1e-4))
+    assert r.error("after") == pytest.approx(r.floor, rel=0.02)
+    assert r.error("before") == pytest.approx(0.1, rel=0.01)
+
+
+def log_record(**changed: object) -> LogRecord:
+    t = np.linspace(0, 10, 500)
+    q = np.sin(t)[:, None] * [1.0, 0.5]
+    v = np.gradient(q, t, axis=0)
+    true = 100 * q + 20 * np.sign(v)
+    values: dict[str, object] = {
+        "name": "run1", "held_out": False, "time": t, "position": q, "velocity": v, "measured": true,
+        "valid": np.ones(len(t), bool), "noise": np.ones(2),
+        "predicted": {"as_given": 90 * q, "before": 100 * q, "after": true + 1.0},
+    }  # fmt: skip
+    return LogRecord(**(values | changed))  # type: ignore[arg-type]
+
+
+def test_torque_errors_are_pooled_over_joints_after_taking_ratios() -> None:
+    r = log_record()
+    ratio = [np.sqrt(np.mean((20 * np.sign(r.velocity[:, i])) ** 2) / np.mean(r.measured[:, i] ** 2)) for i in (0, 1)]
+    assert r.error("before") == pytest.approx(np.sqrt(np.mean(np.square(ratio))))
+    assert pooled([r], "before") == {"train": pytest.approx(r.error("before")), "held_out": None}
+    assert "torque of joint2 in run 'run1'" in sentence("coulomb_friction at joint2", [r], ERRORS, [])
+
+
+def test_inertias_no_body_can_have_are_brought_back_and_others_left(kr90: Robot) -> None:
+    assert physical(kr90) is kr90
+    broken = kr90.links[1].model_copy(update={"inertia": (1.0, 10.0, 20.0, 0.0, 0.0, 0.0)})
+    robot = physical(kr90.model_copy(update={"links": [kr90.links[0], broken, kr90.links[2]]}))
+    assert robot.links[0] is kr90.links[0]
+    assert robot.links[1].inertia is not None
+    check_inertia(robot.links[1].inertia)
+    # second moments (14.5, 5.5, −4.5): only the negative one is changed, to next to nothing
+    assert robot.links[1].inertia == pytest.approx((5.5, 14.5, 20.0, 0.0, 0.0, 0.0), abs=0.01)
+
+
+def candidate(effect: str, site: str, robot: Robot) -> Candidate:
+    return Candidate(effect, site, 10.0, robot, {"mass": {"value": 30.0, "unit": "kg", "interval90": [28.0, 32.0]}})
+
+
+def test_a_rival_that_the_other_recording_refuses_loses_its_probability(kr90: Robot) -> None:
+    payload, mass = candidate("payload", "flange", kr90), candidate("parameter", "link3.mass", kr90)
+    missing = [Missing(payload, 0.5, ((mass, 0.49),), "")]
+    kept, none = settled_with(missing, {"payload@flange": 200.0, "parameter@link3.mass": 20.0}, 0.0, 0.01)
+    assert kept[0].first.effect == "payload"
+    assert kept[0].probability == pytest.approx(0.99, abs=1e-6)
+    assert none < 1e-6
+    swapped, _ = settled_with(missing, {"payload@flange": 20.0, "parameter@link3.mass": 200.0}, 0.0, 0.01)
+    assert swapped[0].first.site == "link3.mass"
+
+
+def test_knowledge_of_links_is_gaussian_and_its_own_prior_is_taken_out(kr90: Robot) -> None:
+    """Prior σ², likelihood r²: the log's posterior is 1/(1/(3σ²) + 1/r²); the hammer's becomes 1/(1/σ² + 1/r²)."""
+    free = free_parameters(kr90, ["a"], ["21Z+"])
+    names = [name for name in free.names if name.startswith("link")]
+    at = [free.names.index(name) for name in names]
+    prior = free.covariance[np.ix_(at, at)]
+    likelihood = 0.04 * prior
+    posterior = np.linalg.inv(np.linalg.inv(3 * prior) + np.linalg.inv(likelihood))
+    mean = np.array([free[k].mean for k in at])
+    known = Knowledge(tuple(names), len(names), mean, posterior, 3 * prior, np.array([free[k].log for k in at]))
+    told = known.on(free, kr90)
+    expected = np.linalg.inv(np.linalg.inv(prior) + np.linalg.inv(likelihood))
+    np.testing.assert_allclose(told.covariance[np.ix_(at, at)], expected, rtol=1e-6, atol=1e-12)
+    assert told.names == free.names
+
+
+def finding(kr90: Robot, records: list, **changed: object) -> Finding:
+    error = {"as_given": {"train": 0.4, "held_out": 0.5}, **ERRORS}
+    missing = [Missing(candidate("payload", "flange", kr90), 0.6, ((candidate("payload", "link3", kr90), 0.39),), "…")]
+    one = Finding("a.h5", "frf-campaign", "ambiguous", missing, 0.0, 0.01, kr90, kr90, kr90, error, ["rigid"], records)
+    return replace(one, **changed)  # type: ignore[arg-type]
+
+
+def test_mixed_recordings_have_one_error_each(kr90: Robot) -> None:
+    hammer = finding(kr90, [])
+    log = finding(kr90, [log_record()], recording="b.h5", source="motion-log", missing=[], word="adequate")
+    verdict = together([log, hammer], kr90, kr90)
+    assert verdict.word == "ambiguous"
+    assert verdict.data()["error"]["after"]["train"] == {"b.h5": 0.01, "a.h5": 0.01}
+    assert [part["kind"] for part in verdict.data()["recordings"]] == ["motion-log", "frf-campaign"]
+
+
+def test_every_kind_of_recording_is_drawn_and_every_figure_is_in_the_page(kr90: Robot, tmp_path) -> None:
+    measured = oscillators(11.0, 20.0)
+    used = record(oscillators(12.0, 20.0), measured, measured)
+    kept = record(oscillators(12.0, 20.0), measured, measured, name="rigid", held_out=True)
+    table = ModalRecord(
+        "milling", False, np.zeros(3), np.array([[10.0, 1.4], [11.0, 1.0]]), np.full((2, 2), 0.01),
+        {stage: np.array([[10.2, 1.5], [11.1, 0.9]]) for stage in ("as_given", "before", "after")},
+    )  # fmt: skip
+    names = {
+        "frf-campaign": ([used, kept], {"errors", "mismatch", "overlay"}),
+        "motion-log": ([log_record(), log_record(held_out=True)], {"errors", "residual", "torque"}),
+        "modal-table": ([table], {"errors", "modes"}),
+    }
+    for source, (records, expected) in names.items():
+        verdict = Verdict.of(finding(kr90, records, source=source))
+        drawn = diagnosis.draw(verdict)
+        assert {name.removesuffix(".png") for name in drawn} >= expected | {"probabilities"}
+        sections = diagnosis.sections(verdict, {name: tmp_path / name for name in drawn})
+        shown = [path.name for section in sections for _, path in section.figures]
+        assert sorted(shown) == sorted(drawn)
+        assert "payload at flange" in diagnosis.lead(verdict)
+
+
+def test_the_mismatch_map_is_one_where_the_residual_is_noise() -> None:
+    rng = np.random.default_rng(1)
+    H = np.repeat(oscillators(11.0), 30, axis=2)
+    noise = 0.01 * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
+    blow = Channels(
+        tuple(f"{k}Y+" for k in range(30)), ("link1",) * 30, np.zeros((30, 3)), np.tile([0, 1.0, 0], (30, 1))
+    )
+    r = record(H, H, H + noise, excitation=blow, variance=np.full(H.shape, 1e-4))
+    over = diagnosis._banded(r, "after", np.linspace(5, 30, 11))
+    assert over == pytest.approx(np.ones(10), abs=0.08)
