@@ -58,7 +58,7 @@ def diagnose_log(
     records, errors = log_records(prepared, system, base, last.system, after)
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, after.robot, errors,
-        list(prepared.held_out), records, [], {}, [], warnings=list(prepared.notes),
+        list(prepared.held_out), records, [], {}, smallest_visible(system, suspects), warnings=list(prepared.notes), fit=after,
     )  # fmt: skip
     finding.missing = [
         m if m.evidence else replace(m, evidence=sentence(m.first.title, records, errors, prepared.held_out))
@@ -123,8 +123,7 @@ def _predicted(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], vali
     """Torque (m, n) of run k, its offsets estimated under their prior."""
     run = base.runs[k]
     known = np.zeros(len(base.parameters))
-    size = base.spread.shape[1]
-    known[:size] = z[:size]
+    known[: base.lasting] = z[: base.lasting]
     state = base.state(k, known)
     for entry in entries:
         state.torque[...] += entry_torque(run, state, entry, entry.values)
@@ -138,7 +137,7 @@ def _settled(run: Run) -> np.ndarray:
     """Rows (m,) at which no axis is about to stop or start."""
     out = np.ones(len(run.time), bool)
     for joint in range(run.torque.shape[1]):
-        for sample, _ in stops_of(run, joint):
+        for sample in stops_of(run, joint):
             out &= np.abs(run.time - run.dense.time[min(sample, len(run.dense.time) - 1)]) > SETTLING_S
     return out
 

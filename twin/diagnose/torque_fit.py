@@ -32,18 +32,16 @@ from twin.robot.frames import inertia_matrix, inertia_six
 
 FARTHEST = 3.0  # prior deviations of a shape (a speed, an order, a travel)
 ORDER = 30  # of the autoregression
+LARGEST_KEPT = 4_000_000  # numbers of a suspect's columns kept from one search to the next
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit may have explained away
 RIDGE = 1e-4  # of the noise's power: white noise added to the autoregression, so that stop bands are not amplified
-ROTOR, COMPENSATOR, FRICTION = 0.1, 0.1, 0.5  # relative prior deviations of what the description states
-SERIES = 0.003  # of the largest coefficient: what a compensator's series, cut at three terms, is off by
+ROTOR, COMPENSATOR = 0.1 * TOLERANCE_DEVIATION, 0.1 * TOLERANCE_DEVIATION  # relative: described to ±10 %
+FRICTION = 0.5  # relative prior deviation of described friction
+RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: what any gear and motor adds
+SERIES = 0.01  # of the largest coefficient: what a compensator's series, cut at three terms, is off by
 STEP = 0.02  # of a prior deviation, for differences
 OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
-CREEP_S = (
-    (-0.12, -0.04),
-    (-0.04, 0.0),
-    (0.0, 0.04),
-    (0.04, 0.12),
-)  # about a stop: the encoder hardly counts, the axis may creep
+CREEP_S = 0.16  # about a stop: the encoder hardly counts, the axis may creep
 MOST_STOPS = 60  # per run that the noise is estimated without
 STANDSTILL_S = 0.12  # shorter is a reversal
 UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero
@@ -57,7 +55,8 @@ class Base:
         runs: fitted or held out; ``matrix`` (m, n, p) per run, torque per unit of the regressor's columns.
         known: (m, n) per run, torque of what has no column.
         described: (p,) values; ``spread`` (p, z) their change per prior deviation.
-        parameters: (z + offsets) free numbers, offsets of the runs last.
+        parameters: (z + ripple + offsets) free numbers, offsets of the runs last.
+        ripple: (m, n, 2 RIPPLE_ORDERS) per run, sines and cosines of each joint's angle, of ordinary size.
         offset: (n,) their prior deviation; ``friction`` (n,) a joint's dry friction as described, N·m (N).
     """
 
@@ -70,6 +69,7 @@ class Base:
     parameters: Parameters
     offset: FloatArray
     friction: FloatArray
+    ripple: list[FloatArray]
 
     @property
     def rest(self) -> list[FloatArray]:
@@ -92,17 +92,26 @@ class Base:
         """Torque of run k per unit z, (m, n, z + offsets)."""
         n = self.regressor.robot.axis_count
         rows = self.matrix[k] @ self.spread
-        runs = len(self.runs)
-        offsets = np.zeros((*rows.shape[:2], n * runs))
+        orders = self.ripple[k].shape[2]
+        own = np.zeros((*rows.shape[:2], n * (orders + len(self.runs))))
         for j in range(n):
-            offsets[:, j, k * n + j] = self.offset[j]
-        return np.concatenate([rows, offsets], axis=2)
+            own[:, j, j * orders : (j + 1) * orders] = self.ripple[k][:, j]
+            own[:, j, n * orders + k * n + j] = self.offset[j]
+        return np.concatenate([rows, own], axis=2)
+
+    @property
+    def lasting(self) -> int:
+        """Numbers that belong to the robot: all but the offsets of the runs."""
+        return len(self.parameters) - len(self.offset) * len(self.runs)
 
     def state(self, k: int, z: FloatArray) -> State:
         """What laws that act on other torques see of run k; of the base model alone."""
         run, values = self.runs[k], self.values(z)
         links = 10 * self.regressor.robot.axis_count
         torque = self.matrix[k] @ values + self.known[k]
+        orders = self.ripple[k].shape[2]
+        own = z[self.spread.shape[1] :][: orders * torque.shape[1]].reshape(torque.shape[1], orders)
+        torque += np.einsum("mjo,jo->mj", self.ripple[k], own)
         load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
         friction = np.zeros_like(load)
         roles = [CATALOGUE[c.name.partition("@")[0]].role if c.group == "entry" else "" for c in self.regressor.columns]
@@ -131,17 +140,16 @@ def base_of(regressor: Regressor, runs: Sequence[Run]) -> Base:
         matrices.append(matrix)
         known.append(run.filtered(regressor.known_torque(run.dense)) if curved else np.zeros_like(run.torque))
     links, covariance = link_parameters(robot)
-    inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance / TOLERANCE_DEVIATION**2)
-    items = [replace(p, deviation=p.deviation / TOLERANCE_DEVIATION) for p in links]
+    inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
     others, width = [], []
-    for k, column in enumerate(columns[10 * n :], 10 * n):
+    for k, other in enumerate(columns[10 * n :], 10 * n):
         rms = np.sqrt(
             np.mean(np.concatenate([m[r.valid][:, :, k] for m, r in zip(matrices, runs, strict=True)]) ** 2, axis=0)
         )
         unknown = UNKNOWN * float(np.max(scale / np.maximum(rms, 1e-300), where=rms > 0, initial=0.0))
         deviation = _deviation(robot, columns, k) or unknown or 1.0
         width.append(deviation)
-        others.append(Parameter(column.name, column.unit, "entry", False, column.value, deviation, "description"))
+        others.append(Parameter(other.name, other.unit, "entry", False, other.value, deviation, "description"))
     spread = scipy.linalg.block_diag(inertial, np.diag(width))
     offset = OFFSET * scale
     offsets = [
@@ -149,12 +157,33 @@ def base_of(regressor: Regressor, runs: Sequence[Run]) -> Base:
         for run in runs
         for j in range(n)
     ]
-    parameters = join(Parameters(tuple(items), covariance / TOLERANCE_DEVIATION**2), independent([*others, *offsets]))
+    sizes = RIPPLE * scale * np.array([axis.type == "revolute" for axis in robot.axes])
+    waves = [
+        Parameter(
+            f"ordinary_ripple@joint{j + 1}.{name}{order}",
+            "N·m",
+            "gain",
+            False,
+            0.0,
+            float(max(sizes[j] / np.sqrt(RIPPLE_ORDERS), 1e-12)),
+        )
+        for j in range(n)
+        for name in ("sin", "cos")
+        for order in range(1, RIPPLE_ORDERS + 1)
+    ]
+    ripple = []
+    for run in runs:
+        angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
+        both = run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2))
+        ripple.append(both * (sizes / np.sqrt(RIPPLE_ORDERS))[:, None])
+    parameters = join(Parameters(tuple(links), covariance), independent([*others, *waves, *offsets]))
     friction = USUAL * scale
     for entry in robot.physics:
         if entry.effect == "coulomb_friction":
             friction[axis_of(entry.site)] = max(entry.values["torque"], friction[axis_of(entry.site)])
-    return Base(regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction)
+    return Base(
+        regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction, ripple
+    )
 
 
 _LINEAR_EFFECTS = frozenset(
@@ -214,6 +243,20 @@ class Columns:
     rows: FloatArray
 
 
+@dataclass(frozen=True)
+class Stop:
+    """The moment at which an axis stops or starts, which the encoder's noise hides.
+
+    Attributes:
+        span: whitened rows of the joint; ``directions`` (rows, d) orthonormal, in which its friction is unknown.
+        share: (d,) of each that is taken off: the prior on it is the joint's friction.
+    """
+
+    span: slice
+    directions: FloatArray
+    share: FloatArray
+
+
 @dataclass
 class System:
     """Whitened rows of a log and the base model on them; N rows, joint by joint, run by run.
@@ -225,7 +268,8 @@ class System:
         state: per run, what laws that act on other torques see.
         level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
         noise: (n,) RMS of the noise at the rows, N·m (N).
-        stops: per joint, where an axis comes to rest or starts: rows, whitened direction, and the share taken off it.
+        screened: whitened columns of the suspects' starts, which stay the same when something is found.
+        stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
     """
 
     base: Base
@@ -237,7 +281,8 @@ class System:
     state: list[State] = field(default_factory=list)
     level: FloatArray = field(default_factory=lambda: np.ones(0))
     noise: FloatArray = field(default_factory=lambda: np.ones(0))
-    stops: list[list[tuple[slice, FloatArray, float]]] = field(default_factory=list)
+    stops: list[list[Stop]] = field(default_factory=list)
+    screened: dict[str, Columns] = field(default_factory=dict)
 
     @cached_property
     def masks(self) -> list[np.ndarray]:
@@ -268,8 +313,9 @@ class System:
             ]
             rows = np.concatenate(filtered)
             rows = rows.reshape(len(rows), -1)
-            for place, direction, share in self.stops[j] if self.stops else ():
-                rows[place] -= np.outer(share * direction, direction @ rows[place])
+            for stop in self.stops[j] if self.stops else ():
+                part = rows[stop.span]
+                part -= stop.directions @ (stop.share[:, None] * (stop.directions.T @ part))
             out.append(rows)
         size = int(np.prod(parts[0].shape[2:], dtype=int))
         return Columns(joints, np.concatenate(out) if out else np.zeros((0, size)))
@@ -283,7 +329,10 @@ class System:
 
     def on(self, rows: FloatArray, columns: Columns) -> FloatArray:
         """Those of N rows where columns act (N_active, …)."""
-        return np.concatenate([rows[self.rows(j)] for j in columns.joints]) if columns.joints else rows[:0]
+        joints = columns.joints
+        if joints and joints[-1] - joints[0] == len(joints) - 1:
+            return rows[joints[0] * self.count : (joints[-1] + 1) * self.count]
+        return np.concatenate([rows[self.rows(j)] for j in joints]) if joints else rows[:0]
 
     def assemble(self) -> None:
         """Whiten design and data."""
@@ -330,7 +379,7 @@ class System:
 
     def across(self, columns: Columns) -> FloatArray:
         """CᵀA (k, z)."""
-        return np.asarray(columns.rows.T @ self.on(self.A, columns))
+        return np.asarray(np.ascontiguousarray(columns.rows.T) @ self.on(self.A, columns))
 
     def projected(self, columns: Columns) -> tuple[FloatArray, FloatArray]:
         """CᵀPC (k, k) and CᵀPy (k,), the base model's numbers eliminated."""
@@ -339,69 +388,66 @@ class System:
         return columns.rows.T @ columns.rows - across @ self.inverse @ across.T, pull
 
 
-def _stops(system: System) -> list[list[tuple[slice, FloatArray, float]]]:
-    """The moments at which an axis comes to rest or starts are known to the encoder's noise only.
-
-    Its friction between creeping and standing is then anything up to its level: a few directions of the whitened rows
-    per stop, with that prior, are left out of every judgement.
-    """
-    out: list[list[tuple[slice, FloatArray, float]]] = []
+def _stops(system: System) -> list[list[Stop]]:
+    """Where an axis comes to rest or starts, its friction may be anything up to its level for a moment."""
+    out: list[list[Stop]] = []
     for j, whitening in enumerate(system.whitening):
-        found: list[tuple[slice, FloatArray, float]] = []
+        found: list[Stop] = []
         at = 0
         for run, mask in zip(system.base.runs, system.masks, strict=True):
             place = at + np.cumsum(mask) - 1
-            for near, rows in stop_columns(run, j):
+            for near, columns in stop_columns(run, j):
                 inside = mask[near]
                 if not inside.any():
                     continue
-                direction = lfilter(whitening, [1.0], system.base.friction[j] * rows)[inside]
+                W = lfilter(whitening, [1.0], system.base.friction[j] * columns, axis=0)[inside]
                 first = int(place[near][np.argmax(inside)])
-                span = slice(first, first + len(direction))
-                for earlier, d, share in found[-8:]:
-                    if earlier.stop > span.start:
-                        full = np.zeros(max(earlier.stop, span.stop))
-                        full[span] = direction
-                        full[earlier] -= share * d * (d @ full[earlier])
-                        span = slice(min(earlier.start, span.start), len(full))
-                        direction = full[span]
-                size = float(direction @ direction)
-                if size > 1e-6:
-                    found.append((span, direction / np.sqrt(size), 1 - 1 / np.sqrt(1 + size)))
+                start, end = first, first + len(W)
+                near_by = [earlier for earlier in found[-6:] if earlier.span.stop > start]
+                start = min([start, *(earlier.span.start for earlier in near_by)])
+                wide = np.zeros((end - start, W.shape[1]))
+                wide[first - start :] = W
+                for earlier in near_by:  # what they take off this one too
+                    part = wide[earlier.span.start - start : earlier.span.stop - start]
+                    U = earlier.directions[: len(part)]
+                    part -= U @ (earlier.share[:, None] * (U.T @ part))
+                U, size, _ = np.linalg.svd(wide, full_matrices=False)
+                keep = size > 1e-3
+                found.append(Stop(slice(start, end), U[:, keep], 1 - 1 / np.sqrt(1 + size[keep] ** 2)))
             at += int(mask.sum())
         out.append(found)
     return out
 
 
 def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
-    """Low-passed boxes about every moment at which a joint stops or starts: rows, and values on them."""
+    """About every moment at which a joint stops or starts: rows, and low-passed boxes (rows, b) that cover it."""
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     count, pad = len(run.time), 2 * ORDER
+    reach = max(1, int(np.ceil(CREEP_S * run.rate_hz)))
     found = []
-    for sample, sense in stops_of(run, joint):
-        for first, last in CREEP_S:
-            box = np.zeros(len(run.dense.time))
-            ends = sorted(sample + int(round(sense * edge * run.rate_hz * step)) for edge in (first, last))
-            box[max(ends[0], 0) : max(ends[1], 0)] = 1.0
-            near = slice(max(0, ends[0] // step - pad), min(count - 1, ends[1] // step + pad))
-            if near.stop - near.start > pad:
-                window = slice(near.start * step, near.stop * step + 1)
-                rows = lowpass(box[window], run.rate_hz * step, *run.bands.fit)[::step]
-                found.append((slice(near.start, near.stop + 1), rows))
+    for sample in stops_of(run, joint):
+        middle = sample // step
+        near = slice(max(0, middle - reach - pad), min(count - 1, middle + reach + pad))
+        boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * reach))
+        for k in range(2 * reach):
+            first = sample + (k - reach) * step - near.start * step
+            boxes[max(first, 0) : max(first + step, 0), k] = 1.0
+        columns = lowpass(boxes, run.rate_hz * step, *run.bands.fit)[::step]
+        found.append((slice(near.start, near.stop + 1), columns))
     return found
 
 
-def stops_of(run: Run, joint: int) -> list[tuple[int, int]]:
-    """Dense samples at which a joint comes to rest (+1) or starts to move (−1)."""
+def stops_of(run: Run, joint: int) -> list[int]:
+    """Dense samples at which a joint comes to rest or starts to move."""
     speed = run.dense.velocity[:, joint]
     still = (run.dense.sign(speed) == 0).astype(int)
     edges = np.diff(np.concatenate([[0], still, [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     least = STANDSTILL_S * len(speed) / (run.dense.time[-1] - run.dense.time[0])
-    found = []
+    found: list[int] = []
     for first, last in zip(starts, ends, strict=True):
         if last - first > least:
-            found += [(int(first), 1), (int(last), -1)]
+            found += [int(first), int(last)]
     return found
 
 
@@ -473,7 +519,7 @@ def _possible(vector: FloatArray) -> bool:
 
 def _rounded(entry: Entry, robot: Robot) -> Entry:
     """An entry whose numbers are in the range that its effect allows."""
-    values = dict(entry.values)
+    values = dict(entry.model_extra or {})
     for parameter in CATALOGUE[entry.effect].parameters:
         if parameter.nonnegative and parameter.name in values and not parameter.word:
             given = values[parameter.name]
@@ -530,9 +576,9 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
         free = np.concatenate([smooth_columns(r, j, *span_of(base.runs, j)) for r in base.runs])
         stops = []
         for k, run in enumerate(base.runs):
-            for near, rows in stop_columns(run, j)[:MOST_STOPS]:
-                stops.append(np.zeros(len(valid)))
-                stops[-1][(ends[k - 1] if k else 0) :][near] = rows
+            for near, boxes in stop_columns(run, j)[:MOST_STOPS]:
+                stops.append(np.zeros((len(valid), boxes.shape[1])))
+                stops[-1][(ends[k - 1] if k else 0) :][near] = boxes
         B = np.column_stack([designs[:, j], free, *extra[j], *stops]) * valid[:, None]
         scale = np.linalg.norm(B, axis=0)
         B = B[:, scale > 1e-9 * scale.max()] / scale[scale > 1e-9 * scale.max()]
@@ -665,8 +711,12 @@ def start(system: System, suspect: Suspect) -> Trial:
     """The best of a suspect's starts, sizes solved for."""
     own = suspect.hypothesis.own
     width = max(1, len(suspect.sizes))
-    columns = [column for values in suspect.starts for column in _unit_columns(system, suspect, values)]
-    whitened = system.whiten([np.stack(rows, -1) for rows in zip(*columns, strict=True)])
+    whitened = system.screened.get(suspect.hypothesis.key)
+    if whitened is None:
+        columns = [column for values in suspect.starts for column in _unit_columns(system, suspect, values)]
+        whitened = system.whiten([np.stack(rows, -1) for rows in zip(*columns, strict=True)])
+        if whitened.rows.size < LARGEST_KEPT:
+            system.screened[suspect.hypothesis.key] = whitened
     across = system.across(whitened)
     pulls = whitened.rows.T @ system.on(system.residual, whitened)
     best: tuple[float, FloatArray] | None = None

@@ -93,7 +93,7 @@ def delayed(torque: FloatArray, run: Run, delay: float) -> FloatArray:
 
 def with_values(hypothesis: Hypothesis, values: FloatArray) -> list[Entry]:
     """The entries of a hypothesis with the values (m,) of its own parameters."""
-    entries = [(entry, dict(entry.values)) for entry in hypothesis.entries]
+    entries = [(entry, dict(entry.model_extra or {})) for entry in hypothesis.entries]
     for parameter, value in zip(hypothesis.own, values, strict=True):
         key, _, quantity = parameter.name.rpartition(".")
         name, _, index = quantity.partition("[")

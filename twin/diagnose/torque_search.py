@@ -1,4 +1,4 @@
-"""From the base model to what a motion log's torque says is missing: screen, refine, decide, go on with it in the model.
+"""From the base model to what a motion log says is missing: screen, refine, decide, go on with it in the model.
 
 Each thing found must lower the error on runs that were not used, must reach nine tenths of what a free function of the
 joint's state gains, and gives way to a simpler one within reach: no law is exact, so a richer one nearly always fits
@@ -7,20 +7,25 @@ better.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, decide
+from twin.diagnose.decide import Decision, calibration, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import (
     Base,
+    Columns,
     System,
     Trial,
     base_fit,
     base_of,
+    evaluate,
     extended,
     fitted,
+    own_prior,
+    own_values,
     refer,
     refine,
     robot_of,
@@ -30,13 +35,14 @@ from twin.diagnose.torque_fit import (
 from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns, with_values
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
+from twin.physics import CATALOGUE
 from twin.robot.description import Entry
 
 FINALISTS = 8
 RACE = 0.05  # of the best gain: less is not refined
 REACH = 0.9  # of the gain of a free function of the joint's state: less is no name
 SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches it is preferred
-MOST = 3  # things found one after the other
+MOST = 6  # things found one after the other
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 SHARE = 0.3  # of the gain on the rows used, per row, that runs not used must show
 LEAST = 0.004  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
@@ -183,7 +189,7 @@ def widened_fits(system: System) -> list[Fitted]:
         if (name.startswith("link") and name.endswith(".mass")) or name.endswith(".rotor_inertia"):
             groups[name] = [k]
         elif name.startswith("gravity_compensator@"):
-            groups.setdefault(name, []).append(k)
+            groups.setdefault(name.partition("[")[0], []).append(k)
     found = []
     for name, members in groups.items():
         width = np.ones(len(names))
@@ -217,7 +223,7 @@ class Judge:
         self.system = System(self.base, system.whitening, self.base.parameters, level=system.level, noise=system.noise)
         refer(self.system, np.zeros(len(self.base.parameters)))
         self.system.assemble()
-        self.size = self.base.spread.shape[1]
+        self.size = self.base.lasting
 
     def rest(self, z: FloatArray, entries: Sequence[Entry]) -> FloatArray:
         """Whitened residual (N,) of a model fitted elsewhere, offsets re-estimated."""
@@ -242,13 +248,53 @@ class Judge:
             entries = [*entries, *with_values(fit.hypothesis, fit.values[fit.own])]
         after = self.rest(fit.z, entries)
         joints = trial.column.joints if trial is not None else tuple(range(len(system.whitening)))
-        count = self.system.count
-        fall = np.array(
-            [0.5 * (np.sum(before[self.system.rows(j)] ** 2) - np.sum(after[self.system.rows(j)] ** 2)) for j in joints]
-        )
-        power = np.array([0.5 * np.sum(before[self.system.rows(j)] ** 2) for j in joints])
-        expected = (
-            0.5 * (float(system.residual @ system.residual) - fit.misfit * fit.data) * count / max(system.count, 1)
-        )
-        total = float(fall.sum())
-        return total, bool(total > SHARE * expected and (fall / power).max() > LEAST)
+
+        def energy(residual: FloatArray) -> FloatArray:
+            return np.array([0.5 * float(np.sum(residual[self.system.rows(j)] ** 2)) for j in joints])
+
+        fall = energy(before) - energy(after)
+        trained = 0.5 * (float(system.residual @ system.residual) - fit.misfit * fit.data)
+        expected = trained * self.system.count / max(system.count, 1)
+        enough = fall.sum() > SHARE * expected and (fall / energy(before)).max() > LEAST
+        return float(fall.sum()), bool(enough)
+
+
+def smallest_visible(system: System, suspects: Sequence[Suspect]) -> list[dict[str, Any]]:
+    """The size of each suspect from which it would be named: its evidence then outweighs that nothing is missing.
+
+    Other numbers of the entry are free beside it; a list's are taken in proportion. A slip element is given by the
+    torque it yields at.
+    """
+    numbers = calibration()
+    effects = {s.hypothesis.effect for s in suspects}
+    found = []
+    for suspect in suspects:
+        hypothesis, own = suspect.hypothesis, suspect.hypothesis.own
+        values = suspect.starts[len(suspect.starts) // 2].copy()
+        u = own_prior(own, values)
+        u[list(suspect.sizes)] += 0.3
+        trial = evaluate(system, suspect, u)
+        first = suspect.sizes[0] if suspect.sizes else 0
+        information, _ = system.projected(trial.column)
+        energy = max(float(information[0, 0]), 1e-300)  # of the entry as it is
+        others = [k for k in range(len(own)) if k != first and k not in suspect.sizes]
+        if others:
+            joint = Columns(trial.slopes.joints, np.column_stack([trial.column.rows, trial.slopes.rows[:, others]]))
+            whole, _ = system.projected(joint)
+            inner = whole[1:, 1:] + np.eye(len(others))
+            energy = max(float(whole[0, 0] - whole[0, 1:] @ np.linalg.solve(inner, whole[1:, 0])), 0.05 * energy)
+        sites = sum(s.hypothesis.effect == hypothesis.effect for s in suspects)
+        occam = 0.5 * np.log1p(energy) * max(1, len(own) - 1)
+        needed = numbers["temperature"] * np.log(2 * (len(effects) + 1) * sites) + max(occam, 2.0)
+        ratio = float(np.sqrt(2 * needed / energy))
+        null = CATALOGUE[hypothesis.effect].parameters[0].null
+        parameter, value = own[first], own_values(own, u)[first]
+        name = parameter.quantity.partition("[")[0]
+        size = abs(value - null) * ratio if suspect.sizes else abs(value) * ratio
+        found.append(
+            {
+                "effect": hypothesis.effect, "site": hypothesis.site, "parameter": name, "value": float(size),
+                "unit": parameter.unit,
+            }
+        )  # fmt: skip
+    return found

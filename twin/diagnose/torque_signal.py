@@ -27,6 +27,7 @@ LARGEST_BAND_HZ = 10.0
 ROWS = 2.5  # per second and hertz of the low-pass
 SMOOTH, DENSE = 2, 5  # instants per row of smooth laws, and of laws that step
 RECORDED = 1e-5  # of its largest density: torque was low-passed in recording where its spectrum falls below
+CLEAR = 0.75  # of that frequency is clear of the recording's own low-pass
 MOST_CUT = 0.05  # share of a run whose torque may be cut off
 
 
@@ -74,7 +75,8 @@ def bands_of(log: MotionLog) -> Bands:
         frequency, power = scipy.signal.welch(run.torque, rate, nperseg=length, axis=0)
         share = np.max(power / np.maximum(power.max(axis=0), 1e-300), axis=1)
         held = np.flatnonzero(share > RECORDED)
-        stop = min(stop, max(float(frequency[held[-1]]), 8 / (run.time[-1] - run.time[0])))
+        if frequency[held[-1]] < 0.4 * rate:
+            stop = min(stop, max(CLEAR * float(frequency[held[-1]]), 8 / (run.time[-1] - run.time[0])))
     return Bands((0.8 * stop, stop), (1.2 * stop, 1.5 * stop))
 
 
