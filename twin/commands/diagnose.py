@@ -26,7 +26,7 @@ from twin.diagnose.refit import Fitted, descend, noise_floor
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.triage import triage
-from twin.diagnose.verdict import Candidate, Finding, Missing, Source, Verdict, judge, missing_of
+from twin.diagnose.verdict import Candidate, Finding, Missing, Source, Verdict, estimates_of, judge, missing_of
 from twin.errors import InputError
 from twin.identify.elastic import Recorded, base_name, without_limits
 from twin.identify.parameters import Parameters, free_parameters
@@ -241,6 +241,8 @@ def diagnose_campaign(
         smallest_visible(base, settled, few, looked_at), warnings=found.warnings,
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
+    if told_by:
+        told_by.missing = [_borne_out(m, finding, best) for m in told_by.missing]
     if decision.rivals and word == "ambiguous":
         finding.next_test = next_test(base, decision.ranked[0], decision.ranked[decision.rivals[0]], few, seed)
     return finding
@@ -255,7 +257,7 @@ def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
 def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, seed: int) -> Fitted:
     """The base model without what another recording found, whose probabilities change by what is said of them here.
 
-    Rivals that can be seen here are fitted in the place of the first answer.
+    Every answer that can be seen here is fitted, starting where both recordings together have it (``settled``).
     """
     free = _free(given, sample.recordings)
     search = converge(given, free, sample, seed=seed)
@@ -264,13 +266,11 @@ def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, se
     for missing in told_by.missing:
         if not shared(missing.first.effect):
             continue
-        gains[missing.first.key] = settled.evidence() - plain.evidence()
-        for rival, _ in missing.rivals:
-            for hypothesis in _hypotheses(rival, given, free):
+        for answer in (missing.first, *(rival for rival, _ in missing.rivals)):
+            for hypothesis in _hypotheses(answer, given, free):
                 parameters = hypothesis.parameters(free)
-                z = np.concatenate([plain.z, np.zeros(len(parameters) - len(plain.z))])
-                fit = descend(given, hypothesis, parameters, sample, z, tempered=8, linear=20)
-                gains[rival.key] = max(gains.get(rival.key, -np.inf), fit.evidence() - plain.evidence())
+                fit = descend(given, hypothesis, parameters, sample, _start(answer, parameters, settled), linear=20)
+                gains[answer.key] = max(gains.get(answer.key, -np.inf), fit.evidence() - plain.evidence())
     told_by.missing, told_by.none = settled_with(told_by.missing, gains, told_by.none, told_by.other)
     return plain
 
@@ -283,6 +283,30 @@ def _hypotheses(rival: Candidate, base: Robot, free: Parameters) -> list[Hypothe
         return []
     values = CATALOGUE[rival.effect].typical(base, rival.site)
     return [entry_hypothesis(base, rival.effect, rival.site, values)] if values else []
+
+
+def _start(answer: Candidate, parameters: Parameters, settled: Fitted) -> np.ndarray:
+    """Where a search for an answer starts: what a fit with it has, then the answer's own numbers as they are known."""
+    known = dict(zip(settled.parameters.names, settled.values, strict=True))
+    for entry in answer.robot.physics:
+        if (entry.effect, entry.site) == (answer.effect, answer.site):
+            for name, given in (entry.model_extra or {}).items():
+                items = {f"[{k}]": v for k, v in enumerate(given)} if isinstance(given, list) else {"": given}
+                for index, value in items.items():
+                    known.setdefault(f"{answer.key}.{name}{index}", value)
+    values = np.array([float(known.get(p.name, p.mean)) for p in parameters])
+    least = np.array([1e-3 * p.mean if p.log else -np.inf for p in parameters])
+    return parameters.coordinates(np.maximum(values, least))
+
+
+def _borne_out(missing: Missing, finding: Finding, fit: Fitted) -> Missing:
+    """Another recording's answer with what this one adds: numbers fitted to both, and a second sentence."""
+    if not shared(missing.first.effect):
+        return missing
+    at = [k for k, p in enumerate(fit.parameters) if p.name.startswith(f"{missing.first.key}.")]
+    first = replace(missing.first, parameters=estimates_of(fit, at)) if at else missing.first
+    text = sentence(missing.first.title, finding.records, finding.error, finding.held_out)
+    return replace(missing, first=first, evidence=f"{missing.evidence} In {Path(finding.recording).name}: {text}")
 
 
 def _told(missing: Missing, finding: Finding) -> str:

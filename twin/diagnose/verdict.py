@@ -4,7 +4,7 @@ Whatever the recording (hammer test, modal table, motion log), an engine hands o
 :class:`Verdict` is one finding, or several settled on one model.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -254,8 +254,9 @@ def parameter_rows(parameters: dict[str, Any]) -> list[str]:
     for name, item in parameters.items():
         many = isinstance(item["value"], list)
         values, ranges = (item["value"], item["interval90"]) if many else ([item["value"]], [item["interval90"]])
-        for value, (low, high) in zip(values, ranges, strict=True):
-            rows.append(f"{name} {value:.4g} {item['unit']}   90 %: {low:.4g} … {high:.4g}")
+        for k, (value, (low, high)) in enumerate(zip(values, ranges, strict=True)):
+            title = f"{name}[{k}]" if many else name
+            rows.append(f"{title} {value:.4g} {item['unit']}   90 %: {low:.4g} … {high:.4g}")
     return rows
 
 
@@ -317,12 +318,17 @@ def _candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
 
 def estimates(fit: Fitted, part: tuple[str, str]) -> dict[str, Any]:
     """Value, unit and 90 % interval of the parameters of one of a hypothesis' things; a list's numbers in one list."""
-    root = fit.parameters.root
-    covariance = root @ np.linalg.inv(fit.information) @ root.T * max(1.0, fit.misfit)
-    x = root @ fit.z
     indices = [k for k in fit.own if _belongs(fit.parameters[k].name, part, fit.hypothesis.entries)]
     if part[0] == "parameter":
         indices = [fit.parameters.names.index(name) for name, _ in fit.hypothesis.scale[:1]]
+    return estimates_of(fit, indices)
+
+
+def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
+    """Value, unit and 90 % interval of some of a fit's numbers, by the last part of their names."""
+    root = fit.parameters.root
+    covariance = root @ np.linalg.inv(fit.information) @ root.T * max(1.0, fit.misfit)
+    x = root @ fit.z
     found: dict[str, Any] = {}
     for k in indices:
         parameter = fit.parameters[k]
