@@ -11,7 +11,7 @@ from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import Base, System, base_of, stops_of, system_of
 from twin.diagnose.torque_laws import entry_torque, log_suspects, with_values
-from twin.diagnose.torque_search import Progress, Search, explain
+from twin.diagnose.torque_search import Progress, Search, explain, smallest_visible
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, missing_of
 from twin.diagnose.verdict import judge as word_of
@@ -58,7 +58,8 @@ def diagnose_log(
     records, errors = log_records(prepared, system, base, last.system, after)
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, after.robot, errors,
-        list(prepared.held_out), records, [], {}, smallest_visible(system, suspects), warnings=list(prepared.notes), fit=after,
+        list(prepared.held_out), records, [], {}, smallest_visible(system, suspects),
+        warnings=list(prepared.notes), fit=after,
     )  # fmt: skip
     finding.missing = [
         m if m.evidence else replace(m, evidence=sentence(m.first.title, records, errors, prepared.held_out))

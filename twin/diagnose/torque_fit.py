@@ -9,6 +9,7 @@ Anal. 10, 1973).
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -19,7 +20,16 @@ from scipy.signal import lfilter
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
-from twin.diagnose.torque_laws import USUAL, State, Suspect, entry_torque, on_dense, smooth_columns, with_values
+from twin.diagnose.torque_laws import (
+    REFERRING,
+    USUAL,
+    State,
+    Suspect,
+    entry_torque,
+    on_dense,
+    smooth_columns,
+    with_values,
+)
 from twin.diagnose.torque_signal import Prepared, Run
 from twin.identify.parameters import TOLERANCE_DEVIATION, Parameter, Parameters, independent, join, link_parameters
 from twin.identify.regressor import Column, Regressor, body_of, inertial_vector, pseudo_inertia
@@ -38,7 +48,8 @@ RIDGE = 1e-4  # of the noise's power: white noise added to the autoregression, s
 ROTOR, COMPENSATOR = 0.1 * TOLERANCE_DEVIATION, 0.1 * TOLERANCE_DEVIATION  # relative: described to ±10 %
 FRICTION = 0.5  # relative prior deviation of described friction
 RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: what any gear and motor adds
-SERIES = 0.01  # of the largest coefficient: what a compensator's series, cut at three terms, is off by
+SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
+SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three
 STEP = 0.02  # of a prior deviation, for differences
 OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
 CREEP_S = 0.16  # about a stop: the encoder hardly counts, the axis may creep
@@ -157,16 +168,9 @@ def base_of(regressor: Regressor, runs: Sequence[Run]) -> Base:
         for run in runs
         for j in range(n)
     ]
-    sizes = RIPPLE * scale * np.array([axis.type == "revolute" for axis in robot.axes])
+    sizes = _wave_sizes(robot, scale)
     waves = [
-        Parameter(
-            f"ordinary_ripple@joint{j + 1}.{name}{order}",
-            "N·m",
-            "gain",
-            False,
-            0.0,
-            float(max(sizes[j] / np.sqrt(RIPPLE_ORDERS), 1e-12)),
-        )
+        Parameter(f"ordinary_ripple@joint{j + 1}.{name}{order}", "N·m", "gain", False, 0.0, float(sizes[j, order - 1]))
         for j in range(n)
         for name in ("sin", "cos")
         for order in range(1, RIPPLE_ORDERS + 1)
@@ -174,8 +178,7 @@ def base_of(regressor: Regressor, runs: Sequence[Run]) -> Base:
     ripple = []
     for run in runs:
         angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
-        both = run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2))
-        ripple.append(both * (sizes / np.sqrt(RIPPLE_ORDERS))[:, None])
+        ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
     parameters = join(Parameters(tuple(links), covariance), independent([*others, *waves, *offsets]))
     friction = USUAL * scale
     for entry in robot.physics:
@@ -194,6 +197,17 @@ _LINEAR_EFFECTS = frozenset(
         "sensor_gain", "sensor_misalignment", "hammer_misalignment", "time_delay", "torque_constant",
     }
 )  # fmt: skip
+
+
+def _wave_sizes(robot: Robot, scale: FloatArray) -> FloatArray:
+    """Prior deviation (n, RIPPLE_ORDERS) of sines and cosines of a joint's angle that any drive or compensator adds."""
+    sizes = np.tile(RIPPLE * scale[:, None] / np.sqrt(RIPPLE_ORDERS), RIPPLE_ORDERS)
+    for entry in robot.physics:
+        if entry.effect == "gravity_compensator":
+            largest = float(np.abs(entry.values["coefficients"]).max())
+            sizes[axis_of(entry.site), :SHAPE_ORDERS] += SHAPE * largest
+    turning = np.array([axis.type == "revolute" for axis in robot.axes])
+    return np.maximum(sizes * turning[:, None], 1e-12)
 
 
 def _deviation(robot: Robot, columns: Sequence[Column], k: int) -> float:
@@ -600,19 +614,22 @@ def _shapes(system: System, suspect: Suspect) -> list[list[FloatArray]]:
     starts = suspect.starts
     if len(starts) > 40:
         return []
-    return [column for start in starts for column in _unit_columns(system, suspect, start)]
+    return [column for start in starts for column in _start_columns(system, suspect, start)]
 
 
-def _unit_columns(system: System, suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
-    """Torque per prior deviation of every size at a start, where all sizes are null; else of the entry as it is."""
+def _start_columns(system: System, suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
+    """The entry's torque (m, n) per run at a start, and what a prior deviation of every size adds to it."""
     own = suspect.hypothesis.own
-    if not suspect.sizes:
-        return [system.torque(with_values(suspect.hypothesis, start))]
-    columns = []
+    nothing = suspect.sizes and all(start[k] == own[k].mean for k in suspect.sizes)
+    here = [np.zeros_like(run.torque) for run in system.base.runs]
+    if not nothing:
+        here = system.torque(with_values(suspect.hypothesis, start))
+    columns = [here]
     for k in suspect.sizes:
         shifted = start.copy()
-        shifted[k] += own[k].deviation
-        columns.append(system.torque(with_values(suspect.hypothesis, shifted)))
+        shifted[k] += STEP * own[k].deviation
+        moved = system.torque(with_values(suspect.hypothesis, shifted))
+        columns.append([(a - b) / STEP for a, b in zip(moved, here, strict=True)])
     return columns
 
 
@@ -709,14 +726,14 @@ def _gain(system: System, column: Columns, u: FloatArray) -> float:
 
 def start(system: System, suspect: Suspect) -> Trial:
     """The best of a suspect's starts, sizes solved for."""
-    own = suspect.hypothesis.own
-    width = max(1, len(suspect.sizes))
-    whitened = system.screened.get(suspect.hypothesis.key)
+    own, sizes = suspect.hypothesis.own, list(suspect.sizes)
+    width = 1 + len(sizes)
+    whitened = system.screened.get(suspect.name)
     if whitened is None:
-        columns = [column for values in suspect.starts for column in _unit_columns(system, suspect, values)]
+        columns = [column for values in suspect.starts for column in _start_columns(system, suspect, values)]
         whitened = system.whiten([np.stack(rows, -1) for rows in zip(*columns, strict=True)])
         if whitened.rows.size < LARGEST_KEPT:
-            system.screened[suspect.hypothesis.key] = whitened
+            system.screened[suspect.name] = whitened
     across = system.across(whitened)
     pulls = whitened.rows.T @ system.on(system.residual, whitened)
     best: tuple[float, FloatArray] | None = None
@@ -725,14 +742,15 @@ def start(system: System, suspect: Suspect) -> Trial:
         C = whitened.rows[:, part]
         information = C.T @ C - across[part] @ system.inverse @ across[part].T
         u = own_prior(own, values)
-        if suspect.sizes:
-            size = np.linalg.solve(information + np.eye(width), pulls[part])
-            u[list(suspect.sizes)] = size
+        if sizes:
+            pull = pulls[part][1:] - information[1:, 0] - u[sizes]
+            before = u[sizes]
+            u[sizes] += np.linalg.solve(information[1:, 1:] + np.eye(len(sizes)), pull)
             u = _inside(suspect, u)
-            size = u[list(suspect.sizes)]
-            gain = float(size @ pulls[part] - 0.5 * size @ information @ size - 0.5 * u @ u)
+            weight = np.concatenate([[1.0], u[sizes] - before])
         else:
-            gain = float(pulls[part][0] - 0.5 * information[0, 0] - 0.5 * u @ u)
+            weight = np.ones(1)
+        gain = float(weight @ pulls[part] - 0.5 * weight @ information @ weight - 0.5 * u @ u)
         if best is None or gain > best[0]:
             best = gain, u
     assert best is not None
@@ -745,6 +763,21 @@ def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
     bounded = zip(own, suspect.nonnegative, strict=True)
     least = [-FARTHEST if p.log else -p.mean / p.deviation if bound else -np.inf for p, bound in bounded]
     return np.clip(u, least, [FARTHEST if p.log else np.inf for p in own])
+
+
+def settle(system: System, trial: Trial) -> Trial:
+    """Refined; an entry that acts on other torques again, once these are what they are with it in the model."""
+    trial = refine(system, trial)
+    for _ in range(2 if trial.suspect.hypothesis.effect in REFERRING else 0):
+        again = copy(system)
+        refer(again, eliminated(system, trial))
+        trial = refine(again, evaluate(again, trial.suspect, trial.u))
+    return trial
+
+
+def eliminated(system: System, trial: Trial) -> FloatArray:
+    """The base model's numbers (z,) beside a trial."""
+    return np.asarray(system.inverse @ ((system.y - system.full(trial.column)[:, 0]) @ system.A))
 
 
 def refine(system: System, trial: Trial, iterations: int = 8) -> Trial:
@@ -778,7 +811,7 @@ def fitted(system: System, trial: Trial) -> Fitted:
     own = trial.suspect.hypothesis.own
     parameters = join(system.parameters, independent(own))
     column = system.full(trial.column)[:, 0]
-    z = system.inverse @ ((system.y - column) @ system.A)
+    z = eliminated(system, trial)
     residual = system.y - column - system.A @ z
     across = system.across(trial.slopes)
     within = trial.slopes.rows.T @ trial.slopes.rows + np.eye(len(own))

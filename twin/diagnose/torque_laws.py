@@ -31,6 +31,9 @@ STEPPING = frozenset(
 )  # fmt: skip
 """Effects whose torque may step where an axis turns back."""
 
+REFERRING = frozenset({"load_dependent_friction", "friction_drift", "torque_constant", "time_delay"})
+"""Effects whose torque is made of the other torques."""
+
 
 @dataclass(frozen=True)
 class State:
@@ -60,6 +63,12 @@ class Suspect:
     starts: FloatArray
     sizes: tuple[int, ...]
     nonnegative: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """``EFFECT@SITE`` and the joint a coupling comes from."""
+        words = [str(v) for entry in self.hypothesis.entries for v in entry.values.values() if isinstance(v, str)]
+        return " ".join([self.hypothesis.key, *words])
 
 
 def entry_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatArray:
@@ -271,9 +280,9 @@ def _coupling(s: _Setting) -> list[Suspect]:
             s.normal("ratio", 0.5), s.scale("inertia", inertia, 1.5), s.scale("friction[0]", friction[0], 2.0),
             s.scale("friction[1]", friction[1], 2.0),
         ]  # fmt: skip
-        starts = [[ratio, inertia, *friction] for ratio in (-1.0, -0.3, -0.05, 0.05, 0.3, 1.0)]
+        starts = [[ratio, inertia, *friction] for ratio in (0.0, -0.3, 0.3, -1.0, 1.0)]
         found += s.suspect(
-            {"from": f"joint{j + 1}", "ratio": 1.0, "inertia": inertia, "friction": friction}, own, starts, ()
+            {"from": f"joint{j + 1}", "ratio": 0.0, "inertia": inertia, "friction": friction}, own, starts
         )
     return found
 

@@ -27,8 +27,8 @@ from twin.diagnose.torque_fit import (
     own_prior,
     own_values,
     refer,
-    refine,
     robot_of,
+    settle,
     span_of,
     start,
 )
@@ -44,8 +44,10 @@ REACH = 0.9  # of the gain of a free function of the joint's state: less is no n
 SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches it is preferred
 MOST = 6  # things found one after the other
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
-SHARE = 0.3  # of the gain on the rows used, per row, that runs not used must show
-LEAST = 0.004  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
+RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
+HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
+SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
+LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
 
 Progress = Callable[[str, int], Callable[[int], None]]
 
@@ -98,8 +100,8 @@ def explain(
     search = Search()
     judge = Judge(system, kept) if kept else None
     for number in range(MOST):
-        known = {s.hypothesis.key for s in system.found}
-        open_ = [s for s in suspects if s.hypothesis.key not in known]
+        known = {s.name for s in system.found}
+        open_ = [s for s in suspects if s.name not in known]
         step = _look(system, open_, progress("screen" if not number else "look for more", len(open_)))
         search.steps.append(step)
         first = step.decision.ranked[0] if step.decision.ranked else None
@@ -127,12 +129,15 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
     started.sort(key=lambda trial: -trial.gain)
     least = max(RACE * started[0].gain, 1.0)
     chosen = [trial for trial in _varied(started) if trial.gain > least]
-    trials, fits = {}, []
+    trials: dict[str, Trial] = {}
+    best_of: dict[str, Fitted] = {}
     for trial in chosen:
-        trial = refine(system, trial)
+        trial = settle(system, trial)
         fit = fitted(system, trial)
-        trials[fit.hypothesis.key] = trial
-        fits.append(fit)
+        key = fit.hypothesis.key
+        if key not in best_of or fit.evidence() > best_of[key].evidence():
+            best_of[key], trials[key] = fit, trial
+    fits = list(best_of.values())
     fits += widened_fits(system)
     free = np.array([free_gain(system, j) for j in range(len(system.whitening))])
     gains = np.array([fit.evidence() - base.evidence() for fit in fits])
@@ -252,11 +257,13 @@ class Judge:
         def energy(residual: FloatArray) -> FloatArray:
             return np.array([0.5 * float(np.sum(residual[self.system.rows(j)] ** 2)) for j in joints])
 
-        fall = energy(before) - energy(after)
+        fall, power = energy(before) - energy(after), energy(before)
         trained = 0.5 * (float(system.residual @ system.residual) - fit.misfit * fit.data)
         expected = trained * self.system.count / max(system.count, 1)
-        enough = fall.sum() > SHARE * expected and (fall / energy(before)).max() > LEAST
-        return float(fall.sum()), bool(enough)
+        # What only relieves the tension of numbers against their priors cannot show here: it must do no harm.
+        if trained < RELIEF * (fit.evidence() - base_fit(system).evidence()):
+            return float(fall.sum()), bool(fall.sum() > -HARM - 0.01 * power.sum())
+        return float(fall.sum()), bool(fall.sum() > SHARE * expected and (fall / power).max() > LEAST)
 
 
 def smallest_visible(system: System, suspects: Sequence[Suspect]) -> list[dict[str, Any]]:
