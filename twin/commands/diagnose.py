@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from twin.commands.compare import recording_kind
+from twin.commands.identify import in_joints
 from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.diagnose.decide import decide
-from twin.diagnose.edit import check_linear, check_xml, payload_edit, with_modes
+from twin.diagnose.edit import check_linear, check_replayed, check_xml, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, suspects, widened
 from twin.diagnose.joint import Knowledge, pooled, predicted_by, settled_with, shared, together
@@ -76,6 +77,7 @@ def diagnose(
         told_by = findings[-1] if findings else None
         options: Any = {"hold_out": held, "seed": seed, "progress": progress}
         if test.kind == "motion-log":
+            in_joints(test.content, given)  # axes, units and limits fit
             findings.append(diagnose_log(test.content, told_by.robot if told_by else given, test.source, **options))
         elif test.kind == "frf-campaign":
             findings.append(diagnose_campaign(test.content, given, test.source, **options, told_by=told_by))
@@ -85,7 +87,7 @@ def diagnose(
     verdict.origin = provenance(
         recordings, {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
     )
-    _finish(verdict, out)
+    _finish(verdict, tests, out)
     return verdict
 
 
@@ -328,16 +330,16 @@ def _limited(robot: Robot, given: Robot) -> Robot:
 # --- what is written --------------------------------------------------------------------------------------------------
 
 
-def _finish(verdict: Verdict, out: Path | None) -> None:
+def _finish(verdict: Verdict, tests: Sequence[_Test], out: Path | None) -> None:
     """Write the model, check it as written, and write what people look at; all of it or nothing."""
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
-            _check(verdict, _write_model(verdict, Path(folder)))
+            _check(verdict, tests, _write_model(verdict, Path(folder)))
         return
     with Outputs(out) as name:
         _write_model(verdict, name("robot.yaml").parent)
         name("robot.xml")
-        _check(verdict, name.stage)
+        _check(verdict, tests, name.stage)
         verdict.model = {"robot": "robot.yaml", "mjcf": "robot.xml"}
         _write_report(verdict, name)
         page = name("diagnosis.json")
@@ -363,8 +365,12 @@ def _posture(verdict: Verdict) -> tuple[np.ndarray, Any]:
     return np.zeros(verdict.robot.axis_count), "off"
 
 
-def _check(verdict: Verdict, folder: Path) -> None:
+def _check(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> None:
     """The edit test: the written model, read again, in MuJoCo."""
+    for finding, test in zip(verdict.findings, tests, strict=True):
+        if test.kind == "motion-log":
+            name = next((name for name in test.names if name in finding.held_out), test.names[0])
+            verdict.checks.append(check_replayed(folder / "robot.yaml", test.content.runs[name], test.source))
     frfs = [r for finding in verdict.findings for r in finding.records if isinstance(r, FrfRecord)]
     if not frfs:
         return
