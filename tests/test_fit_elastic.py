@@ -7,11 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from twin.commands.compare import compare
 from twin.commands.fit import fit
 from twin.errors import InputError
-from twin.identify.elastic import fit_frf, prepare
+from twin.identify.elastic import fit_frf, minimise, prepare
 from twin.identify.elastic_compare import compare_frf, judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
 from twin.identify.parameters import free_parameters
@@ -220,6 +221,50 @@ def test_compare_is_at_the_noise_for_the_fitted_robot_and_far_from_it_for_the_de
     assert min(p["error"] for p in whole) <= fitted.error <= max(p["error"] for p in whole)
 
 
+def test_bounded_descent_ends_where_bounded_least_squares_does() -> None:
+    """Tolerances end at a bound, and what is left of a correlated misfit moves to the others."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        A = rng.normal(size=(12, 8)) @ np.diag(np.logspace(0, -2, 8))
+        b = A @ rng.normal(scale=3.0, size=8) + rng.normal(size=12)
+
+        def objective(z: np.ndarray, A: np.ndarray = A, b: np.ndarray = b) -> tuple[float, np.ndarray, np.ndarray]:
+            r = A @ z - b
+            return 0.5 * float(r @ r), A.T @ r, A.T @ A
+
+        z, cost, _, converged = minimise(objective, np.zeros(8), 60, 1e-9, 1.0)
+        assert converged
+        assert np.abs(z).max() <= 1
+        assert cost == pytest.approx(lsq_linear(A, b, (-1, 1), tol=1e-12).cost, rel=1e-6)
+
+
+def test_raw_hits_and_one_channel_pair_are_fitted(tmp_path: Path, kr90: Robot) -> None:
+    """Time records alone, through the file; and a single FRF per posture, which holds springs but few dampers."""
+    options = ("--seed", "6", "--postures", "2", "--lines", "180", "--hits", "4")
+    path = campaign(tmp_path, "hits", *options)
+    recorded = read_campaign(path)
+    found = fit_frf(kr90, list(prepare(recorded, kr90).values()), starts=1)
+    assert found.converged
+    assert found.misfit < 3
+    for e in estimates(found):
+        if e.parameter.kind == "spring" and e.parameter.quantity == "stiffness":
+            assert e.value == pytest.approx(truth(path, e.parameter.name), rel=4 * e.deviation)
+
+    def cut(c: Channels, k: int) -> Channels:
+        return Channels(c.label[k : k + 1], c.body[k : k + 1], c.position[k : k + 1], c.direction[k : k + 1])
+
+    postures = {
+        name: replace(p, frf=p.frf[:, 2:, 21:22], coherence=p.coherence[:, 2:, 21:22], hits=None)  # type: ignore[index]
+        for name, p in recorded.postures.items()
+    }
+    pair = Campaign(cut(recorded.response, 2), cut(recorded.excitation, 21), postures)
+    single = fit_frf(kr90, list(prepare(pair, kr90).values()), starts=1)
+    assert single.converged
+    for e in estimates(single):
+        if e.parameter.kind == "spring" and e.identifiable:
+            assert abs(np.log(e.value / truth(path, e.parameter.name))) < 4 * e.deviation
+
+
 def test_without_coherence_every_line_counts_the_same(measured: SimpleNamespace, kr90: Robot) -> None:
     """The contract's error: RMS of the residual over RMS of the data, in the FRFs' own unit."""
     bare = {name: replace(p, coherence=None) for name, p in measured.campaign.postures.items()}
@@ -296,6 +341,12 @@ def test_bad_data_is_named(measured: SimpleNamespace, tmp_path: Path) -> None:
 def test_refusals(measured: SimpleNamespace, tmp_path: Path, kr90: Robot) -> None:
     with pytest.raises(InputError, match="no such posture"):
         fit([measured.path], hold_out=["sideways"])
+    turned = replace(
+        measured.campaign, postures={k: replace(p, q_deg=-p.q_deg) for k, p in measured.campaign.postures.items()}
+    )
+    write_campaign(tmp_path / "turned.h5", turned)
+    with pytest.raises(InputError, match=r"turned.h5: postures/milling: q_deg\[1\]: joint2 at -70° is outside"):
+        fit([tmp_path / "turned.h5"])
     with pytest.raises(InputError, match="nothing is left"):
         fit([TABLE_7], hold_out=["milling", "upright", "rigid"])
     with pytest.raises(InputError, match="give a modal table"):

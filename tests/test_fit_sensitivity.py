@@ -12,6 +12,7 @@ from twin.identify.parameters import (
     link_parameters,
 )
 from twin.identify.sensitivity import (
+    Observed,
     Setup,
     contract,
     frf,
@@ -19,6 +20,7 @@ from twin.identify.sensitivity import (
     observe,
     pole_slopes,
     poles,
+    sag_slopes,
     slopes,
     structure,
 )
@@ -133,14 +135,14 @@ def everything(robot: Robot) -> Parameters:
     ]  # fmt: skip
     return join(
         free_parameters(robot, ["milling"], [p.label for p in robot.test_points[-3:]]).only(
-            "spring", "entry", "link", "posture", "gain"
+            "spring", "entry", "link", "posture", "sag", "gain"
         ),
         independent(entry_parameter(robot, name) for name in entries),
     )
 
 
 def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot) -> None:
-    """Every parameter: springs, dampers, links (one of them split), postures, gains, entries, measurement chain."""
+    """Every parameter: springs, dampers, links (one split), postures, sag, gains, entries, measurement chain."""
     setup, parameters = setup_of(full), everything(full)
     z = 0.3 * np.random.default_rng(1).normal(size=len(parameters))
 
@@ -151,7 +153,12 @@ def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot) ->
     values = parameters.values(z)
     robot = parameters.apply(full, values)
     seen, model = observe(robot, setup, parameters, values)
-    rate = contract(slopes(robot, setup, parameters, values, seen, model), parameters.transform(values))
+    closed, slow = (
+        slopes(robot, setup, parameters, values, seen, model),
+        sag_slopes(robot, setup, parameters, values, model),
+    )
+    rate = Observed.of(a + b for a, b in zip(closed.arrays(), slow.arrays(), strict=True))
+    rate = contract(rate, parameters.transform(values))
     H, slope = frf_slopes(seen, rate, S, 2)
     scale = np.abs(H).max()
     for k, name in enumerate(parameters.names):

@@ -14,6 +14,7 @@ from zlib import crc32
 
 import h5py
 import numpy as np
+from scipy.signal import butter, sosfilt
 
 from tools.truth.blows import half_sine, nonlinear_frf, strike, transform
 from tools.truth.chain import POSTURES_DEG, Array, Chain, Tolerances, flange_position, kr90, perturb
@@ -21,6 +22,7 @@ from tools.truth.effects import EFFECTS, Effect, TruthError, draw
 from tools.truth.elastic import AXES, Structure, assemble, rotation_about
 from tools.truth.laws import Complex
 
+ANTI_ALIAS = 0.4  # of the sampling rate: the filter that force and response go through
 STEP_HZ = 4096.0  # time step of simulated blows: 1e-4 of a smooth FRF, with a gap too
 
 
@@ -295,11 +297,13 @@ def raw_hits(
         columns.append(wave)
     force = np.array(columns).T
     before = samples // 64
-    signal = strike(structure, response, each, force, STEP_HZ, (samples - before) * every)[::every]
+    signal = strike(structure, response, each, force, STEP_HZ, (samples - before) * every)
+    filtered = butter(8, ANTI_ALIAS * test.hit_rate_hz, fs=STEP_HZ, output="sos")
+    signal = sosfilt(filtered, signal, axis=0)[::every]
     signal *= channel_factor(truth, np.zeros(1))[0].real[None, :, None]
     out_force, out = np.zeros((samples, ne * nh)), np.zeros((samples, len(response), ne * nh))
     out[before:] = signal
-    kept = force[::every]
+    kept = sosfilt(filtered, np.pad(force, ((0, len(force)), (0, 0))), axis=0)[::every]
     out_force[before : before + len(kept)] = kept
     out += rng.normal(scale=test.noise * np.sqrt(test.hit_rate_hz / 2), size=out.shape)
     return (

@@ -11,7 +11,16 @@ from twin.commands.modal import read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.errors import InputError
-from twin.identify.elastic import Fit, Recorded, base_name, fit_frf, noise_stated, prepare
+from twin.identify.elastic import (
+    Fit,
+    Recorded,
+    base_name,
+    fit_frf,
+    noise_stated,
+    prepare,
+    within_limits,
+    without_limits,
+)
 from twin.identify.elastic_compare import Comparison, comparison, expected_error
 from twin.identify.elastic_modal import (
     ModalObjective,
@@ -349,7 +358,7 @@ class _PostureModes:
 def _modes_at(robot: Robot, r: Recorded) -> _PostureModes:
     from twin.identify.sensitivity import structure
 
-    mechanism = assemble(robot, r.setup.q, brakes=r.setup.brakes or "off")
+    mechanism = assemble(without_limits(robot), r.setup.q, brakes=r.setup.brakes or "off")
     return _PostureModes(modes(linearise(mechanism)), structure(mechanism))
 
 
@@ -536,8 +545,12 @@ def _warnings(result: FitResult) -> list[str]:
 
 def _data_warnings(campaign: Campaign, recordings: Sequence[Recorded], held: Sequence[str]) -> list[str]:
     found = []
-    if not any(p.coherence is not None for p in campaign.postures.values()):
-        found.append("the recording states no coherence: intervals rest on the misfit alone")
+    silent = [r.group for r in recordings if not r.stated]
+    if silent:
+        which = "the recording" if len(silent) == len(recordings) else ", ".join(silent)
+        found.append(
+            f"{which}: no coherence over two averages or more, hence no measured noise; intervals rest on the misfit"
+        )
     for r in recordings:
         posture = campaign.postures[r.group]
         dead = int(dead_channels(posture).sum())
@@ -570,7 +583,7 @@ def _write(found: FitResult, name: Outputs, path: Path) -> None:
 
     save_robot(name("robot.yaml"), found.robot)
     first = next(iter(found.postures.values()))
-    mechanism = assemble(found.robot, _inside(found.robot, found.robot.angles(first["q_deg"])))
+    mechanism = assemble(found.robot, within_limits(found.robot, found.robot.angles(first["q_deg"])))
     save_mjcf(name("robot.xml"), build_spec(mechanism))
     found.model = {"robot": str(name.out / "robot.yaml"), "mjcf": str(name.out / "robot.xml")}
     images = {}
@@ -584,11 +597,3 @@ def _write(found: FitResult, name: Outputs, path: Path) -> None:
     )
     title = f"{found.robot.name} fitted to {path.name}"
     write_html(report, title, fit_report.lead(found), fit_report.sections(found, images), footer)
-
-
-def _inside(robot: Robot, q: FloatArray) -> FloatArray:
-    """Joint positions within the axes' limits."""
-    for i, axis in enumerate(robot.axes):
-        if axis.limits and axis.limits.position:
-            q[i] = np.clip(q[i], *axis.limits.position)
-    return q

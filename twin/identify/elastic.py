@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.identify.parameters import Parameters, free_parameters
-from twin.identify.sensitivity import Observed, Setup, contract, frf, frf_slopes, observe, slopes
+from twin.identify.sensitivity import Observed, Setup, contract, frf, frf_slopes, observe, sag_slopes, slopes
 from twin.measure.campaign import (
     QUANTITIES,
     Campaign,
@@ -32,8 +32,10 @@ COARSE_LINES = 25
 LOG_SPREAD = 0.3  # neper and rad: scale of the robust logarithmic residual
 TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
 UNKNOWN_NOISE = 0.02  # of a channel's RMS: variance where the recording states none; the fit then scales it
+LIMIT_SLACK = 0.02  # rad (m): an encoder's zero is not that of the limits
 LARGEST_STEP = 2.0  # in prior deviations
 LEAST_DAMPING = 0.1  # of a step that did not lower the cost
+LEAST_FALL = 0.2  # of the damping, after a step that did as expected
 AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8)
 
 Objective = Callable[[FloatArray], tuple[float, FloatArray, FloatArray]]
@@ -127,13 +129,7 @@ def prepare(
     _check_bodies(campaign, robot, source)
     found = {}
     for name, posture in campaign.postures.items():
-        if posture.q_deg.size != robot.axis_count:
-            raise InputError(
-                source,
-                f"postures/{name}: q_deg",
-                f"expected {robot.axis_count} values for robot {robot.name}, found {posture.q_deg.size}",
-            )
-        q = robot.angles(posture.q_deg)
+        q = recorded_posture(robot, posture.q_deg, source, f"postures/{name}: q_deg")
         setup = Setup(base_name(campaign, name), q, posture.brakes, campaign.response, campaign.excitation)
         low, high = band_hz or (0.0, np.inf)
         lines = (posture.frequency > 0) & (posture.frequency >= low) & (posture.frequency <= high)
@@ -146,6 +142,22 @@ def prepare(
             QUANTITIES.index(posture.quantity), posture.frf[lines], variance[lines], stated,
         )  # fmt: skip
     return found
+
+
+def recorded_posture(robot: Robot, q_deg: FloatArray, source: str, field: str) -> FloatArray:
+    """Joint positions (n,), rad (m), of a recording; no more than ``LIMIT_SLACK`` beyond the axes' limits.
+
+    Raises:
+        InputError: positions this robot cannot take, as when their sign or unit is another.
+    """
+    if q_deg.size != robot.axis_count:
+        raise InputError(
+            source, field, f"expected {robot.axis_count} values for robot {robot.name}, found {q_deg.size}"
+        )
+    q = np.asarray(robot.angles(q_deg))
+    near = within_limits(robot, q)
+    robot.check_posture(np.where(np.abs(q - near) <= LIMIT_SLACK, near, q), source, field)
+    return q
 
 
 def measured_variance(posture: PostureFRF) -> tuple[FloatArray, bool]:
@@ -189,15 +201,15 @@ def model_frf(robot: Robot, recorded: Recorded, parameters: Parameters, values: 
 
 
 def linear_objective(
-    robot: Robot, parameters: Parameters, recordings: Sequence[Recorded], temper: float = 0.0
+    robot: Robot, parameters: Parameters, recordings: Sequence[Recorded], temper: float = 0.0, exact: bool = False
 ) -> Objective:
-    """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz."""
+    """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz; ``exact`` where the last digits of the optimum count."""
     weights = [1 / np.sqrt(r.variance + (temper * np.abs(r.frf)) ** 2) for r in recordings]
 
     def residual(r: Recorded, H: ComplexArray, k: int) -> tuple[ComplexArray, ComplexArray]:
         return (r.frf - H) * weights[k], -weights[k].astype(complex)
 
-    return _objective(robot, parameters, recordings, residual)
+    return _objective(robot, parameters, recordings, residual, exact)
 
 
 def log_objective(robot: Robot, parameters: Parameters, recordings: Sequence[Recorded]) -> Objective:
@@ -226,7 +238,10 @@ def _objective(
     parameters: Parameters,
     recordings: Sequence[Recorded],
     residual: Callable[[Recorded, ComplexArray, int], tuple[ComplexArray, ComplexArray]],
+    exact: bool = False,
 ) -> Objective:
+    slow: dict[tuple[str, bytes, str | None], Observed] = {}  # what sag adds to the slopes, from the first evaluation
+
     def evaluate(z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         values = parameters.values(z)
         changed = parameters.apply(robot, values)
@@ -237,14 +252,19 @@ def _objective(
             key = (r.setup.name, r.setup.q.tobytes(), r.setup.brakes)
             if key not in cache:
                 seen, model = observe(changed, r.setup, parameters, values)
-                cache[key] = seen, contract(slopes(changed, r.setup, parameters, values, seen, model), transform)
+                rate = slopes(changed, r.setup, parameters, values, seen, model)
+                if exact:
+                    if key not in slow:
+                        slow[key] = sag_slopes(changed, r.setup, parameters, values, model)
+                    rate = Observed.of(a + b for a, b in zip(rate.arrays(), slow[key].arrays(), strict=True))
+                cache[key] = seen, contract(rate, transform)
             seen, rate = cache[key]
             H, dH = frf_slopes(seen, rate, r.s, r.power)
             e, factor = residual(r, H, k)
             own, pull = (e[0], e[1]) if e.ndim == 4 else (e, e)
             cost += 0.5 * float(np.sum(own.real**2 + own.imag**2))
             dH *= factor
-            G = dH.reshape(len(z), -1).view(float)
+            G = np.ascontiguousarray(dH).reshape(len(z), -1).view(float)
             gradient += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
             information += G @ G.T
         return cost, gradient, information
@@ -261,31 +281,54 @@ def minimise(
 ) -> tuple[FloatArray, float, FloatArray, bool]:
     """Levenberg's damped Gauss–Newton within |z| ≤ bound; the damping is in the prior's metric, the identity in z.
 
+    It follows the ratio of the cost's fall to the expected one (Nielsen, IMM-REP-1999-05): narrow curved valleys, in
+    which tenfold steps of damping crawl, are what several parameters of almost the same effect make.
+
     Returns:
         z, cost and Gauss–Newton matrix at the end; and whether the gain left is below tolerance.
     """
-    damping = 0.0
+    damping, growth = 0.0, 2.0
     cost, gradient, information = objective(z)
     for _ in range(iterations):
-        free = ~((np.abs(z) >= bound) & (gradient * z < 0))
-        pull, curvature = gradient[free], information[np.ix_(free, free)]
-        gain = 0.5 * float(pull @ np.linalg.solve(curvature, pull))
+        step = bounded_step(gradient, information, z, bound)
+        gain = -float(step @ gradient + 0.5 * step @ information @ step)
         if gain < tolerance:
             return z, cost, information, True
         while True:
-            step = np.zeros_like(z)
-            step[free] = -np.linalg.solve(curvature + damping * np.eye(len(pull)), pull)
-            step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
-            next_z = np.clip(z + step, -bound, bound)
-            trial = objective(next_z)
+            if damping:
+                step = bounded_step(gradient, information + damping * np.eye(len(z)), z, bound)
+            step = step * min(1.0, LARGEST_STEP / float(np.abs(step).max()))
+            trial = objective(z + step)
             if np.isfinite(trial[0]) and trial[0] < cost:
                 break
-            damping = max(10 * damping, LEAST_DAMPING)
+            damping, growth = max(growth * damping, LEAST_DAMPING), 2 * growth
             if damping > LEAST_DAMPING * 1e12:
                 return z, cost, information, gain < 10 * tolerance
-        damping = damping / 10 if damping > LEAST_DAMPING else 0.0
-        z, (cost, gradient, information) = next_z, trial
+        ratio = (trial[0] - cost) / float(step @ gradient + 0.5 * step @ information @ step)
+        damping, growth = damping * max(LEAST_FALL, 1 - (2 * min(ratio, 1.0) - 1) ** 3), 2.0
+        if damping < LEAST_DAMPING / 2:
+            damping = 0.0
+        z, (cost, gradient, information) = z + step, trial
     return z, cost, information, False
+
+
+def bounded_step(gradient: FloatArray, curvature: FloatArray, z: FloatArray, bound: FloatArray | float) -> FloatArray:
+    """Step (n,) of Newton's method on the faces of the box |z| ≤ bound that it reaches.
+
+    A coordinate that would leave the box stops at its face and the others are solved for again: clipping alone can
+    point uphill.
+    """
+    step = np.zeros_like(z)
+    free = ~((np.abs(z) >= bound) & (gradient * z < 0))
+    while free.any():
+        held = curvature[np.ix_(free, ~free)] @ step[~free]
+        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], gradient[free] + held)
+        beyond = free & (np.abs(z + step) > bound)
+        if not beyond.any():
+            break
+        step = np.where(beyond, np.clip(z + step, -bound, bound) - z, step)
+        free &= ~beyond
+    return step
 
 
 # --- the fit ----------------------------------------------------------------------------------------------------------
@@ -337,7 +380,7 @@ def fit_frf(
             progress(1)
     ends.sort(key=lambda end: end.cost)
     agreeing = sum(end.cost - ends[0].cost < AGREEMENT for end in ends)
-    objective = linear_objective(robot, parameters, recordings)
+    objective = linear_objective(robot, parameters, recordings, exact=True)
     misfit = 2 * ends[0].cost / max(1, _data(few))
     z, cost, information, converged = minimise(objective, ends[0].z, 60, 1e-3 * max(1.0, misfit), bound)
     if progress:
@@ -353,6 +396,14 @@ def fit_frf(
 def _data(recordings: Sequence[Recorded]) -> int:
     """Number of real data."""
     return 2 * sum(int(np.isfinite(r.variance).sum()) for r in recordings)
+
+
+def within_limits(robot: Robot, q: FloatArray) -> FloatArray:
+    """Joint positions (n,) moved to the nearest within the axes' limits."""
+    limits = [axis.limits.position if axis.limits else None for axis in robot.axes]
+    return np.array(
+        [value if limit is None else np.clip(value, *limit) for value, limit in zip(q, limits, strict=True)]
+    )
 
 
 def without_limits(robot: Robot) -> Robot:

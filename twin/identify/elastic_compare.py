@@ -154,7 +154,7 @@ def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False) 
             end = start
             for temper in TEMPERS:
                 end, *_ = minimise(linear_objective(robot, free, few, temper), end, 10, 0.1, free.bound)
-            ends.append(minimise(linear_objective(robot, free, recordings), end, 20, 1e-3, free.bound)[:2])
+            ends.append(minimise(linear_objective(robot, free, recordings, exact=True), end, 20, 1e-3, free.bound)[:2])
         z = min(ends, key=lambda end: end[1])[0]
     values = free.values(z)
     predicted = tuple(model_frf(robot, r, free, values) for r in recordings)

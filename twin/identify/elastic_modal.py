@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from twin.errors import InputError
-from twin.identify.elastic import AGREEMENT, Fit, Objective, Start, minimise, without_limits
+from twin.identify.elastic import AGREEMENT, Fit, Objective, Start, minimise, recorded_posture, without_limits
 from twin.identify.parameters import Parameters, free_parameters
 from twin.identify.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
@@ -81,9 +81,7 @@ def modal_postures(table: ModalTable, robot: Robot, source: str = "table") -> di
     points = {point.label: point for point in robot.test_points}
     found = {}
     for name, posture in table.postures.items():
-        if posture.q_deg.size != robot.axis_count:
-            expected = f"expected {robot.axis_count} values for robot {robot.name}, found {posture.q_deg.size}"
-            raise InputError(source, f"postures.{name}.q_deg", expected)
+        q = recorded_posture(robot, posture.q_deg, source, f"postures.{name}.q_deg")
         if not posture.modes:
             raise InputError(source, f"postures.{name}.modes", "expected at least one mode")
         modes = sorted(posture.modes, key=lambda mode: mode.frequency_hz)
@@ -100,7 +98,7 @@ def modal_postures(table: ModalTable, robot: Robot, source: str = "table") -> di
         with np.errstate(divide="ignore", invalid="ignore"):
             zeta_spread = zeta_std / zeta
         found[name] = ModalPosture(
-            Setup(name, robot.angles(posture.q_deg), None, channels, channels), f, zeta,
+            Setup(name, q, None, channels, channels), f, zeta,
             np.where(np.isfinite(f_std), np.maximum(f_std, 1e-4), FREQUENCY_SPREAD),
             np.where(np.isfinite(zeta_spread), np.maximum(zeta_spread, 1e-3), DAMPING_SPREAD),
             np.array([[mode.shape[x] for x in labels] for mode in modes]) if len(labels) > 1 else None,

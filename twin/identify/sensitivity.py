@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.identify.parameters import Parameters
+from twin.identify.parameters import Parameter, Parameters
 from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
@@ -367,63 +367,93 @@ def slopes(
 ) -> Observed:
     """Derivatives of :func:`observe` with respect to every parameter's value, stacked on a first axis (n, …).
 
-    Springs, dampers, links and postures in closed form, without what sag changes in them (1e-3); any other parameter
-    by central differences. So are those that move the working point of a hardening spring, and links that bend.
+    Springs, dampers, links and postures in closed form, without what sag changes in them, see :func:`sag_slopes`; any
+    other parameter by central differences.
     """
-    n = len(parameters)
-    out = Observed.of(np.zeros((n, *array.shape)) for array in seen.arrays())
+    out = Observed.of(np.zeros((len(parameters), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
-    split = {f"link{link}" for link in model.mechanism.splits}
-    curved = {joint.name for joint in model.mechanism.joints if any(joint.stiffness[1:])}
-    if curved:
-        split = set(model.bodies)
     rows: tuple[FloatArray, FloatArray] | None = None
     for i, link in enumerate(robot.links):
         body = f"link{i + 1}"
         own = [p for p, parameter in enumerate(parameters) if parameter.name.startswith(f"{body}.")]
-        own = [p for p in own if parameters[p].kind == "link"]
-        if own and body not in split:
+        own = [p for p in own if parameters[p].kind == "link" and not _differenced(parameters[p], setup, model)]
+        if own:
             changes = np.array([_link_slope(link.inertial, parameters[p].name) for p in own])
             out.M[own], out.K[own] = model.inertial_slopes(body, changes)
     for p, parameter in enumerate(parameters):
         site, _, what = parameter.name.rpartition(".")
-        if parameter.kind == "spring" and site not in curved:
-            if site in index:
-                k = index[site]
-                if what == "stiffness":
-                    out.K[p, k, k] = 1.0
-                    out.loss[p, k, k] = model.loss[k, k] / model.strain[k]
-                else:
-                    out.C[p, k, k] = 1.0
-        elif parameter.kind == "link" and parameter.name.partition(".")[0] not in split:
-            continue
-        elif parameter.kind == "posture" and not (curved and site == f"posture.{setup.name}"):
-            if site == f"posture.{setup.name}":
-                axis = int(what[1:]) - 1
-                if rows is None:
-                    chain = recording_chain(robot, setup.response, setup.excitation)
-                    rows = (
-                        model.row_slopes(setup.response, chain.response_direction),
-                        model.row_slopes(setup.excitation, chain.excitation_direction),
-                    )
-                out.M[p], out.K[p] = model.command_slopes(axis)
-                out.J_r[p], out.J_e[p] = rows[0][axis], rows[1][axis]
+        if _differenced(parameter, setup, model):
+            for target, change in zip(out.arrays(), _difference(robot, setup, parameters, values, p), strict=True):
+                target[p] = change
+        elif parameter.kind == "spring" and site in index:
+            k = index[site]
+            if what == "stiffness":
+                out.K[p, k, k] = 1.0
+                out.loss[p, k, k] = model.loss[k, k] / model.strain[k]
+            else:
+                out.C[p, k, k] = 1.0
+        elif parameter.kind == "posture" and site == f"posture.{setup.name}":
+            axis = int(what[1:]) - 1
+            if rows is None:
+                chain = recording_chain(robot, setup.response, setup.excitation)
+                rows = (
+                    model.row_slopes(setup.response, chain.response_direction),
+                    model.row_slopes(setup.excitation, chain.excitation_direction),
+                )
+            out.M[p], out.K[p] = model.command_slopes(axis)
+            out.J_r[p], out.J_e[p] = rows[0][axis], rows[1][axis]
         elif parameter.kind == "sag" and seen.sag is not None:
             for target, change in zip(out.arrays(), seen.sag.arrays(), strict=True):
                 target[p] = change
         elif parameter.kind == "gain":
             rows_of = [k for k, label in enumerate(setup.response.label) if parameter.name == f"gain.{label}"]
             out.gain[p, rows_of] = seen.gain[rows_of] / values[p]
-        else:
-            step = parameter.step(values[p])
-            sides = []
-            for side in (values[p] + step, values[p] - step):
-                shifted = values.copy()
-                shifted[p] = side
-                sides.append(observe(parameters.apply_one(robot, p, side), setup, parameters, shifted)[0])
-            for target, high, low in zip(out.arrays(), sides[0].arrays(), sides[1].arrays(), strict=True):
-                target[p] = (high - low) / (2 * step)
     return out
+
+
+def sag_slopes(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, model: Structure) -> Observed:
+    """What :func:`slopes` leaves out (n, …): derivatives of what sag changes, by central differences.
+
+    They are 1e-3 of the others and hardly vary: one evaluation serves a whole descent.
+    """
+    seen, _ = observe(robot, setup, parameters, values)
+    out = Observed.of(np.zeros((len(parameters), *array.shape)) for array in seen.arrays())
+    share = parameters.sag(values)
+    for p, parameter in enumerate(parameters):
+        moves = parameter.kind == "link" or (parameter.kind == "spring" and parameter.quantity == "stiffness")
+        moves = moves or (parameter.kind == "posture" and parameter.site == f"posture.{setup.name}")
+        if share and moves and not _differenced(parameter, setup, model):
+            for target, change in zip(
+                out.arrays(), _difference(robot, setup, parameters, values, p, True), strict=True
+            ):
+                target[p] = share * change
+    return out
+
+
+def _differenced(parameter: Parameter, setup: Setup, model: Structure) -> bool:
+    """No closed form: other entries, links that bend, and all that moves the working point of a hardening spring."""
+    curved = {joint.name for joint in model.mechanism.joints if any(joint.stiffness[1:])}
+    if parameter.kind == "spring":
+        return parameter.site in curved
+    if parameter.kind == "link":
+        return bool(curved) or int(parameter.name.partition(".")[0][4:]) in model.mechanism.splits
+    if parameter.kind == "posture":
+        return bool(curved) and parameter.site == f"posture.{setup.name}"
+    return parameter.kind == "entry"
+
+
+def _difference(
+    robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, p: int, sag: bool = False
+) -> list[FloatArray]:
+    """Central differences of :func:`observe`, or of what sag adds to it, with respect to one parameter's value."""
+    step = parameters[p].step(values[p])
+    sides = []
+    for side in (values[p] + step, values[p] - step):
+        shifted = values.copy()
+        shifted[p] = side
+        seen, _ = observe(parameters.apply_one(robot, p, side), setup, parameters, shifted)
+        sides.append((seen.sag if sag and seen.sag else seen).arrays())
+    return [(high - low) / (2 * step) for high, low in zip(*sides, strict=True)]
 
 
 def _link_slope(inertial: tuple[float, FloatArray, FloatArray], name: str) -> FloatArray:

@@ -140,7 +140,7 @@ def profile(
     parameter = estimate.parameter
     index = fit.parameters.names.index(parameter.name)
     low, high = estimate.interval90
-    objective = linear_objective(without_limits(robot), fit.parameters, recordings)
+    objective = linear_objective(without_limits(robot), fit.parameters, recordings, exact=True)
     direction = fit.parameters.root[index]
     _, _, information = objective(fit.z)
     along = np.linalg.solve(information, direction)  # the others' way when this one is moved
