@@ -5,7 +5,8 @@ import numpy as np
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
-LEAST_MOMENT = 1e-4  # of an inertia's trace: the second moment put in place of a negative one
+LEAST_MOMENT = 2e-4  # of the sum of the others: the second moment put in place of a negative one
+SMALLEST = 1e-3  # m, radius of gyration of the smallest body
 
 
 def physical(robot: Robot) -> Robot:
@@ -16,12 +17,13 @@ def physical(robot: Robot) -> Robot:
     """
     links = []
     for link in robot.links:
-        *_, inertia = link.inertial
+        mass, _, inertia = link.inertial
         moment, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
         if moment[0] >= 0:
             links.append(link)
             continue
-        second = (axes * np.maximum(moment, LEAST_MOMENT * np.trace(inertia))) @ axes.T
+        least = LEAST_MOMENT * np.maximum(moment, 0).sum() + SMALLEST**2 * mass
+        second = (axes * np.maximum(moment, least)) @ axes.T
         six = inertia_six(np.trace(second) * np.eye(3) - second)
         links.append(link.model_copy(update={"inertia": tuple(six)}))
     unchanged = all(a is b for a, b in zip(links, robot.links, strict=True))
