@@ -23,6 +23,7 @@ DATA = Path(__file__).parent / "data"
 def found(kr90: Robot) -> list[excitation.Excitation]:
     """Two quick trajectories: one start each, no further search."""
     patch = pytest.MonkeyPatch()
+    patch.setattr(excitation, "DRAWS", 15)
     patch.setattr(excitation, "STARTS", 1)
     patch.setattr(excitation, "HOPS", 0)
     result = excite(kr90, 1, starts=2, workers=1, iterations=40)
@@ -69,6 +70,24 @@ def test_no_limit_is_left_between_samples(kr90: Robot, found: list[excitation.Ex
 def test_even_a_quick_search_beats_the_papers_average(found: list[excitation.Excitation]) -> None:
     """28 is the paper's mean condition number on Appendix B's fifteen inertial columns."""
     assert found[0].condition < 20
+
+
+def test_gradients_are_those_of_central_differences(kr90: Robot) -> None:
+    """Of both criteria, at rest and not, and of the flange's room, in ten directions to 1e-4."""
+    rng = np.random.default_rng(0)
+    for criterion, rest in (("condition", False), ("d-optimal", True)):
+        problem = Problem(kr90, 5, 0.1, rest, criterion)
+        z, h = problem.draw(rng, 0.5), 1e-5
+        _, gradient = problem.value_and_gradient(z)
+        room, jacobian = problem.workspace(z)
+        assert room.shape == (6 * excitation.GUARDS,)
+        for _ in range(5):
+            step = rng.normal(size=z.shape)
+            ahead, behind = z + h * step, z - h * step
+            slope = (problem.value_and_gradient(ahead)[0] - problem.value_and_gradient(behind)[0]) / (2 * h)
+            assert gradient @ step == pytest.approx(slope, rel=1e-4, abs=1e-4)
+            walls = (problem.workspace(ahead)[0] - problem.workspace(behind)[0]) / (2 * h)
+            np.testing.assert_allclose(jacobian @ step, walls, atol=1e-4)
 
 
 def test_a_trajectory_at_rest_stands_at_both_ends(found: list[excitation.Excitation]) -> None:

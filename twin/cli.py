@@ -185,7 +185,7 @@ def excite(
     criterion: Annotated[str, typer.Option(help="condition (number) or d-optimal.")] = "condition",
     periods: Annotated[int, typer.Option(min=1, help="Repetitions of a period in the files.")] = 1,
     sample_rate_hz: Annotated[float, typer.Option(help="Of the files, Hz.")] = 250.0,
-    krl: Annotated[bool, typer.Option("--krl", help="Also write KUKA spline programs.")] = False,
+    krl: Annotated[bool, typer.Option("--krl", help="Also write KUKA spline programs; implies --rest.")] = False,
     out: Out = None,
     json: Json = False,
     seed: Seed = 0,
@@ -193,7 +193,8 @@ def excite(
     """Trajectories that excite every identifiable parameter, within all limits at all times.
 
     Fourier series of minimum condition number (or D-optimal) under position, velocity, acceleration and workspace
-    limits. Writes trajectory.h5, CSV, figures and excite.json into the output folder, out/excite by default.
+    limits (of a robot that states them). Writes trajectory.h5, CSV, figures and excite.json into the output folder,
+    out/excite by default; a posture file replays trajectory.h5, a controller runs the CSV or KRL.
     """
     from twin.commands.excite import excitations as run
 
@@ -226,8 +227,10 @@ def identify(
 ) -> None:
     """Inertial, rotor, friction and compensator parameters from torque logs, with intervals.
 
-    Least squares on base parameters, then the physically consistent set nearest the description. Whole runs are held
-    out. Writes robot.yaml, robot.xml, figures and identify.json into the output folder, out/LOG by default.
+    Least squares on base parameters, then the physically consistent set nearest the description. Which friction laws,
+    compensators and cables are fitted is what the robot's physics lists; --without takes one out. Whole runs are held
+    out, of a single run contiguous blocks. Writes robot.yaml, robot.xml, figures and identify.json into the output
+    folder, out/LOG by default. Samples that were dropped, jittered or saturated are repaired with a note, or refused.
     """
     from twin.commands.identify import identify_log as run
 

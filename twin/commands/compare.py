@@ -66,7 +66,7 @@ class LogComparison:
         parts: per run and joint; ``stepped_error`` is that of MuJoCo's time stepping under servos.
         offsets: constant torque (n,) per run that was taken off, belonging to the recording.
         rows: what was compared.
-        predicted: (m, n) per run.
+        predicted: (m, n) per run, by inverse dynamics; ``stepped`` by time stepping, empty where not asked for.
         notes: repairs of the log.
     """
 
@@ -76,6 +76,7 @@ class LogComparison:
     offsets: dict[str, np.ndarray]
     rows: list[Rows]
     predicted: list[np.ndarray]
+    stepped: list[np.ndarray]
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
@@ -205,7 +206,7 @@ def compare_log(
     joints = in_joints(log, robot)
     regressor = Regressor(robot)
     parts: list[dict[str, Any]] = []
-    offsets, rows, predictions, squares = {}, [], [], np.zeros((2, robot.axis_count))
+    offsets, rows, predictions, replays, squares = {}, [], [], [], np.zeros((2, robot.axis_count))
     for name, run in joints.runs.items():
         if run.torque is None:
             raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory has nothing to compare")
@@ -224,7 +225,11 @@ def compare_log(
 
         offset, residual = judged(predicted)
         total = np.sum(measured[r.valid] ** 2, axis=0)
-        stepping = np.sqrt(judged(replayed)[1] / total) if replayed is not None else [None] * robot.axis_count
+        stepping: Any = [None] * robot.axis_count
+        if replayed is not None:
+            shift, left = judged(replayed)
+            stepping = np.sqrt(left / total)
+            replays.append(replayed + shift)
         squares += [residual, total]
         for i, (error, step) in enumerate(zip(np.sqrt(residual / total), stepping, strict=True)):
             parts.append(
@@ -238,31 +243,27 @@ def compare_log(
         rows.append(r)
         predictions.append(predicted + offset)
     pooled = float(np.sqrt(np.mean(squares[0] / squares[1])))
-    return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, log.notes)
+    return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, replays, log.notes)
 
 
 def _stepped(robot: Robot, run: Any, bands: Bands, rows: Rows, progress: Progress | None) -> np.ndarray:
-    """Low-passed torque of the twin's servos along a run, at the rows' instants."""
+    """Low-passed torque of the twin's servos along a run in joint coordinates, at the rows' instants."""
     from twin.model.replay import replay
 
     tick: Callable[[int], None] | None = progress(f"replay {run.name}", len(run.time)) if progress else None
-    torque = replay(robot, run, progress=tick).torque
+    ideal = robot.without(["torque_constant", "time_delay"])  # which have been taken out of the record
+    torque = replay(ideal, run, progress=tick).torque
     smooth = lowpass(torque, run.sample_rate_hz, *bands.within(run.sample_rate_hz).fit)
     return smooth[:: round(run.sample_rate_hz / rows.rate_hz)]
 
 
 def _draw_log(found: LogComparison, robot: Robot, name: Outputs, stem: str) -> None:
-    from twin.report.figures import replay, save
-    from twin.report.motion_figures import axis_units
+    from twin.report.figures import save
+    from twin.report.motion_figures import prediction
 
-    for r, predicted in zip(found.rows, found.predicted, strict=True):
-        measured = np.where(r.valid[:, None], r.torque + r.known, np.nan)
-        shown = np.where(r.valid[:, None], predicted, np.nan)
-        keep = r.valid
-        save(
-            replay(r.time[keep], measured[keep], shown[keep], shown[keep], robot.joint_names, axis_units(robot)[1]),
-            name(f"{stem}-{r.name}.png"),
-        )
+    curves = {"inverse dynamics": found.predicted} | ({"time stepping": found.stepped} if found.stepped else {})
+    title = f"{stem}, torque after the low-pass"
+    save(prediction(robot, found.rows, curves, title), name(f"{stem}-torque.png"))
 
 
 def _draw_frfs(found: Comparison, name: Outputs, stem: str) -> None:

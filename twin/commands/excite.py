@@ -91,7 +91,7 @@ def excitations(
         criterion: ``"condition"`` number or ``"d-optimal"``.
         periods: how often a period is repeated in the files.
         sample_rate_hz: of the files.
-        krl: write KUKA spline programs too (A_i = −q_i in degrees).
+        krl: write KUKA spline programs too (A_i = −q_i in degrees); the trajectories then start and end at rest.
         seed: of the random starts.
         progress: makes progress bars.
 
@@ -100,6 +100,7 @@ def excitations(
     """
     check_out(out)
     progress = progress or (lambda description, total: lambda step: None)
+    rest = rest or krl  # a spline block starts and ends at a standstill
     loaded = load_robot(robot or "kr90").without(without or [])
     limits = Limits.of(loaded)
     starts = count + 1
@@ -135,7 +136,8 @@ def trajectory_run(name: str, found: Excitation, periods: int, sample_rate_hz: f
 def krl_program(name: str, found: Excitation, periods: int) -> str:
     """A KUKA program: a point-to-point spline block through one period, timed part by part, run ``periods`` times.
 
-    A_i = −q_i in degrees: KUKA's axes turn against the modified-DH ones. Axes not named keep where they are.
+    A_i = −q_i in degrees: KUKA's axes turn against the modified-DH ones. Axes not named keep where they are. A block
+    starts and ends at a standstill, so the trajectory has to.
     """
     time = np.linspace(0, found.fourier.period_s, SPLINE_POINTS + 1)
     angles = -np.rad2deg(found.fourier.motion(time).position)
@@ -149,10 +151,8 @@ def krl_program(name: str, found: Excitation, periods: int) -> str:
         "  INT K",
     ]
     lines += [f"  PTP {point(angles[0])}", f"  FOR K = 1 TO {periods}", "    PTP_SPLINE", "      TIME_BLOCK START"]
-    for k, row in enumerate(angles[1:], start=1):
-        lines.append(f"      SPTP {point(row)}")
-        if k < SPLINE_POINTS:
-            lines.append("      TIME_BLOCK PART = 1")
+    for row in angles[1:]:
+        lines += [f"      SPTP {point(row)}", "      TIME_BLOCK PART = 1"]
     lines += [f"      TIME_BLOCK END = {found.fourier.period_s:g}", "    ENDSPLINE", "  ENDFOR", "END", ""]
     return "\n".join(lines)
 

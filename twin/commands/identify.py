@@ -189,8 +189,9 @@ def _write(result: Identified, name: Outputs) -> None:
     robot, split = found.regressor.robot, found.split
     first = result.log.runs[split.train[0].name]
     save(motion_figures.signals(robot, first, found.bands), name("signals.png"))
-    save(motion_figures.prediction(robot, split.train, found.parameters, "fitted runs"), name("fitted.png"))
-    save(motion_figures.prediction(robot, split.held_out, found.parameters, "held-out runs"), name("held_out.png"))
+    for rows, title, file in ((split.train, "fitted runs", "fitted"), (split.held_out, "held-out runs", "held_out")):
+        predicted = [r.matrix @ found.parameters + r.known for r in rows]
+        save(motion_figures.prediction(robot, rows, {"predicted": predicted}, title), name(f"{file}.png"))
     save(motion_figures.residuals(robot, split.train, found.parameters), name("residuals.png"))
     path = name("identify.json")
     write_json(path, result.data())

@@ -22,12 +22,16 @@ Criterion = Literal["condition", "d-optimal"]
 
 ROWS = 50  # instants per period in the criterion
 GUARDS = 48  # instants per period at which the optimiser holds limits; more are added where a solution leaves them
-SHARPNESS = 12.0  # exponent of the smooth stand-in for the condition number
-STARTS = 4  # random starts per trajectory, of which the best goes on
-HOPS = 24  # local searches from around the best so far; the criterion has many local minima
-HOP = 0.7  # size of such a step, at most, in mean sizes of the variables
+SHARPNESS = 12.0, 60.0  # exponents of the smooth stand-in for the condition number: to search, and at the end
+DRAWS = 60  # random motions per trajectory
+STARTS = 5  # of these, from which local searches start
+CLEAR = 1e-2  # of each limit's range (m of the workspace) that such a start keeps
+CHAINS = 2  # ends of these that go on
+HOPS = 15  # local searches of each from around its best so far; the criterion has many local minima
+HOP = (0.1, 0.4)  # size of such a step in mean sizes of the variables
 ROUNDS = 10  # of added guards, at most
-MARGIN = 2e-4  # of each limit's range (m of the workspace), kept at the guards; grows by twice as much every round
+MARGIN = 1e-4  # of each limit's range (m of the workspace), kept at the guards; grows by as much every round
+TOLERANCE = 3e-5  # by which the optimiser may miss a guard; less than the margin
 FINE_S = 1e-3  # grid of the last check
 FTOL = 1e-5
 
@@ -163,8 +167,6 @@ def violation(robot: Robot, fourier: Fourier, limits: Limits | None = None) -> f
 class Problem:
     """The optimisation of one robot: variables z (one vector), criterion and constraints with their gradients.
 
-    Everything is evaluated for many variations at once, so that a gradient by differences costs one call.
-
     Args:
         robot: with position and velocity limits.
         harmonics, base_hz: of the series.
@@ -175,7 +177,7 @@ class Problem:
     def __init__(self, robot: Robot, harmonics: int, base_hz: float, rest: bool, criterion: Criterion) -> None:
         self.robot, self.base_hz, self.criterion = robot, base_hz, criterion
         self.limits = Limits.of(robot)
-        self.margin = MARGIN
+        self.margin, self.sharpness = MARGIN, SHARPNESS[0]
         n = robot.axis_count
         bare = robot.model_copy(
             update={
@@ -205,10 +207,9 @@ class Problem:
         return _bases(self.instants, len(self.free) // 2, self.base_hz)
 
     def unpack(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients (…, 2H, n) and centres (…, n) of variables (…, n (f + 1)), which are of order one."""
-        z = z.reshape(*z.shape[:-1], self.robot.axis_count, self.f + 1)
-        coefficients = np.einsum("hf,...nf->...hn", self.free, z[..., :-1] * self.speed[:, None])
-        return coefficients, self.middle + z[..., -1] * self.span
+        """Coefficients (2H, n) and centres (n,) of variables (n (f + 1),), which are of order one."""
+        z = z.reshape(self.robot.axis_count, self.f + 1)
+        return self.free @ (z[:, :-1] * self.speed[:, None]).T, self.middle + z[:, -1] * self.span
 
     def fourier(self, z: np.ndarray) -> Fourier:
         """The trajectory of one set of variables."""
@@ -216,31 +217,46 @@ class Problem:
         H = len(coefficients) // 2
         return Fourier(coefficients[:H].T.copy(), coefficients[H:].T.copy(), centre.copy(), self.base_hz)
 
-    def singular_values(self, z: np.ndarray) -> np.ndarray:
-        """Squared singular values (k, b) of the inertial columns over one period, rising, for variables (k, …)."""
-        coefficients, centre = self.unpack(z)
-        k, _, n = coefficients.shape
-        q, v, a = (np.einsum("th,khn->ktn", B, coefficients).reshape(-1, n) for B in self.bases)
-        q += np.repeat(centre, ROWS, axis=0)
-        Y = link_regressor(self.robot, Motion(np.zeros(len(q)), q, v, a))[:, :, self.kept].reshape(k, ROWS * n, -1)
-        return np.linalg.eigvalsh(Y.transpose(0, 2, 1) @ Y / ROWS)
-
-    def value(self, z: np.ndarray) -> np.ndarray:
-        """The criterion (k,) of variables (k, …): log condition number, smoothed, or minus half the log determinant."""
-        values = np.maximum(self.singular_values(z), 1e-12)
-        if self.criterion == "condition":
-            # the largest over the smallest, as p-norms: smooth where singular values meet, which they do at the optimum
-            p = SHARPNESS
-            largest, smallest = values[:, -1:], values[:, :1]
-            norms = np.sum((values / largest) ** p, axis=1) * np.sum((smallest / values) ** p, axis=1)
-            return 0.5 * (np.log(largest[:, 0] / smallest[:, 0]) + np.log(norms) / p)
-        return -0.5 * np.log(values).sum(axis=1) / values.shape[1]
+    def columns(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """The inertial base columns (nt, n, b) in states (nt, n)."""
+        motion = Motion(np.zeros(len(position)), position, velocity, acceleration)
+        return link_regressor(self.robot, motion)[:, :, self.kept]
 
     def value_and_gradient(self, z: np.ndarray) -> tuple[float, np.ndarray]:
-        """The criterion and its gradient by forward differences, one batch."""
-        h = 1e-6
-        values = self.value(np.concatenate([z[None], z[None] + h * np.eye(len(z))]))
-        return float(values[0]), (values[1:] - values[0]) / h
+        """The criterion of variables (…,), and its gradient.
+
+        The criterion is the log condition number, smoothed, or minus half the log determinant per parameter. A row of
+        the regressor depends on its own instant's state alone, so that one variation of each coordinate at all
+        instants together gives the gradient with respect to the motion; the chain rule does the rest.
+        """
+        coefficients, centre = self.unpack(z)
+        states = np.stack([B @ coefficients for B in self.bases])  # (3, nt, n)
+        states[0] += centre
+        n, h = len(centre), 1e-6
+        varied = np.repeat(states[:, None], 3 * n + 1, axis=1)  # (3, 3n + 1, nt, n)
+        for k in range(3 * n):
+            varied[k // n, k + 1, :, k % n] += h
+        Y = self.columns(*varied.reshape(3, -1, n)).reshape(3 * n + 1, ROWS, n, -1)
+        slopes = (Y[1:] - Y[0]) / h
+        rows = Y[0].reshape(ROWS * n, -1)
+        squares, vectors = np.linalg.eigh(rows.T @ rows / ROWS)
+        squares = np.maximum(squares, 1e-12)
+        if self.criterion == "condition":
+            # the largest over the smallest, as p-norms: smooth where singular values meet, which they do at the optimum
+            p = self.sharpness
+            high, low = (squares / squares[-1]) ** p, (squares[0] / squares) ** p
+            value = 0.5 * (np.log(squares[-1] / squares[0]) + np.log(high.sum() * low.sum()) / p)
+            share = 0.5 * (high / high.sum() - low / low.sum()) / squares
+        else:
+            value = -0.5 * np.mean(np.log(squares))
+            share = -0.5 / (squares * len(squares))
+        weight = (2 / ROWS * (rows @ vectors * share) @ vectors.T).reshape(ROWS, n, -1)
+        by_state = np.einsum("ktjb,tjb->kt", slopes, weight).reshape(3, n, ROWS)
+        by_series = sum(B.T @ g.T for B, g in zip(self.bases, by_state, strict=True))  # (2H, n)
+        gradient = np.column_stack(
+            [(self.free.T @ by_series).T * self.speed[:, None], by_state[0].sum(axis=1) * self.span]
+        )
+        return float(value), gradient.ravel()
 
     def linear_constraints(self) -> tuple[np.ndarray, np.ndarray]:
         """C, c of C z + c ≥ 0: joint positions, velocities and accelerations at the guard instants."""
@@ -265,39 +281,74 @@ class Problem:
                 constants += [np.full(len(unit), (start - low) / scale), np.full(len(unit), (high - start) / scale)]
         return np.concatenate(rows), np.concatenate(constants)
 
-    def workspace(self, z: np.ndarray) -> np.ndarray:
-        """Distances (k, …) ≥ 0 m of the flange from the walls at the guard instants."""
+    def workspace(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (w,) ≥ 0 m of the flange from the walls at the guard instants, and their Jacobian (w, …)."""
         coefficients, centre = self.unpack(z)
-        k, _, n = coefficients.shape
-        q = (np.einsum("th,khn->ktn", self.guards[0], coefficients) + centre[:, None, :]).reshape(-1, n)
-        path = flange_path(self.robot, q).reshape(k, -1, 3)
-        low, high = self.limits.workspace.T
-        room = [
-            side for j in range(3) if np.isfinite([low[j], high[j]]).all()
-            for side in (path[:, :, j] - low[j], high[j] - path[:, :, j])
-        ]  # fmt: skip
-        return np.concatenate(room, axis=1) - self.margin if room else np.zeros((k, 0))
+        basis = self.guards[0]
+        q = basis @ coefficients + centre
+        n, h = len(centre), 1e-6
+        varied = np.repeat(q[None], n + 1, axis=0)
+        for i in range(n):
+            varied[i + 1, :, i] += h
+        path = flange_path(self.robot, varied.reshape(-1, n)).reshape(n + 1, -1, 3)
+        slopes = (path[1:] - path[0]) / h  # (n, m, 3)
+        unit = np.concatenate([basis @ self.free, np.ones((len(basis), 1))], axis=1)
+        scale = np.concatenate([np.repeat(self.speed[:, None], self.f, axis=1), self.span[:, None]], axis=1)
+        jacobian = np.einsum("imd,mf,if->dmif", slopes, unit, scale).reshape(3, len(q), -1)
+        room, gradient = [np.zeros(0)], [np.zeros((0, z.size))]
+        for k, (low, high) in enumerate(self.limits.workspace):
+            for wall, side in ((low, 1), (high, -1)):
+                if np.isfinite(wall):
+                    room.append(side * (path[0, :, k] - wall) - self.margin)
+                    gradient.append(side * jacobian[k])
+        return np.concatenate(room), np.concatenate(gradient)
 
-    def start(self, rng: np.random.Generator) -> np.ndarray | None:
-        """Random variables within the limits at the guard instants, the best of twenty; ``None`` if there are none."""
+    def within(self, z: np.ndarray) -> bool:
+        """Whether variables hold the limits at the guards."""
         C, c = self.linear_constraints()
-        n = self.robot.axis_count
+        return bool(min((C @ z + c).min(), self.workspace(z)[0].min(initial=0.0)) > -TOLERANCE)
+
+    def starts(self, rng: np.random.Generator) -> list[np.ndarray]:
+        """Random variables within the limits at the guards, the best :data:`STARTS` of many draws.
+
+        A large motion brought within the limits ends better than a small one that grows. Only where none can be brought
+        in are smaller ones drawn.
+        """
         found: list[tuple[float, np.ndarray]] = []
-        for _ in range(2000):
-            z = np.zeros((n, self.f + 1))
-            z[:, :-1] = rng.normal(size=(n, self.f)) / np.sqrt(self.f)
-            z[:, -1] = rng.uniform(-0.4, 0.4, n)
-            still = np.where(np.arange(self.f + 1) < self.f, 0.0, z)
-            if self.workspace(still.ravel()[None]).min(initial=0.0) < 0:
-                continue
-            for size in (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1):
-                trial = np.where(np.arange(self.f + 1) < self.f, size * z, z).ravel()
-                if (C @ trial + c).min() >= 0 and self.workspace(trial[None]).min(initial=0.0) >= 0:
-                    found.append((float(self.value(trial[None])[0]), trial))
-                    break
-            if len(found) == 20:
+        for k in range(2 * DRAWS):
+            if k >= DRAWS and found:
                 break
-        return min(found, key=lambda pair: pair[0])[1] if found else None
+            z = self.brought_in(self.draw(rng, min(1.0, 2 - k / DRAWS)))
+            if self.within(z):
+                found.append((self.value_and_gradient(z)[0], z))
+        return [z for _, z in sorted(found, key=lambda pair: pair[0])[:STARTS]]
+
+    def draw(self, rng: np.random.Generator, fill: float) -> np.ndarray:
+        """Random series of which every axis fills its own limits to the share ``fill``; the flange may be anywhere."""
+        C, c = self.linear_constraints()
+        n, H = self.robot.axis_count, len(self.free) // 2
+        z = np.zeros((n, self.f + 1))
+        fade = np.tile(np.arange(1, H + 1) ** -rng.uniform(0, 1.5), 2)[:, None]
+        z[:, :-1] = rng.normal(size=(n, 2 * H)) @ (fade * self.free)
+        z[:, -1] = rng.uniform(-0.2, 0.2, n)
+        still = np.where(np.arange(self.f + 1) < self.f, 0.0, z)
+        rest = C @ still.ravel() + c
+        for i in range(n):
+            change = C @ np.where((np.arange(n) == i)[:, None], z - still, 0.0).ravel()
+            closing = change < -1e-12
+            z[i, :-1] *= fill * np.min(rest[closing] / -change[closing], initial=1 / fill)
+        return z.ravel()
+
+    def brought_in(self, z: np.ndarray) -> np.ndarray:
+        """Variables near ``z`` (…,) with as little as can be outside the limits at the guards, by least squares."""
+        C, c = self.linear_constraints()
+
+        def outside(z: np.ndarray) -> tuple[float, np.ndarray]:
+            room, slope = self.workspace(z)
+            below, past = np.minimum(C @ z + c - CLEAR, 0), np.minimum(room - CLEAR, 0)
+            return float(below @ below + past @ past), 2 * (below @ C + past @ slope)
+
+        return np.asarray(minimize(outside, z, jac=True, method="L-BFGS-B", options={"maxiter": 60}).x)
 
     def guard(self, fourier: Fourier) -> None:
         """Hold limits also where a trajectory leaves them most, limit by limit."""
@@ -313,39 +364,31 @@ class Problem:
                 found.append(time[top.any(axis=1)])
         self.instants = np.unique(np.round(np.concatenate(found), 3))
 
-    def feasible(self, z: np.ndarray) -> bool:
-        """Whether variables hold the limits at the guards."""
-        C, c = self.linear_constraints()
-        return min((C @ z + c).min(), self.workspace(z[None]).min(initial=0.0)) > -1e-6
+    def solve(self, z: np.ndarray, iterations: int) -> tuple[float, np.ndarray]:
+        """Sequential quadratic programming from variables (…,), which may be outside the limits.
 
-    def solve(self, z: np.ndarray, iterations: int) -> np.ndarray:
-        """Sequential quadratic programming from variables (…,); the best it saw within the limits at the guards."""
+        Returns:
+            The lowest value it saw within the limits at the guards, and where; infinite if there was none.
+        """
         C, c = self.linear_constraints()
-        h = 1e-6
         best, lowest = z, np.inf
-
-        def room(z: np.ndarray) -> np.ndarray:
-            return self.workspace(z[None])[0]
-
-        def room_gradient(z: np.ndarray) -> np.ndarray:
-            rooms = self.workspace(np.concatenate([z[None], z[None] + h * np.eye(len(z))]))
-            return (rooms[1:] - rooms[0]).T / h
 
         def criterion(z: np.ndarray) -> tuple[float, np.ndarray]:
             nonlocal best, lowest
             value, gradient = self.value_and_gradient(z)
-            if value < lowest and min((C @ z + c).min(), room(z).min(initial=0.0)) > -1e-6:
+            if value < lowest and self.within(z):
                 best, lowest = z.copy(), value
             return value, gradient
 
         constraints: list[dict[str, Any]] = [{"type": "ineq", "fun": lambda z: C @ z + c, "jac": lambda z: C}]
-        if room(z).size:
-            constraints.append({"type": "ineq", "fun": room, "jac": room_gradient})
+        if self.workspace(z)[0].size:
+            room = {"fun": lambda z: self.workspace(z)[0], "jac": lambda z: self.workspace(z)[1]}
+            constraints.append({"type": "ineq", **room})
         minimize(
             criterion, z, jac=True, method="SLSQP", constraints=constraints,
             options={"maxiter": iterations, "ftol": FTOL},
         )  # fmt: skip
-        return best
+        return lowest, best
 
 
 def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation | None:
@@ -353,26 +396,23 @@ def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation
     robot, harmonics, base_hz, rest, criterion, seed, iterations = job
     problem = Problem(robot, harmonics, base_hz, rest, criterion)
     rng = np.random.default_rng(seed)
-    found = []
-    for _ in range(STARTS):
-        if (z := problem.start(rng)) is None:
-            return None
-        z = problem.solve(z, iterations)
-        found.append((float(problem.value(z[None])[0]), z))
-    lowest, best = min(found, key=lambda pair: pair[0])
-    for _ in range(HOPS):
-        step = rng.uniform(0.4, 1) * HOP * np.abs(best).mean() * rng.normal(size=best.shape)
-        z = problem.solve(best + step, iterations)
-        value = float(problem.value(z[None])[0])
-        if value < lowest and problem.feasible(z):
-            lowest, best = value, z
+    found = sorted((problem.solve(z, iterations) for z in problem.starts(rng)), key=lambda pair: pair[0])[:CHAINS]
+    if not found:
+        return None
+    for k, (lowest, best) in enumerate(found):
+        for _ in range(HOPS):
+            size = np.exp(rng.uniform(*np.log(HOP))) * np.abs(best).mean()
+            hop = problem.solve(best + size * rng.normal(size=best.shape), iterations)
+            lowest, best = min((lowest, best), hop, key=lambda pair: pair[0])
+        found[k] = lowest, best
+    _, best = min(found, key=lambda pair: pair[0])
     for _ in range(ROUNDS):
         fourier = problem.fourier(best)
         if violation(robot, fourier, problem.limits) <= 0:
             return judge(robot, fourier, problem.kept)
         problem.guard(fourier)
-        problem.margin += 2 * MARGIN
-        best = problem.solve(best, iterations // 2)
+        problem.margin, problem.sharpness = problem.margin + MARGIN, SHARPNESS[1]
+        _, best = problem.solve(best, iterations)
     return None
 
 

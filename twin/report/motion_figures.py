@@ -1,6 +1,6 @@
 """Figures of trajectories and torque logs: the paper's Figures 2 to 5, and residuals against what may explain them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +14,7 @@ from twin.measure.signals import lowpass
 from twin.robot.description import Robot
 
 _COLOURS = ("#1f4e9c", "#e8590c", "#2b8a3e", "#9c36b5", "#0b7285", "#846358", "#5f3dc4", "#c2255c")
+_PREDICTED = (_COLOURS[1], _COLOURS[0])
 _POINTS = 4000  # drawn at most per curve
 _SIGNALS_S = 12.0  # of a run, in the figure of signals
 
@@ -93,60 +94,66 @@ def signals(robot: Robot, run: MotionRun, bands: Bands) -> Figure:
             ax.set_ylabel(label, fontsize=9)
             _tidy(ax)
     for ax, text in zip(axes[0], ("torque", "position", "acceleration"), strict=True):
-        ax.set_title(text, fontsize=10)
+        ax.set_title(text, fontsize=10, loc="left")
     for ax in axes[-1]:
         ax.set_xlabel("time, s", fontsize=9)
     if run.torque is not None:
-        axes[0, 0].legend(fontsize=8, frameon=False)
+        axes[0, 0].legend(fontsize=8, frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     figure.align_ylabels()
     return figure
 
 
-def prediction(robot: Robot, rows: Sequence[Rows], parameters: np.ndarray, title: str) -> Figure:
+def prediction(robot: Robot, rows: Sequence[Rows], curves: Mapping[str, Sequence[np.ndarray]], title: str) -> Figure:
     """Measured and predicted torque of some runs, one after the other, and their difference (Figs. 4 and 5).
 
     Args:
         robot: description.
         rows: runs; only rows that count are drawn.
-        parameters: (p,) of all columns.
+        curves: name of a prediction → torque (m, n) per run.
         title: of the figure.
     """
     n = robot.axis_count
     _, units = axis_units(robot)
     figure = Figure(figsize=(11, 0.9 + 2.4 * n), layout="constrained")
     axes = figure.subplots(2 * n, 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": [3, 1.2] * n})[:, 0]
+    styles = {name: {"color": colour, "linewidth": 0.9} for name, colour in zip(curves, _PREDICTED, strict=False)}
     start = 0.0
-    squares = np.zeros((2, n))
-    for r in rows:
+    squares = {name: np.zeros((2, n)) for name in curves}
+    for k, r in enumerate(rows):
         time = np.where(r.valid, r.time - r.time[0] + start, np.nan)
-        predicted = r.matrix @ parameters + r.known
         measured = r.torque + r.known
-        squares += [np.sum((measured - predicted)[r.valid] ** 2, axis=0), np.sum(measured[r.valid] ** 2, axis=0)]
         for i in range(n):
             axes[2 * i].plot(time, measured[:, i], color="#111111", linewidth=1.8, label="measured")
-            axes[2 * i].plot(time, predicted[:, i], color=_COLOURS[1], linewidth=0.9, label="predicted")
-            axes[2 * i + 1].plot(time, (measured - predicted)[:, i], color=_COLOURS[0], linewidth=0.7)
+        for name, predicted in curves.items():
+            error = measured - predicted[k]
+            squares[name] += [np.sum(error[r.valid] ** 2, axis=0), np.sum(measured[r.valid] ** 2, axis=0)]
+            for i in range(n):
+                axes[2 * i].plot(time, predicted[k][:, i], label=name, **styles[name])
+                axes[2 * i + 1].plot(time, error[:, i], **styles[name])
         axes[0].annotate(
             r.name, (start, 1.0), xycoords=("data", "axes fraction"), fontsize=8, va="bottom", annotation_clip=False
         )
-        start += float(r.time[-1] - r.time[0])
+        start += r.time[-1] - r.time[0]
         if r is not rows[-1]:
             for ax in axes:
-                ax.axvline(start, color="#8a8f98", linewidth=0.7, linestyle=":")
-    total = sum(int(r.valid.sum()) for r in rows)
+                ax.axvline(start, color="#8a8f98", linewidth=0.8, linestyle=":")
+    count = sum(r.valid.sum() for r in rows)
     for i in range(n):
-        rms, ratio = np.sqrt(squares[0, i] / max(total, 1)), np.sqrt(squares[0, i] / max(squares[1, i], 1e-300))
+        texts = []
+        for name, (residual, total) in squares.items():
+            rms, ratio = np.sqrt(residual[i] / max(count, 1)), np.sqrt(residual[i] / total[i]) if total[i] else np.nan
+            texts.append(f"{name}: {rms:.3g} {units[i]} rms, {ratio:.2%}")
         axes[2 * i].set_ylabel(f"joint{i + 1}, {units[i]}", fontsize=9)
         axes[2 * i + 1].set_ylabel("error", fontsize=9)
-        axes[2 * i + 1].set_title(f"{rms:.3g} {units[i]} rms, {ratio:.2%}", loc="right", fontsize=8, pad=2)
+        axes[2 * i + 1].set_title("    ".join(texts), loc="right", fontsize=8, pad=2)
         for ax in axes[2 * i : 2 * i + 2]:
             _tidy(ax)
     axes[-1].set_xlabel("time, s", fontsize=9)
     axes[-1].set_xlim(0, start)
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(
-        handles[:2], names[:2], loc="outside upper right", ncols=2, frameon=False, fontsize=9, title=title,
-        title_fontsize=10,
+        handles[: 1 + len(curves)], names[: 1 + len(curves)], loc="outside upper right", ncols=1 + len(curves),
+        frameon=False, fontsize=9, title=title, title_fontsize=10,
     )  # fmt: skip
     figure.align_ylabels()
     return figure
@@ -170,6 +177,8 @@ def residuals(robot: Robot, rows: Sequence[Rows], parameters: np.ndarray) -> Fig
             of = np.clip(np.digitize(x, edges) - 1, 0, len(edges) - 2)
             count = np.maximum(np.bincount(of, minlength=len(edges) - 1), 1)
             mean = np.bincount(of, residual[:, i], len(edges) - 1) / count
+            if state.ndim == 1:  # no line across the pause between two runs
+                mean[np.diff(edges) > 5 * np.median(np.diff(edges))] = np.nan
             ax.plot(0.5 * (edges[:-1] + edges[1:]), mean, color=_COLOURS[1], linewidth=1.3)
             ax.set_xlabel(label, fontsize=8)
             _tidy(ax)
