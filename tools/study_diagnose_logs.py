@@ -4,8 +4,8 @@
     python tools/study_diagnose_logs.py --out out/logs --table
 
 Truth: KR90 with masses, inertias, rotors, compensator and friction off within tolerance, random Fourier motions with
-dwells, encoder counts, white and coloured torque noise, in every second case an ordinary ripple at every joint and a gas
-law for the compensator. Sizes are log-uniform from one to thirty times the smallest visible (VISIBLE). What the
+dwells, encoder counts, white and coloured torque noise, in every second case ripple at every joint and a gas law for
+the compensator. Sizes are log-uniform from one to thirty times the smallest visible (VISIBLE). What the
 description has (friction) is taken out of it, and the truth is given the size that is left. Every case is one JSON file;
 a study that is interrupted goes on where it stopped. Rates come with Wilson 95 % intervals.
 """
@@ -25,9 +25,9 @@ import numpy as np
 JOINTS = ("joint1", "joint2", "joint3")
 VISIBLE = {  # smallest size seen on four runs of 45 s; what the size is of
     "viscous_friction": 8.0, "coulomb_friction": 4.0, "asymmetric_friction": 4.0, "stribeck_friction": 6.0,
-    "load_dependent_friction": 0.005, "friction_drift": 0.03, "gravity_compensator": 6.0, "payload": 9.0,
-    "cable_stiffness": 6.0, "torque_ripple": 3.0, "joint_coupling": 0.004, "rotor_inertia": 240.0, "hysteresis": 4.0,
-    "torque_constant": 0.015, "time_delay": 5e-5, "backlash": 2e-5,
+    "load_dependent_friction": 0.005, "friction_drift": 0.05, "gravity_compensator": 6.0, "payload": 9.0,
+    "cable_stiffness": 6.0, "torque_ripple": 3.0, "joint_coupling": 0.004, "rotor_inertia": 240.0, "hysteresis": 4.5,
+    "torque_constant": 0.018, "time_delay": 3e-4, "backlash": 2e-5,
 }  # fmt: skip
 SITES: dict[str, tuple[str, ...]] = {effect: JOINTS for effect in VISIBLE} | {
     "payload": ("flange", "link2", "link3"),

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.decide import Decision
 from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import Base, System, base_of, stops_of, system_of
+from twin.diagnose.torque_fit import Base, base_of, stops_of, system_of
 from twin.diagnose.torque_laws import entry_torque, log_suspects, with_values
 from twin.diagnose.torque_search import Progress, Search, explain, smallest_visible
 from twin.diagnose.torque_signal import Prepared, Run, prepare
@@ -51,11 +52,10 @@ def diagnose_log(
     suspects = log_suspects(robot, prepared.used)
     system = system_of(prepared, suspects)
     search = explain(system, prepared.kept, suspects, progress)
-    last = search.found[-1] if search.found else search.steps[-1]
     word, missing, none, other = _answer(search)
-    after = last.decision.ranked[0] if last.accepted else last.base
     base = search.steps[0].base
-    records, errors = log_records(prepared, system, base, last.system, after)
+    records, errors = log_records(prepared, base, search)
+    after = search.law[2] if search.law else search.after
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, after.robot, errors,
         list(prepared.held_out), records, [], {}, smallest_visible(system, suspects),
@@ -71,28 +71,34 @@ def diagnose_log(
 def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     """Verdict, what is missing, and the probabilities that nothing or something unnamed is."""
     first = search.steps[0].decision
-    if not search.found:
-        return word_of(first), [], first.none, first.other
+    _, other = search.other
     missing: list[Missing] = []
     for step in search.found:
         missing += missing_of(step.decision, step.base)
+    if search.law:
+        _, _, fit = search.law
+        (found,) = missing_of(Decision([fit], [other], 0.0, other), search.after)
+        (entry,) = fit.hypothesis.entries
+        formula = entry.values["formula"]
+        return "located", [*missing, replace(found, first=replace(found.first, formula=formula))], 0.0, other
+    if other > 0.5:
+        return "unexplained", missing, 0.0, other
+    if not missing:
+        return "adequate" if first.none >= 0.5 else word_of(first), [], first.none, first.other
     word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"
-    return word, missing, first.none, first.other
+    return word, missing, first.none, max(first.other, other)
 
 
-def log_records(
-    prepared: Prepared, first: System, base: Fitted, last: System, after: Fitted
-) -> tuple[list[LogRecord], dict[str, Any]]:
+def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[LogRecord], dict[str, Any]]:
     """Every run beside the three models, and the errors of a diagnosis; offsets of held-out runs are re-estimated."""
+    first, last = search.steps[0].system, search.system
     noise = first.noise
+    after = search.law[2] if search.law else search.after
     entries = [*last.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
-    if after.hypothesis.scale:
-        width = np.array([dict(after.hypothesis.scale).get(name, 1.0) for name in first.parameters.names])
-        after = replace(after, z=after.z * width)
     stages: tuple[tuple[Stage, FloatArray, Sequence[Entry]], ...] = (
         ("as_given", np.zeros(len(first.base.parameters)), ()),
         ("before", base.z, ()),
-        ("after", after.z, entries),
+        ("after", last.plain(after.z), entries),
     )
     records = []
     for held, base_, runs in ((False, first.base, prepared.used), (True, None, prepared.kept)):

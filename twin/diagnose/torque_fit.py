@@ -41,7 +41,7 @@ from twin.robot.description import Entry, Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
 FARTHEST = 3.0  # prior deviations of a shape (a speed, an order, a travel)
-ORDER = 30  # of the autoregression
+ORDER = 30  # of the autoregression, less where runs are short
 LARGEST_KEPT = 4_000_000  # numbers of a suspect's columns kept from one search to the next
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit may have explained away
 RIDGE = 1e-4  # of the noise's power: white noise added to the autoregression, so that stop bands are not amplified
@@ -53,6 +53,7 @@ SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up t
 STEP = 0.02  # of a prior deviation, for differences
 OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
 CREEP_S = 0.16  # about a stop: the encoder hardly counts, the axis may creep
+RINGING = 16  # rows that the low-pass rings before and after a step
 MOST_STOPS = 60  # per run that the noise is estimated without
 STANDSTILL_S = 0.12  # shorter is a reversal
 UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero
@@ -259,7 +260,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Stop:
-    """The moment at which an axis stops or starts, which the encoder's noise hides.
+    """The moment at which an axis stops, starts or turns back, which encoder and sampling hide.
 
     Attributes:
         span: whitened rows of the joint; ``directions`` (rows, d) orthonormal, in which its friction is unknown.
@@ -276,12 +277,13 @@ class System:
     """Whitened rows of a log and the base model on them; N rows, joint by joint, run by run.
 
     Attributes:
-        whitening: (n, ORDER + 1) prediction-error filter per joint over the noise's deviation.
+        whitening: (n, order + 1) prediction-error filter per joint over the noise's deviation.
         parameters: the base model's numbers; ``found`` entries that belong to it, beyond the description's.
         A: (N, z) whitened design; ``y`` (N,) whitened torque less the description's.
         state: per run, what laws that act on other torques see.
         level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
         noise: (n,) RMS of the noise at the rows, N·m (N).
+        widened: number in z → factor on the prior deviation its description gives it.
         screened: whitened columns of the suspects' starts, which stay the same when something is found.
         stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
     """
@@ -297,14 +299,20 @@ class System:
     noise: FloatArray = field(default_factory=lambda: np.ones(0))
     stops: list[list[Stop]] = field(default_factory=list)
     screened: dict[str, Columns] = field(default_factory=dict)
+    widened: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def order(self) -> int:
+        """Of the autoregression."""
+        return self.whitening.shape[1] - 1
 
     @cached_property
     def masks(self) -> list[np.ndarray]:
         """Rows (m,) of each run whose whitened residual rests on valid rows only."""
         out = []
         for run in self.base.runs:
-            bad = np.cumsum(np.concatenate([np.ones(ORDER, int), ~run.valid]))
-            out.append(run.valid & (bad[ORDER:] - bad[:-ORDER] == 0))
+            bad = np.cumsum(np.concatenate([np.ones(self.order, int), ~run.valid]))
+            out.append(run.valid & (bad[self.order :] - bad[: -self.order] == 0))
         return out
 
     @property
@@ -375,6 +383,13 @@ class System:
         """y − A z (N,)."""
         return np.asarray(self.y - self.A @ self.z)
 
+    def plain(self, z: FloatArray) -> FloatArray:
+        """z in the deviations of the description."""
+        out = z.copy()
+        for k, factor in self.widened.items():
+            out[k] *= factor
+        return out
+
     def entries(self, z: FloatArray) -> list[Entry]:
         """What was found so far, at z."""
         at, out = len(self.base.parameters), []
@@ -403,7 +418,7 @@ class System:
 
 
 def _stops(system: System) -> list[list[Stop]]:
-    """Where an axis comes to rest or starts, its friction may be anything up to its level for a moment."""
+    """Where an axis stops, starts or turns back: directions of the whitened rows, with the prior of its friction."""
     out: list[list[Stop]] = []
     for j, whitening in enumerate(system.whitening):
         found: list[Stop] = []
@@ -417,13 +432,14 @@ def _stops(system: System) -> list[list[Stop]]:
                 W = lfilter(whitening, [1.0], system.base.friction[j] * columns, axis=0)[inside]
                 first = int(place[near][np.argmax(inside)])
                 start, end = first, first + len(W)
-                near_by = [earlier for earlier in found[-6:] if earlier.span.stop > start]
-                start = min([start, *(earlier.span.start for earlier in near_by)])
+                near_by: list[Stop] = [earlier for earlier in found[-6:] if earlier.span.stop > start]
+                start = max(first - 2 * RINGING, min([start, *(earlier.span.start for earlier in near_by)]))
                 wide = np.zeros((end - start, W.shape[1]))
                 wide[first - start :] = W
                 for earlier in near_by:  # what they take off this one too
-                    part = wide[earlier.span.start - start : earlier.span.stop - start]
-                    U = earlier.directions[: len(part)]
+                    skip = max(0, start - earlier.span.start)
+                    part = wide[earlier.span.start + skip - start : earlier.span.stop - start]
+                    U = earlier.directions[skip : skip + len(part)]
                     part -= U @ (earlier.share[:, None] * (U.T @ part))
                 U, size, _ = np.linalg.svd(wide, full_matrices=False)
                 keep = size > 1e-3
@@ -434,19 +450,35 @@ def _stops(system: System) -> list[list[Stop]]:
 
 
 def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
-    """About every moment at which a joint stops or starts: rows, and low-passed boxes (rows, b) that cover it."""
+    """Moments at which friction is in doubt, in order: rows, and low-passed torque (rows, b) per unit of friction.
+
+    About a stop or start boxes, each of a row, that together say nothing of it. At a reversal an impulse: the sign
+    changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of their distance.
+    """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
-    count, pad = len(run.time), 2 * ORDER
+    dense_hz = run.rate_hz * step
+    count = len(run.time)
     reach = max(1, int(np.ceil(CREEP_S * run.rate_hz)))
+    stops = stops_of(run, joint)
+    events: list[tuple[int, bool]] = [(sample, True) for sample in stops]
+    sign = np.sign(run.dense.velocity[:, joint])
+    clear = reach * step
+    for sample in np.flatnonzero(sign[1:] * sign[:-1] < 0) + 1:
+        if all(abs(sample - stop) > clear for stop in stops) and run.dense.sign(sign)[sample] != 0:
+            events.append((int(sample), False))
     found = []
-    for sample in stops_of(run, joint):
+    for sample, stop in sorted(events, key=lambda event: event[0]):
         middle = sample // step
-        near = slice(max(0, middle - reach - pad), min(count - 1, middle + reach + pad))
-        boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * reach))
-        for k in range(2 * reach):
-            first = sample + (k - reach) * step - near.start * step
-            boxes[max(first, 0) : max(first + step, 0), k] = 1.0
-        columns = lowpass(boxes, run.rate_hz * step, *run.bands.fit)[::step]
+        near = slice(max(0, middle - reach - RINGING), min(count - 1, middle + reach + RINGING + ORDER))
+        boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * reach if stop else 1))
+        here = sample - near.start * step
+        if stop:
+            for k in range(2 * reach):
+                first = here + (k - reach) * step
+                boxes[max(first, 0) : max(first + step, 0), k] = 1.0
+        elif 0 <= here < len(boxes):
+            boxes[here, 0] = 2 * dense_hz / (np.sqrt(12) * run.sample_hz)
+        columns = lowpass(boxes, dense_hz, *run.bands.fit)[::step]
         found.append((slice(near.start, near.stop + 1), columns))
     return found
 
@@ -467,7 +499,7 @@ def stops_of(run: Run, joint: int) -> list[int]:
 
 def refer(system: System, z: FloatArray) -> None:
     """Let laws that act on other torques see the model at z."""
-    system.state = [system.base.state(k, z) for k in range(len(system.base.runs))]
+    system.state = [system.base.state(k, system.plain(z)) for k in range(len(system.base.runs))]
     for entry in system.entries(z):
         for state, extra in zip(system.state, system.torque([entry]), strict=True):
             state.torque[...] += extra
@@ -485,9 +517,21 @@ def extended(system: System, trial: "Trial") -> System:
     return bigger
 
 
-def base_fit(system: System) -> Fitted:
-    """The base model at its optimum."""
-    return _fitted(system, NONE, system.parameters, system.z, system.residual, system.information)
+def with_wider(system: System, hypothesis: Hypothesis) -> System:
+    """The same rows with some numbers of the base model free beyond what the description allows."""
+    names = system.parameters.names
+    factors = {names.index(name): factor for name, factor in hypothesis.scale}
+    A = system.A.copy()
+    for k, factor in factors.items():
+        A[:, k] *= factor
+    return replace(
+        system, A=A, widened={**system.widened, **factors}, parameters=hypothesis.parameters(system.parameters)
+    )  # fmt: skip
+
+
+def base_fit(system: System, hypothesis: Hypothesis = NONE) -> Fitted:
+    """The base model at its optimum; with numbers freed by a hypothesis, on the system that has them wider."""
+    return _fitted(system, hypothesis, system.parameters, system.z, system.residual, system.information)
 
 
 def _fitted(
@@ -508,7 +552,7 @@ def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Ro
     """The description at z, with entries; links stay bodies that can exist, as near to z as that allows."""
     base = system.base
     robot = base.regressor.robot
-    values = base.values(z)
+    values = base.values(system.plain(z))
     for i in range(robot.axis_count):
         part = slice(10 * i, 10 * i + 10)
         here, step = base.described[part], values[part] - base.described[part]
@@ -548,7 +592,7 @@ def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | Non
     """The used runs of a log, whitened by the residual of the richest model there is."""
     base = base_of(prepared.regressor, prepared.used if runs is None else runs)
     n = prepared.regressor.robot.axis_count
-    system = System(base, np.zeros((n, ORDER + 1)), base.parameters)
+    system = System(base, np.zeros((n, _order(base.runs) + 1)), base.parameters)
     refer(system, np.zeros(len(base.parameters)))
     for _ in range(2):  # the second time with friction, load and torque as fitted
         z = _plain_fit(system)
@@ -557,6 +601,15 @@ def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | Non
     system.assemble()
     refer(system, system.z)
     return system
+
+
+def _order(runs: Sequence[Run]) -> int:
+    """Order of the autoregression that uninterrupted rows allow."""
+    lengths: list[int] = []
+    for run in runs:
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], run.valid.astype(int), [0]])))
+        lengths += (edges[1::2] - edges[::2]).tolist()
+    return int(np.clip(np.median(lengths) / 6, 2, ORDER)) if lengths else 2
 
 
 def _plain_fit(system: System) -> FloatArray:
@@ -581,7 +634,8 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
             for j in range(n):
                 if any(part[:, j].any() for part in column):
                     extra[j].append(np.concatenate([part[:, j] for part in column]))
-    out, level, noise = np.zeros((n, ORDER + 1)), np.ones(n), np.ones(n)
+    order = system.order
+    out, level, noise = np.zeros((n, order + 1)), np.ones(n), np.ones(n)
     valid = np.concatenate([r.valid for r in base.runs])
     ends = np.cumsum([len(r.time) for r in base.runs])[:-1]
     designs = np.concatenate([base.design(k) for k in range(len(base.runs))])
@@ -590,21 +644,32 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
         free = np.concatenate([smooth_columns(r, j, *span_of(base.runs, j)) for r in base.runs])
         stops = []
         for k, run in enumerate(base.runs):
-            for near, boxes in stop_columns(run, j)[:MOST_STOPS]:
+            doubts = [(near, boxes) for near, boxes in stop_columns(run, j) if boxes.shape[1] > 1]
+            for near, boxes in doubts[:MOST_STOPS]:
                 stops.append(np.zeros((len(valid), boxes.shape[1])))
                 stops[-1][(ends[k - 1] if k else 0) :][near] = boxes
-        B = np.column_stack([designs[:, j], free, *extra[j], *stops]) * valid[:, None]
-        scale = np.linalg.norm(B, axis=0)
-        B = B[:, scale > 1e-9 * scale.max()] / scale[scale > 1e-9 * scale.max()]
-        size, turn = np.linalg.eigh(B.T @ B)
-        keep = size > 1e-7 * size[-1]
-        Q = B @ (turn[:, keep] / np.sqrt(size[keep]))
         y = data[:, j] * valid
-        e = y - Q @ (Q.T @ y)
-        correlation = _correlation(np.split(e, ends), np.split(Q, ends), np.split(valid, ends))
+        usual = USUAL * np.sqrt(
+            np.mean(data[valid, j] ** 2) + np.mean(np.concatenate([r.torque for r in base.runs])[:, j] ** 2)
+        )
+        B = np.column_stack([free, *extra[j], *stops]) * valid[:, None]
+        scale = np.sqrt(np.mean(B**2, axis=0))
+        B = np.column_stack([designs[:, j] * valid[:, None], usual * (B / np.where(scale > 0, scale, 1))])
+        size, turn = np.linalg.eigh(B.T @ B)
+        keep = size > 1e-9 * size[-1]
+        Q = B @ (turn[:, keep] / np.sqrt(size[keep]))
+        size, along = size[keep], Q.T @ y
+        variance = 1e-2 * float(np.mean(y**2))
+        for _ in range(6):  # of the noise, and how far the data hold each direction against its prior
+            share = size / (size + variance)
+            e = y - Q @ (share * along)
+            variance = max(float(e @ e) / max(valid.sum() - float(share.sum()), 0.1 * valid.sum()), 1e-300)
+        Q = Q * np.sqrt(1 - (1 - share) ** 2)
+        correlation = _correlation(np.split(e, ends), np.split(Q, ends), np.split(valid, ends), order)
         out[j] = _prediction_filter(correlation)
-        white = np.concatenate([lfilter(out[j], [1.0], part)[ORDER:] for part in np.split(e, ends)])
-        level[j] = np.mean(white**2) * len(e) / max(len(e) - Q.shape[1], 1)
+        white = np.concatenate([lfilter(out[j], [1.0], part)[order:] for part in np.split(e, ends)])
+        left = max(valid.sum() - float(np.sum(Q**2)), 0.1 * valid.sum())
+        level[j] = float(white @ white) / left
         noise[j] = np.sqrt(correlation[0])
     return out, level, noise
 
@@ -640,15 +705,15 @@ def span_of(runs: Sequence[Run], j: int) -> tuple[float, float, float]:
     return float(q.min()) + half, half, max(float(np.abs(v).max()), 1e-9)
 
 
-def _correlation(residual: list[FloatArray], Q: list[FloatArray], valid: list[np.ndarray]) -> FloatArray:
-    """Autocovariance (ORDER + 1,) of the noise under a residual whose fit had the orthonormal basis Q."""
-    size = scipy.fft.next_fast_len(max(len(e) for e in residual) + 16 * ORDER, real=True)
+def _correlation(residual: list[FloatArray], Q: list[FloatArray], valid: list[np.ndarray], order: int) -> FloatArray:
+    """Autocovariance (order + 1,) of the noise under a residual; Q (m, k) is what a fit took out of it."""
+    size = scipy.fft.next_fast_len(max(len(e) for e in residual) + 16 * order, real=True)
     power, taken, count = np.zeros(size // 2 + 1), np.zeros(size // 2 + 1), 0
     for e, q, use in zip(residual, Q, valid, strict=True):
         power += np.abs(scipy.fft.rfft(e, size)) ** 2
         taken += np.sum(np.abs(scipy.fft.rfft(q, size, axis=0)) ** 2, axis=1)
         count += int(use.sum())
-    lags = 8 * ORDER
+    lags = 8 * order
     window = np.hanning(2 * lags + 1)[lags:]
 
     def smooth(density: FloatArray) -> FloatArray:
@@ -659,12 +724,12 @@ def _correlation(residual: list[FloatArray], Q: list[FloatArray], valid: list[np
         return np.maximum(scipy.fft.rfft(circle).real, 0.0)
 
     left = 1 - np.clip(smooth(taken) / max(count, 1), 0.0, MOST_TAKEN)
-    correlation = scipy.fft.irfft(smooth(power) / left, size)[: ORDER + 1] / max(count, 1)
-    return correlation if correlation[0] > 0 else np.eye(1, ORDER + 1)[0]
+    correlation = scipy.fft.irfft(smooth(power) / left, size)[: order + 1] / max(count, 1)
+    return correlation if correlation[0] > 0 else np.eye(1, order + 1)[0]
 
 
 def _prediction_filter(correlation: FloatArray) -> FloatArray:
-    """Prediction-error filter (ORDER + 1,) over the innovation's deviation (Levinson)."""
+    """Prediction-error filter (order + 1,) over the innovation's deviation (Levinson)."""
     correlation = correlation.copy()
     correlation[0] *= 1 + RIDGE
     coefficients = scipy.linalg.solve_toeplitz(correlation[:-1], correlation[1:])

@@ -96,7 +96,7 @@ def entry_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatA
 
 def delayed(torque: FloatArray, run: Run, delay: float) -> FloatArray:
     """A low-passed torque (m, n) as a channel shows it that is late by ``delay`` s."""
-    dense = lowpass(torque, run.rate_hz, *run.bands.fit, upsample=8)
+    dense = lowpass(torque, run.rate_hz, 0.45 * run.rate_hz, 0.5 * run.rate_hz, upsample=8)
     return np.asarray(advance(dense, 8 * run.rate_hz, -delay)[::8])
 
 

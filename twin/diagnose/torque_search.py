@@ -6,7 +6,7 @@ better.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from twin.diagnose.decide import Decision, calibration, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
+from twin.diagnose.torque_discover import discover
 from twin.diagnose.torque_fit import (
     Base,
     Columns,
@@ -27,10 +28,10 @@ from twin.diagnose.torque_fit import (
     own_prior,
     own_values,
     refer,
-    robot_of,
     settle,
     span_of,
     start,
+    with_wider,
 )
 from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns, with_values
 from twin.diagnose.torque_signal import Run
@@ -41,11 +42,13 @@ from twin.robot.description import Entry
 FINALISTS = 8
 RACE = 0.05  # of the best gain: less is not refined
 REACH = 0.9  # of the gain of a free function of the joint's state: less is no name
+SEEN = 15.0  # ln evidence of such a function from which something is there
 SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches it is preferred
 MOST = 6  # things found one after the other
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
 HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
+EXACT = 1e-3  # of the evidence gained so far: what laws already in the model may be off by
 SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
 LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
 
@@ -59,8 +62,7 @@ class Step:
     Attributes:
         system: the base model then; ``base`` its fit.
         decision: who explains what it misses.
-        trials: of the ranked hypotheses, by key.
-        free: per joint, evidence gained by a free function of its state.
+        trials: of the ranked hypotheses, by key; a number of the base model has none.
         held: fall of ½ χ² on the rows kept aside, with the first of the ranked.
         accepted: it goes into the model.
     """
@@ -69,27 +71,69 @@ class Step:
     base: Fitted
     decision: Decision
     trials: dict[str, Trial]
-    free: FloatArray
     held: float = 0.0
     accepted: bool = False
+
+    @property
+    def first(self) -> Fitted:
+        """The most probable."""
+        return self.decision.ranked[0]
+
+    @property
+    def trial(self) -> Trial | None:
+        """Of the first, ``None`` where it is a number of the base model."""
+        return self.trials.get(self.first.hypothesis.key)
+
+    @property
+    def gain(self) -> float:
+        """Evidence of the first over the model before it."""
+        return self.first.evidence() - self.base.evidence()
 
 
 @dataclass
 class Search:
-    """Steps, in order; the last was not accepted, or was the last allowed."""
+    """What was found.
 
-    steps: list[Step] = field(default_factory=list)
+    Attributes:
+        steps: in order; the last was not accepted, or was the last allowed.
+        system: with all that was accepted; ``after`` its fit.
+        free, left: per joint, evidence gained by a free function of its state, before and after.
+        law: what was discovered where names do not reach, with the joint it is at.
+    """
+
+    steps: list[Step]
+    system: System
+    after: Fitted
+    free: FloatArray
+    left: FloatArray
+    law: tuple[int, Trial, Fitted] | None = None
 
     @property
     def found(self) -> list[Step]:
         """Those whose first answer is in the model."""
         return [step for step in self.steps if step.accepted]
 
+    def reached(self, joint: int) -> float:
+        """Share of what a free function would gain at a joint that names reach."""
+        named = sum(step.gain for step in self.found if step.trial is None or joint in step.trial.column.joints)
+        return float(named / max(named + max(self.left[joint], 0.0), 1e-9))
+
+    @property
+    def other(self) -> tuple[int, float]:
+        """The joint where names explain least of what is missing, and the probability that it has no name here."""
+        worst, most = 0, 0.01
+        for joint, left in enumerate(self.left):
+            if left > SEEN:
+                p = float(np.clip(1 / (1 + np.exp(-(REACH - 0.1 - self.reached(joint)) / 0.03)), 0.01, 0.99))
+                if p > most:
+                    worst, most = joint, p
+        return worst, most
+
 
 def explain(
     system: System, kept: Sequence[Run], suspects: Sequence[Suspect], progress: Progress | None = None
 ) -> Search:
-    """Look for what is missing, one thing after the other.
+    """Look for what is missing, one thing after the other; where names do not reach, for a law.
 
     Args:
         system: base model on the rows used.
@@ -97,27 +141,55 @@ def explain(
         suspects: all that could be missing.
     """
     progress = progress or (lambda description, total: lambda count: None)
-    search = Search()
     judge = Judge(system, kept) if kept else None
+    axes = range(len(system.whitening))
+    free = np.array([free_gain(system, j) for j in axes])
+    steps = []
     for number in range(MOST):
         known = {s.name for s in system.found}
         open_ = [s for s in suspects if s.name not in known]
         step = _look(system, open_, progress("screen" if not number else "look for more", len(open_)))
-        search.steps.append(step)
-        first = step.decision.ranked[0] if step.decision.ranked else None
-        if first is None or step.decision.probability[0] < max(step.decision.none, step.decision.other):
+        steps.append(step)
+        if not step.decision.ranked or step.decision.probability[0] < step.decision.none:
             break
-        trial = step.trials.get(first.hypothesis.key)
+        if step.gain < EXACT * sum(earlier.gain for earlier in steps[:-1]):  # laws found earlier are no truer than that
+            step.decision = _nothing(step.decision)
+            break
         if judge is not None:
-            step.held, enough = judge.gain(system, first, trial)
+            step.held, enough = judge.gain(system, step.first, step.trial)
             if not enough:
                 step.decision = _nothing(step.decision)
                 break
         step.accepted = True
-        if trial is None:  # a number of the base model itself: nothing to add
-            break
-        system = extended(system, trial)
+        system = accepted(system, step)
+    left = np.array([free_gain(system, j) for j in axes])
+    search = Search(steps, system, base_fit(system), free, left)
+    joint, other = search.other
+    if other > 0.5:
+        _locate(search, joint, judge)
     return search
+
+
+def accepted(system: System, step: Step) -> System:
+    """The model with a step's first answer in it."""
+    return with_wider(system, step.first.hypothesis) if step.trial is None else extended(system, step.trial)
+
+
+def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
+    """Take names off a joint that they do not explain, and look for a law there."""
+    system = search.steps[0].system
+    for step in search.steps:
+        if step.accepted and step.trial is not None and joint in step.trial.column.joints:
+            step.accepted = False
+        elif step.accepted:
+            system = accepted(system, step)
+    search.system, search.after = system, base_fit(system)
+    trial = discover(system, joint)
+    if trial is None:
+        return
+    fit = fitted(system, trial)
+    if judge is None or judge.gain(system, fit, trial)[1]:
+        search.law = joint, trial, fit
 
 
 def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None]) -> Step:
@@ -139,17 +211,13 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
             best_of[key], trials[key] = fit, trial
     fits = list(best_of.values())
     fits += widened_fits(system)
-    free = np.array([free_gain(system, j) for j in range(len(system.whitening))])
     gains = np.array([fit.evidence() - base.evidence() for fit in fits])
     best = float(gains.max(initial=0.0))
-    fewest = min((len(f.hypothesis.own) for f, g in zip(fits, gains, strict=True) if g > SIMPLER * best), default=0)
-    handicap = [(1 - SIMPLER) * best * (len(f.hypothesis.own) > fewest) for f in fits]
-    other = 0.01
-    if best > 0 and free.max() > 10.0:
-        other = float(np.clip(1 / (1 + np.exp(-(REACH - best / free.max()) / 0.03)), 0.01, 0.99))
+    numbers = [max(len(f.hypothesis.own), len(f.hypothesis.scale)) for f in fits]
+    fewest = min((m for m, gain in zip(numbers, gains, strict=True) if gain > SIMPLER * best), default=0)
+    handicap = [(1 - SIMPLER) * best * (m > fewest) for m in numbers]
     hypotheses = [[s.hypothesis] for s in suspects]
-    decision = decide(fits, base, hypotheses, handicap=handicap, other=other)
-    return Step(system, base, decision, trials, free)
+    return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=0.01), trials)
 
 
 def _varied(started: Sequence[Trial]) -> list[Trial]:
@@ -197,24 +265,10 @@ def widened_fits(system: System) -> list[Fitted]:
             groups.setdefault(name.partition("[")[0], []).append(k)
     found = []
     for name, members in groups.items():
-        width = np.ones(len(names))
-        width[members] = WIDENED
-        A = system.A * width
-        wider = replace(system, A=A)
-        fit = base_fit(wider)
-        hypothesis = Hypothesis("parameter", name, scale=tuple((names[k], WIDENED) for k in members))
-        z = fit.z * width
-        unscaled = base_fit_at(system, hypothesis, z, fit)
-        found.append(unscaled)
+        if not any(k in system.widened for k in members):
+            hypothesis = Hypothesis("parameter", name, scale=tuple((names[k], WIDENED) for k in members))
+            found.append(base_fit(with_wider(system, hypothesis), hypothesis))
     return found
-
-
-def base_fit_at(system: System, hypothesis: Hypothesis, z: FloatArray, fit: Fitted) -> Fitted:
-    """A fit under a widened prior, written in the numbers of the base model."""
-    parameters = hypothesis.parameters(system.parameters)
-    x = system.parameters.root @ z
-    values = np.array([p.value(v) for p, v in zip(system.parameters, x, strict=True)])
-    return replace(fit, hypothesis=hypothesis, parameters=parameters, values=values, robot=robot_of(system, z))
 
 
 # --- runs not used ----------------------------------------------------------------------------------------------------
@@ -233,7 +287,7 @@ class Judge:
     def rest(self, z: FloatArray, entries: Sequence[Entry]) -> FloatArray:
         """Whitened residual (N,) of a model fitted elsewhere, offsets re-estimated."""
         known = np.zeros(len(self.base.parameters))
-        known[: self.size] = z[: self.size]
+        known[: self.size] = z[: self.size]  # in the deviations of the description
         refer(self.system, known)
         residual = self.system.y - self.system.A @ known
         for entry in entries:
@@ -247,11 +301,12 @@ class Judge:
 
     def gain(self, system: System, fit: Fitted, trial: Trial | None) -> tuple[float, bool]:
         """Fall of ½ χ², and whether it is enough to believe the fit."""
-        before = self.rest(system.z, system.entries(system.z))
+        before = self.rest(system.plain(system.z), system.entries(system.z))
         entries = system.entries(fit.z)
         if trial is not None:
             entries = [*entries, *with_values(fit.hypothesis, fit.values[fit.own])]
-        after = self.rest(fit.z, entries)
+        wide = with_wider(system, fit.hypothesis) if fit.hypothesis.scale else system
+        after = self.rest(wide.plain(fit.z), entries)
         joints = trial.column.joints if trial is not None else tuple(range(len(system.whitening)))
 
         def energy(residual: FloatArray) -> FloatArray:

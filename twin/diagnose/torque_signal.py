@@ -25,7 +25,7 @@ from twin.robot.description import Robot
 
 LARGEST_BAND_HZ = 10.0
 ROWS = 2.5  # per second and hertz of the low-pass
-SMOOTH, DENSE = 2, 5  # instants per row of smooth laws, and of laws that step
+SMOOTH, DENSE = 2, 8  # instants per row of smooth laws, and at least of laws that step
 RECORDED = 1e-5  # of its largest density: torque was low-passed in recording where its spectrum falls below
 CLEAR = 0.75  # of that frequency is clear of the recording's own low-pass
 MOST_CUT = 0.05  # share of a run whose torque may be cut off
@@ -42,7 +42,7 @@ class Run:
         bodies: (m, n, 11 n) low-passed torque per unit of links' and rotors' parameters.
         twist: (m, n) motor minus link encoder, rad (m), low-passed, where the run has both.
         valid: (m,) rows that count.
-        rate_hz: rows per second.
+        rate_hz: rows per second; ``sample_hz`` of the log.
     """
 
     name: str
@@ -56,6 +56,7 @@ class Run:
     valid: np.ndarray
     bands: Bands
     rate_hz: float
+    sample_hz: float
 
     def filtered(self, law: FloatArray) -> FloatArray:
         """A law's torque (nt, …) on the dense or the smooth clock, low-passed at the rows (m, …)."""
@@ -86,18 +87,23 @@ def run_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Run:
     rate = run.sample_rate_hz
     bands = bands.within(rate)
     stop = bands.fit[1]
-    start, end = float(run.time[0]), float(run.time[0]) + (len(run.time) - 1) / rate
-    count = int((end - start) * ROWS * stop) + 1
-    rows_hz = (count - 1) / (end - start)
     upsample = max(1, int(np.ceil(DENSE * ROWS * stop / rate)))
+    keep = max(1, int(rate / (2 * DENSE * ROWS * stop)))
     wide = motion_of_run(run, bands, upsample)
+    step = max(1, int(rate * upsample / keep / (ROWS * stop)))
+    count = (len(wide.time) - 1) // (keep * step) + 1
+    at = slice(0, (count - 1) * keep * step + 1, keep)
+    dense = Motion(
+        wide.time[at], wide.position[at], wide.velocity[at], wide.acceleration[at], sign=_mean_sign(wide.sign)
+    )
+    rows_hz = rate * upsample / (keep * step)
 
-    def on(step: int) -> Motion:
-        time = start + np.arange((count - 1) * step + 1) / (rows_hz * step)
+    def on(per_row: int) -> Motion:
+        time = wide.time[0] + np.arange((count - 1) * per_row + 1) / (rows_hz * per_row)
         q, v, a = (_at(wide.time, x, time) for x in (wide.position, wide.velocity, wide.acceleration))
         return Motion(time, q, v, a, sign=_mean_sign(wide.sign))
 
-    dense, smooth, rows = on(DENSE), on(SMOOTH), on(1)
+    smooth, rows = on(SMOOTH), on(1)
 
     def thin(signal: FloatArray) -> FloatArray:
         return _at(run.time, lowpass(signal, rate, *bands.fit), rows.time)
@@ -108,14 +114,14 @@ def run_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Run:
     thinned = np.zeros((count, flat.shape[1]))
     thinned[:, used] = lowpass(flat[:, used], rows_hz * SMOOTH, *bands.fit)[::SMOOTH]
     trim = 3 / stop
-    valid = (rows.time > start + trim) & (rows.time < end - trim)
+    valid = (rows.time > run.time[0] + trim) & (rows.time < run.time[-1] - trim)
     cut = saturated(run).any(axis=1)
     for instant in run.time[cut]:
         valid &= np.abs(rows.time - instant) > 1 / (bands.fit[1] - bands.fit[0])
     twist = None if run.link_position is None else thin(run.position - run.link_position)
     return Run(
         run.name, rows.time, rows, smooth, dense, thin(run.torque), thinned.reshape(count, *bodies.shape[1:]),
-        twist, valid, bands, rows_hz,
+        twist, valid, bands, rows_hz, rate,
     )  # fmt: skip
 
 

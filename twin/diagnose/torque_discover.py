@@ -1,0 +1,107 @@
+"""A law for torque that no known effect explains: a sparse sum of products of the state, found by orthogonal matching.
+
+Terms are taken one after the other from a library of physical features (Pati, Rezaiifar, Krishnaprasad, Asilomar 1993;
+Brunton, Proctor, Kutz, PNAS 113, 2016, use the same idea), each of usual size under its prior, until one more gains
+nothing. The law is an entry like any other: its formula is evaluated by the effect ``discovered``.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.torque_fit import Columns, System, Trial, settle, span_of, start
+from twin.diagnose.torque_laws import USUAL, Suspect
+from twin.identify.parameters import Parameter
+from twin.measure.campaign import FloatArray
+from twin.robot.description import Entry
+
+MOST_TERMS = 5
+WORTH = 8.0  # ln evidence that one more term must gain
+ENOUGH = 0.03  # of the first terms' gain, too
+
+
+def library(axes: int, joint: int, speed: float, revolute: Sequence[bool]) -> list[str]:
+    """Features of the state as formulas of the effect ``discovered``.
+
+    Args:
+        axes: number of axes.
+        joint: zero-based; its own velocity takes part in products.
+        speed: its largest, rad/s (m/s).
+        revolute: which axes turn.
+    """
+    own = joint + 1
+    v = f"v{own}"
+    where = []
+    for i in range(1, axes + 1):
+        where += [f"sin({k}*q{i})" if k > 1 else f"sin(q{i})" for k in (1, 2, 3)] if revolute[i - 1] else [f"q{i}"]
+        where += [f"cos({k}*q{i})" if k > 1 else f"cos(q{i})" for k in (1, 2, 3)] if revolute[i - 1] else [f"q{i}**2"]
+    pace = [v, f"sign({v})", f"abs({v})*{v}", f"{v}**3", f"abs({v})"]
+    pace += [f"sign({v})*exp(-({v}/{share * speed:.3g})**2)" for share in (0.03, 0.1, 0.3)]
+    others = [f"v{i}" for i in range(1, axes + 1) if i != own] + [f"sign(v{i})" for i in range(1, axes + 1) if i != own]
+    terms = [f"q{own}", f"q{own}**2", f"q{own}**3", *where, *pace, *others]
+    terms += [f"{a}*{b}" for a in (f"q{own}", f"q{own}**2", *where) for b in (v, f"sign({v})", f"abs({v})*{v}")]
+    terms += [f"load{own}*{v}", f"abs(load{own})*sign({v})", f"abs(load{own})*{v}"]
+    terms += [f"v{i}*v{k}" for i in range(1, axes + 1) for k in range(i, axes + 1)]
+    terms += [f"a{i}" for i in range(1, axes + 1)]
+    return list(dict.fromkeys(terms))
+
+
+def discover(system: System, joint: int) -> Trial | None:
+    """A law for what the model misses at a joint, ``None`` where no term is worth its place."""
+    robot = system.base.regressor.robot
+    runs = system.base.runs
+    terms = library(robot.axis_count, joint, span_of(runs, joint)[2], [a.type == "revolute" for a in robot.axes])
+    site = f"joint{joint + 1}"
+    scale = USUAL * float(np.sqrt(np.mean(np.concatenate([r.torque[r.valid, joint] for r in runs]) ** 2)))
+    units, widths, kept = [], [], []
+    for term in terms:
+        torque = system.torque([_entry(site, f"c1*{term}", [1.0])])
+        rms = float(
+            np.sqrt(np.mean(np.concatenate([t[r.valid, joint] for t, r in zip(torque, runs, strict=True)]) ** 2))
+        )
+        if rms > 0:
+            units.append([t * (scale / rms) for t in torque])
+            widths.append(scale / rms)
+            kept.append(term)
+    whitened = system.whiten([np.stack(rows, -1) for rows in zip(*units, strict=True)])
+    chosen = _match(system, whitened)
+    if not chosen:
+        return None
+    formula = " + ".join(f"c{k + 1}*{kept[c]}" for k, c in enumerate(chosen))
+    key = f"discovered@{site}"
+    own = tuple(
+        Parameter(f"{key}.coefficients[{k}]", "N·m", "entry", False, 0.0, widths[c], "usual size")
+        for k, c in enumerate(chosen)
+    )
+    entry = _entry(site, formula, [0.0] * len(own))
+    hypothesis = Hypothesis("discovered", site, (entry,), own)
+    sizes = tuple(range(len(own)))
+    suspect = Suspect(hypothesis, np.zeros((1, len(own))), sizes, np.zeros(len(own), bool))
+    return settle(system, start(system, suspect))
+
+
+def _entry(site: str, formula: str, coefficients: list[float]) -> Entry:
+    data = {"effect": "discovered", "site": site, "formula": formula, "coefficients": coefficients}
+    return Entry.model_validate(data)
+
+
+def _match(system: System, whitened: Columns) -> list[int]:
+    """Indices of the columns that explain the residual, most first."""
+    G, pull = system.projected(whitened)
+    chosen: list[int] = []
+    before = 0.0
+    while len(chosen) < MOST_TERMS:
+        gains = np.array([_evidence(G, pull, [*chosen, k]) if k not in chosen else -np.inf for k in range(len(pull))])
+        best = int(np.argmax(gains))
+        if gains[best] - before < max(WORTH, ENOUGH * before):
+            break
+        chosen.append(best)
+        before = float(gains[best])
+    return chosen
+
+
+def _evidence(G: FloatArray, pull: FloatArray, members: list[int]) -> float:
+    inside = G[np.ix_(members, members)] + np.eye(len(members))
+    part = pull[members]
+    return float(0.5 * part @ np.linalg.solve(inside, part) - 0.5 * np.linalg.slogdet(inside)[1])
