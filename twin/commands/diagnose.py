@@ -16,18 +16,28 @@ from twin.commands.simulate import Progress
 from twin.diagnose.decide import decide
 from twin.diagnose.edit import check_linear, check_replayed, check_xml, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
-from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, suspects, widened
+from twin.diagnose.hypotheses import Hypothesis, Sprung, entry_hypothesis, suspects, widened
 from twin.diagnose.joint import Knowledge, pooled, predicted_by, settled_with, shared, together
 from twin.diagnose.locate import mismatch
 from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
-from twin.diagnose.refit import Fitted, descend, noise_floor
+from twin.diagnose.refit import NONE, Fitted, descend, noise_floor
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.triage import triage
-from twin.diagnose.verdict import Candidate, Finding, Missing, Source, Verdict, estimates_of, judge, missing_of
+from twin.diagnose.verdict import (
+    Candidate,
+    Finding,
+    Missing,
+    Source,
+    Verdict,
+    estimates_of,
+    judge,
+    missing_of,
+    rival_of,
+)
 from twin.errors import InputError
 from twin.identify.elastic import Recorded, base_name, without_limits
 from twin.identify.parameters import Parameters, free_parameters
@@ -225,8 +235,10 @@ def diagnose_campaign(
     *fits, settled = settle(base, search, sample)
     decision = decide(fits, settled, looked_at)
     word = judge(decision)
-    best = decision.ranked[0] if word in ("named", "ambiguous") else settled
-    before = settled
+    answered = word in ("named", "ambiguous")
+    missing = missing_of(decision, settled) if answered else []
+    before = settled = _possible(settled, base, sample)
+    best = _possible(decision.ranked[0], base, sample) if answered else settled
     if told_by and told_by.missing:
         before = _weighed(told_by, without_limits(given), settled, sample, seed)
     records, errors = frf_records(without_limits(given), before, best, found.used, kept)
@@ -235,18 +247,18 @@ def diagnose_campaign(
     where = mismatch(settled, sample.thin(REFIT_LINES))
     site = best.hypothesis.site or next(iter(where.sites), "")
     few = sample.thin(SCREEN_LINES)
-    missing = missing_of(decision, settled) if best is not settled else []
     finding = Finding(
         source, "frf-campaign", word, missing, decision.none, decision.other,
         given, _limited(before.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
-        smallest_visible(base, settled, few, looked_at), warnings=found.warnings,
+        smallest_visible(settled.robot, settled, few, looked_at), warnings=found.warnings,
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
     if told_by:
         told_by.missing = [_borne_out(m, finding, best) for m in told_by.missing]
-    if decision.rivals and word == "ambiguous":
-        finding.next_test = next_test(base, decision.ranked[0], decision.ranked[decision.rivals[0]], few, seed)
+    rival = rival_of(decision)
+    if rival and word == "ambiguous":
+        finding.next_test = next_test(base, decision.ranked[0], rival, few, seed)
     return finding
 
 
@@ -254,6 +266,27 @@ def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
     """Everything a base model has free on recordings; the sag of the springs is not."""
     free = free_parameters(base, dict.fromkeys(r.setup.name for r in used), used[0].setup.response.label)
     return free.select(k for k, p in enumerate(free) if p.kind != "sag")
+
+
+def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
+    """A fit whose links are bodies that can exist: if they are not, the rest is fitted again with links that are.
+
+    Those are the nearest to the fitted ones, or the described ones, whichever explains the recordings better.
+    """
+    robot = physical(fit.robot)
+    if robot is fit.robot:
+        return fit
+    written = fit.parameters.written if isinstance(fit.parameters, Sprung) else fit.parameters
+    free = written.only("spring", "entry", "posture", "gain")
+    values = np.array([fit.values[written.names.index(name)] for name in free.names])
+    described = robot.model_copy(update={"links": base.links})
+    fits = []
+    for start, z, logarithmic in ((robot, free.coordinates(values), 0), (described, np.zeros(len(free)), 25)):
+        fits.append(
+            descend(start, NONE, free, sample, z, logarithmic=logarithmic, tempered=8, linear=25)
+        )  # fmt: skip
+    best = min(fits, key=lambda other: other.cost)
+    return replace(best, hypothesis=fit.hypothesis)
 
 
 def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, seed: int) -> Fitted:

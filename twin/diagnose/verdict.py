@@ -192,14 +192,17 @@ class Verdict:
         """The smallest size that any of the recordings would have shown; a spring's the stiffest."""
         best: dict[tuple[str, str, str], dict[str, Any]] = {}
         for item in (item for finding in self.findings for item in finding.smallest_visible):
+            if not np.isfinite(item["value"]):
+                continue
             key = item["effect"], item["site"], item["parameter"]
+            item = {**item, "unit": unit_at(item["unit"], item["site"])}
             wins = max if item["parameter"] == "stiffness" else min
             best[key] = wins((best.get(key, item), item), key=lambda one: one["value"])
         return list(best.values())
 
     def data(self) -> dict[str, Any]:
         """Plain data in the format ``twin-diagnosis``."""
-        return {
+        data = {
             "format": "twin-diagnosis", "version": 1, "verdict": self.word,
             "effects": [missing.data() for missing in self.missing],
             "probabilities": {"none": self.none, "other": self.other},
@@ -215,6 +218,7 @@ class Verdict:
             ],
             "files": self.files, "provenance": self.origin,
         }  # fmt: skip
+        return dict(_finite(data))
 
     def __str__(self) -> str:
         lines = [MEANING[self.word]]
@@ -248,6 +252,17 @@ class Verdict:
         return "\n".join(lines)
 
 
+def _finite(data: Any) -> Any:
+    """Plain data with ``None`` for what is not a number, which JSON cannot say."""
+    if isinstance(data, dict):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    if isinstance(data, float | np.floating):
+        return float(data) if np.isfinite(data) else None
+    return data
+
+
 def parameter_rows(parameters: dict[str, Any]) -> list[str]:
     """``gap 0.0002 rad   90 %: 0.00017 … 0.00024``, one line per number."""
     rows = []
@@ -262,10 +277,9 @@ def parameter_rows(parameters: dict[str, Any]) -> list[str]:
 
 def _part(record: Record) -> dict[str, Any]:
     """Errors of one posture or run."""
-    floor = record.floor
     return {
         "name": record.name, "held_out": record.held_out, "error": {stage: record.error(stage) for stage in STAGES},
-        "noise_floor": floor if np.isfinite(floor) else None,
+        "noise_floor": record.floor,
     }  # fmt: skip
 
 
@@ -279,7 +293,14 @@ def judge(decision: Decision) -> Word:
         return "adequate"
     if decision.other > top:
         return "unexplained"
-    return "ambiguous" if decision.rivals or decision.none >= calibration()["alternative"] else "named"
+    return "ambiguous" if rival_of(decision) or decision.none >= calibration()["alternative"] else "named"
+
+
+def rival_of(decision: Decision) -> Fitted | None:
+    """The most probable alternative with something else in the place of the first answer, not only more beside it."""
+    first = set(parts(decision.ranked[0])) if decision.ranked else set()
+    rivals = (decision.ranked[k] for k in decision.rivals)
+    return next((fit for fit in rivals if not first <= set(parts(fit))), None)
 
 
 def missing_of(decision: Decision, base: Fitted) -> list[Missing]:
@@ -335,7 +356,8 @@ def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
         deviation = float(np.sqrt(covariance[k, k]))
         ends = sorted(float(parameter.value(x[k] + side * NINETY * deviation)) for side in (-1, 1))
         name = parameter.name.rpartition(".")[2]
-        found[name] = {"value": float(fit.values[k]), "unit": parameter.unit, "interval90": ends}
+        unit = unit_at(parameter.unit, parameter.site.rpartition("@")[2])
+        found[name] = {"value": float(fit.values[k]), "unit": unit, "interval90": ends}
     for name in [name for name in found if name.endswith("[0]")]:
         stem = name[:-3]
         items = [found.pop(key) for key in [key for key in found if key.startswith(f"{stem}[")]]
@@ -344,6 +366,12 @@ def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
             "interval90": [i["interval90"] for i in items],
         }  # fmt: skip
     return found
+
+
+def unit_at(unit: str, site: str) -> str:
+    """The unit at a site, of an effect that turns at some and slides at others (``N·m/rad or N/m``)."""
+    turning, _, sliding = unit.partition(" or ")
+    return sliding if sliding and site in ("base.x", "base.y", "base.z") else turning
 
 
 def _belongs(name: str, part: tuple[str, str], entries: Sequence[Entry]) -> bool:
