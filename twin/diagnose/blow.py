@@ -1,0 +1,166 @@
+"""A hammer blow on a robot with one nonlinear joint, in time: what the joint adds to its spring.
+
+The robot is linear but for one torque g(φ) at joint coordinate j, so that its response to a force F(s) is
+
+    H(s) = H_lin(s) − G_j(s) T(s)/F(s),    T the transform of g along the decay,
+
+with G_j the linear response to a torque at j: only g needs stepping. Between samples g is taken as linear in time and
+the modes of the linear part are propagated exactly; φ at the end of a step depends on g there, which two fixed-point
+iterations settle (g changes φ within a step by ω²h²/6 of itself at most).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from twin.diagnose.joint_laws import Law
+from twin.identify.sensitivity import Observed
+from twin.measure.campaign import ComplexArray, FloatArray
+
+RATE_HZ = 1024.0
+FARTHEST = 0.01  # rad (m): no blow deflects a joint further
+COLUMNS = 1200  # stepped together: more no longer fit in the cache
+
+
+@dataclass(frozen=True)
+class Strike:
+    """Blows of one peak force on one posture.
+
+    Attributes:
+        seen: the linear part; ``joint`` the coordinate with the law, ``k`` its spring, ``load`` (N·m) the weight on it.
+        peak_n: peak of the half sine, N; ``pulse_s`` its length.
+        sizes: (m,) parameters of the law.
+    """
+
+    seen: Observed
+    joint: int
+    k: float
+    load: float
+    peak_n: float
+    pulse_s: float
+    sizes: FloatArray
+
+
+def pulse(pulse_s: float) -> FloatArray:
+    """Half sine of height 1 and length ``pulse_s`` at ``RATE_HZ``, its momentum kept."""
+    t = np.arange(int(np.ceil(pulse_s * RATE_HZ)) + 1) / RATE_HZ
+    wave = np.where(t < pulse_s, np.sin(np.pi * t / pulse_s), 0.0)
+    return np.asarray(wave * (2 * pulse_s / np.pi) / (wave.sum() / RATE_HZ))
+
+
+def transform(s: ComplexArray, samples: int) -> ComplexArray:
+    """(nf, samples): takes samples to the transform of the broken line through them."""
+    return _transform(s.tobytes(), samples)
+
+
+@lru_cache(maxsize=4)
+def _transform(line: bytes, samples: int) -> ComplexArray:
+    s = np.frombuffer(line, complex)
+    half = s / (2 * RATE_HZ)
+    hold = (np.sinh(half) / half) ** 2 / RATE_HZ
+    return np.asarray(hold[:, None] * np.exp(-s[:, None] * (np.arange(samples) / RATE_HZ)))
+
+
+def torques(strikes: Sequence[Strike], law: Law, samples: int) -> list[tuple[FloatArray, FloatArray]]:
+    """What the law adds after every blow: g (samples, ne) in N·m about its value at rest, and the largest
+    deflection (ne,) of the joint from rest."""
+    width = max(1, COLUMNS // max(strike.seen.J_e.shape[0] for strike in strikes))
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for start in range(0, len(strikes), width):
+        found += _torques(strikes[start : start + width], law, samples)
+    return found
+
+
+def _torques(strikes: Sequence[Strike], law: Law, samples: int) -> list[tuple[FloatArray, FloatArray]]:
+    parts = _modal(strikes)
+    blows = [strike.seen.J_e.shape[0] for strike in strikes]
+    modes = max(len(part.fade) for part in parts)
+    total = sum(blows)
+    fade, read, kick = (np.zeros((modes, total), complex) for _ in range(3))
+    push = [np.zeros((modes, total), complex) for _ in range(2)]
+    own, k, load = np.empty(total), np.empty(total), np.empty(total)
+    sizes = np.empty((len(law.names), total))
+    waves = [strike.peak_n * pulse(strike.pulse_s) for strike in strikes]
+    force = np.zeros((max(map(len, waves)) + 1, total))
+    at = 0
+    for strike, part, count, wave in zip(strikes, parts, blows, waves, strict=True):
+        span, m = slice(at, at + count), len(part.fade)
+        fade[:m, span], read[:m, span] = part.fade[:, None], part.read[:, None]
+        kick[:m, span] = (part.fade * part.late_g + part.early_g)[:, None]
+        push[0][:m, span], push[1][:m, span] = part.early_f, part.late_f
+        own[span] = float((part.read * part.late_g).sum().real)
+        k[span], load[span], sizes[:, span] = strike.k, strike.load, strike.sizes[:, None]
+        force[: len(wave), span] = wave[:, None]
+        at += count
+    rest = law.rest(k, load, sizes)
+    state = law.state(total)
+    if len(state):
+        state[-1] = rest
+    offset, state = law.torque(rest, k, sizes, state)
+    z, g = np.zeros((modes, total), complex), np.zeros(total)
+    out, largest = np.zeros((samples, total)), np.zeros(total)
+    for step in range(1, samples):
+        z *= fade
+        z += kick * g
+        if step < len(force):
+            z += push[0] * force[step - 1] + push[1] * force[step]
+        free = np.einsum("mc,mc->c", read, z).real
+        g = law.torque(rest + _bounded(free + own * g), k, sizes, state)[0] - offset
+        x = _bounded(free + own * g)
+        g, state = law.torque(rest + x, k, sizes, state)
+        g = g - offset
+        out[step] = g
+        np.maximum(largest, np.abs(x), out=largest)
+    edges = np.cumsum(blows)[:-1]
+    return list(zip(np.split(out, edges, axis=1), np.split(largest, edges), strict=True))
+
+
+def _bounded(x: FloatArray) -> FloatArray:
+    """A size far off must not let a trial overflow."""
+    return np.minimum(np.maximum(x, -FARTHEST), FARTHEST)
+
+
+@dataclass(frozen=True)
+class _Modal:
+    """Propagation of the modes over one step (m,): decay, input of torque and force at its start and end, reading φ."""
+
+    fade: ComplexArray
+    read: ComplexArray
+    early_g: ComplexArray
+    late_g: ComplexArray
+    early_f: ComplexArray
+    late_f: ComplexArray
+
+
+def _modal(strikes: Sequence[Strike]) -> list[_Modal]:
+    known: dict[tuple[int, int], _Modal] = {}
+    for strike in strikes:
+        key = id(strike.seen), strike.joint
+        if key not in known:
+            known[key] = _modes(strike.seen, strike.joint)
+    return [known[id(strike.seen), strike.joint] for strike in strikes]
+
+
+def _modes(seen: Observed, joint: int) -> _Modal:
+    nv = len(seen.M)
+    into = np.linalg.solve(seen.M, np.column_stack([-np.eye(nv)[joint], seen.J_e.T]))
+    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(seen.M, np.hstack([seen.K, seen.C]))]])
+    pole, vector = np.linalg.eig(A)
+    inputs = np.linalg.solve(vector, np.vstack([np.zeros_like(into), into]).astype(complex))
+    keep = np.flatnonzero(pole.imag >= 0)  # the conjugates give twice the real part
+    pole, inputs = pole[keep], inputs[keep]
+    read = vector[joint, keep] * np.where(pole.imag > 0, 2.0, 1.0)
+    w = pole / RATE_HZ
+    fade = np.exp(w)
+    late = (fade - 1 - w) / (w * pole)  # ∫ e^{λ(h−t)} t/h dt
+    early = (fade - 1) / pole - late
+    return _Modal(
+        fade,
+        read,
+        early * inputs[:, 0],
+        late * inputs[:, 0],
+        early[:, None] * inputs[:, 1:],
+        late[:, None] * inputs[:, 1:],
+    )

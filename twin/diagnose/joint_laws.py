@@ -1,0 +1,163 @@
+"""Laws by which a joint's torque depends on amplitude and history, as a diagnosis fits them: what each adds to k φ.
+
+The laws are those of ``twin/physics``; here they act on many blows at a time. φ counts from the unloaded spring, so
+that the weight a joint carries presses a gap shut and shifts the working point of a cubic spring. Slip elements are
+relaxed at rest.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.identify.parameters import Parameter
+from twin.measure.campaign import FloatArray
+
+ELEMENTS = 5  # of slip
+SPREAD = 1.5  # prior deviation of the logarithm of every size
+USUAL_DEFLECTION = 5e-5  # rad: of a joint under a blow
+NO_LOAD = 1e-6  # N·m: a vertical axis carries none
+
+
+class Law:
+    """One amplitude law at a joint; c blows side by side.
+
+    Attributes:
+        effect: as in the vocabulary; ``names`` of its parameters in the order of the sizes.
+    """
+
+    effect: str
+    names: tuple[str, ...]
+
+    def parameters(self, key: str, k: float) -> tuple[Parameter, ...]:
+        """Log-normal priors about the usual sizes at a joint of stiffness k; ``key`` is ``EFFECT@SITE``."""
+        return tuple(
+            Parameter(f"{key}.{name}", unit, "entry", True, float(mean), SPREAD, "usual size")
+            for name, unit, mean in zip(self.names, self.units, self.usual(k), strict=True)
+        )
+
+    units: tuple[str, ...]
+
+    def usual(self, k: float) -> FloatArray:
+        """Sizes (m,) in the centre of the prior, for a joint of stiffness k."""
+        raise NotImplementedError
+
+    def entry(self, sizes: FloatArray) -> dict[str, float | list[float]]:
+        """The parameters of an entry."""
+        return {self.names[0]: float(sizes[0])}
+
+    def rest(self, k: FloatArray, load: FloatArray, sizes: FloatArray) -> FloatArray:
+        """φ (c,) at which spring (c,) and law (m, c) carry a load (c,)."""
+        return load / k
+
+    def state(self, blows: int) -> FloatArray:
+        """Memory at rest."""
+        return np.zeros((0, blows))
+
+    def torque(
+        self, x: FloatArray, k: FloatArray, sizes: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Torque (c,) beside k φ when φ becomes x (c,), and the new memory."""
+        raise NotImplementedError
+
+    def at(self, amplitude: float) -> "Law":
+        """The law as it is sought where blows deflect the joint by ``amplitude``."""
+        return self
+
+    def sizes(self, k: float, amplitude: float) -> FloatArray:
+        """Sizes (ns, m) worth starting from, for a joint of stiffness k that blows deflect by ``amplitude``."""
+        raise NotImplementedError
+
+
+class Cubic(Law):
+    """k₃ φ³."""
+
+    effect, names, units = "hardening_stiffness", ("cubic",), ("N·m/rad³",)
+
+    def rest(self, k: FloatArray, load: FloatArray, sizes: FloatArray) -> FloatArray:
+        """Newton's method from the linear deflection, which lies beyond the root."""
+        x = load / k
+        for _ in range(20):
+            x = x - (k * x + sizes[0] * x**3 - load) / (k + 3 * sizes[0] * x**2)
+        return x
+
+    def torque(
+        self, x: FloatArray, k: FloatArray, sizes: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        return sizes[0] * x**3, state
+
+    def usual(self, k: float) -> FloatArray:
+        return np.array([0.1 * k / USUAL_DEFLECTION**2])
+
+    def sizes(self, k: float, amplitude: float) -> FloatArray:
+        return (k / amplitude**2 * np.geomspace(0.01, 10.0, 7))[:, None]
+
+
+class Gap(Law):
+    """−k · clip(φ, ±gap/2)."""
+
+    effect, names, units = "backlash", ("gap",), ("rad",)
+
+    def rest(self, k: FloatArray, load: FloatArray, sizes: FloatArray) -> FloatArray:
+        side = np.where(np.abs(load) > NO_LOAD, np.sign(load), 0.0)
+        return np.asarray(load / k + side * sizes[0] / 2)
+
+    def torque(
+        self, x: FloatArray, k: FloatArray, sizes: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        half = 0.5 * sizes[0]
+        return -k * np.minimum(np.maximum(x, -half), half), state
+
+    def usual(self, k: float) -> FloatArray:
+        return np.array([USUAL_DEFLECTION])
+
+    def sizes(self, k: float, amplitude: float) -> FloatArray:
+        return (amplitude * np.geomspace(0.03, 3.0, 9))[:, None]
+
+
+@dataclass(frozen=True)
+class Slip(Law):
+    """Elastic–perfectly-plastic elements in parallel (Maxwell slip) that yield at given deflections.
+
+    With yields spread over the deflections that blows cause, only the stiffnesses are sought (Prandtl and Ishlinskii's
+    model): sought freely, a yield that no blow reaches or that all exceed has no pull on it.
+
+    Attributes:
+        reach: rad (m), the deflection at which each element yields.
+    """
+
+    reach: tuple[float, ...] = tuple(USUAL_DEFLECTION * np.geomspace(0.01, 1.0, ELEMENTS))
+
+    effect = "hysteresis"
+    names = tuple(f"stiffness[{i}]" for i in range(ELEMENTS))
+    units = ("N·m/rad",) * ELEMENTS
+
+    def at(self, amplitude: float) -> "Slip":
+        return Slip(tuple(amplitude * np.geomspace(0.01, 1.0, ELEMENTS)))
+
+    def entry(self, sizes: FloatArray) -> dict[str, float | list[float]]:
+        values = [float(v) for v in sizes]
+        return {"stiffness": values, "yield_torque": [k * x for k, x in zip(values, self.reach, strict=True)]}
+
+    def state(self, blows: int) -> FloatArray:
+        """Torque of every element, then the deflection they were reached at."""
+        return np.zeros((ELEMENTS + 1, blows))
+
+    def torque(
+        self, x: FloatArray, k: FloatArray, sizes: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        limit, new = sizes * np.array(self.reach)[:, None], np.empty_like(state)
+        moved = state[:-1] + sizes * (x - state[-1])
+        np.minimum(np.maximum(moved, -limit), limit, out=new[:-1])
+        new[-1] = x
+        return new[:-1].sum(axis=0), new
+
+    def usual(self, k: float) -> FloatArray:
+        return np.full(ELEMENTS, 0.15 * k / ELEMENTS)
+
+    def sizes(self, k: float, amplitude: float) -> FloatArray:
+        steps = np.arange(ELEMENTS) / (ELEMENTS - 1)
+        shapes = [tilt**steps / np.sum(tilt**steps) for tilt in (0.1, 1.0, 10.0)]
+        return np.array([share * k * shape for share in (0.01, 0.03, 0.1, 0.3) for shape in shapes])
+
+
+LAWS: tuple[Law, ...] = (Cubic(), Gap(), Slip())

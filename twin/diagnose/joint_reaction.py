@@ -1,0 +1,463 @@
+"""A robot with one nonlinear joint on measured FRFs: blow by blow as a complex stiffness, or as a law stepped in time.
+
+Both are costs over the base model's parameters, with derivatives, in prior coordinates.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twin.diagnose.blow import RATE_HZ, Strike, pulse, torques, transform
+from twin.diagnose.joint_laws import LAWS, Law
+from twin.diagnose.objective import Sample
+from twin.identify.elastic import LOG_SPREAD, Recorded
+from twin.identify.parameters import Parameters
+from twin.identify.sensitivity import Observed, contract, frf, frf_slopes, observe, slopes
+from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
+from twin.robot.description import Robot
+
+PULSE_S = 0.008  # a rubber tip, where no raw hits tell
+FADED = 7.0  # e-foldings after which a windowed decay is not stepped any further
+OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
+SETTLING = 6  # iterations of a blow's own stiffness
+DIFFERENCE = 0.02  # prior deviations, of differences of stepped blows
+LARGEST_STEP = 2.0  # prior deviations
+
+
+@dataclass
+class Cost:
+    """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz; with ``logarithmic``, Cauchy's robust sum of squares of ln(H/H(z)).
+
+    Attributes:
+        robot: the description before values are applied.
+        weight: 1/σ per recording (nf, nr, ne); zero where a line is not used.
+    """
+
+    robot: Robot
+    parameters: Parameters
+    sample: Sample
+    temper: float = 0.0
+    logarithmic: bool = False
+    weight: list[FloatArray] = field(default_factory=list, init=False)
+
+    def __post_init__(self) -> None:
+        self.weight = []
+        for r in self.sample.recordings:
+            size = np.abs(r.frf) ** 2
+            if self.logarithmic:
+                relative = np.divide(r.variance, size, out=np.full(size.shape, np.inf), where=size > 0)
+                weight = 1 / np.sqrt(LOG_SPREAD**2 + relative)
+            else:
+                weight = 1 / np.sqrt(r.variance + self.temper**2 * size)
+            self.weight.append(np.sqrt(self.sample.repeat) * weight)
+
+    @property
+    def data(self) -> int:
+        """Number of real data that the lines stand for."""
+        return 2 * self.sample.repeat * sum(int(np.count_nonzero(w)) for w in self.weight)
+
+    def cost(self, z: FloatArray) -> float:
+        """Prior included."""
+        raise NotImplementedError
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
+        raise NotImplementedError
+
+    def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Residual, what pulls on the parameters, and ∂ residual / ∂ H."""
+        if not self.logarithmic:
+            e = np.asarray((r.frf - H) * w, complex)
+            return e, e, -w.astype(complex)
+        ratio = np.divide(r.frf, H, out=np.ones_like(H), where=(H != 0) & (r.frf != 0))
+        e = np.asarray(np.log(ratio) * w, complex)
+        size = np.abs(e) / np.sqrt(self.sample.repeat)
+        soft = np.where(size > 1e-9, np.sqrt(np.log1p(size**2)) / np.maximum(size, 1e-9), 1.0)
+        weight = 1 / np.sqrt(1 + size**2)  # iteratively reweighted: slope of the robust sum
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.where(H != 0, -1 / H, 0)
+        return e * soft, e * weight, inverse * w * weight
+
+
+def minimise(
+    objective: Cost, z: FloatArray, iterations: int, tolerance: float = 0.3
+) -> tuple[FloatArray, float, FloatArray, bool]:
+    """Levenberg's method: z, cost, Gauss–Newton matrix, and whether the expected gain fell below ``tolerance``.
+
+    Derivatives of a stepped law are approximate, so that only steps that lower the cost are taken and nothing is
+    concluded from the bend of the way.
+    """
+    damping = 1.0
+    log = np.array([p.log for p in objective.parameters]) * np.diag(objective.parameters.root)
+    cost, gradient, information = objective(z)
+    for _ in range(iterations):
+        if 0.5 * float(gradient @ np.linalg.solve(information, gradient)) < tolerance:
+            return z, cost, information, True
+        while True:
+            bent = np.diag(damping + np.maximum(log * (gradient - z), 0))
+            step = -np.linalg.solve(information + bent, gradient)
+            step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
+            trial = objective.cost(z + step)
+            if np.isfinite(trial) and trial < cost:
+                break
+            damping *= 8
+            if damping > 1e9:
+                return z, cost, information, False
+        promised = -float(gradient @ step) - 0.5 * float(step @ information @ step)
+        damping *= 1 / 8 if cost - trial > 0.5 * promised else 2
+        damping = max(damping, 1e-3)
+        z = z + step
+        cost, gradient, information = objective(z)
+    return z, cost, information, False
+
+
+# --- how it was hit ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Blow:
+    """How one group of a campaign was hit: peak N, length of the half sine s, samples of the decay."""
+
+    peak_n: float
+    pulse_s: float
+    samples: int
+
+
+def blows(campaign: Campaign) -> dict[str, Blow] | None:
+    """By group; ``None`` where a peak force is not recorded."""
+    found = {}
+    for name, posture in campaign.postures.items():
+        if posture.peak_force_n is None:
+            return None
+        length = 1 / float(np.median(np.diff(posture.frequency)))
+        if posture.exponential_window_rate > 0:
+            length = min(length, FADED / posture.exponential_window_rate)
+        found[name] = Blow(posture.peak_force_n, _pulse_length(posture), round(length * RATE_HZ))
+    return found
+
+
+def _pulse_length(posture: PostureFRF) -> float:
+    """Of the half sine with the momentum and peak of the recorded hits, s."""
+    if posture.hits is None:
+        return PULSE_S
+    force = posture.hits.force - np.median(posture.hits.force, axis=-1, keepdims=True)
+    peak = force.max(axis=-1)
+    near = force > 0.05 * peak[..., None]
+    momentum = np.sum(force * near, axis=-1) / posture.hits.sample_rate_hz
+    return float(np.median(np.pi / 2 * momentum / peak))
+
+
+# --- a joint's reaction, blow by blow ---------------------------------------------------------------------------------
+
+
+@dataclass
+class _Joint:
+    """A posture's model seen from one joint: receptances between channels and a torque (rotation) there.
+
+    Attributes:
+        H: (nf, nr, ne) as recorded, without the joint's extra torque; ``out`` (nf, nr) its response to a torque at the
+            joint, ``into`` (nf, ne) the joint's rotation per force, ``own`` (nf,) per torque.
+        rates: derivatives of the same with respect to the parameters, first axis n.
+    """
+
+    seen: Observed
+    index: int
+    k: float
+    load: float
+    H: ComplexArray
+    out: ComplexArray
+    into: ComplexArray
+    own: ComplexArray
+    rates: tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray] | None = None
+
+
+def _joint(robot: Robot, parameters: Parameters, values: FloatArray, r: Recorded, site: str, rates: bool) -> _Joint:
+    seen, model = observe(robot, r.setup, parameters, values)
+    index = model.coordinates.index(site)
+    unit = np.eye(len(seen.M))[index][None]
+    wide = replace(
+        seen, J_r=np.vstack([seen.J_r, unit]), J_e=np.vstack([seen.J_e, unit]),
+        gain=np.append(seen.gain, 1.0), delay=np.append(seen.delay, 0.0), sag=None,
+    )  # fmt: skip
+    back = r.s[:, None] ** -r.power
+    if not rates:
+        H, split = frf(wide, r.s, r.power), None
+    else:
+        rate = contract(slopes(robot, r.setup, parameters, values, seen, model), parameters.transform(values))
+        n, nv = len(parameters), len(seen.M)
+        rate = replace(
+            rate, J_r=np.concatenate([rate.J_r, np.zeros((n, 1, nv))], axis=1),
+            J_e=np.concatenate([rate.J_e, np.zeros((n, 1, nv))], axis=1),
+            gain=np.hstack([rate.gain, np.zeros((n, 1))]), delay=np.hstack([rate.delay, np.zeros((n, 1))]),
+        )  # fmt: skip
+        H, dH = frf_slopes(wide, rate, r.s, r.power)
+        split = dH[:, :, :-1, :-1], dH[:, :, :-1, -1], dH[:, :, -1, :-1] * back, dH[:, :, -1, -1] * back[:, 0]
+    return _Joint(
+        seen, index, float(model.strain[index]), float(model.load[index]),
+        H[:, :-1, :-1], H[:, :-1, -1], H[:, -1, :-1] * back, H[:, -1, -1] * back[:, 0], split,
+    )  # fmt: skip
+
+
+def _coupled(joint: _Joint, kappa: ComplexArray) -> ComplexArray:
+    """FRFs with a stiffness of its own (nf, ne) at the joint for every blow, by the rank-one update of the inverse."""
+    turn = joint.into / (1 + kappa * joint.own[:, None])
+    return np.asarray(joint.H - joint.out[:, :, None] * (kappa * turn)[:, None, :])
+
+
+def _coupled_slopes(joint: _Joint, kappa: ComplexArray) -> ComplexArray:
+    """Derivatives (n, nf, nr, ne) of :func:`_coupled` with respect to the parameters, κ held."""
+    assert joint.rates is not None
+    dH, dout, dinto, down = joint.rates
+    beta = kappa / (1 + kappa * joint.own[:, None])
+    turned = (beta * joint.into)[:, None, :]
+    out = dH - dout[:, :, :, None] * turned
+    out -= (beta * dinto)[:, :, None, :] * joint.out[:, :, None]
+    out += down[:, :, None, None] * (beta * turned[:, 0])[:, None, :] * joint.out[:, :, None]
+    return out
+
+
+class _Postures:
+    """Joint models by posture: levels of one posture share them."""
+
+    def __init__(self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, rates: bool) -> None:
+        self.values = parameters.values(z)
+        self.robot = parameters.apply(robot, self.values)
+        self.parameters, self.site, self.rates = parameters, site, rates
+        self.known: dict[tuple[str, bytes, int], _Joint] = {}
+
+    def of(self, r: Recorded) -> _Joint:
+        key = r.setup.name, r.s.tobytes(), r.power
+        if key not in self.known:
+            self.known[key] = _joint(self.robot, self.parameters, self.values, r, self.site, self.rates)
+        return self.known[key]
+
+
+@dataclass
+class BlowByBlow(Cost):
+    """Cost of a base model in which every blow has its own complex stiffness at one joint, settled inside.
+
+    Attributes:
+        own: per recording (2, ne) the blow's stiffness and damping beside the joint's.
+        certainty: (2, 2, ne) their Gauss–Newton matrices, prior included.
+    """
+
+    site: str = ""
+    own: list[FloatArray] = field(default_factory=list)
+    certainty: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.own = [np.zeros((2, r.frf.shape[2])) for r in self.sample.recordings]
+        self.certainty = list(self.own)
+
+    def cost(self, z: FloatArray) -> float:
+        postures = _Postures(self.robot, self.parameters, self.site, z, False)
+        own, cost = list(self.own), 0.5 * float(z @ z)
+        for k, r in enumerate(self.sample.recordings):
+            own[k], part, _, _, _ = self._settle(postures.of(r), r, k)
+            cost += part
+        return cost
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        postures = _Postures(self.robot, self.parameters, self.site, z, True)
+        cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
+        for k, r in enumerate(self.sample.recordings):
+            joint = postures.of(r)
+            self.own[k], part, e, rate, matrix = self._settle(joint, r, k)
+            self.certainty[k] = matrix
+            cost += part
+            kappa = self.own[k][0] + r.s[:, None] * self.own[k][1]
+            J = -_coupled_slopes(joint, kappa) * self.weight[k]
+            n = len(z)
+            G = J.reshape(n, -1).view(float)
+            gradient += G @ e.reshape(-1).view(float)
+            information += G @ G.T
+            # what the blow's own stiffness takes away: Schur's complement, blow by blow
+            cross = np.einsum("nfre,pfre->npe", J.real, rate.real) + np.einsum("nfre,pfre->npe", J.imag, rate.imag)
+            taken = np.einsum("npe,pqe->nqe", cross, inverse2(matrix))
+            information -= np.einsum("nqe,mqe->nm", taken, cross)
+        return cost, gradient, information
+
+    def _settle(
+        self, joint: _Joint, r: Recorded, k: int
+    ) -> tuple[FloatArray, float, ComplexArray, ComplexArray, FloatArray]:
+        """Each blow's own stiffness and damping at its optimum: values, cost, residual, rates (2, …), matrix."""
+        w = self.weight[k]
+        width = np.array([OWN_STIFFNESS * joint.k, OWN_LOSS * joint.k / (2 * np.pi * 15.0)])
+        u = self.own[k] / width[:, None]
+        line = np.stack([np.full(len(r.s), width[0], complex), width[1] * r.s])
+
+        def look(u: FloatArray) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+            kappa = np.tensordot(line.T, u, 1)
+            e = np.asarray((r.frf - _coupled(joint, kappa)) * w, complex)
+            parts = 0.5 * np.sum(np.abs(e) ** 2, axis=(0, 1)) + 0.5 * np.sum(u**2, axis=0)
+            return parts, e, kappa
+
+        parts, e, kappa = look(u)
+        damping = np.full(u.shape[1], 1e-3)
+        for _ in range(SETTLING):
+            rate = self._own_rate(joint, kappa, w, line)
+            gradient = np.einsum("pfre,fre->pe", rate.conj(), e).real + u
+            matrix = np.einsum("pfre,qfre->pqe", rate.conj(), rate).real + np.eye(2)[:, :, None]
+            damped = matrix + damping * np.eye(2)[:, :, None] * matrix[[0, 1], [0, 1]].max(axis=0)
+            step = -np.einsum("pqe,qe->pe", inverse2(damped), gradient)
+            step *= np.minimum(1.0, 1.0 / np.abs(step).max(axis=0))
+            trial, _, _ = look(u + step)
+            better = trial < parts
+            u = np.where(better, u + step, u)
+            damping = np.where(better, damping / 10, damping * 10)
+            gained = float(np.sum(np.where(better, parts - trial, 0.0)))
+            parts, e, kappa = look(u)
+            if gained < 0.01:
+                break
+        rate = self._own_rate(joint, kappa, w, line)
+        matrix = np.einsum("pfre,qfre->pqe", rate.conj(), rate).real + np.eye(2)[:, :, None]
+        scaled = np.asarray(matrix / (width[:, None] * width)[:, :, None])
+        return u * width[:, None], float(parts.sum()), e, rate / width[:, None, None, None], scaled
+
+    @staticmethod
+    def _own_rate(joint: _Joint, kappa: ComplexArray, w: FloatArray, line: ComplexArray) -> ComplexArray:
+        """∂ residual / ∂ (the blow's own coordinates), (2, nf, nr, ne)."""
+        slope = joint.into / (1 + kappa * joint.own[:, None]) ** 2
+        return np.asarray(line[:, :, None, None] * (joint.out[:, :, None] * slope[:, None, :] * w))
+
+
+def inverse2(matrix: FloatArray) -> FloatArray:
+    """Inverse of (2, 2, ne)."""
+    (a, b), (c, d) = matrix
+    return np.asarray(np.array([[d, -b], [-c, a]]) / (a * d - b * c))
+
+
+# --- laws, stepped in time --------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Stepped(Cost):
+    """Cost of a base model with a law at one joint; ``parameters`` end with the law's own, ``robot`` lacks its entry.
+
+    Derivatives: of what the law is sensitive to (its sizes, the joint's spring and damper) by differences of stepped
+    blows; of everything else with the law as the complex stiffness that each blow saw.
+    """
+
+    law: Law = LAWS[0]
+    site: str = ""
+    blow: dict[str, Blow] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.base = self.parameters.select(range(len(self.parameters) - len(self.law.names)))
+
+    def predicted(self, z: FloatArray) -> list[ComplexArray]:
+        """FRFs (nf, nr, ne) per recording."""
+        return self.predicted_at([z])[0]
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        n, names = len(self.base), self.parameters.names
+        sensitive = [names.index(f"{self.site}.{q}") for q in ("stiffness", "damping") if f"{self.site}.{q}" in names]
+        sensitive += range(n, len(z))
+        moved = [z + DIFFERENCE * np.eye(len(z))[k] for k in sensitive]
+        postures, reactions = self._stepped([z, *moved])
+        joints = _Postures(self.robot, self.base, self.site, z[:n], True)
+        cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
+        for k, (r, w) in enumerate(zip(self.sample.recordings, self.weight, strict=True)):
+            joint, R = joints.of(r), reactions[0][k]
+            H = _reacting(joint, R)
+            u = _equivalent(joint, r.s, R)
+            dH = np.zeros((len(z), *H.shape), complex)
+            dH[:n] = _coupled_slopes(joint, u[0] + r.s[:, None] * u[1])
+            for place, at, other in zip(sensitive, postures[1:], reactions[1:], strict=True):
+                dH[place] = (_reacting(at.of(r), other[k]) - H) / DIFFERENCE
+            e, pull, factor = self._error(r, H, w)
+            cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
+            J = (dH * factor).reshape(len(z), -1).view(float)
+            gradient += J @ np.ascontiguousarray(pull).reshape(-1).view(float)
+            information += J @ J.T
+        return cost, gradient, information
+
+    def cost(self, z: FloatArray) -> float:
+        return self.costs([z])[0]
+
+    def costs(self, points: Sequence[FloatArray]) -> list[float]:
+        """Costs at several z, stepped side by side; infinite where a trial diverges."""
+        found = []
+        for z, predicted in zip(points, self.predicted_at(points), strict=True):
+            parts = [
+                self._error(r, H, w)[0] for r, H, w in zip(self.sample.recordings, predicted, self.weight, strict=True)
+            ]
+            cost = 0.5 * float(z @ z + sum(np.sum(e.real**2 + e.imag**2) for e in parts))
+            found.append(cost if np.isfinite(cost) else np.inf)
+        return found
+
+    def deflection(self, z: FloatArray) -> float:
+        """A large deflection of the joint under these blows, rad (m): exceeded by one blow in ten."""
+        n = len(self.base)
+        postures = _Postures(self.robot, self.base, self.site, z[:n], False)
+        strikes = self._strikes(postures, np.full(len(self.law.names), 1e-9))
+        stepped = torques(strikes, self.law, round(0.5 * RATE_HZ))
+        return float(np.quantile(np.concatenate([largest for _, largest in stepped]), 0.9))
+
+    def equivalents(self, z: FloatArray, sizes: Sequence[FloatArray]) -> list[list[FloatArray]]:
+        """For each of several sizes, per recording: the stiffness and damping (2, ne) the law was to every blow."""
+        n = len(self.base)
+        postures = _Postures(self.robot, self.base, self.site, z[:n], False)
+        strikes = [strike for size in sizes for strike in self._strikes(postures, size)]
+        stepped = iter(torques(strikes, self.law, self._samples))
+        return [
+            [
+                _equivalent(postures.of(r), r.s, _reaction(r, strike, next(stepped)[0]))
+                for r, strike in zip(self.sample.recordings, strikes, strict=False)
+            ]
+            for _ in sizes
+        ]
+
+    @property
+    def _samples(self) -> int:
+        return max(self.blow[r.group].samples for r in self.sample.recordings)
+
+    def _strikes(self, postures: _Postures, sizes: FloatArray) -> list[Strike]:
+        strikes = []
+        for r in self.sample.recordings:
+            joint, blow = postures.of(r), self.blow[r.group]
+            strikes.append(Strike(joint.seen, joint.index, joint.k, joint.load, blow.peak_n, blow.pulse_s, sizes))
+        return strikes
+
+    def _stepped(self, points: Sequence[FloatArray]) -> tuple[list[_Postures], list[list[ComplexArray]]]:
+        """Models and reactions at several z, stepped side by side."""
+        n = len(self.base)
+        postures = [_Postures(self.robot, self.base, self.site, z[:n], False) for z in points]
+        strikes = [self._strikes(some, self.parameters.values(z)[n:]) for some, z in zip(postures, points, strict=True)]
+        stepped = iter(torques([strike for some in strikes for strike in some], self.law, self._samples))
+        reactions = [
+            [_reaction(r, strike, next(stepped)[0]) for r, strike in zip(self.sample.recordings, some, strict=True)]
+            for some in strikes
+        ]
+        return postures, reactions
+
+    def predicted_at(self, points: Sequence[FloatArray]) -> list[list[ComplexArray]]:
+        """The same at several z, stepped side by side."""
+        postures, reactions = self._stepped(points)
+        return [
+            [_reacting(some.of(r), R) for r, R in zip(self.sample.recordings, own, strict=True)]
+            for some, own in zip(postures, reactions, strict=True)
+        ]
+
+
+def _reaction(r: Recorded, strike: Strike, g: FloatArray) -> ComplexArray:
+    """The law's torque per force of the blow, T/F (nf, ne)."""
+    force = strike.peak_n * pulse(strike.pulse_s)
+    return np.asarray((transform(r.s, len(g)) @ g) / (transform(r.s, len(force)) @ force)[:, None])
+
+
+def _reacting(joint: _Joint, reaction: ComplexArray) -> ComplexArray:
+    """FRFs (nf, nr, ne) with that torque at the joint."""
+    return np.asarray(joint.H - joint.out[:, :, None] * reaction[:, None, :])
+
+
+def _equivalent(joint: _Joint, s: ComplexArray, reaction: ComplexArray) -> FloatArray:
+    """Stiffness and damping (2, ne) that come closest to a reaction: (k + s c) × rotation ≈ torque, over the lines."""
+    rotation = joint.into - joint.own[:, None] * reaction
+    columns = np.stack([rotation, s[:, None] * rotation])
+    matrix = np.einsum("pfe,qfe->pqe", columns.conj(), columns).real
+    right = np.einsum("pfe,fe->pe", columns.conj(), reaction).real
+    return np.asarray(np.einsum("pqe,qe->pe", inverse2(matrix), right))

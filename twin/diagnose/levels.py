@@ -1,0 +1,361 @@
+"""Force levels that disagree: at which joint, and by which law of amplitude.
+
+A blow's decay sees a nonlinear joint as a linear one whose stiffness and damping depend on how far that blow deflects
+it. So every blow gets a complex stiffness of its own at one joint, k_b + iω c_b, while everything else stays common to
+all: the joint for which that explains the recordings is the site, and k_b, c_b over the deflection are the law, for a
+person to see. Which law it is, and its numbers, come from laws stepped in time (``twin.diagnose.blow``) and fitted
+with everything else free, judged by the same evidence as linear hypotheses.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.diagnose.blow import RATE_HZ
+from twin.diagnose.decide import Decision, decide
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.joint_laws import LAWS, Law
+from twin.diagnose.joint_reaction import (
+    FADED,
+    Blow,
+    BlowByBlow,
+    Stepped,
+    blows,
+    inverse2,
+    minimise,
+)
+from twin.diagnose.objective import Sample
+from twin.diagnose.refit import Fitted, descend
+from twin.identify.elastic import Recorded
+from twin.identify.parameters import Parameters
+from twin.identify.sensitivity import frf, observe
+from twin.measure.campaign import Campaign, FloatArray
+from twin.robot.description import Entry, Robot
+
+LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
+FINAL_LINES, BLOWS = 40, 12  # lines and excitations that finalists are fitted to
+SITES, SITE_REACH, LAW_REACH = 2, 1.3, 4.0  # sites, and laws in a race, in reach of the best by cost
+WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
+ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
+TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
+EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
+LOCATING, ROUGH, RACING, LAST = 8, 10, 4, 8  # iterations
+
+
+@dataclass(frozen=True)
+class Located:
+    """One joint with a complex stiffness for every blow.
+
+    Attributes:
+        site: ``joint2.z``.
+        cost: of the fit; ``z`` (n,) where the common parameters ended.
+        own: per recording (2, ne) stiffness and damping beside the joint's; ``certainty`` (2, 2, ne).
+    """
+
+    site: str
+    cost: float
+    z: FloatArray
+    own: list[FloatArray]
+    certainty: list[FloatArray]
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What force levels say.
+
+    Attributes:
+        places: joints tried with a complex stiffness per blow, best first.
+        fits: laws refitted on the same data as ``base``, most evidence first.
+        window: 1/s, exponential window put on those data; ``temper`` the relative model error allowed.
+        objectives: per fit, what predicts with it.
+    """
+
+    places: list[Located]
+    fits: list[Fitted]
+    base: Fitted
+    window: float
+    temper: float
+    objectives: list[Stepped]
+
+
+@dataclass(frozen=True)
+class View:
+    """Recordings under an exponential window (1/s), and how they were hit."""
+
+    window: float
+    sample: Sample
+    blow: dict[str, Blow]
+
+    def telling(self, place: Located, count: int) -> tuple[Sample, list[int]]:
+        """The excitations whose blows tell most about the joint, and their indices."""
+        told = sum(matrix[0, 0] for matrix in place.certainty)
+        index = sorted(np.argsort(-np.asarray(told))[:count].tolist())
+        return Sample(tuple(_excited(r, index) for r in self.sample.recordings), self.sample.repeat), index
+
+
+def view(robot: Robot, base: Parameters, z: FloatArray, sample: Sample, blow: dict[str, Blow], window: float) -> View:
+    """The recordings under a further exponential window, which leaves the beginning of every decay.
+
+    A rough law (a gap) throws the end of a decay about, at the least change of anything; its beginning is smooth in
+    all parameters, and quickly stepped. The window is a convolution along the lines; what lies outside the band is
+    supplied by the base model at z, so that only its error is cut off at the ends.
+    """
+    if not window:
+        return View(window, sample, blow)
+    values = base.values(z)
+    changed = base.apply(robot, values)
+    shown = []
+    for r in sample.recordings:
+        seen, _ = observe(changed, r.setup, base, values)
+        step = float(np.median(np.diff(r.frequency)))
+        spread = step / (window + 2j * np.pi * (r.frequency[:, None] - r.frequency))
+        rest = np.tensordot(spread, r.frf - frf(seen, r.s, r.power), 1)
+        variance = np.tensordot(np.abs(spread) ** 2, r.variance, 1)
+        wide = replace(r, s=r.s + window, frf=frf(seen, r.s + window, r.power) + rest, variance=variance)
+        shown.append(wide.every(max(1, round(window / np.pi / step))))  # lines nearer than that tell the same
+    shorter = {}
+    for r in sample.recordings:
+        length = FADED / (window + float(r.s[0].real))
+        shorter[r.group] = replace(blow[r.group], samples=min(blow[r.group].samples, round(length * RATE_HZ)))
+    return View(window, Sample(tuple(shown)), shorter)
+
+
+def explain_levels(
+    campaign: Campaign,
+    robot: Robot,
+    base: Fitted,
+    sample: Sample,
+    robust: FloatArray,
+    progress: Callable[[int], None] | None = None,
+) -> Levels | None:
+    """Amplitude laws fitted to a campaign whose force levels disagree.
+
+    Args:
+        campaign: with peak forces.
+        robot: the description, without limits.
+        base: the base model's optimum on these recordings.
+        sample: all lines of what is fitted to.
+        robust: (n,) the base model's optimum of the logarithmic residual.
+        progress: called with 1 after every joint located and every law fitted.
+
+    Returns:
+        ``None`` where peak forces are not recorded, or no joint has a spring.
+    """
+    blow = blows(campaign)
+    sprung = [f"joint{i + 1}.z" for i, axis in enumerate(robot.axes) if axis.stiffness is not None]
+    if blow is None or not sprung:
+        return None
+    tick = progress or (lambda count: None)
+    starts = [base.z, robust, np.zeros(len(robust))]
+    places, temper = locate(robot, base.parameters, starts, sample.thin(LINES), sprung, tick)
+    window = 0.0 if temper <= SMOOTH else WINDOW
+    seen = view(robot, base.parameters, robust, sample, blow, window)
+    if window:
+        trials, temper = _rough_race(robot, base, places, seen, starts[1:], tick)
+    else:
+        few = replace(seen, sample=sample.thin(LINES))
+        near = [place for place in places if place.cost < SITE_REACH * places[0].cost][:SITES]
+        trials, temper = _race([trial for place in near for trial in _starts(robot, base, place, few)], TEMPERS, tick)
+        seen, temper = replace(seen, sample=sample.thin(FINAL_LINES)), 0.0  # what a law leaves unexplained must show
+    best = next(place for place in places if place.site == trials[0][1].site)
+    data = _tempered(seen.telling(best, BLOWS)[0], temper)
+    objectives = [replace(objective, sample=data) for objective, _, _ in trials]
+    fits = [fit_law(objective, *trial[1:], LAST) for objective, trial in zip(objectives, trials, strict=True)]
+    order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
+    again = min(
+        (
+            descend(robot, base.hypothesis, base.parameters, data, z, tempered=LAST, linear=LAST)
+            for z in starts[:2]
+        ),
+        key=lambda fit: fit.cost,
+    )  # fmt: skip
+    return Levels(places, [fits[k] for k in order], again, window, temper, [objectives[k] for k in order])
+
+
+def decide_levels(levels: Levels) -> Decision:
+    """Probabilities of the laws, of nothing and of something else; every law at every joint was looked at."""
+    looked_at = [[Hypothesis(law.effect, place.site)] for law in LAWS for place in levels.places]
+    return decide(levels.fits, levels.base, looked_at)
+
+
+def locate(
+    robot: Robot,
+    parameters: Parameters,
+    starts: Sequence[FloatArray],
+    sample: Sample,
+    sites: Sequence[str],
+    tick: Callable[[int], None],
+) -> tuple[list[Located], float]:
+    """Joints, each tried with a complex stiffness for every blow, lowest cost first; and the model error down to
+    which the best explains the recordings (1 where it does not)."""
+    ends: dict[str, FloatArray] = {}
+    for site in sites:
+        rough = BlowByBlow(robot, parameters, sample, TEMPERS[0], site=site)
+        ends[site] = min(starts, key=rough.cost)
+    found: list[Located] = []
+    reached = 1.0
+    for temper in TEMPERS:
+        here = []
+        for site in sites:
+            objective = BlowByBlow(robot, parameters, sample, temper, site=site)
+            ends[site], cost, _, _ = minimise(objective, ends[site], LOCATING, 0.3)
+            objective(ends[site])
+            here.append(Located(site, cost, ends[site], objective.own, objective.certainty))
+            tick(1)
+        here.sort(key=lambda item: item.cost)
+        if found and 2 * here[0].cost > EXPLAINS * objective.data and temper:
+            break
+        found = here
+        if 2 * here[0].cost > EXPLAINS * objective.data:
+            break
+        reached = temper
+    return found, reached
+
+
+Trial = tuple[Stepped, Hypothesis, FloatArray]
+
+
+def _starts(robot: Robot, base: Fitted, place: Located, shown: View) -> list[Trial]:
+    """Every law at a joint, with the sizes whose equivalent stiffnesses are most like those seen."""
+    some, index = shown.telling(place, FEW_BLOWS)
+    values, names = base.parameters.values(place.z), base.parameters.names
+    row, damper = (names.index(f"{place.site}.{what}") for what in ("stiffness", "damping"))
+    k, c = values[row], values[damper]
+    seen = [u[:, index] for u in place.own]
+    certainty = [matrix[:, :, index] for matrix in place.certainty]
+    trials = []
+    for law in LAWS:
+        objective, hypothesis = _stepped(robot, base, law, place.site, some, shown.blow)
+        amplitude = objective.deflection(place.z)
+        objective = replace(objective, law=law.at(amplitude))
+        sizes = law.sizes(k, amplitude)
+        scored = [
+            (*_likeness(seen, certainty, found), size)
+            for size, found in zip(sizes, objective.equivalents(place.z, list(sizes)), strict=True)
+        ]
+        _, shift, size = min(scored, key=lambda item: item[0])
+        start = values.copy()
+        start[row], start[damper] = max(k + shift[0], 0.2 * k), max(c + shift[1], 0.1 * c)
+        trials.append((objective, hypothesis, objective.parameters.coordinates(np.concatenate([start, size]))))
+    return trials
+
+
+def _rough_race(
+    robot: Robot,
+    base: Fitted,
+    places: Sequence[Located],
+    shown: View,
+    starts: Sequence[FloatArray],
+    tick: Callable[[int], None],
+) -> tuple[list[Trial], float]:
+    """The same for blows that no complex stiffness fits: every law at every joint by its logarithmic residual."""
+    ends: list[tuple[float, Trial]] = []
+    for place in places:
+        some, _ = shown.telling(place, FEW_BLOWS)
+        for law in LAWS:
+            objective, hypothesis = _stepped(robot, base, law, place.site, some, shown.blow)
+            for z in starts:
+                amplitude = objective.deflection(z)
+                rough = replace(objective, law=law.at(amplitude), logarithmic=True)
+                values = base.parameters.values(z)
+                k = values[base.parameters.names.index(f"{place.site}.stiffness")]
+                points = [
+                    objective.parameters.coordinates(np.concatenate([values, size])) for size in law.sizes(k, amplitude)
+                ]
+                end, cost, _, _ = minimise(rough, points[int(np.argmin(rough.costs(points)))], ROUGH, 0.3)
+                ends.append((cost, (rough, hypothesis, end)))
+            tick(1)
+    for _ in range(2):
+        least = min(cost for cost, _ in ends)
+        again = [(*minimise(t[0], t[2], ROUGH, 0.3)[1::-1], t) for cost, t in ends if cost < ROUGH_REACH * least]
+        ends = [(cost, (t[0], t[1], z)) for cost, z, t in again]
+    best: dict[str, tuple[float, Trial]] = {}
+    for cost, trial in sorted(ends, key=lambda item: item[0]):
+        best.setdefault(trial[1].key, (cost, trial))
+    trials = [(replace(t[0], logarithmic=False), *t[1:]) for _, t in best.values()]
+    trials, temper = _race(trials, ROUGH_TEMPERS, tick)
+    return trials, min(temper, ROUGH_TEMPERS[0])
+
+
+def _stepped(
+    robot: Robot, base: Fitted, law: Law, site: str, sample: Sample, blow: dict[str, Blow]
+) -> tuple[Stepped, Hypothesis]:
+    described = float(robot.axes[int(site[5:-2]) - 1].stiffness or 0.0)
+    entry = Entry(effect=law.effect, site=site, **law.entry(law.usual(described)))
+    hypothesis = Hypothesis(law.effect, site, (entry,), law.parameters(f"{law.effect}@{site}", described))
+    parameters = hypothesis.parameters(base.parameters)
+    return Stepped(robot, parameters, sample, law=law, site=site, blow=blow), hypothesis
+
+
+def _race(trials: list[Trial], tempers: Sequence[float], tick: Callable[[int], None]) -> tuple[list[Trial], float]:
+    """The laws that stay in reach of the best while the model error allowed falls, best first; and the least error at
+    which one of them explains the recordings (1 where none does)."""
+    reached = 1.0
+    for temper in tempers:
+        ends: list[tuple[float, Trial]] = []
+        for objective, hypothesis, z in trials:
+            allowed = replace(objective, sample=_tempered(objective.sample, temper))
+            if np.isfinite(allowed.cost(z)):
+                z, cost, _, _ = minimise(allowed, z, RACING, 0.3)
+                ends.append((cost, (objective, hypothesis, z)))
+            tick(1)
+        ends.sort(key=lambda item: item[0])
+        explained = 2 * ends[0][0] < EXPLAINS * trials[0][0].data
+        if explained or reached == 1:
+            trials = [trial for cost, trial in ends if cost < LAW_REACH * ends[0][0]]
+        if not explained:
+            break
+        reached = temper
+    return trials, reached
+
+
+def _excited(r: Recorded, index: Sequence[int]) -> Recorded:
+    """The recording of some excitations."""
+    channels = r.setup.excitation
+    keep = replace(
+        channels, label=tuple(channels.label[k] for k in index), body=tuple(channels.body[k] for k in index),
+        position=channels.position[index], direction=channels.direction[index],
+    )  # fmt: skip
+    setup = replace(r.setup, excitation=keep)
+    return replace(r, setup=setup, frf=r.frf[:, :, index], variance=r.variance[:, :, index])
+
+
+def _tempered(sample: Sample, temper: float) -> Sample:
+    """The recordings with a model error added to their noise: relative, at antiresonances to the channel's mean."""
+    if not temper:
+        return sample
+    shown = []
+    for r in sample.recordings:
+        power = np.abs(r.frf) ** 2
+        shown.append(replace(r, variance=r.variance + 0.5 * temper**2 * (power + power.mean(axis=0))))
+    return Sample(tuple(shown), sample.repeat)
+
+
+def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray, iterations: int) -> Fitted:
+    """Fit a law from z."""
+    z, cost, information, converged = minimise(objective, z, iterations, 0.3)
+    parameters, n = objective.parameters, len(objective.base)
+    values, data = parameters.values(z), objective.data
+    entry = Entry(effect=hypothesis.effect, site=hypothesis.site, **objective.law.entry(values[n:]))
+    robot = objective.base.apply(objective.robot, values[:n])
+    robot = robot.model_copy(update={"physics": [*robot.physics, entry]})
+    return Fitted(
+        hypothesis, parameters, z, values, robot, cost, (2 * cost - float(z @ z)) / max(data, 1), information, data,
+        converged,
+    )  # fmt: skip
+
+
+def _likeness(
+    seen: Sequence[FloatArray], certainty: Sequence[FloatArray], found: Sequence[FloatArray]
+) -> tuple[float, FloatArray]:
+    """How far a law's equivalents are from those seen, and the shift (2,) of the joint's own spring that fits best."""
+    gap = np.concatenate([a - b for a, b in zip(seen, found, strict=True)], axis=1)
+    spread = np.concatenate(list(seen), axis=1).std(axis=1)
+    tolerance = np.diag((0.1 * spread + 1e-12) ** 2)
+    matrices = np.concatenate([inverse2(matrix) for matrix in certainty], axis=2) + tolerance[:, :, None]
+    weight = inverse2(matrices)
+    shift = np.linalg.solve(weight.sum(axis=2), np.einsum("pqe,qe->p", weight, gap))
+    left = gap - shift[:, None]
+    score = float(np.einsum("pe,pqe,qe->", left, weight, left))
+    return (score if np.isfinite(score) else np.inf), shift
