@@ -332,7 +332,7 @@ def test_bad_data_is_named(measured: SimpleNamespace, tmp_path: Path) -> None:
     path = tmp_path / "spoilt.h5"
     write_campaign(path, replace(recorded, postures={"milling": spoilt, "rigid": recorded.postures["rigid"]}))
     found = fit([path], starts=1)
-    assert any("no coherence from 20" in text for text in found.warnings)
+    assert any("no coherence" in text and "milling 20–23.5 Hz" in text for text in found.warnings)
     assert any("1 channel pairs carry no signal" in text for text in found.warnings)
     value = found.data()["parameters"]["joint2.z"]["stiffness"]["value"]
     assert value == pytest.approx(truth(measured.path, "joint2.z.stiffness"), rel=0.03)
@@ -358,3 +358,27 @@ def test_refusals(measured: SimpleNamespace, tmp_path: Path, kr90: Robot) -> Non
         fit([measured.path], robot=str(tmp_path / "rigid.yaml"))
     with pytest.raises(InputError, match="no lines"):
         fit([measured.path], band_hz=(200.0, 300.0))
+
+
+def test_modal_tables_without_damping_or_partner_are_shown(tmp_path: Path) -> None:
+    """What a table leaves out is left out; a measured mode that nothing pairs with is warned of."""
+    table = tmp_path / "modes.yaml"
+    table.write_text(
+        "postures: {m: {q_deg: [0, 70, -100], modes: [{frequency_hz: 10.0}, {frequency_hz: 500}]}}", encoding="utf-8"
+    )
+    shown = str(fit([table], starts=1))
+    assert "measured   10.00 Hz\n" in shown
+    assert "no mode of the model pairs with the measured one at 500 Hz" in shown
+
+
+def test_saturated_tolerances_are_named(measured: SimpleNamespace, tmp_path: Path) -> None:
+    """A sensor scaled by 1.2 in a recording whose gains are stated to 1 %."""
+    postures = {}
+    for name, p in measured.campaign.postures.items():
+        frf = p.frf.copy()
+        frf[:, 1] *= 1.2
+        postures[name] = replace(p, frf=frf)
+    write_campaign(tmp_path / "scaled.h5", replace(measured.campaign, postures=postures))
+    found = fit([tmp_path / "scaled.h5"], starts=1, hold_out=[])
+    assert any(text.startswith("gain.21Y+ = 1.02") and "is saturated" in text for text in found.warnings)
+    assert any("misses the data" in text for text in found.warnings)

@@ -137,7 +137,7 @@ def fit(
         bool, typer.Option("--leave-one-out", help="Also predict every posture from a fit to the others.")
     ] = False,
     objective: Annotated[
-        str, typer.Option(help="On modal tables: posterior, or paper (Eq. 23, weights 100 and 1).")
+        str, typer.Option(help="posterior; on modal tables also paper (Eq. 23, weights 100 and 1).")
     ] = "posterior",
     band: Annotated[
         tuple[float, float] | None, typer.Option(help="Lines used, Hz.", metavar="LOW HIGH", show_default="all")
@@ -153,9 +153,22 @@ def fit(
 ) -> None:
     """Joint stiffness and damping from measured FRFs, with intervals, and what the data do not hold.
 
-    Maximum-posterior fit of every spring and damper and, within stated tolerances, of everything the description can
-    be wrong by, over all postures at once. One posture is held out by default and predicted. Writes the new robot.yaml
-    and robot.xml, figures, a self-contained report and fit.json into the output folder, out/RECORDING by default.
+    Maximum-posterior fit of every spring and damper, over all postures and force levels at once. Masses, centres of
+    mass, inertias, posture angles and channel gains are free within the robot's tolerances; priors and tolerances are
+    data in robot.yaml. Several starts must agree, or it says so. With three postures or more the last is held out and
+    predicted.
+
+    ```
+    twin fit measured_frf.h5                     # robot: the file's, else kr90
+    twin fit measured_frf.h5 --hold-out upright  # predict that posture instead
+    twin fit measured_frf.h5 --leave-one-out     # predict each from the others
+    twin fit modes.yaml --objective paper        # the paper's Eq. 23
+    ```
+
+    Numbers in ( ) are not held by the data: value and bound are mostly the prior's. Writes robot.yaml, robot.xml
+    (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default; with --json, files are
+    written only where --out says so. Next: twin compare judges the new robot on other recordings, twin diagnose looks
+    for physics it lacks.
     """
     from twin.commands.fit import fit as run
 
@@ -267,8 +280,17 @@ def compare(
 ) -> None:
     """The error of a robot on recordings, without fitting it, split by posture or run, channel and band.
 
-    Only what belongs to a recording itself is re-estimated within the stated tolerances; with --as-is not even that.
-    Files are written only where --out says so.
+    One number per recording: RMS of the residual over RMS of the data. FRF lines weigh by one over their variance;
+    torques are low-passed, per joint; modal tables give relative frequency differences. Only what belongs to a
+    recording itself (posture angles, channel gains, torque offsets) is re-estimated within the stated tolerances; with
+    --as-is not even that.
+
+    ```
+    twin compare measured_frf.h5 --robot out/measured_frf/robot.yaml
+    twin compare log.h5 modes.yaml measured_frf.h5 -o out/compare
+    ```
+
+    compare.json and figures are written only where --out says so.
     """
     from twin.commands.compare import compare as run
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from twin.commands.modal import read_recording
 from twin.commands.outputs import Outputs, check_out
@@ -31,7 +32,7 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
-from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.parameters import SATURATED, Parameters, free_parameters
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
     Combination,
@@ -41,7 +42,7 @@ from twin.identify.uncertainty import (
     estimates,
     profile,
 )
-from twin.measure.campaign import Campaign, FloatArray, dead_channels
+from twin.measure.campaign import VARIANCE_FLOOR_QUANTILE, Campaign, FloatArray, dead_channels
 from twin.measure.modal import identify_modes
 from twin.measure.modal_table import ModalTable, read_modal_table
 from twin.measure.shapes import mac
@@ -162,14 +163,19 @@ class FitResult:
         for name, posture in self.postures.items():
             for mode in posture["modes"]:
                 measured = mode.get("measured_hz")
-                beside = f"   measured {measured:7.2f} Hz {mode['measured_damping_percent']:6.2f} %" if measured else ""
+                damping = mode.get("measured_damping_percent")
+                beside = f"   measured {measured:7.2f} Hz" if measured else ""
+                beside += f" {damping:6.2f} %" if damping is not None else ""
                 alike = f"   MAC {mode['mac']:.0%}" if mode.get("mac") is not None else ""
                 lines.append(
                     f"  {name:12} {mode['frequency_hz']:7.2f} Hz {mode['damping_percent']:6.2f} %{beside}{alike}"
                 )
         lines += [f"  warning: {text}" for text in self.warnings]
         if self.files:
-            lines.append("  wrote " + ", ".join(self.files))
+            names = [Path(file).name for file in self.files]
+            figures = sum(name.endswith(".png") for name in names)
+            named = [name for name in names if not name.endswith(".png")]
+            lines.append(f"  wrote {', '.join(named)} and {figures} figures into {Path(self.files[0]).parent}")
         return "\n".join(lines)
 
 
@@ -228,7 +234,7 @@ def fit(
     if out is not None:
         with Outputs(out) as outputs:
             found.files = outputs.files
-            _write(found, outputs, path)
+            _write(found, outputs, path, progress)
     return found
 
 
@@ -267,7 +273,6 @@ def _fit_campaign(
         return fit_frf(described, used, free, starts=starts, seed=seed, progress=tick)
 
     fitted = run(train)
-    noise_known = noise_stated(recordings)
     final = _checked(fitted.parameters.apply(described, fitted.values))
     comparisons = {"fitted": comparison(final, train, source)}
     error: dict[str, float | None] = {"train": comparisons["fitted"].error, "held_out": None}
@@ -275,22 +280,25 @@ def _fit_campaign(
     if rest:
         comparisons["held out"] = comparison(final, rest, source)
         error["held_out"] = comparisons["held out"].error
-        expected["held_out"] = expected_error(final, fitted, rest) if noise_known else None
+        expected["held_out"] = expected_error(final, fitted, rest) if noise_stated(recordings) else None
     left_out = {}
     for name in left:
         other = run([r for r in recordings if r.setup.name != name])
         changed = other.parameters.apply(described, other.values)
         judged = comparison(changed, [r for r in recordings if r.setup.name == name], source)
         left_out[name] = judged.error
-    found = estimates(fitted, noise_known)
+    found = estimates(fitted)
     result = FitResult(
         source, final, fitted, found, combinations(fitted), held, error, expected,
-        _campaign_modes(campaign, recordings, final, held, band_hz), [], left_out, comparisons,
+        _campaign_modes(campaign, recordings, final, held, band_hz, progress), [], left_out, comparisons,
     )  # fmt: skip
     if profiled:
-        for k in _weakest(found):
+        weakest = _weakest(found)
+        tick = progress("profiles", len(weakest))
+        for k in weakest:
+            tick(1)
             result.profiles[fitted.parameters.names[k]] = profile(described, train, fitted, found[k])
-    result.warnings = _warnings(result) + _data_warnings(campaign, recordings, held)
+    result.warnings = _warnings(result, _perfect_misfit(campaign)) + _data_warnings(campaign, recordings)
     return result
 
 
@@ -300,10 +308,13 @@ def _campaign_modes(
     robot: Robot,
     held: Sequence[str],
     band_hz: tuple[float, float] | None,
+    progress: Progress,
 ) -> dict[str, dict[str, Any]]:
     """The model's modes in the measured band beside identified ones, paired by MAC."""
     found: dict[str, dict[str, Any]] = {}
+    tick = progress("modes", len(recordings))
     for r in recordings:
+        tick(1)
         if r.setup.name in found:
             continue
         posture = campaign.postures[r.group]
@@ -517,7 +528,7 @@ def correlated(found: Fit) -> list[tuple[str, str, float]]:
     return sorted((p for p in pairs if abs(p[2]) > LARGE_CORRELATION), key=lambda p: -abs(p[2]))
 
 
-def _warnings(result: FitResult) -> list[str]:
+def _warnings(result: FitResult, perfect_misfit: float = 1.0) -> list[str]:
     found, fitted = [], result.fit
     if len(fitted.starts) > 1 and fitted.agreeing < 2:
         found.append(f"no two of {len(fitted.starts)} starts agree: this may be a false minimum; try more starts")
@@ -526,16 +537,19 @@ def _warnings(result: FitResult) -> list[str]:
         found.append(f"{lost} of {len(fitted.starts)} starts ended in a worse minimum")
     if not fitted.converged:
         found.append("the last step was still larger than the tolerance")
-    if fitted.misfit > LARGE_MISFIT:
+    if fitted.misfit > LARGE_MISFIT * perfect_misfit:
         found.append(
             f"the model misses the data by {np.sqrt(fitted.misfit):.1f} times their noise, which widens the intervals; "
             "twin diagnose looks for what is missing"
         )
-    for e in result.estimates:
-        if abs(e.drift) > LARGE_DRIFT:
+    saturated = np.isfinite(fitted.parameters.bound) & (np.abs(fitted.z) >= fitted.parameters.bound)
+    for e, full in zip(result.estimates, saturated, strict=True):
+        said = f"{e.parameter.name} = {e.value:.4g} {e.parameter.unit}".removesuffix(" 1")
+        if full:
+            found.append(f"{said} is saturated: it stops {SATURATED:g} deviations of its tolerance from its prior")
+        elif abs(e.drift) > LARGE_DRIFT:
             found.append(
-                f"{e.parameter.name} = {e.value:.4g} {e.parameter.unit} lies {abs(e.drift):.1f} prior deviations from "
-                f"{e.parameter.mean:.4g}: doubt it or its prior"
+                f"{said} lies {abs(e.drift):.1f} prior deviations from {e.parameter.mean:.4g}: doubt it or its prior"
             )
     for name, posture in result.postures.items():
         for frequency in posture["measured_only"]:
@@ -543,8 +557,21 @@ def _warnings(result: FitResult) -> list[str]:
     return found
 
 
-def _data_warnings(campaign: Campaign, recordings: Sequence[Recorded], held: Sequence[str]) -> list[str]:
-    found = []
+def _perfect_misfit(campaign: Campaign) -> float:
+    """χ² per datum of a perfect model whose noise is estimated line by line, from the fewest averages there are.
+
+    (n/χ²)-scatter of the estimate, floored as :func:`twin.measure.campaign.frf_variance` does; 1.8 for three hits.
+    """
+    averages = [p.averages for p in campaign.postures.values() if p.averages and p.averages > 1]
+    if not averages:
+        return 1.0
+    n = min(averages)
+    variance = chi2.ppf((np.arange(1000) + 0.5) / 1000, 2 * (n - 1)) / (2 * n)
+    return float(np.mean(1 / np.maximum(variance, np.quantile(variance, VARIANCE_FLOOR_QUANTILE))))
+
+
+def _data_warnings(campaign: Campaign, recordings: Sequence[Recorded]) -> list[str]:
+    found, untested = [], []
     silent = [r.group for r in recordings if not r.stated]
     if silent:
         which = "the recording" if len(silent) == len(recordings) else ", ".join(silent)
@@ -561,10 +588,9 @@ def _data_warnings(campaign: Campaign, recordings: Sequence[Recorded], held: Seq
         inside = (posture.frequency >= r.frequency[0]) & (posture.frequency <= r.frequency[-1])
         low = np.median(posture.coherence[inside], axis=(1, 2)) < LOW_COHERENCE
         for start, end in _runs(low):
-            found.append(
-                f"{r.group}: no coherence from {r.frequency[start]:.3g} to {r.frequency[end]:.3g} Hz; "
-                "the model is not tested there"
-            )
+            untested.append(f"{r.group} {r.frequency[start]:.3g}–{r.frequency[end]:.3g} Hz")
+    if untested:
+        found.append(f"no coherence, and hence no test of the model, in {', '.join(untested)}")
     return found
 
 
@@ -577,7 +603,7 @@ def _runs(mask: FloatArray) -> list[tuple[int, int]]:
 # --- what is written --------------------------------------------------------------------------------------------------
 
 
-def _write(found: FitResult, name: Outputs, path: Path) -> None:
+def _write(found: FitResult, name: Outputs, path: Path, progress: Progress) -> None:
     from twin.report import figures, fit_report
     from twin.report.html import write_html
 
@@ -587,7 +613,10 @@ def _write(found: FitResult, name: Outputs, path: Path) -> None:
     save_mjcf(name("robot.xml"), build_spec(mechanism))
     found.model = {"robot": str(name.out / "robot.yaml"), "mjcf": str(name.out / "robot.xml")}
     images = {}
-    for file, figure in fit_report.draw(found).items():
+    drawn = fit_report.draw(found)
+    tick = progress("figures", len(drawn))
+    for file, figure in drawn.items():
+        tick(1)
         images[file] = name(file)
         figures.save(figure, images[file])
     report = name("report.html")

@@ -8,7 +8,7 @@ every eighth line; the best ends on all lines.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,6 +92,7 @@ class Fit:
         starts: where the starts ended, best first; ``agreeing`` of them reached the same minimum.
         data: number of real data.
         converged: the last step was within tolerance.
+        noise_known: the recordings state their variance; else the misfit sets its scale.
     """
 
     parameters: Parameters
@@ -105,7 +106,12 @@ class Fit:
     agreeing: int
     data: int
     converged: bool
-    warnings: tuple[str, ...] = field(default=())
+    noise_known: bool
+
+    @property
+    def scale(self) -> float:
+        """s², by which the variance of the data is multiplied (Birge's ratio): never below 1 where it was measured."""
+        return max(1.0, self.misfit) if self.noise_known else self.misfit
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
@@ -389,7 +395,7 @@ def fit_frf(
     values = parameters.values(z)
     return Fit(
         parameters, z, values, parameters.apply(robot, values), cost, (2 * cost - float(z @ z)) / max(data, 1),
-        information - np.eye(len(z)), tuple(ends), agreeing, data, converged,
+        information - np.eye(len(z)), tuple(ends), agreeing, data, converged, noise_stated(recordings),
     )  # fmt: skip
 
 

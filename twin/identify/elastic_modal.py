@@ -143,7 +143,7 @@ def fit_modes(
     agreeing = sum(end[1] - cost < AGREEMENT for end in ends)
     return Fit(
         parameters, z, values, parameters.apply(robot, values), cost, (2 * cost - float(z @ z)) / max(data, 1),
-        information - np.eye(len(z)), tuple(Start(end[1], end[0]) for end in ends), agreeing, data, converged,
+        information - np.eye(len(z)), tuple(Start(end[1], end[0]) for end in ends), agreeing, data, converged, True,
     )  # fmt: skip
 
 

@@ -51,22 +51,16 @@ class Combination:
     weights: dict[str, float]
 
 
-def posterior(fit: Fit, noise_known: bool = True) -> FloatArray:
-    """Posterior covariance of x (n, n).
-
-    Args:
-        fit: from :func:`twin.identify.elastic.fit_frf`.
-        noise_known: the recording states its variance; else the misfit sets the scale in both directions.
-    """
-    scale = max(1.0, fit.misfit) if noise_known else fit.misfit
+def posterior(fit: Fit) -> FloatArray:
+    """Posterior covariance of x (n, n)."""
     root = fit.parameters.root
-    covariance = root @ np.linalg.inv(fit.fisher / scale + np.eye(len(fit.z))) @ root.T
+    covariance = root @ np.linalg.inv(fit.fisher / fit.scale + np.eye(len(fit.z))) @ root.T
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def estimates(fit: Fit, noise_known: bool = True) -> list[Estimate]:
+def estimates(fit: Fit) -> list[Estimate]:
     """Every parameter with interval, share of the data, and drift."""
-    covariance = posterior(fit, noise_known)
+    covariance = posterior(fit)
     x = fit.parameters.root @ fit.z
     prior = np.sqrt(np.diag(fit.parameters.covariance))
     found = []
@@ -131,27 +125,30 @@ def correlation(fit: Fit) -> FloatArray:
 
 
 def profile(
-    robot: Robot, recordings: Sequence[Recorded], fit: Fit, estimate: Estimate, points: int = 7
+    robot: Robot, recordings: Sequence[Recorded], fit: Fit, estimate: Estimate, points: int = 9
 ) -> tuple[FloatArray, FloatArray]:
     """Profile of one parameter: values (points,) and 2Δ of posterior cost with everything else refitted.
 
-    At each value the exact cost, less what one Gauss–Newton step of all other parameters takes off.
+    At each value the exact cost, less what one Gauss–Newton step of all other parameters takes off; over s², as are the
+    intervals.
     """
     parameter = estimate.parameter
     index = fit.parameters.names.index(parameter.name)
     low, high = estimate.interval90
     objective = linear_objective(without_limits(robot), fit.parameters, recordings, exact=True)
-    direction = fit.parameters.root[index]
-    _, _, information = objective(fit.z)
-    along = np.linalg.solve(information, direction)  # the others' way when this one is moved
+    direction = fit.parameters.root[index]  # of x in z
+    alone = np.linalg.inv(fit.parameters.root)[:, index]  # moves x and no other
+    along = np.linalg.solve(fit.fisher + np.eye(len(fit.z)), direction)  # moves x and the others' optimum with it
     along /= direction @ along
     across = np.linalg.svd(direction[None])[2][1:].T
     least = low - 0.4 * (high - low)
     value = np.linspace(max(least, 0.3 * low) if parameter.log else least, high + 0.4 * (high - low), points)
     cost = np.empty(points)
     for k, v in enumerate(value):
+        # a scale enters M, C and K linearly: the others follow its value, not its logarithm
+        move = v / estimate.value - 1 if parameter.log else v - estimate.value
         x = np.log(v / parameter.mean) if parameter.log else v - parameter.mean
-        cost[k], gradient, information = objective(fit.z + along * (x - direction @ fit.z))
+        cost[k], gradient, information = objective(fit.z + along * move + alone * (x - direction @ fit.z - move))
         pull = across.T @ gradient
         cost[k] -= 0.5 * pull @ np.linalg.solve(across.T @ information @ across, pull)
-    return value, np.asarray(2 * (cost - fit.cost))
+    return value, np.asarray(2 * (cost - fit.cost) / fit.scale)

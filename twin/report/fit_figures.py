@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
@@ -35,7 +36,8 @@ def intervals(estimates: Sequence[Estimate]) -> Figure:
             ax.plot([low / mean, high / mean], [row, row], color=colour, linewidth=2.5, solid_capstyle="butt")
             ax.plot(e.value / mean, row, "o", color=colour, markersize=4)
         ax.set_xscale("log")
-        ax.set_yticks(range(len(found)), [e.parameter.name.removesuffix(f".{title}") for e in found], fontsize=8)
+        names = [e.parameter.name.removesuffix(".stiffness").removesuffix(".damping") for e in found]
+        ax.set_yticks(range(len(found)), names, fontsize=8)
         ax.invert_yaxis()
         ax.axvline(1, color="#444444", linewidth=0.6)
         ax.grid(True, axis="x", which="both", color="#e3e6ea", linewidth=0.5)
@@ -59,13 +61,14 @@ def errors(comparisons: Mapping[str, Comparison]) -> Figure:
             ax.stairs([100 * part["error"] for part in bands], edges, baseline=None, label=posture, linewidth=1.6)
         if comparison.noise_floor is not None:
             ax.axhline(100 * comparison.noise_floor, color="#444444", linestyle=":", linewidth=1, label="noise floor")
+        ax.set_axisbelow(True)
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter(ScalarFormatter())
         ax.yaxis.set_minor_formatter(ScalarFormatter())
         ax.set_title(f"{role}: {comparison.error:.2%}", fontsize=10, loc="left")
         ax.set_xlabel("frequency, Hz")
         ax.grid(True, which="both", color="#e3e6ea", linewidth=0.5)
-        ax.legend(fontsize=8, frameon=False)
+        ax.legend(fontsize=8, frameon=False, ncols=1 + len(ax.patches) // 7)
     axes[0].set_ylabel("error, %")
     return figure
 
@@ -74,8 +77,7 @@ def mac_matrices(
     matrices: Mapping[str, FloatArray], measured: Mapping[str, Sequence[float]], model: Mapping[str, Sequence[float]]
 ) -> Figure:
     """MAC of measured (rows) and model's (columns) modes, one panel per posture, frequencies in Hz on the axes."""
-    figure = Figure(figsize=(max(4.2 * len(matrices), 4.2), 3.8), layout="constrained")
-    axes = figure.subplots(1, len(matrices), squeeze=False)[0]
+    axes, figure = _panels(len(matrices), 4, (3.6, 3.3))
     for ax, (posture, matrix) in zip(axes, matrices.items(), strict=True):
         ax.imshow(matrix, vmin=0, vmax=1, cmap="Blues")
         for i, j in np.ndindex(matrix.shape):
@@ -95,16 +97,23 @@ def profiles(found: Mapping[str, tuple[FloatArray, FloatArray]], units: Mapping[
 
     The dotted line at 2.71 cuts a 90 % interval.
     """
-    columns = min(3, max(1, len(found)))
-    rows = -(-max(1, len(found)) // columns)
-    figure = Figure(figsize=(3.7 * columns, 2.6 * rows + 0.2), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax in axes[len(found) :]:
-        ax.set_axis_off()
-    for ax, (name, (value, drop)) in zip(axes, found.items(), strict=False):
+    axes, figure = _panels(len(found), 2, (4.6, 2.6))
+    figure.supylabel("rise of 2 × cost, everything else refitted", fontsize=9)
+    for ax, (name, (value, drop)) in zip(axes, found.items(), strict=True):
         ax.plot(value, drop, "o-", color=_DATA, markersize=3, linewidth=1.2)
         ax.axhline(2.71, color="#444444", linestyle=":", linewidth=1)
         ax.set_ylim(0, 8)
-        ax.set_title(f"{name}, {units[name]}", fontsize=9)
+        ax.set_title(f"{name}, {units[name]}".removesuffix(", 1"), fontsize=9)
         ax.tick_params(labelsize=8)
     return figure
+
+
+def _panels(count: int, columns: int, size: tuple[float, float]) -> tuple[list[Axes], Figure]:
+    """``count`` axes in rows of ``columns``, each of a size in inches."""
+    columns = min(columns, max(1, count))
+    rows = -(-max(1, count) // columns)
+    figure = Figure(figsize=(size[0] * columns, size[1] * rows + 0.4), layout="constrained")
+    axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for ax in axes[count:]:
+        ax.set_axis_off()
+    return axes[:count], figure

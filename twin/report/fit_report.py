@@ -49,7 +49,7 @@ def overlay(r: Recorded, predicted: ComplexArray, role: str) -> Figure:
     pick = np.ix_(np.arange(len(r.s)), rows, columns)
     return figures.frf_matrix(
         r.frequency,
-        {f"measured, {r.group} ({role})": r.frf[pick], "model": predicted[pick]},
+        {f"{r.group}, {role}": r.frf[pick], "model": predicted[pick]},
         [response.label[i] for i in rows],
         [excitation.label[j] for j in columns],
         QUANTITIES[r.power],
