@@ -121,24 +121,38 @@ def test_the_tx40s_wrist_is_coupled() -> None:
     assert named["coulomb_friction@joint6.torque"] == pytest.approx(1.95, rel=0.35)  # published F_s6
 
 
-@needs("kr300")
-def test_low_speed_friction_of_the_kr300() -> None:
-    """Axes 1–3, validation split: residual in % of torque standard deviation, with low-speed friction and without.
+def with_memory(robot: Robot) -> Robot:
+    """Slip elements of four travels, 10 µrad to 10 mrad, beside the friction of axes 1 to 3."""
+    data = robot.model_dump(mode="json")
+    travels = np.array([1e-5, 1e-4, 1e-3, 1e-2])
+    for i in (1, 2, 3):
+        slip = {"stiffness": (50 / travels).tolist(), "yield_torque": [50.0] * 4}
+        data["physics"].append({"effect": "hysteresis", "site": f"joint{i}.z", **slip})
+    return Robot.model_validate(data)
 
-    Fitted to a third of the training split, to save time. Axis 2 stays above the 44 % known to be reachable.
+
+@needs("kr300")
+def test_friction_of_the_kr300() -> None:
+    """Axes 1–3, validation split, residual in % of torque standard deviation: each law of friction adds to the last.
+
+    Fitted to a third of the training split, to save time. Slip elements hold their torque through standstill.
     """
     robot = load_robot(DATA / "kr300.yaml")
     found = {}
     log = kr300()
     train = log.runs["train"]
+    assert train.torque is not None
     log.runs["train"] = MotionRun(
         "train", train.time[:12100], train.position[:12100], 10.0, torque=train.torque[:12100]
     )
-    for name, removed in (("plain", ["asymmetric_friction", "stribeck_friction"]), ("low-speed", [])):
-        result = identify(log, robot.without(removed), bands=Bands((1.2, 1.8), (2.0, 2.5)), hold_out=["val", "test"])
+    plain = robot.without(["asymmetric_friction", "stribeck_friction"])
+    for name, described in (("plain", plain), ("low-speed", robot), ("memory", with_memory(robot))):
+        result = identify(log, described, bands=Bands((1.2, 1.8), (2.0, 2.5)), hold_out=["val", "test"])
         x = result.least_squares_parameters()
         (val,) = [r for r in result.split.held_out if r.name == "val"]
         residual, torque = ((val.torque - val.matrix @ x)[val.valid], val.torque[val.valid])
         found[name] = (100 * residual.std(axis=0) / torque.std(axis=0))[:3]
-    assert (found["low-speed"] <= [20, 46, 33]).all()
+    assert (found["plain"] <= [26, 59, 46]).all()
+    assert (found["low-speed"] <= [20, 44.5, 33]).all()
     assert (found["low-speed"] < found["plain"]).all()
+    assert (found["memory"] <= [10.5, 24, 23.5]).all()
