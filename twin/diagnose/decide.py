@@ -51,6 +51,7 @@ def decide(
     *,
     handicap: Sequence[float] | None = None,
     other: float | None = None,
+    scale: float | None = None,
 ) -> Decision:
     """Probabilities of hypotheses fitted to the same lines as the base model.
 
@@ -60,16 +61,18 @@ def decide(
         suspects: all that was looked at, which sets the prior.
         handicap: evidence taken off each fit, where a simpler one is within reach.
         other: probability that something unnamed is missing, where the engine has a better measure than the misfit.
+        scale: factor on the data's variance (Birge's ratio); what the best fit leaves, by default.
     """
     numbers = calibration()
     sites: dict[str, int] = {}
     for variants in suspects:
         sites[variants[0].effect] = sites.get(variants[0].effect, 0) + 1
     best_misfit = min([base.misfit, *(fit.misfit for fit in fits)])
-    scale = max(1.0, best_misfit)
+    scale = max(1.0, best_misfit) if scale is None else scale
     logs = []
     for fit, less in zip(fits, handicap or [0.0] * len(fits), strict=True):
-        prior = np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(fit.hypothesis.effect, 10))
+        pieces = fit.hypothesis.pieces or (fit.hypothesis,)
+        prior = sum(np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(p.effect, 10)) for p in pieces)
         logs.append((fit.evidence(scale) - base.evidence(scale) - less) / numbers["temperature"] + prior)
     weights = np.array([*logs, np.log(numbers["none"])])
     weights = np.exp(weights - weights.max())

@@ -12,6 +12,8 @@ from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import Base, base_of, stops_of, system_of
 from twin.diagnose.torque_laws import entry_torque, log_suspects, with_values
+from twin.diagnose.torque_locate import disturbances, spots
+from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_search import Progress, Search, explain, smallest_visible
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, missing_of
@@ -56,11 +58,15 @@ def diagnose_log(
     base = search.steps[0].base
     records, errors = log_records(prepared, base, search)
     after = search.law[2] if search.law else search.after
+    where = spots(records, source, prepared.bands.fit[1]) + disturbances(log, search, source)
+    sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, after.robot, errors,
-        list(prepared.held_out), records, [], {}, smallest_visible(system, suspects),
+        list(prepared.held_out), records, where, sites, smallest_visible(system, suspects),
         warnings=list(prepared.notes), fit=after,
     )  # fmt: skip
+    if word == "ambiguous":
+        finding.next_test = next_log(next(m for m in missing if m.rivals))
     finding.missing = [
         m if m.evidence else replace(m, evidence=sentence(m.first.title, records, errors, prepared.held_out))
         for m in missing

@@ -462,12 +462,14 @@ def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
     stops = stops_of(run, joint)
     events: list[tuple[int, bool]] = [(sample, True) for sample in stops]
     sign = np.sign(run.dense.velocity[:, joint])
-    clear = reach * step
-    for sample in np.flatnonzero(sign[1:] * sign[:-1] < 0) + 1:
-        if all(abs(sample - stop) > clear for stop in stops) and run.dense.sign(sign)[sample] != 0:
-            events.append((int(sample), False))
+    moving = run.dense.sign(run.dense.velocity[:, joint]) != 0
+    for sample in stops:
+        moving[max(0, sample - reach * step) : sample + reach * step + 1] = False
+    turns = np.flatnonzero((sign[1:] * sign[:-1] < 0) & moving[1:]) + 1
+    events += [(int(sample), False) for sample in turns]
+    events.sort(key=_first)
     found = []
-    for sample, stop in sorted(events, key=lambda event: event[0]):
+    for sample, stop in events:
         middle = sample // step
         near = slice(max(0, middle - reach - RINGING), min(count - 1, middle + reach + RINGING + ORDER))
         boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * reach if stop else 1))
@@ -481,6 +483,10 @@ def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
         columns = lowpass(boxes, dense_hz, *run.bands.fit)[::step]
         found.append((slice(near.start, near.stop + 1), columns))
     return found
+
+
+def _first(event: tuple[int, bool]) -> int:
+    return event[0]
 
 
 def stops_of(run: Run, joint: int) -> list[int]:

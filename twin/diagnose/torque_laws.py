@@ -277,8 +277,8 @@ def _coupling(s: _Setting) -> list[Suspect]:
         inertia = values["inertia"] or usual / max(acceleration, 1e-9)
         friction = [viscous or usual / other.speed(), coulomb or usual]
         own = [
-            s.normal("ratio", 0.5), s.scale("inertia", inertia, 1.5), s.scale("friction[0]", friction[0], 2.0),
-            s.scale("friction[1]", friction[1], 2.0),
+            s.normal("ratio", 0.5), s.scale("inertia", inertia, 1.5 if values["inertia"] else 6.0),
+            s.scale("friction[0]", friction[0], 2.0), s.scale("friction[1]", friction[1], 2.0),
         ]  # fmt: skip
         starts = [[ratio, inertia, *friction] for ratio in (0.0, -0.3, 0.3, -1.0, 1.0)]
         found += s.suspect(

@@ -42,6 +42,7 @@ from twin.robot.description import Entry
 FINALISTS = 8
 RACE = 0.05  # of the best gain: less is not refined
 REACH = 0.9  # of the gain of a free function of the joint's state: less is no name
+SLIGHT = 0.01  # of the evidence gained by names: less is their laws' inexactness
 SEEN = 15.0  # ln evidence of such a function from which something is there
 SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches it is preferred
 MOST = 6  # things found one after the other
@@ -122,8 +123,9 @@ class Search:
     def other(self) -> tuple[int, float]:
         """The joint where names explain least of what is missing, and the probability that it has no name here."""
         worst, most = 0, 0.01
+        least = max(SEEN, SLIGHT * sum(step.gain for step in self.found))
         for joint, left in enumerate(self.left):
-            if left > SEEN:
+            if left > least:
                 p = float(np.clip(1 / (1 + np.exp(-(REACH - 0.1 - self.reached(joint)) / 0.03)), 0.01, 0.99))
                 if p > most:
                     worst, most = joint, p
@@ -217,7 +219,7 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
     fewest = min((m for m, gain in zip(numbers, gains, strict=True) if gain > SIMPLER * best), default=0)
     handicap = [(1 - SIMPLER) * best * (m > fewest) for m in numbers]
     hypotheses = [[s.hypothesis] for s in suspects]
-    return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=0.01), trials)
+    return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=0.01, scale=1.0), trials)
 
 
 def _varied(started: Sequence[Trial]) -> list[Trial]:

@@ -1,0 +1,169 @@
+"""Where the torque of a motion log is missed, without naming why: run, joint and band; state; reversals."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.records import LogRecord, Stage
+from twin.diagnose.torque_fit import base_of
+from twin.diagnose.torque_laws import entry_torque
+from twin.diagnose.torque_search import Search
+from twin.diagnose.torque_signal import run_of
+from twin.identify.rigid import Bands, joint_run
+from twin.measure.campaign import FloatArray
+from twin.measure.motion_log import MotionLog
+
+BANDS = 6
+WIDE_HZ = 40.0  # how far above the fit's band a disturbance is looked for
+WIDE_S = 60.0  # of every run
+WIDE_BANDS = 8
+RECORDING = frozenset({"time_delay", "torque_constant"})
+EXCESS = 3.0  # times the quietest run's power in a band is a disturbance
+
+
+def spots(records: Sequence[LogRecord], source: str, stop_hz: float, count: int = 5) -> list[dict[str, Any]]:
+    """Where most of the refitted base model's residual is, beyond noise: run, joint, band, share of all.
+
+    Args:
+        records: beside the models; held-out runs are looked at too.
+        source: the file, as given.
+        stop_hz: of the low-pass.
+    """
+    edges = np.concatenate([[0.0], np.geomspace(stop_hz / 2 ** (BANDS - 1), stop_hz, BANDS)])
+    found = []
+    for record in records:
+        rate = (len(record.time) - 1) / (record.time[-1] - record.time[0])
+        rest = np.where(record.valid[:, None], record.measured - record.predicted["before"], 0.0)
+        power = np.abs(np.fft.rfft(rest / np.maximum(record.noise, 1e-300), axis=0)) ** 2
+        frequency = np.fft.rfftfreq(len(rest), 1 / rate)
+        for low, high in pairwise(edges):
+            inside = (frequency >= low) & (frequency < high)
+            expected = record.valid.mean() * (high - low) / stop_hz * len(rest) ** 2 / 2
+            for joint in range(rest.shape[1]):
+                energy = float(power[inside, joint].sum())
+                found.append((max(energy - expected, 0.0), record.name, joint, float(low), float(high)))
+    total = sum(item[0] for item in found)
+    best = sorted(found, key=lambda item: -item[0])[:count]
+    return [
+        _spot(source, name, joint, low, high, float(energy / total))
+        for energy, name, joint, low, high in best
+        if energy > 0
+    ]
+
+
+def disturbances(log: MotionLog, search: Search, source: str) -> list[dict[str, Any]]:
+    """Bands above the fit's in which one run is restless and another is not.
+
+    The model has the answer's friction and loads, not its delays and gains: these act on every band alike.
+    """
+    runs = [run for run in log.runs.values() if run.torque is not None and run.sample_rate_hz >= 2.5 * WIDE_HZ]
+    if len(runs) < 2:
+        return []
+    system = search.system
+    regressor = system.base.regressor
+    below = system.base.runs[0].bands.fit[1]
+    bands = Bands((0.9 * WIDE_HZ, WIDE_HZ), (1.2 * WIDE_HZ, 1.5 * WIDE_HZ))
+    edges = np.linspace(below, 0.9 * WIDE_HZ, WIDE_BANDS + 1)
+    z = system.plain(search.after.z)
+    entries = [e for e in system.entries(search.after.z) if e.effect not in RECORDING]
+    power = []
+    for run in runs:
+        end = int(min(len(run.time), WIDE_S * run.sample_rate_hz))
+        short = replace(
+            run, time=run.time[:end], position=run.position[:end], torque=run.torque[:end],  # type: ignore[index]
+            velocity=None, acceleration=None, link_position=None,
+        )  # fmt: skip
+        base = base_of(regressor, [run_of(regressor, joint_run(regressor.robot, short), bands)])
+        known = np.zeros(len(base.parameters))
+        known[: base.lasting] = z[: base.lasting]
+        state, wide, design = base.state(0, known), base.runs[0], base.design(0)
+        found = [entry_torque(wide, state, entry, entry.values) for entry in entries]
+        rest = (wide.torque - state.torque)[wide.valid]
+        for joint in range(rest.shape[1]):  # sizes again: the band is wider than that they were found in
+            columns = np.column_stack([design[:, joint], *(torque[:, joint] for torque in found)])[wide.valid]
+            ridge = np.diag([*np.full(design.shape[2], 0.1 * np.var(rest[:, joint])), *np.zeros(len(found))])
+            ridge += 1e-9 * np.trace(columns.T @ columns) * np.eye(len(ridge))
+            rest[:, joint] -= columns @ np.linalg.solve(columns.T @ columns + ridge, columns.T @ rest[:, joint])
+        spectrum = np.abs(np.fft.rfft((rest - rest.mean(axis=0)) * np.hanning(len(rest))[:, None], axis=0)) ** 2
+        frequency = np.fft.rfftfreq(len(rest), 1 / wide.rate_hz)
+        bins = [(frequency >= low) & (frequency < high) for low, high in pairwise(edges)]
+        power.append([spectrum[inside].sum(axis=0) / len(rest) for inside in bins])
+    P = np.array(power)  # runs, bands, joints
+    quiet = np.maximum(P.min(axis=0), 1e-300)
+    total = float(P.sum())
+    places = []
+    for k, run in enumerate(runs):
+        for joint in range(P.shape[2]):
+            loud = P[k, :, joint] > EXCESS * quiet[:, joint]
+            if loud.any():
+                first, last = np.flatnonzero(loud)[[0, -1]]
+                share = float(P[k, loud, joint].sum() / total)
+                places.append(_spot(source, run.name, joint, float(edges[first]), float(edges[last + 1]), share))
+    return sorted(places, key=lambda spot: -spot["share"])
+
+
+def _spot(source: str, run: str, joint: int, low: float, high: float, share: float) -> dict[str, Any]:
+    return {
+        "recording": source, "posture": None, "run": run, "site": f"joint{joint + 1}",
+        "band_hz": [round(low, 3), round(high, 3)], "channels": [], "share": share,
+    }  # fmt: skip
+
+
+# --- maps of the residual, for figures ------------------------------------------------------------------------------
+
+
+def state_map(
+    records: Sequence[LogRecord], stage: Stage, joint: int, bins: int = 24
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean residual over a joint's position and velocity: edges (b + 1,) of each, map (b, b), NaN where none is."""
+    q, v, rest = _rows(records, stage, joint)
+    sums, along, rate = np.histogram2d(q, v, bins, weights=rest)
+    count, _, _ = np.histogram2d(q, v, [along, rate])
+    with np.errstate(invalid="ignore"):
+        return along, rate, np.where(count > 0, sums / count, np.nan)
+
+
+def load_map(
+    records: Sequence[LogRecord], stage: Stage, joint: int, bins: int = 24
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean residual over the recorded torque's size, for each direction of motion: middles (b,), up (b,), down (b,)."""
+    size = np.concatenate([np.abs(r.measured[r.valid, joint]) for r in records])
+    _, v, rest = _rows(records, stage, joint)
+    edges = np.quantile(size, np.linspace(0, 1, bins + 1))
+    place = np.clip(np.searchsorted(edges, size, side="right") - 1, 0, bins - 1)
+    means = [
+        np.array([rest[(place == k) & (v * sense > 0)].mean() if np.any((place == k) & (v * sense > 0)) else np.nan
+                  for k in range(bins)])
+        for sense in (1, -1)
+    ]  # fmt: skip
+    return 0.5 * (edges[1:] + edges[:-1]), means[0], means[1]
+
+
+def around_reversals(
+    records: Sequence[LogRecord], stage: Stage, joint: int, reach_s: float = 0.5
+) -> tuple[FloatArray, FloatArray]:
+    """Mean residual about the moments at which a joint turns back, in the new direction: lags (s), mean."""
+    rate = (len(records[0].time) - 1) / (records[0].time[-1] - records[0].time[0])
+    reach = max(1, int(reach_s * rate))
+    cut = []
+    for record in records:
+        rest = (record.measured - record.predicted[stage])[:, joint]
+        sign = np.sign(record.velocity[:, joint])
+        for k in np.flatnonzero(sign[1:] * sign[:-1] < 0) + 1:
+            if reach <= k < len(rest) - reach and record.valid[k - reach : k + reach + 1].all():
+                cut.append(sign[k] * rest[k - reach : k + reach + 1])
+    lags = np.arange(-reach, reach + 1) / rate
+    return lags, np.mean(cut, axis=0) if cut else np.full(len(lags), np.nan)
+
+
+def _rows(records: Sequence[LogRecord], stage: Stage, joint: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, velocity and residual (rows,) of a joint at the rows that count."""
+    parts = [
+        (r.position[r.valid, joint], r.velocity[r.valid, joint], (r.measured - r.predicted[stage])[r.valid, joint])
+        for r in records
+    ]
+    q, v, rest = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return q, v, rest
