@@ -1,8 +1,8 @@
 """Checks run on the new model as it was written: MuJoCo predicts what the search's algebra predicts; what an edit does.
 
 The search evaluates FRFs with its own algebra (:mod:`twin.identify.sensitivity`). Here the written files are read
-again, compiled by MuJoCo, and predict the same FRFs: linearised, and in time under a blow where the answer is
-nonlinear.
+again, compiled by MuJoCo, and predict the same: FRFs linearised, torque in time along a run. Blows in time are in
+:mod:`twin.diagnose.levels_finding`.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,6 @@ from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.expansion import with_channels
 from twin.model.frf import frf, measurement_chain
-from twin.model.hammer import HammerTest, simulate_hits
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
@@ -31,8 +30,7 @@ from twin.robot.description import Entry, Robot, load_robot
 from twin.robot.mechanism import assemble
 
 LINEAR = 1e-6  # relative difference allowed between MuJoCo and the algebra
-STEPPED = 0.02  # the same for time stepping, whose records end and whose steps are finite
-REPLAYED = 0.05  # … of torque after the low-pass: an elastic robot under servos does not follow exactly
+REPLAYED = 0.05  # the same of torque after the low-pass: an elastic robot under servos does not follow exactly
 REPLAYED_S, LOW_PASS = 20.0, (3.0, 4.0)  # how much of a run is stepped; Hz
 NONLINEAR = frozenset({"hardening_stiffness", "backlash", "hysteresis"})
 LINES = 60  # per posture are compared
@@ -99,27 +97,6 @@ def is_nonlinear(robot: Robot) -> bool:
     return any(entry.effect in NONLINEAR for entry in robot.physics)
 
 
-def check_stepped(robot: Robot, record: FrfRecord, force_n: float, pulse_s: float = 0.008) -> dict[str, Any]:
-    """One blow stepped in MuJoCo's time against what the search predicts for this force level.
-
-    The response to one hammer point, on all sensors; the record is as long as the recording's lines are apart.
-    """
-    tested = with_channels(without_limits(robot), record.excitation, record.response)
-    mechanism = assemble(tested, record.q, brakes=record.brakes or "off")
-    column = _loudest(record)
-    step = float(record.frequency[1] - record.frequency[0])
-    test = HammerTest(pulse_s=pulse_s, duration_s=1 / step, hits=1)
-    hits = simulate_hits(mechanism, test, force_n, [record.excitation.label[column]], record.response.label, threads=1)
-    H = _frf_of_blow(hits, record)
-    expected = record.predicted["after"][:, :, column]
-    off = float(np.linalg.norm(H - expected) / np.linalg.norm(expected))
-    return {
-        "name": "time stepping", "value": off, "limit": STEPPED, "passed": off < STEPPED,
-        "description": f"a blow of {force_n:g} N on {record.excitation.label[column]} in '{record.name}', stepped in "
-        f"time by MuJoCo, gives the FRFs the search predicts within {off:.1%} (limit {STEPPED:.0%})",
-    }  # fmt: skip
-
-
 def check_replayed(description: Path, run: MotionRun, source: str) -> dict[str, Any]:
     """The written description time-stepped along a run under servos against its inverse dynamics, after a low-pass."""
     robot = load_robot(description)
@@ -138,19 +115,6 @@ def check_replayed(description: Path, run: MotionRun, source: str) -> dict[str, 
         "description": f"robot.yaml read again and stepped in time by MuJoCo along '{run.name}' gives the torque of "
         f"its inverse dynamics within {value:.1%} (limit {REPLAYED:.0%})",
     }  # fmt: skip
-
-
-def _loudest(record: FrfRecord) -> int:
-    """The hammer point whose FRFs are largest."""
-    return int(np.argmax(np.linalg.norm(record.measured, axis=(0, 1))))
-
-
-def _frf_of_blow(hits: Any, record: FrfRecord) -> ComplexArray:
-    """Response over force (nf, nr) at the record's lines, in its quantity."""
-    t = np.arange(hits.force.shape[-1]) / hits.sample_rate_hz
-    kernel = np.exp(-2j * np.pi * record.frequency[:, None] * t)
-    H = (kernel @ hits.response[0, 0].T) / (kernel @ hits.force[0, 0])[:, None]
-    return np.asarray(H * laplace(record.frequency)[:, None] ** (QUANTITIES.index(record.quantity) - 2))
 
 
 def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> dict[str, Any] | None:
