@@ -6,6 +6,7 @@ from twin.physics.backlash import Backlash
 from twin.physics.base_compliance import BaseCompliance
 from twin.physics.cable_stiffness import CableStiffness
 from twin.physics.coulomb_friction import CoulombFriction
+from twin.physics.discovered import Discovered
 from twin.physics.effect import Effect
 from twin.physics.friction_drift import FrictionDrift
 from twin.physics.gravity_compensator import GravityCompensator
@@ -57,6 +58,7 @@ CATALOGUE: dict[str, Effect] = {
         HammerMisalignment(),
         TimeDelay(),
         TorqueConstant(),
+        Discovered(),
     )
 }
-"""Identifier → effect, in the order of the vocabulary."""
+"""Identifier → effect, in the order of the vocabulary; last what stands outside it."""

@@ -1,0 +1,104 @@
+"""A torque law found in data that no other effect explains: a formula of the motion, with its coefficients."""
+
+import ast
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.physics.effect import Effect, Parameter, Values, axis_of
+
+if TYPE_CHECKING:
+    from twin.physics.motion import Motion
+    from twin.robot.mechanism import Mechanism
+
+FUNCTIONS = {"sin": np.sin, "cos": np.cos, "exp": np.exp, "tanh": np.tanh, "abs": np.abs}
+_OPERATORS = {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power}
+_NAME = re.compile(r"([cqva]|load)([1-9]\d*)|t")
+
+
+class Discovered(Effect):
+    """Written as a passive force; there accelerations are zero.
+
+    ``formula`` is arithmetic (+ − * / **) over numbers, the coefficients c1, c2 …, the state of any axis (q1 position,
+    v1 velocity, a1 acceleration, load1 torque through the gear), t the campaign's clock in s, and sin, cos, exp, tanh,
+    abs, sign.
+    """
+
+    name = "discovered"
+    sites = ("joint{i}",)
+    parameters = (Parameter("formula", "an expression", word=True), Parameter("coefficients", "N·m", length=-1))
+    seen_in = frozenset({"log"})
+    order = 3
+    repeatable = True
+
+    def check(self, values: Values) -> str | None:
+        try:
+            tree = ast.parse(str(values["formula"]), mode="eval").body
+        except SyntaxError:
+            return f"formula: {values['formula']!r} is not an expression"
+        for node in ast.walk(tree):
+            if problem := _problem(node, len(values["coefficients"])):
+                return f"formula: {problem}"
+        return None
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        mechanism.passive_force(self.name, site, values)
+
+    def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
+        tree = ast.parse(str(values["formula"]), mode="eval").body
+        torque = _evaluate(tree, motion, values["coefficients"])
+        return {axis_of(site): np.broadcast_to(np.asarray(torque, float), motion.time.shape).copy()}
+
+
+def _problem(node: ast.AST, coefficients: int) -> str | None:
+    """Why a part of a formula cannot be evaluated."""
+    match node:
+        case ast.Name(id=name):
+            found = _NAME.fullmatch(name)
+            if name in FUNCTIONS or name == "sign":
+                return None
+            if not found:
+                return f"unknown {name!r}; expected c1, q1, v1, a1, load1, t, {', '.join(FUNCTIONS)} or sign"
+            if found[1] == "c" and int(found[2]) > coefficients:
+                return f"{name} is missing among the coefficients"
+        case ast.Constant(value=value) if isinstance(value, bool) or not isinstance(value, int | float):
+            return f"expected a number, found {value!r}"
+        case ast.Call(func=function, args=arguments, keywords=keywords):
+            if not isinstance(function, ast.Name) or len(arguments) != 1 or keywords:
+                return "a function takes one argument"
+        case ast.BinOp(op=op) if type(op) not in _OPERATORS:
+            return "expected + - * / or **"
+        case ast.UnaryOp(op=op) if not isinstance(op, ast.USub | ast.UAdd):
+            return "expected + or - before a term"
+        case ast.Constant() | ast.BinOp() | ast.UnaryOp() | ast.operator() | ast.unaryop() | ast.expr_context():
+            return None
+        case _:
+            return f"expected arithmetic, found {type(node).__name__}"
+    return None
+
+
+def _evaluate(node: ast.expr, motion: "Motion", coefficients: list[float]) -> Any:
+    match node:
+        case ast.Constant(value=value):
+            return value
+        case ast.UnaryOp(op=op, operand=operand):
+            value = _evaluate(operand, motion, coefficients)
+            return -value if isinstance(op, ast.USub) else value
+        case ast.BinOp(left=left, op=op, right=right):
+            sides = (_evaluate(side, motion, coefficients) for side in (left, right))
+            return _OPERATORS[type(op)](*sides)
+        case ast.Call(func=ast.Name(id=name), args=[argument]):
+            function = motion.sign if name == "sign" else FUNCTIONS[name]
+            return function(_evaluate(argument, motion, coefficients))
+        case ast.Name(id="t"):
+            return motion.time
+        case ast.Name(id=name):
+            kind, number = _NAME.fullmatch(name).groups()  # type: ignore[union-attr]
+            if kind == "c":
+                return coefficients[int(number) - 1]
+            state = {"q": motion.position, "v": motion.velocity, "a": motion.acceleration, "load": motion.load}[kind]
+            if int(number) > state.shape[1]:
+                raise ValueError(f"{name}: the robot has {state.shape[1]} axes")
+            return state[:, int(number) - 1]
+    raise ValueError(f"cannot evaluate {ast.dump(node)}")
