@@ -29,7 +29,8 @@ from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
 QUANTILE = 1.6448536269514722  # of the standard normal, for a 90 % interval
-STEP_RATE_HZ = 200.0  # laws are evaluated at least this often: friction steps where the axis turns back
+SAMPLED_HZ = 80.0  # a log this fast holds samples of the torque, a slower one was filtered before it was thinned out
+STEP_RATE_HZ = 200.0  # then laws are evaluated at least this often: friction steps where the axis turns back
 SMOOTH_RATE = 8.0  # links' columns are evaluated at least this many times the motion's band
 ROWS_PER_HZ = 5.0  # rows kept per second and hertz of the low-pass
 CORRELATION_S = 4.0  # residuals farther apart are taken as independent
@@ -140,7 +141,8 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Rows:
         out[:, used] = lowpass(flat[:, used], rate * upsample, *bands.fit)[:: upsample * step]
         return out.reshape(-1, *values.shape[1:])
 
-    coarse, fine = (max(1, int(np.ceil(least / rate))) for least in (SMOOTH_RATE * bands.motion[1], STEP_RATE_HZ))
+    coarse = max(1, int(np.ceil(SMOOTH_RATE * bands.motion[1] / rate)))
+    fine = 1 if rate >= SAMPLED_HZ else int(np.ceil(STEP_RATE_HZ / rate))
     motion = motion_of_run(run, bands, coarse)
     dense = motion if fine == coarse else motion_of_run(run, bands, fine)
     bodies = regressor.bodies(motion)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 VERSION = 1
 LONGEST_GAP_S = 0.05  # longer ones are not bridged: a spline knows nothing of what a robot did in them
 FLAT_S = 0.02  # torque that stays at its largest value for so long while the axis moves was cut off
+LEAVES = 0.1  # of an axis's range, by which a log may leave it
 SERIES = {  # units, where a file states them: revolute or linear axis
     "position": ("rad", "m"),
     "torque": ("N·m", "N"),
@@ -267,31 +268,28 @@ def saturated(run: MotionRun) -> np.ndarray:
 def check_against(log: MotionLog, robot: "Robot") -> None:
     """Check a log, in joint coordinates, against what the robot can do.
 
+    Positions may leave the described limits by a tenth of their range, as a robot's own may be wider.
+
     Raises:
-        InputError: wrong number of axes; positions outside the axes' limits, with the likely cause.
+        InputError: wrong number of axes; positions far outside the axes' limits, with the likely cause.
     """
     require_axes(log, robot.axis_count)
     for name, run in log.runs.items():
         for i, axis in enumerate(robot.axes):
             q = run.position[:, i]
-            low, high = (axis.limits.position if axis.limits else None) or (-np.inf, np.inf)
+            given = axis.limits.position if axis.limits else None
+            low, high = given or ((-8 * np.pi, 8 * np.pi) if axis.type == "revolute" else (-np.inf, np.inf))
             speed = (axis.limits.velocity if axis.limits else None) or np.inf
             fastest = float(np.percentile(np.abs(np.diff(q)), 99)) * run.sample_rate_hz
-            margin = 0.05 * (high - low) if np.isfinite(high - low) else 0.0
-            outside = q.min() < low - margin or q.max() > high + margin
-            if not (outside or fastest > 2 * speed or (axis.type == "revolute" and np.abs(q).max() > 8 * np.pi)):
+            margin = LEAVES * (high - low) if given else 0.0
+            if q.min() >= low - margin and q.max() <= high + margin and fastest <= 2 * speed:
                 continue
-            field_ = f"runs/{name}/position"
-            turned = np.deg2rad(q)
-            fits = turned.min() >= low - margin and turned.max() <= high + margin and np.deg2rad(fastest) < 2 * speed
-            if axis.type == "revolute" and fits:
-                raise InputError(
-                    log.source, field_,
-                    f"joint{i + 1} runs from {q.min():.4g} to {q.max():.4g}: expected rad, these look like degrees",
-                )  # fmt: skip
-            found = f"runs from {q.min():.4g} to {q.max():.4g} at up to {fastest:.3g} per s"
-            limits = f"its limits are {low:.4g} … {high:.4g}, {speed:.3g} per s"
-            raise InputError(log.source, field_, f"joint{i + 1} {found}; {limits} (rad, m)")
+            found = f"joint{i + 1} runs from {q.min():.4g} to {q.max():.4g} at up to {fastest:.3g} per s"
+            if axis.type == "revolute" and max(np.abs(q).max() / max(abs(low), abs(high)), fastest / (2 * speed)) > 2:
+                expected = "expected rad, these look like degrees"
+            else:
+                expected = f"its limits are {low:.4g} … {high:.4g}, {speed:.3g} per s (rad, m)"
+            raise InputError(log.source, f"runs/{name}/position", f"{found}; {expected}")
 
 
 def _read_csv(path: Path) -> MotionLog:
