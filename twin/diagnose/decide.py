@@ -71,7 +71,8 @@ def decide(
     scale = max(1.0, best_misfit) if scale is None else scale
     logs = []
     for fit, less in zip(fits, handicap or [0.0] * len(fits), strict=True):
-        prior = np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(fit.hypothesis.effect, 10))
+        pieces = fit.hypothesis.pieces or (fit.hypothesis,)
+        prior = sum(np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(p.effect, 10)) for p in pieces)
         logs.append((fit.evidence(scale) - base.evidence(scale) - less) / numbers["temperature"] + prior)
     weights = np.array([*logs, np.log(numbers["none"])])
     weights = np.exp(weights - weights.max())

@@ -51,6 +51,7 @@ class Hypothesis:
         entries: what is added to the description, at the centre of its prior.
         own: (m,) parameters of the entries, named as in the description.
         scale: base parameters whose prior is widened: name → factor on the deviation.
+        parts: the single hypotheses of one that is several at once.
     """
 
     effect: str
@@ -58,6 +59,12 @@ class Hypothesis:
     entries: tuple[Entry, ...] = ()
     own: tuple[Parameter, ...] = ()
     scale: tuple[tuple[str, float], ...] = ()
+    parts: tuple["Hypothesis", ...] = ()
+
+    @property
+    def pieces(self) -> tuple["Hypothesis", ...]:
+        """Single hypotheses; none for the base model."""
+        return self.parts or ((self,) if self.entries or self.scale else ())
 
     @property
     def key(self) -> str:
@@ -78,7 +85,16 @@ class Hypothesis:
             base = Parameters(items, base.covariance * np.outer(width, width))
         if not self.own:
             return base
-        return self._quick(join(base, independent(self.own)))
+        return self._quick(join(base, *(p._prior for p in self.parts or (self,))))
+
+    @property
+    def _prior(self) -> Parameters:
+        """The own parameters; what is known of a damper is its ratio to its spring."""
+        own = independent(self.own)
+        if self.effect in CATALOGUE and CATALOGUE[self.effect].sprung and len(self.own) == 2:
+            ratio = np.array([[1.0, 0.0], [1.0, 1.0]])
+            return Parameters(own.items, ratio @ own.covariance @ ratio.T)
+        return own
 
     def _quick(self, written: Parameters) -> Parameters:
         items = list(written.items)
@@ -178,11 +194,14 @@ def widened(parameters: Parameters) -> list[Hypothesis]:
     return found
 
 
-def pair(first: Hypothesis, second: Hypothesis) -> Hypothesis:
-    """Both at once."""
+def together(*parts: Hypothesis) -> Hypothesis:
+    """All at once; nothing beside something is that something alone."""
+    flat = [piece for part in parts for piece in part.pieces]
+    if len(flat) == 1:
+        return flat[0]
     return Hypothesis(
-        f"{first.effect}+{second.effect}", f"{first.site}+{second.site}", first.entries + second.entries,
-        first.own + second.own, first.scale + second.scale,
+        "+".join(p.effect for p in flat), "+".join(p.site for p in flat), tuple(e for p in flat for e in p.entries),
+        tuple(q for p in flat for q in p.own), tuple(w for p in flat for w in p.scale), tuple(flat),
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from twin.measure.campaign import FloatArray, PostureFRF, as_quantity, dead_chan
 
 NEIGHBOURS = 25  # lines over which the additive part is pooled
 ROUNDS = 4
+NOISY = 0.05  # noise over signal, in power, where |H|² is pooled as well
 LEAST = 1e-4  # of |H|: no FRF is known better
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
 
@@ -27,9 +28,16 @@ def pooled_variance(posture: PostureFRF) -> FloatArray | None:
     n = posture.averages
     power = np.abs(accelerance) ** 2
     coherence = np.clip(posture.coherence, 1e-6, 1.0)
-    single = power * (1 - coherence) / (2 * n * coherence)
-    if _scattered(single, power):
-        single = single * n / (n - 1)  # a variance about the mean of its own n hits
+    noise = (1 - coherence) / (n * coherence)  # of the mean's power
+    scattered = _scattered(power * noise, power)
+    if scattered:
+        single = 0.5 * power * noise * n / (n - 1)  # a variance about the mean of its own n hits
+    # Where noise rules, |H|² is noise itself: a line that happens to come out small is not known better for it.
+    share = noise / (noise + NOISY)
+    width = np.minimum(len(power), NEIGHBOURS)
+    power = (1 - share) * power + share * _smooth(power, width) / _smooth(np.ones_like(power), width)
+    if not scattered:
+        single = 0.5 * power * noise / (1 + noise)
     dead = dead_channels(posture)
     rms = np.sqrt(np.mean(power, axis=0))
     floor = (SENSOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
@@ -45,8 +53,8 @@ def pooled_variance(posture: PostureFRF) -> FloatArray | None:
         own = (1 - share) / model
         a = np.maximum(_smooth(own * (single - b * power), kernel) / np.maximum(_smooth(own, kernel), 1e-300), 0)
     variance = np.maximum(a + b * power, np.maximum(floor, LEAST**2 * power))
-    scale = (power / np.maximum(np.abs(posture.frf) ** 2, 1e-300)) if posture.quantity != "accelerance" else 1.0
-    variance = variance / scale
+    if posture.quantity != "accelerance":
+        variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
     variance[:, dead] = np.inf
     return variance
 

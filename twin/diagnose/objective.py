@@ -1,5 +1,6 @@
 """Posterior cost of a hypothesis on measured FRFs, with its derivatives: what screening and refits evaluate."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -48,6 +49,8 @@ class Objective:
     Attributes:
         robot: the description before values are applied.
         weight: 1/σ per recording (nf, nr, ne); zero where a line is not used.
+        held, among: with ``among``, z holds those coordinates alone and the others are as in ``held``.
+        rows: residual and its derivatives where a linear one was evaluated last, recording by recording.
     """
 
     robot: Robot
@@ -56,8 +59,13 @@ class Objective:
     temper: float = 0.0
     logarithmic: bool = False
     weight: list[FloatArray] = field(default_factory=list)
+    held: FloatArray | None = None
+    among: tuple[int, ...] | None = None
+    rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        if self.weight:
+            return
         for r in self.sample.recordings:
             size = np.abs(r.frf) ** 2
             if self.logarithmic:
@@ -72,11 +80,31 @@ class Objective:
         """Number of real data that the lines stand for."""
         return 2 * self.sample.repeat * sum(int(np.count_nonzero(w)) for w in self.weight)
 
+    @property
+    def free(self) -> Parameters:
+        """The parameters that z stands for."""
+        return self.parameters if self.among is None else self.parameters.select(self.among)
+
+    def within(self, z: FloatArray, among: Sequence[int]) -> "Objective":
+        """The same with everything but some coordinates held at z; those must be independent of the others a priori.
+
+        Central differences are then taken at the angles as recorded: that changes a slope by less than a thousandth.
+        """
+        return replace(self, held=z, among=tuple(among), rows=[])
+
+    def whole(self, z: FloatArray) -> FloatArray:
+        """Coordinates of all parameters."""
+        if self.among is None:
+            return z
+        out = np.array(self.held)
+        out[list(self.among)] = z
+        return out
+
     def predicted(self, z: FloatArray) -> list[ComplexArray]:
         """FRFs (nf, nr, ne) per recording."""
-        values = self.parameters.values(z)
+        values = self.parameters.values(self.whole(z))
         robot = self.parameters.apply(self.robot, values)
-        return [frf(self._observe(robot, r.setup, values)[0], r.s, r.power) for r in self.sample.recordings]
+        return [frf(observe(robot, r.setup, self.parameters, values)[0], r.s, r.power) for r in self.sample.recordings]
 
     def residual(self, z: FloatArray) -> FloatArray:
         """Weighted linear residual (2 Σ nf nr ne,), measured minus predicted."""
@@ -88,18 +116,15 @@ class Objective:
 
     def jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted residual (data,) and derivatives (n, data) of the weighted prediction with respect to z."""
-        values = self.parameters.values(z)
-        robot, transform = self.parameters.apply(self.robot, values), self.parameters.transform(values)
         rows, rest = [], []
-        for r, w in zip(self.sample.recordings, self.weight, strict=True):
-            H, dH = self._slopes(robot, r, values, transform)
+        for r, w, (H, dH) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
             rows.append((dH * w).reshape(len(z), -1).view(float))
             rest.append(((r.frf - H) * w).reshape(-1).view(float))
         return np.concatenate(rest), np.concatenate(rows, axis=1)
 
     def cost(self, z: FloatArray) -> float:
         """Prior included."""
-        cost = 0.5 * float(z @ z)
+        cost = 0.5 * float(self.whole(z) @ self.whole(z))
         for r, H, w in zip(self.sample.recordings, self.predicted(z), self.weight, strict=True):
             e = self._error(r, H, w)[0]
             cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
@@ -107,18 +132,30 @@ class Objective:
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
-        values = self.parameters.values(z)
-        robot, transform = self.parameters.apply(self.robot, values), self.parameters.transform(values)
-        cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
-        for r, w in zip(self.sample.recordings, self.weight, strict=True):
-            H, dH = self._slopes(robot, r, values, transform)
+        cost, gradient, information = 0.5 * float(self.whole(z) @ self.whole(z)), z.copy(), np.eye(len(z))
+        self.rows.clear()
+        for r, w, (H, dH) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
             e, pull, factor = self._error(r, H, w)
             cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
-            dH = dH * factor
+            dH *= factor
             G = dH.reshape(len(z), -1).view(float)
             gradient += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
             information += G @ G.T
+            if not self.logarithmic:
+                self.rows.append((np.ascontiguousarray(e).reshape(-1).view(float), G))
         return cost, gradient, information
+
+    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
+        """Gᵀ ∂²e/∂step² (n,) of the linear residual e at z, where this was called last; ``None`` if it is not known."""
+        if not self.rows:
+            return None
+        h, total = 0.1, np.zeros(len(z))
+        for r, H, w, (e, G) in zip(
+            self.sample.recordings, self.predicted(z + h * step), self.weight, self.rows, strict=True
+        ):
+            ahead = np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float)
+            total += G @ (2 / h * ((ahead - e) / h - step @ G))
+        return total
 
     def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Residual, what pulls on the parameters, and ∂ residual / ∂ H."""
@@ -135,15 +172,17 @@ class Objective:
             inverse = np.where(H != 0, -1 / H, 0)
         return e * soft, e * weight, inverse * w * weight
 
-    def _observe(self, robot: Robot, setup: Setup, values: FloatArray) -> tuple[Observed, Structure]:
-        return observe(robot, setup, self.parameters, values)
-
-    def _slopes(
-        self, robot: Robot, r: Recorded, values: FloatArray, transform: FloatArray
-    ) -> tuple[ComplexArray, ComplexArray]:
-        seen, model = self._observe(robot, r.setup, values)
-        rate = _rates(robot, r.setup, self.parameters, values, seen, model)
-        return frf_slopes(seen, contract(rate, transform), r.s, r.power)
+    def _slopes(self, z: FloatArray) -> Iterator[tuple[ComplexArray, ComplexArray]]:
+        """Prediction and its derivatives with respect to z, recording by recording."""
+        values = self.parameters.values(self.whole(z))
+        robot, transform = self.parameters.apply(self.robot, values), self.parameters.transform(values)
+        free, own = self.free, values
+        if self.among is not None:
+            transform, own = transform[np.ix_(self.among, self.among)], values[list(self.among)]
+        for r in self.sample.recordings:
+            seen, model = observe(robot, r.setup, self.parameters, values)
+            rate = _rates(robot, r.setup, free, own, seen, model)
+            yield frf_slopes(seen, contract(rate, transform), r.s, r.power)
 
 
 def _rates(

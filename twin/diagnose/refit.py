@@ -18,7 +18,9 @@ from twin.measure.campaign import FloatArray
 from twin.robot.description import Robot
 
 NONE = Hypothesis("none", "")
-LARGEST_STEP = 2.0  # in prior deviations
+LARGEST_STEP = 5.0  # length of the first step, in prior deviations
+TURN = 0.75  # of a step: its longest correction for the bend
+SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
 TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
 
 
@@ -59,38 +61,68 @@ class Fitted:
         return list(range(len(self.parameters) - len(self.hypothesis.own), len(self.parameters)))
 
 
-def minimise(objective: Objective, z: FloatArray, iterations: int, tolerance: float) -> tuple[
-    FloatArray, float, FloatArray, bool
-]:  # fmt: skip
-    """Levenberg's method in prior coordinates: z, cost, Gauss–Newton matrix, and whether the expected gain fell below
-    ``tolerance``.
+def minimise(
+    objective: Objective, z: FloatArray, iterations: int, tolerance: float
+) -> tuple[FloatArray, float, FloatArray, bool]:
+    """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of the valley it goes
+    along (geodesic acceleration; Transtrum and Sethna, arXiv:1201.5885): z, cost, Gauss–Newton matrix, and whether
+    the expected gain fell below ``tolerance``, or below a share of the misfit beyond noise: where that is large the
+    model lacks something.
 
-    Damping is by the identity, the prior's metric: what holds steps back are parameters that the data hardly hold (the
-    logarithm of a damper near zero), and those it shortens; directions the data hold well are left to Newton. The
-    curvature of value = mean · eˣ itself, ∂²/∂x² = ∂/∂x, is added where it is positive.
+    The region is a ball in the prior's metric, so that what holds steps back are parameters that the data hardly hold
+    (the logarithm of a damper near zero) and those it shortens; directions the data hold well are left to Newton. The
+    curvature of value = mean · eˣ itself, ∂²/∂x² = ∂/∂x, is added where it is positive. The region grows as long as the
+    model keeps its promises: one that lacks something can want a nuisance at twenty prior deviations.
     """
-    damping = 1.0
-    log = np.array([p.log for p in objective.parameters]) * np.diag(objective.parameters.root)
+    reach, data = LARGEST_STEP, objective.data
+    log = np.array([p.log for p in objective.free]) * np.diag(objective.free.root)
     cost, gradient, information = objective(z)
     for _ in range(iterations):
-        if 0.5 * float(gradient @ np.linalg.solve(information, gradient)) < tolerance:
+        if 0.5 * float(gradient @ np.linalg.solve(information, gradient)) < max(
+            tolerance, SLACK * (cost - 0.55 * data)
+        ):
             return z, cost, information, True
+        curvature, axes = np.linalg.eigh(information + np.diag(np.maximum(log * (gradient - z), 0)))
+        along = axes.T @ gradient
         while True:
-            bent = np.diag(damping + np.maximum(log * (gradient - z), 0))
-            step = -np.linalg.solve(information + bent, gradient)
-            step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
+            step, damping = _within(reach, curvature, axes, along)
+            bend = objective.bend(z, step)
+            if bend is not None:
+                turn = -0.5 * axes @ ((axes.T @ bend) / (curvature + damping))
+                if np.linalg.norm(turn) < TURN * np.linalg.norm(step):
+                    step = step + turn
             trial = objective.cost(z + step)
+            promised = -float(gradient @ step) - 0.5 * float(step @ information @ step)
             if np.isfinite(trial) and trial < cost:
                 break
-            damping *= 8
-            if damping > 1e9:
+            reach = 0.25 * min(reach, float(np.linalg.norm(step)))
+            if reach < 1e-6:
                 return z, cost, information, False
-        promised = -float(gradient @ step) - 0.5 * float(step @ information @ step)
-        damping *= 1 / 8 if cost - trial > 0.5 * promised else 2
-        damping = max(damping, 1e-3)
+        kept = (cost - trial) / max(promised, 1e-300)
+        if kept < 0.25:
+            reach = 0.5 * float(np.linalg.norm(step))
+        elif kept > 0.75 and damping > 0:
+            reach *= 3
         z = z + step
         cost, gradient, information = objective(z)
     return z, cost, information, False
+
+
+def _within(reach: float, curvature: FloatArray, axes: FloatArray, along: FloatArray) -> tuple[FloatArray, float]:
+    """The step of a quadratic model that is not longer than ``reach``, and the damping that keeps it so.
+
+    Args:
+        curvature, axes: eigenvalues (n,) and vectors (n, n); ``along`` (n,) the gradient on these axes.
+    """
+    damping = 0.0
+    for _ in range(30):
+        step = -along / (curvature + damping)
+        length = float(np.linalg.norm(step))
+        if length <= 1.1 * reach:
+            break
+        slope = -float(np.sum(step**2 / (curvature + damping))) / length
+        damping -= (length / reach) * (length - reach) / slope  # Newton on 1/length, which is nearly linear
+    return axes @ step, damping
 
 
 def descend(

@@ -1,33 +1,38 @@
 """Which of many hypotheses deserve a refit: the gain that one Gauss–Newton step from a typical size promises.
 
-Every entry in turn is put into the base model at a few sizes of its prior: its secant carries what a tangent at no
+Every entry in turn is put into the current model at a few sizes of its prior: its secant carries what a tangent at no
 effect cannot (a servo is collinear with gear stiffness to first order). The step frees the entry's own parameters and,
-under their priors, everything the base model has free: stiffness, damping, masses, posture angles, gains. That is
+under their priors, everything the current model has free: stiffness, damping, masses, posture angles, gains. That is
 the projection of nuisance parameters with unfitted tolerances as part of the covariance, and an implausible size pays
 for itself.
 
-Where the base model misses by much more than noise, no first-order model holds to the precision of that noise: the
-promise is then taken on the robust logarithmic residual, at the optimum of that residual.
+Near the truth all this is linear algebra on every line, with the nuisance derivatives of the current model. Where that
+misses by much more than noise, no first-order model holds to the precision of that noise: the promise is then taken on
+the robust logarithmic residual of a few lines, with derivatives at every place that is tried.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import Fitted
+from twin.diagnose.refit import Fitted, minimise
 from twin.identify.parameters import Parameters
-from twin.measure.campaign import FloatArray
+from twin.identify.sensitivity import frf, observe
+from twin.measure.campaign import Channels, ComplexArray, FloatArray
+from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
-SIZES = (-1.5, 0.5)  # where a search starts, in prior deviations of the first scale among the own parameters
+SIZES = {"near": (1.0, 3.0), "off": (-0.5, 1.0)}  # to start from: prior deviations of the first scale, towards null
+YIELDING = 5  # iterations in which springs make room for an entry
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
 LONGEST = 3.0  # prior deviations that a promised step may take
-FAR = 0.03  # relative misfit of the base model above which residuals are taken logarithmic
+FAR = 0.03  # relative misfit of the current model above which residuals are taken logarithmic
 
 
 @dataclass(frozen=True)
@@ -35,39 +40,64 @@ class Promise:
     """What one step promises.
 
     Attributes:
+        hypothesis: the current one and the suspect together.
+        suspect: what is new in it.
         gain: expected fall of the cost, prior of the own parameters included.
-        start: (n + m,) where a refit starts, in prior deviations: the end of the step where that is better indeed.
+        start: (n + m,) where a refit starts, in prior deviations: the end of the step; ``fallback`` where it began.
     """
 
     hypothesis: Hypothesis
+    suspect: Hypothesis
     parameters: Parameters
     gain: float
     start: FloatArray
+    fallback: FloatArray
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Where a screening stands: base model, its parameters, where in z, and on which residual.
+    """Where a screening stands.
 
     Attributes:
-        z: (n,) the base model's optimum of the residual in use.
+        base, free: the description and the base model's parameters.
+        current: what is already believed to be missing; ``z`` (n,) its optimum of the residual in use.
+        few: fewer lines.
+        error: relative model error assumed beside the noise.
     """
 
     base: Robot
-    parameters: Parameters
+    free: Parameters
+    current: Hypothesis
     z: FloatArray
     sample: Sample
-    temper: float
+    few: Sample
+    error: float
     logarithmic: bool
 
-    def objective(self, hypothesis: Hypothesis, parameters: Parameters, sample: Sample | None = None) -> Objective:
+    def objective(self, hypothesis: Hypothesis, sample: Sample | None = None) -> Objective:
         """The cost of a hypothesis on this residual."""
-        return Objective(hypothesis.robot(self.base), parameters, sample or self.sample, self.temper, self.logarithmic)
+        parameters = hypothesis.parameters(self.free)
+        return Objective(hypothesis.robot(self.base), parameters, sample or self.sample, self.error, self.logarithmic)
+
+    @cached_property
+    def linear(self) -> "Linear":
+        """Derivatives at z of the linear residual on all postures."""
+        return Linear(replace(self.objective(self.current), logarithmic=False, weight=[]), self.z)
 
 
-def inflation(base: Robot, fit: Fitted, sample: Sample) -> float:
-    """Relative model error τ at which the base model's χ² per datum is one, from 0 (it is noise already) to 1."""
-    plain = Objective(base, fit.parameters, sample)
+class Linear:
+    """An objective's residual (data,) and derivatives J (n, data) at one place, and the nuisance block J Jᵀ + 1."""
+
+    def __init__(self, objective: Objective, z: FloatArray) -> None:
+        self.residual, self.J = objective.jacobian(z)
+        self.information = self.J @ self.J.T + np.eye(len(z))
+        self.inverse = np.linalg.inv(self.information)
+        self.pull = self.J @ self.residual
+
+
+def inflation(fit: Fitted, base: Robot, sample: Sample) -> float:
+    """Relative model error τ at which a model's χ² per datum is one, from 0 (it is noise already) to 1."""
+    plain = Objective(fit.hypothesis.robot(base), fit.parameters, sample)
     power = [np.abs(r.frf - H) ** 2 for r, H in zip(sample.recordings, plain.predicted(fit.z), strict=True)]
 
     def chi2(temper: float) -> float:
@@ -75,7 +105,7 @@ def inflation(base: Robot, fit: Fitted, sample: Sample) -> float:
             float(np.sum(p / (r.variance + temper**2 * np.abs(r.frf) ** 2)))
             for p, r in zip(power, sample.recordings, strict=True)
         )
-        return sample.repeat * total / plain.data
+        return sample.repeat * total / max(plain.data, 1)
 
     if chi2(0.0) < 1.3:
         return 0.0
@@ -89,75 +119,169 @@ def inflation(base: Robot, fit: Fitted, sample: Sample) -> float:
 def screen(
     setting: Setting, suspects: Sequence[Sequence[Hypothesis]], progress: Callable[[int], None] | None = None
 ) -> list[Promise]:
-    """The most promising variant and size of every suspect, best first."""
-    before = setting.objective(Hypothesis("none", ""), setting.parameters).cost(setting.z)
+    """The most promising variant and size of every suspect not in the current hypothesis, best first."""
+    present = {piece.key for piece in setting.current.pieces}
+    before = setting.objective(setting.current).cost(setting.z)
     scan: _Scan | None = None
     found = []
     for variants in suspects:
+        if progress:
+            progress(1)
+        if variants[0].key in present:
+            continue
         chosen = variants
         if len(variants) > SCANNED:
             scan = scan or _Scan(setting)
             chosen = scan.best(variants)
-        promises = [promise for hypothesis in chosen for promise in _promises(setting, hypothesis, before)]
-        found.append(max(promises, key=lambda promise: promise.gain))
-        if progress:
-            progress(1)
+        found.append(max((p for h in chosen for p in _promises(setting, h, before)), key=lambda promise: promise.gain))
     return sorted(found, key=lambda promise: -promise.gain)
 
 
-def _promises(setting: Setting, hypothesis: Hypothesis, before: float) -> list[Promise]:
-    parameters = hypothesis.parameters(setting.parameters)
-    objective = setting.objective(hypothesis, parameters)
-    n = len(setting.z)
-    z_base = setting.z
-    # Where the base model is far off, its springs make up for what is missing: start from the description too.
-    places = [(z_base, deviation) for deviation in SIZES] + [(np.zeros(n), 0.0)] * setting.logarithmic
-    if hypothesis.scale:
-        z_base = np.asarray(np.linalg.solve(parameters.root[:n, :n], setting.parameters.root @ setting.z))
-    size = next((k for k, p in enumerate(hypothesis.own) if p.log), None)
+def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Promise]:
+    """One promise for every place a search may start from."""
+    hypothesis = together(setting.current, suspect)
+    objective = setting.objective(hypothesis)
+    size = next((k for k, p in enumerate(suspect.own) if p.log), None)
     found = []
-    for place, deviation in places if size is not None else [(z_base, 0.0)]:
-        own = np.zeros(len(hypothesis.own))
+    for deviation in SIZES["off" if setting.error > 0 else "near"] if size is not None else (0.0,):
+        own = np.zeros(len(suspect.own))
         if size is not None:
-            own[size] = deviation
-        z = np.concatenate([place, own])
-        cost, gradient, information = objective(z)
-        step = -np.linalg.solve(information, gradient)
-        reach = min(1.0, LONGEST / max(float(np.abs(step[n:]).max(initial=0.0)), 1e-9))
-        after = cost + (reach - 0.5 * reach**2) * float(gradient @ step)
-        end = z + reach * min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-9)) * step
-        start = end if objective.cost(end) < cost else z
-        found.append(Promise(hypothesis, parameters, before - after, start))
+            own[size] = deviation if CATALOGUE[suspect.effect].sprung else -deviation
+        z = np.concatenate([setting.z, own])
+        if size is None and not setting.logarithmic:
+            found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
+        elif setting.error > 0:
+            z = _yielding(setting, objective, z)
+            found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
+        else:
+            found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
+    if setting.logarithmic:  # the springs make up for what is missing: start from the description too
+        z = np.zeros(len(objective.parameters))
+        found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
     return found
 
 
+def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> FloatArray:
+    """z after the springs have made room for an entry, its size held: a servo shares its joint with the gear.
+
+    The robust logarithmic residual of few lines serves from any distance.
+    """
+    robust = replace(objective, sample=setting.few, temper=0.0, logarithmic=True, weight=[])
+    springs = [k for k, p in enumerate(setting.free) if p.kind == "spring"]
+    inner = robust.within(z, springs)
+    return inner.whole(minimise(inner, z[springs], YIELDING, 0.5)[0])
+
+
+def _near_promise(
+    setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective, z: FloatArray, before: float
+) -> Promise:
+    base, n, m = setting.linear, len(setting.z), len(suspect.own)
+    inner = objective.within(z, range(n, n + m))
+    residual, D = inner.jacobian(z[n:])
+    across = base.J @ D.T
+    information = np.block([[base.information, across], [across.T, D @ D.T + np.eye(m)]])
+    gradient = z - np.concatenate([base.J @ residual, D @ residual])
+    loss = 0.5 * float(residual @ residual + z @ z) - before
+    return _promise(setting, hypothesis, suspect, objective.parameters, z, loss, gradient, information)
+
+
+def _full_promise(
+    setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective, z: FloatArray, before: float
+) -> Promise:
+    cost, gradient, information = objective(z)
+    promise = _promise(setting, hypothesis, suspect, objective.parameters, z, cost - before, gradient, information)
+    return promise if objective.cost(promise.start) < cost else replace(promise, start=z)
+
+
+def _promise(
+    setting: Setting,
+    hypothesis: Hypothesis,
+    suspect: Hypothesis,
+    parameters: Parameters,
+    z: FloatArray,
+    loss: float,
+    gradient: FloatArray,
+    information: FloatArray,
+) -> Promise:
+    """The step from z, where the cost is ``loss`` above the current model's."""
+    n = len(setting.z)
+    step = -np.linalg.solve(information, gradient)
+    reach = min(1.0, LONGEST / max(float(np.abs(step[n:]).max(initial=0.0)), 1e-9))
+    gain = -loss - (reach - 0.5 * reach**2) * float(gradient @ step)
+    end = z + reach * min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-9)) * step
+    return Promise(hypothesis, suspect, parameters, gain, end, z)
+
+
 class _Scan:
-    """Secants of many variants against the projected residual, the amplitude free."""
+    """Secants of many resonators against the projected residual, the amplitude free.
+
+    A mass on a spring at a point p along a takes the force g(s) u_p, g = m s² (c s + k)/(m s² + c s + k), so that
+    H′ − H = −H_rp g/(1 + g h_pp) H_pe: one prediction serves all frequencies and axes.
+    """
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
         self.sample = setting.sample.first(SCANNED_POSTURES)
         # linear in H, with the model's error as large as it is: the secant of a resonator is local in frequency
-        objective = Objective(setting.base, setting.parameters, self.sample, max(setting.temper, 1e-9))
-        self.residual, self.J = objective.jacobian(setting.z)
-        self.factor = np.linalg.inv(self.J @ self.J.T + np.eye(len(self.J)))
-        self.pull = self.J @ self.residual
+        temper = max(setting.error, 1e-9)
+        parameters = setting.current.parameters(setting.free)
+        self.objective = Objective(setting.current.robot(setting.base), parameters, self.sample, temper)
+        self.linear = Linear(self.objective, setting.z)
+        self.seen: dict[tuple[str, tuple[float, ...]], list[ComplexArray]] = {}
 
     def best(self, variants: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The most promising variants, one for every word (an axis) among the parameters."""
         scores: dict[str, tuple[float, Hypothesis]] = {}
         for hypothesis in variants:
-            parameters = hypothesis.parameters(self.setting.parameters)
-            robot = hypothesis.robot(self.setting.base)
-            objective = Objective(robot, parameters, self.sample, max(self.setting.temper, 1e-9))
-            z = np.concatenate([self.setting.z, np.zeros(len(hypothesis.own))])
-            secant = self.residual - objective.residual(z)
-            across = self.J @ secant
-            along = float(secant @ self.residual - across @ self.factor @ self.pull)
-            size = float(secant @ secant - across @ self.factor @ across)
+            secant = self._secant(hypothesis)
+            across = self.linear.J @ secant
+            along = float(secant @ self.linear.residual - across @ self.linear.inverse @ self.linear.pull)
+            size = float(secant @ secant - across @ self.linear.inverse @ across)
             gain = along * abs(along) / max(size, 1e-12)
             words = "".join(str(v) for v in hypothesis.entries[0].values.values() if isinstance(v, str))
             if words not in scores or gain > scores[words][0]:
                 scores[words] = gain, hypothesis
         ranked = sorted(scores.values(), key=lambda item: -item[0])
         return [hypothesis for _, hypothesis in ranked[:SCANNED_KEPT]]
+
+    def _secant(self, hypothesis: Hypothesis) -> FloatArray:
+        values = hypothesis.entries[0].values
+        mass, omega = values["mass"], 2 * np.pi * values["frequency_hz"]
+        place, axis = tuple(values["position"]), "xyz".index(values["axis"])
+        key = hypothesis.site, place
+        if key not in self.seen:
+            self.seen[key] = self._receptance(*key)
+        parts = []
+        for r, X, w in zip(self.sample.recordings, self.seen[key], self.objective.weight, strict=True):
+            nr, ne = len(r.setup.response.label), len(r.setup.excitation.label)
+            spring = 2 * values["damping_ratio"] * omega * mass * r.s + mass * omega**2
+            force = mass * r.s**2 * spring / (mass * r.s**2 + spring)
+            out, into, own = X[:, :nr, ne + axis], X[:, nr + axis, :ne], X[:, nr + axis, ne + axis]
+            gain = (r.s**r.power * force / (1 + force * own))[:, None, None]
+            change = -gain * out[:, :, None] * into[:, None, :]
+            parts.append(np.asarray(change * w, complex).reshape(-1).view(float))
+        return np.concatenate(parts)
+
+    def _receptance(self, body: str, place: tuple[float, ...]) -> list[ComplexArray]:
+        """Receptances with the point's three axes as further responses and excitations."""
+        found = []
+        values = self.objective.parameters.values(self.setting.z)
+        robot = self.objective.parameters.apply(self.objective.robot, values)
+        for r in self.sample.recordings:
+            setup = replace(
+                r.setup, response=_with_point(r.setup.response, body, place),
+                excitation=_with_point(r.setup.excitation, body, place),
+            )  # fmt: skip
+            seen, _ = observe(robot, setup, self.objective.parameters, values)
+            found.append(frf(seen, r.s, 0))
+        return found
+
+
+def _with_point(channels: Channels, body: str, place: Sequence[float]) -> Channels:
+    return replace(
+        channels,
+        label=(*channels.label, *(f"0{axis}+" for axis in "XYZ")),
+        body=(*channels.body, body, body, body),
+        position=np.vstack([channels.position, np.tile(place, (3, 1))]),
+        direction=np.vstack([channels.direction, np.eye(3)]),
+    )

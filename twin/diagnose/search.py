@@ -1,14 +1,16 @@
-"""From the base model to the few hypotheses that explain a hammer test: converge, screen, halve, refit.
+"""From the base model to the few hypotheses that explain a hammer test, one missing thing after the other.
 
-All finalists end on the same lines with the same residual, each from several starts, so that their evidence compares.
+A round takes what is believed so far, screens what else could be missing, refits what promises most. Rounds go on as
+long as the evidence grows; then every thing found is taken out in turn and the round repeated with the others in
+place, since one thing may have been found in the stead of another. All finalists end on all lines, at convergence.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose.hypotheses import Hypothesis, companions
+from twin.diagnose.hypotheses import Hypothesis, companions, together
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.diagnose.screen import FAR, Promise, Setting, inflation, screen
@@ -17,9 +19,13 @@ from twin.measure.campaign import FloatArray
 from twin.robot.description import Robot
 
 SCREEN_LINES, REFIT_LINES = 25, 50
-CANDIDATES, FINALISTS, FEWEST = 16, 8, 3
+CANDIDATES, FINALISTS, FEWEST = 12, 6, 3
 RACE = 0.08  # of the best gain: less promises nothing
-REACH, SETTLED = 40.0, 4  # in ln evidence on thinned lines: what is fitted to all lines
+REACH = 40.0  # in ln evidence: what is worth converging
+ROUNDS = 3  # things missing at once
+SHORT = 0.2  # of what another has gained: less promised is not refitted
+SLIGHT = 3.0  # ln likelihood that a refit must promise
+WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
 
 Progress = Callable[[str, int], Callable[[int], None]]
 
@@ -31,8 +37,9 @@ class Search:
     Attributes:
         base: the base model's optimum; ``others`` its other starts, best first.
         robust: (n,) the base model's optimum of the logarithmic residual.
-        promises: every suspect, most promising first.
-        finalists: refitted hypotheses, most evidence first.
+        error: relative error of the base model beyond noise.
+        promises: of the first round, most promising first.
+        fits: every hypothesis fitted to all lines, by key.
     """
 
     base: Fitted
@@ -40,7 +47,12 @@ class Search:
     robust: FloatArray
     error: float
     promises: list[Promise] = field(default_factory=list)
-    finalists: list[Fitted] = field(default_factory=list)
+    fits: dict[str, Fitted] = field(default_factory=dict)
+
+    @property
+    def finalists(self) -> list[Fitted]:
+        """Refitted hypotheses, most evidence first."""
+        return sorted(self.fits.values(), key=lambda fit: -fit.evidence())
 
 
 def converge(robot: Robot, parameters: Parameters, sample: Sample, starts: int = 2, seed: int = 0) -> Search:
@@ -59,7 +71,10 @@ def converge(robot: Robot, parameters: Parameters, sample: Sample, starts: int =
             best, robust = cost, z
         ends.append(descend(robot, NONE, parameters, more, z, tempered=8, linear=15))
     ends.sort(key=lambda fit: fit.cost)
-    return Search(ends[0], ends[1:], robust, inflation(robot, ends[0], more))
+    error = inflation(ends[0], robot, more)
+    steps = 15 if error < FAR else 5  # far off, the last digit of a wrong model says nothing
+    base = descend(robot, NONE, parameters, sample, ends[0].z, tempered=0, linear=steps, tolerance=0.02)
+    return Search(base, ends[1:], robust, error)
 
 
 def explain(
@@ -69,83 +84,169 @@ def explain(
     suspects: Sequence[Sequence[Hypothesis]],
     progress: Progress | None = None,
 ) -> Search:
-    """Screen the suspects and refit those that promise most."""
+    """Everything that may be missing, alone and together."""
     progress = progress or (lambda description, total: lambda count: None)
-    parameters = search.base.parameters
-    few, more = sample.thin(SCREEN_LINES), sample.thin(REFIT_LINES)
-    far = search.error > FAR
-    few = few if far else more  # the base model is converged on these
-    z = search.robust if far else search.base.z
-    z, *_ = minimise(Objective(robot, parameters, few, search.error, far), z, 8, 0.05)
-    setting = Setting(robot, parameters, z, few, search.error, far)
-    search.promises = screen(setting, suspects, progress("screen", len(suspects)))
-    least = RACE * search.promises[0].gain
-    candidates = [p for k, p in enumerate(_varied(search.promises, CANDIDATES)) if k < FEWEST or p.gain > least]
-    tick = progress("refit", len(candidates))
-    before = setting.objective(NONE, parameters).cost(z)
-    halved: list[tuple[float, Promise, FloatArray]] = []
-    for promise in candidates:
-        objective = setting.objective(promise.hypothesis, promise.parameters)
-        end, cost, _, _ = minimise(objective, promise.start, 10, 0.3)
-        halved.append((before - cost, promise, end))
-        tick(1)
-    halved.sort(key=lambda item: -item[0])
-    kept = [item for k, item in enumerate(halved[:FINALISTS]) if k < FEWEST or item[0] > RACE * halved[0][0]]
-    tick = progress("finalists", len(kept))
-    for _, promise, end in kept:
-        search.finalists.append(
-            descend(
-                robot, promise.hypothesis, promise.parameters, more, end,
-                tempered=6 if search.error > 0 else 0, linear=12,
-            )
-        )  # fmt: skip
-        tick(1)
-    search.finalists.sort(key=lambda fit: -fit.evidence())
-    _accompany(robot, search, more)
+    best = search.base
+    for number in range(ROUNDS):
+        found = _round(robot, search, best, sample, suspects, progress)
+        if not found or found[0].evidence() - best.evidence() < WORTH * max(1.0, found[0].misfit):
+            break
+        best = found[0]
+        if number:
+            best = _reconsider(robot, search, best, sample, suspects, progress)
     return search
 
 
-def _accompany(robot: Robot, search: Search, sample: Sample) -> None:
-    """Judge the best finalist's companions beside it."""
-    best, parameters = search.finalists[0], search.base.parameters
-    if best.evidence() - search.base.evidence() < -REACH:
-        return
-    fitted = {fit.hypothesis.key for fit in search.finalists}
-    postures = [r.setup.q for r in sample.recordings]
-    for hypothesis in companions(best.hypothesis, robot, parameters, postures):
-        if hypothesis.key in fitted:
+def _reconsider(
+    robot: Robot,
+    search: Search,
+    best: Fitted,
+    sample: Sample,
+    suspects: Sequence[Sequence[Hypothesis]],
+    progress: Progress,
+) -> Fitted:
+    """Every thing found but the last taken out and looked for again beside the others."""
+    for piece in best.hypothesis.pieces[:-1]:
+        if piece not in best.hypothesis.pieces:
             continue
-        own = hypothesis.parameters(parameters)
-        z = best.z[: len(parameters)]
-        if hypothesis.scale:
-            z = np.asarray(np.linalg.solve(own.root, parameters.root @ z))
-        elif [p.quantity for p in hypothesis.own] == [p.quantity for p in best.hypothesis.own]:
+        rest = together(*(p for p in best.hypothesis.pieces if p is not piece))
+        current = search.fits.get(rest.key)
+        if current is None:
+            keep = [
+                k for k, p in enumerate(best.parameters) if p.name in set(rest.parameters(search.base.parameters).names)
+            ]
+            parameters = rest.parameters(search.base.parameters)
+            current = _refit(robot, search, rest, parameters, [best.z[keep]], sample, False)
+        found = _round(robot, search, current, sample, suspects, progress)
+        best = max([best, *found], key=lambda fit: fit.evidence())
+    return best
+
+
+def _round(
+    robot: Robot,
+    search: Search,
+    current: Fitted,
+    sample: Sample,
+    suspects: Sequence[Sequence[Hypothesis]],
+    progress: Progress,
+) -> list[Fitted]:
+    """Current hypothesis and one thing more, most evidence first."""
+    free, hypothesis = search.base.parameters, current.hypothesis
+    error = search.error if hypothesis is NONE else inflation(current, robot, sample.thin(REFIT_LINES))
+    far = error > FAR
+    lines = sample.thin(SCREEN_LINES if far else REFIT_LINES) if error > 0 else sample
+    z = search.robust if hypothesis is NONE and far else current.z
+    setting = Setting(robot, free, hypothesis, z, lines, sample.thin(SCREEN_LINES), error, far)
+    if error > 0:
+        z, *_ = minimise(setting.objective(hypothesis), z, 8, 0.05)
+        setting = replace(setting, z=z)
+    promises = screen(setting, suspects, progress("screen", len(suspects)))
+    if hypothesis is NONE:
+        search.promises = promises
+    least = max(SLIGHT, RACE * promises[0].gain)
+    if error > 0:
+        starts = _halve(setting, _varied(promises, CANDIDATES), progress)
+    else:
+        likely = _varied(promises, FINALISTS)
+        kept = [p for k, p in enumerate(likely) if k == 0 or p.gain > least]
+        starts = [(p, [p.start, p.fallback]) for p in kept]
+    found: list[Fitted] = []
+    tick = progress("refit", len(starts))
+    for number, (promise, places) in enumerate(starts):
+        gained = max((current.cost - fit.cost for fit in found), default=0.0)
+        if number >= FEWEST and promise.gain < SHORT * gained:
+            continue
+        found.append(_refit(robot, search, promise.hypothesis, promise.parameters, places, sample, far))
+        tick(1)
+    found.sort(key=lambda fit: -fit.evidence())
+    if found[0].evidence() > current.evidence():
+        found += _accompany(robot, search, found[0], sample)
+    return sorted(found, key=lambda fit: -fit.evidence())
+
+
+def _halve(
+    setting: Setting, candidates: Sequence[Promise], progress: Progress
+) -> list[tuple[Promise, list[FloatArray]]]:
+    """Candidates at their optimum on the screening's residual, best first: a few steps for all, all for the best."""
+    tick = progress("compare", len(candidates))
+    ends = []
+    for promise in candidates:
+        objective = setting.objective(promise.hypothesis)
+        start = min((promise.start, promise.fallback), key=objective.cost)
+        z, cost, _, _ = minimise(objective, start, 8, 0.5)
+        ends.append((cost, promise, z))
+        tick(1)
+    ends.sort(key=lambda end: end[0])
+    converged = []
+    for _, promise, z in ends[:FINALISTS]:
+        z, cost, _, _ = minimise(setting.objective(promise.hypothesis), z, 20, 0.3)
+        converged.append((cost, promise, z))
+    converged.sort(key=lambda end: end[0])
+    best = converged[0][0]
+    return [(promise, [z]) for k, (cost, promise, z) in enumerate(converged) if k < 2 or cost - best < REACH]
+
+
+def _refit(
+    robot: Robot,
+    search: Search,
+    hypothesis: Hypothesis,
+    parameters: Parameters,
+    places: Sequence[FloatArray],
+    sample: Sample,
+    far: bool,
+) -> Fitted:
+    """A hypothesis at its optimum on all lines, from the best of some places; ``far``: of the logarithmic residual."""
+    if far:
+        z = descend(robot, hypothesis, parameters, sample.thin(REFIT_LINES), places[0], tempered=8, linear=15).z
+    else:
+        z = min(places, key=Objective(hypothesis.robot(robot), parameters, sample).cost)
+    known = search.fits.get(hypothesis.key)
+    fit = descend(robot, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+    if known is None or fit.cost < known.cost:
+        search.fits[hypothesis.key] = fit
+    return search.fits[hypothesis.key]
+
+
+def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> list[Fitted]:
+    """The companions of the last thing in a hypothesis, judged beside it."""
+    free = search.base.parameters
+    *others, last = best.hypothesis.pieces
+    postures = [r.setup.q for r in sample.recordings]
+    found = []
+    for companion in companions(last, robot, free, postures):
+        hypothesis = together(*others, companion)
+        if hypothesis.key in search.fits or companion.key in {piece.key for piece in others}:
+            continue
+        parameters = hypothesis.parameters(free)
+        n = len(parameters) - len(companion.own)
+        if companion.scale:
+            simpler = search.fits.get(together(*others).key, search.base)
+            held = simpler.z[[free.names.index(name) for name, _ in companion.scale]]
+            if simpler.evidence() + 0.5 * float(held @ held) < best.evidence() - REACH:
+                continue  # more than the price of its prior cannot be gained
+            z = np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z))
+        elif [p.quantity for p in companion.own] == [p.quantity for p in last.own]:
             z = best.z
         else:
-            z = np.concatenate([z, np.zeros(len(hypothesis.own))])
-        search.finalists.append(descend(robot, hypothesis, own, sample, z, tempered=4, linear=12))
-    search.finalists.sort(key=lambda fit: -fit.evidence())
+            z = np.concatenate([best.z[:n], np.zeros(len(companion.own))])
+        found.append(_refit(robot, search, hypothesis, parameters, [z], sample, False))
+    return found
 
 
 def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
-    """The base model and the hypotheses still in reach, fitted to all lines; most evidence first, base last."""
-    best = search.finalists[0].evidence() if search.finalists else -np.inf
-    near = [fit for fit in search.finalists[:SETTLED] if best - fit.evidence() < REACH]
-    fits = [*near, search.base]
-    found = []
-    for fit in fits:
-        steps = 25 if best - fit.evidence() < 10 * REACH else 3
-        found.append(
-            descend(robot, fit.hypothesis, fit.parameters, sample, fit.z, tempered=0, linear=steps, tolerance=0.02)
-        )
-    return [*sorted(found[:-1], key=lambda fit: -fit.evidence()), found[-1]]
+    """Every hypothesis in reach of the best, most evidence first; the base model last."""
+    fits = search.finalists
+    return [
+        *(fit for k, fit in enumerate(fits) if k < FEWEST or fits[0].evidence() - fit.evidence() < 10 * REACH),
+        search.base,
+    ]
 
 
 def _varied(promises: Sequence[Promise], count: int) -> list[Promise]:
     """The most promising, at most a third of them from one effect."""
     kept: list[Promise] = []
     for promise in promises:
-        same = sum(other.hypothesis.effect == promise.hypothesis.effect for other in kept)
+        same = sum(other.suspect.effect == promise.suspect.effect for other in kept)
         if same < max(2, count // 3):
             kept.append(promise)
         if len(kept) == count:
