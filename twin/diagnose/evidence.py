@@ -13,7 +13,9 @@ from twin.measure.campaign import FloatArray
 PROMINENCE = np.log(2.0)  # of a peak above the valleys beside it
 REACH = np.log(1.4)  # between a measured peak and the model's
 NOWHERE = 0.15  # what a peak counts that the model does not have near
-SHIFT = 0.01  # of a peak's frequency: less is told by its height
+SHIFT = 0.004  # of a peak's frequency: less is told by its height
+BETWEEN = 0.25  # lines, to which a peak between them is interpolated
+LOUD = 0.005  # of the loudest line: less is hard to see
 HEIGHT = np.log(1.05)
 
 
@@ -67,7 +69,7 @@ def _spots(record: FrfRecord, pair: int, loudest: float) -> list[Spot]:
     found = []
     for line, height, frequency in peaks:
         noise = np.sqrt(2 * record.variance[flat][line])
-        if height < 0.02 * loudest or height < 5 * noise:
+        if height < LOUD * loudest or height < 5 * noise:
             continue
         (f0, h0), (f1, h1) = (_nearest(model, frequency) for model in models)
         if not np.isfinite(f1):
@@ -75,10 +77,10 @@ def _spots(record: FrfRecord, pair: int, loudest: float) -> list[Spot]:
         weight = np.log1p(10 * height / loudest)
         off = [abs(np.log(f / frequency)) if np.isfinite(f) else NOWHERE for f in (f0, f1)]
         spacing = float(record.frequency[1] - record.frequency[0]) / frequency
-        gain = off[0] - off[1] - spacing
+        gain = off[0] - off[1] - BETWEEN * spacing
         heights = [min(abs(np.log(h / height)), 1.0) if np.isfinite(h) else 1.0 for h in (h0, h1)]
         taller = 0.1 * (heights[0] - heights[1]) if np.isfinite(f0) else 0.0
-        by_height = off[0] < max(SHIFT, 2 * spacing) and heights[0] > HEIGHT
+        by_height = off[0] < max(SHIFT, 2 * BETWEEN * spacing) and heights[0] > HEIGHT
         score = weight * (taller if by_height else gain)
         if score > 0:
             found.append(Spot(record, pair, line, (frequency, height), (f0, h0), (f1, h1), by_height, float(score)))
@@ -183,7 +185,9 @@ def _residual_sentence(name: str, records: Sequence[FrfRecord]) -> str:
     """Where no peak moves visibly: the channel and band in which the residual falls most."""
     best: tuple[float, str] | None = None
     for record in records:
-        fallen = record.energy("before") - record.energy("after")
+        size = np.abs(record.measured)
+        seen = (size > 5 * np.sqrt(record.variance)) & (size > LOUD * size[np.isfinite(record.variance)].max())
+        fallen = np.where(seen, record.energy("before") - record.energy("after"), 0.0)
         edges = np.array_split(np.arange(len(record.frequency)), 6)
         total = np.array([fallen[lines].sum(axis=0).ravel() for lines in edges])
         b, c = np.unravel_index(int(np.argmax(total)), total.shape)
