@@ -5,9 +5,9 @@
 
 Truth: KR90 with masses, inertias, rotors, compensator and friction off within tolerance, random Fourier motions with
 dwells, encoder counts, white and coloured torque noise, in every second case ripple at every joint and a gas law for
-the compensator. Sizes are log-uniform from one to thirty times the smallest visible (VISIBLE). What the
-description has (friction) is taken out of it, and the truth is given the size that is left. Every case is one JSON file;
-a study that is interrupted goes on where it stopped. Rates come with Wilson 95 % intervals.
+the compensator. Sizes are log-uniform from one to thirty times the smallest visible (VISIBLE). What the description has
+(friction) is taken out of it, and the truth is given the size that is left. Every case is one JSON file; a study that
+is interrupted goes on where it stopped. Rates come with Wilson 95 % intervals.
 """
 
 import argparse
@@ -164,7 +164,8 @@ def score(result: dict) -> dict:  # type: ignore[type-arg]
     anywhere = [(e["effect"], e["site"]) for e in effects]
     error = result["diagnosis"]["error"]
     return {
-        "named": bool(effects), "top1": bool(answers) and answers[0] in same, "top3": any(a in same for a in answers[:3]),
+        "named": bool(effects),
+        "top1": bool(answers) and answers[0] in same, "top3": any(a in same for a in answers[:3]),
         "anywhere": any(a in same for a in anywhere), "extra": max(len(effects) - 1, 0), "answers": answers[:3],
         "ratio": (error["after"]["held_out"] or np.nan) / error["noise_floor"],
         "probability": effects[0]["probability"] if effects else None,
@@ -222,9 +223,8 @@ def table(folder: Path) -> None:
         answered = [(s["probability"], s["top1"]) for _, s in scored if s["named"]]
         if answered:
             p, right = np.array(answered, float).T
-            print(
-                f"answers: mean probability {p.mean():.3f}, right {right.mean():.3f}, Brier {np.mean((p - right) ** 2):.3f}"
-            )
+            brier = np.mean((p - right) ** 2)
+            print(f"answers: mean probability {p.mean():.3f}, right {right.mean():.3f}, Brier {brier:.3f}")
         wall, cpu = (np.median([r[key] for r in results]) for key in ("wall_s", "cpu_s"))
         print(f"wall {wall:.1f} s, cpu {cpu:.1f} s (median of {len(results)})")
     for r in failed:

@@ -819,8 +819,9 @@ def start(system: System, suspect: Suspect) -> Trial:
             u[sizes] += np.linalg.solve(information[1:, 1:] + np.eye(len(sizes)), pull)
             u = _inside(suspect, u)
             weight = np.concatenate([[1.0], u[sizes] - before])
-        else:
-            weight = np.ones(1)
+        else:  # its numbers in proportion
+            weight = np.clip(pulls[part] / information[0], 0.01, 10.0)
+            u = own_prior(own, weight[0] * values)
         gain = float(weight @ pulls[part] - 0.5 * weight @ information @ weight - 0.5 * u @ u)
         if best is None or gain > best[0]:
             best = gain, u

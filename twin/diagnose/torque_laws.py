@@ -55,7 +55,8 @@ class Suspect:
 
     Attributes:
         starts: (k, m) values of the own parameters.
-        sizes: indices of the own parameters in which the torque is linear, solved for at every start.
+        sizes: indices of the own parameters in which the torque is linear, solved for at every start; with none, it
+            is linear in all of them together.
         nonnegative: (m,) which own values cannot be below zero.
     """
 

@@ -5,7 +5,7 @@ joint's state gains, and gives way to a simpler one within reach: no law is exac
 better.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,6 +28,7 @@ from twin.diagnose.torque_fit import (
     own_prior,
     own_values,
     refer,
+    refine,
     settle,
     span_of,
     start,
@@ -45,11 +46,12 @@ REACH = 0.9  # of the gain of a free function of the joint's state: less is no n
 SLIGHT = 0.01  # of the evidence gained by names: less is their laws' inexactness
 SEEN = 15.0  # ln evidence of such a function from which something is there
 SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches it is preferred
-MOST = 6  # things found one after the other
+ROUNDS = 5  # of looking for more with what was found in the model
+FURTHER = 25.0  # ln evidence that a second thing must gain: it was looked for among more
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
 HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
-EXACT = 1e-3  # of the evidence gained so far: what laws already in the model may be off by
+EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
 SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
 LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
 
@@ -146,30 +148,59 @@ def explain(
     judge = Judge(system, kept) if kept else None
     axes = range(len(system.whitening))
     free = np.array([free_gain(system, j) for j in axes])
-    steps = []
-    for number in range(MOST):
+    steps: list[Step] = []
+    for number in range(ROUNDS):
         known = {s.name for s in system.found}
         open_ = [s for s in suspects if s.name not in known]
         step = _look(system, open_, progress("screen" if not number else "look for more", len(open_)))
         steps.append(step)
-        if not step.decision.ranked or step.decision.probability[0] < step.decision.none:
+        if not _borne_out(step, steps[:-1], judge):
             break
-        if step.gain < EXACT * sum(earlier.gain for earlier in steps[:-1]):  # laws found earlier are no truer than that
-            step.decision = _nothing(step.decision)
-            break
-        if judge is not None:
-            step.held, enough = judge.gain(system, step.first, step.trial)
-            if not enough:
-                step.decision = _nothing(step.decision)
-                break
-        step.accepted = True
         system = accepted(system, step)
+        for beside in _elsewhere(step, system, open_):
+            if _borne_out(beside, steps, judge):
+                steps.append(beside)
+                system = accepted(system, beside)
     left = np.array([free_gain(system, j) for j in axes])
     search = Search(steps, system, base_fit(system), free, left)
     joint, other = search.other
     if other > 0.5:
         _locate(search, joint, judge)
     return search
+
+
+def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bool:
+    """Whether the first answer of a step goes into the model; the runs not used have their say."""
+    if not step.decision.ranked or step.decision.probability[0] < step.decision.none:
+        return False
+    gained = sum(other.gain for other in earlier)
+    enough = step.gain > max(EXACT * gained, FURTHER if earlier else 0.0)
+    if enough and judge is not None:
+        step.held, enough = judge.gain(step.system, step.first, step.trial)
+    if not enough:
+        step.decision = _nothing(step.decision)
+    step.accepted = enough
+    return enough
+
+
+def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Iterator[Step]:
+    """What the same look found at joints that its first answer does not touch, strongest first."""
+    taken = set(step.trial.column.joints if step.trial else ())
+    joints: dict[int, float] = {}
+    for fit in step.decision.ranked:
+        trial = step.trials.get(fit.hypothesis.key)
+        if trial is not None and len(trial.column.joints) == 1:
+            joint = trial.column.joints[0]
+            joints[joint] = max(joints.get(joint, 0.0), fit.evidence() - step.base.evidence())
+    for joint in sorted(joints, key=lambda j: -joints[j]):
+        if joint in taken or joints[joint] < FURTHER:
+            continue
+        again = {k: t for k, t in step.trials.items() if t.column.joints == (joint,)}
+        trials = {k: refine(system, evaluate(system, t.suspect, t.u), 3) for k, t in again.items()}
+        found = _decided(system, trials, [fitted(system, t) for t in trials.values()], suspects)
+        yield found
+        if found.accepted:
+            system = accepted(system, found)
 
 
 def accepted(system: System, step: Step) -> System:
@@ -195,25 +226,26 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
 
 
 def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None]) -> Step:
-    base = base_fit(system)
     started = []
     for suspect in suspects:
         started.append(start(system, suspect))
         tick(1)
     started.sort(key=lambda trial: -trial.gain)
-    least = max(RACE * started[0].gain, 1.0)
-    chosen = [trial for trial in _varied(started) if trial.gain > least]
     trials: dict[str, Trial] = {}
     best_of: dict[str, Fitted] = {}
-    for trial in chosen:
+    for trial in _varied(started):
         trial = settle(system, trial)
         fit = fitted(system, trial)
         key = fit.hypothesis.key
         if key not in best_of or fit.evidence() > best_of[key].evidence():
             best_of[key], trials[key] = fit, trial
-    fits = list(best_of.values())
-    fits += widened_fits(system)
-    gains = np.array([fit.evidence() - base.evidence() for fit in fits])
+    return _decided(system, trials, [*best_of.values(), *widened_fits(system)], suspects)
+
+
+def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], suspects: Sequence[Suspect]) -> Step:
+    """Probabilities of fits to one system, simpler ones preferred within reach."""
+    base = base_fit(system)
+    gains = np.array([fit.evidence() for fit in fits]) - base.evidence()
     best = float(gains.max(initial=0.0))
     numbers = [max(len(f.hypothesis.own), len(f.hypothesis.scale)) for f in fits]
     fewest = min((m for m, gain in zip(numbers, gains, strict=True) if gain > SIMPLER * best), default=0)
@@ -223,14 +255,18 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
 
 
 def _varied(started: Sequence[Trial]) -> list[Trial]:
-    """The most promising, at most half of them from one effect."""
+    """The most promising, at most half of them from one effect; and the two best that act on each joint alone."""
+    least = max(RACE * started[0].gain, 1.0)
     kept: list[Trial] = []
     for trial in started:
         same = sum(other.suspect.hypothesis.effect == trial.suspect.hypothesis.effect for other in kept)
-        if same < FINALISTS // 2:
+        if same < FINALISTS // 2 and trial.gain > least:
             kept.append(trial)
         if len(kept) == FINALISTS:
             break
+    for joint in {trial.column.joints[0] for trial in started if len(trial.column.joints) == 1}:
+        own = [trial for trial in started if trial.column.joints == (joint,) and trial.gain > FURTHER]
+        kept += [trial for trial in own[:2] if not any(trial is other for other in kept)]
     return kept
 
 
