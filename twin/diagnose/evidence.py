@@ -219,10 +219,12 @@ def _log_sentence(name: str, records: Sequence[LogRecord]) -> str:
         ]
         size = np.sqrt(np.mean(record.measured[record.valid] ** 2, axis=0))
         joint = int(np.argmax((rms[0] - rms[1]) / size))
+        unit = f" {record.units[joint]}" if record.units else ""
         text = (
             f"Without {name} the torque of joint{joint + 1} in run '{record.name}'"
-            f"{', not used,' if record.held_out else ''} is missed by {rms[0][joint]:.3g} RMS "
-            f"({rms[0][joint] / size[joint]:.1%}), with it by {rms[1][joint]:.3g} ({rms[1][joint] / size[joint]:.1%})."
+            f"{', not used,' if record.held_out else ''} is missed by {rms[0][joint]:.3g}{unit} RMS "
+            f"({rms[0][joint] / size[joint]:.1%}), with it by {rms[1][joint]:.3g}{unit} "
+            f"({rms[1][joint] / size[joint]:.1%})."
         )
         score = float(((rms[0] - rms[1]) / size)[joint])
         if best is None or score > best[0]:

@@ -82,6 +82,7 @@ class LogRecord:
         valid: (nt,) rows that count.
         predicted: stage → torque (nt, n), offsets included.
         noise: (n,) RMS of the torque noise after the same low-pass; NaN where unknown.
+        units: (n,) of torque, for people.
     """
 
     name: str
@@ -93,6 +94,7 @@ class LogRecord:
     valid: np.ndarray
     predicted: Mapping[Stage, FloatArray]
     noise: FloatArray
+    units: tuple[str, ...] = ()
 
     def error(self, stage: Stage) -> float:
         """RMS over joints of residual RMS over torque RMS."""

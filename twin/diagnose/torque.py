@@ -99,6 +99,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
     """Every run beside the three models, and the errors of a diagnosis; offsets of held-out runs are re-estimated."""
     first, last = search.steps[0].system, search.system
     noise = first.noise
+    units = tuple("N·m" if axis.type == "revolute" else "N" for axis in prepared.regressor.robot.axes)
     after = search.law[2] if search.law else search.after
     entries = [*last.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
     stages: tuple[tuple[Stage, FloatArray, Sequence[Entry]], ...] = (
@@ -117,7 +118,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
             records.append(
                 LogRecord(
                     run.name, held, run.time, run.motion.position, run.motion.velocity, run.torque, settled,
-                    predicted, noise,
+                    predicted, noise, units,
                 )
             )  # fmt: skip
     errors: dict[str, Any] = {}
