@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tools.coverage_rigid import study
+from twin.commands.compare import compare_log
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
 from twin.identify.regressor import Regressor, pseudo_inertia
@@ -24,7 +25,7 @@ from twin.measure.motion_log import (
 from twin.measure.signals import advance, delay_between, differentiate
 from twin.model.replay import inverse_dynamics
 from twin.physics.motion import Motion
-from twin.robot.description import Robot, parse_robot
+from twin.robot.description import Robot, load_robot, parse_robot, save_robot
 
 RATE = 250.0
 
@@ -370,3 +371,32 @@ def test_a_run_without_a_usable_row_is_left_out(kr90: Robot, log: MotionLog) -> 
     assert any("runs/brief: 0.5 s are too short" in note for note in result.notes)
     with pytest.raises(InputError, match=r"log\.h5: runs: 0\.5 s are too short"):
         identify(MotionLog({"brief": brief}, source="log.h5"), kr90)
+
+
+def test_a_coupled_drives_friction_survives_the_file(tmp_path: Path, fourier: list[Fourier]) -> None:
+    """What a coupling takes over is left out of the YAML or null in it: the columns are the same."""
+    data = load_robot("kr90").model_dump(mode="json")
+    data["drives"][2]["coupling"] = {"joint2": 0.5}
+    data["physics"].append({"effect": "joint_coupling", "site": "joint2", "from": "joint3", "ratio": 0.5})
+    robot = parse_robot(data)
+    save_robot(tmp_path / "robot.yaml", robot)
+    motion = fourier[0].motion(np.linspace(0, 10, 30))
+    written, given = (Regressor(r).evaluate(motion) for r in (load_robot(tmp_path / "robot.yaml"), robot))
+    np.testing.assert_array_equal(written, given)
+
+
+def test_a_rigid_linear_axis_is_replayed() -> None:
+    """95 kg on 1 g of rotor: servos tuned to all that moves follow 2 Hz, and draw the force of the record to 1 %."""
+    axis = {"type": "prismatic", "alpha_deg": 90, "limits": {"position": [-0.1, 0.4], "velocity": 1}}
+    data = {
+        "name": "carriage", "axes": [axis], "drives": [{"gear_ratio": 1, "rotor_inertia": 1e-3}],
+        "links": [{"mass": 95, "com": [0, 0, 0], "inertia": [1, 1, 1, 0, 0, 0]}],
+        "physics": [{"effect": "viscous_friction", "site": "joint1", "coefficient": 200}],
+    }  # fmt: skip
+    carriage = parse_robot(data)
+    time, w = np.arange(1500) / 250, 4 * np.pi
+    q = 0.15 + 0.05 * np.stack([np.sin(w * time)], axis=1)
+    force = 95.001 * -(w**2) * (q - 0.15) + 200 * 0.05 * w * np.stack([np.cos(w * time)], axis=1)
+    found = compare_log(MotionLog({"a": MotionRun("a", time, q, RATE, force)}), carriage, stepped=True)
+    assert found.parts[0]["error"] < 5e-3
+    assert found.parts[0]["stepped_error"] < 0.01

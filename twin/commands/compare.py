@@ -1,7 +1,7 @@
 """``twin compare``: a robot beside recordings, error per part; each kind of recording is judged by its own module."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,11 @@ from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.identify.elastic_compare import Comparison, compare_frf, compare_modes
 from twin.identify.regressor import Regressor
-from twin.identify.rigid import TOO_SHORT, Bands, Rows, rows_of
+from twin.identify.rigid import TOO_SHORT, Bands, Rows, motion_of_run, rows_of
 from twin.measure.hdf5 import Node
 from twin.measure.modal_table import read_modal_table
-from twin.measure.motion_log import MotionLog, read_motion_log
-from twin.measure.signals import lowpass
+from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
+from twin.measure.signals import advance, lowpass
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot
 
@@ -246,13 +246,18 @@ def compare_log(
     return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, replays, log.notes)
 
 
-def _stepped(robot: Robot, run: Any, bands: Bands, rows: Rows, progress: Progress | None) -> np.ndarray:
+def _stepped(robot: Robot, run: MotionRun, bands: Bands, rows: Rows, progress: Progress | None) -> np.ndarray:
     """Low-passed torque of the twin's servos along a run in joint coordinates, at the rows' instants."""
     from twin.model.replay import replay
 
     tick: Callable[[int], None] | None = progress(f"replay {run.name}", len(run.time)) if progress else None
     ideal = robot.without(["torque_constant", "time_delay"])  # which have been taken out of the record
-    torque = replay(ideal, run, progress=tick).torque
+    motion = motion_of_run(run, bands)  # the same as inverse dynamics is given
+    smooth_run = replace(
+        run, position=motion.position, velocity=motion.velocity, acceleration=motion.acceleration, torque=None
+    )
+    torque = replay(ideal, smooth_run, progress=tick).torque
+    torque = advance(torque, run.sample_rate_hz, 0.5 / run.sample_rate_hz)  # a mean over the sample before is late
     smooth = lowpass(torque, run.sample_rate_hz, *bands.within(run.sample_rate_hz).fit)
     return smooth[:: round(run.sample_rate_hz / rows.rate_hz)]
 

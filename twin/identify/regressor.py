@@ -326,7 +326,7 @@ class Regressor:
             if (
                 entry.effect == "joint_coupling"
                 and entry.values["from"] == site
-                and name not in (entry.model_extra or {})
+                and (entry.model_extra or {}).get(name) is None
             ):
                 values = {**entry.values, "inertia": 0.0, "friction": [0.0, 0.0], name: value}
                 for axis, torque in CATALOGUE["joint_coupling"].torque(motion, entry.site, values).items():

@@ -235,17 +235,33 @@ def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
         )  # the motor constant must be positive: 1e-9 brakes the joint by 1e-18 N·m·s/rad
     if mechanism.drives != "servo":
         return
+    inertia = _tuned_inertia(spec, mechanism)
     for i, axis in enumerate(mechanism.robot.axes):
-        kp, kv = mechanism.servo_gains.get(i, (None, None))
-        if kp is None or kv is None:
-            drive = mechanism.robot.drives[i]
-            inertia = drive.gear_ratio**2 * drive.rotor_inertia or 1.0
-            omega = 2 * np.pi * SERVO_HZ
-            kp, kv = inertia * omega**2, 2 * SERVO_DAMPING * inertia * omega
+        omega = 2 * np.pi * SERVO_HZ
+        kp, kv = mechanism.servo_gains.get(i, (inertia[i] * omega**2, 2 * SERVO_DAMPING * inertia[i] * omega))
         actuator = spec.add_actuator(name=f"motor{i + 1}", target=f"motor{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=kp, kv=kv)
         if axis.limits and axis.limits.position:
             actuator.ctrlrange = axis.limits.position
+
+
+def _tuned_inertia(spec: mujoco.MjSpec, mechanism: Mechanism) -> np.ndarray:
+    """Inertia (n,) the servos are tuned to: the rotor's behind an elastic gear, all that moves with a rigid one."""
+    robot = mechanism.robot
+    rotors = np.array([drive.gear_ratio**2 * drive.rotor_inertia for drive in robot.drives])
+    rigid = [i for i, axis in enumerate(robot.axes) if axis.stiffness is None or not rotors[i]]
+    if rigid:
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        for i, value in enumerate(mechanism.q):
+            data.qpos[model.joint(f"motor{i + 1}").qposadr[0]] = value
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        for i in rigid:
+            dof = model.joint(f"motor{i + 1}").dofadr[0]
+            rotors[i] = mass[dof, dof]
+    return rotors
 
 
 def _add_instruments(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
