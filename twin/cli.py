@@ -165,7 +165,7 @@ def fit(
     twin fit modes.yaml --objective paper        # the paper's Eq. 23
     ```
 
-    Numbers in ( ) are not held by the data: value and bound are mostly the prior's. Writes robot.yaml, robot.xml
+    Numbers in ( ) are not held by the data: they are bounds, or mostly the prior. Writes robot.yaml, robot.xml
     (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default; with --json, files are
     written only where --out says so. Next: twin compare judges the new robot on other recordings, twin diagnose looks
     for physics it lacks.

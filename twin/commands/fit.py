@@ -56,6 +56,7 @@ from twin.robot.mjcf import build_spec, save_mjcf
 TABLES = (".yaml", ".yml")
 LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
+CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
 LARGE_CORRELATION = 0.95
 PROFILED = 4  # parameters whose profile is drawn
 
@@ -119,7 +120,7 @@ class FitResult:
             "expected": self.expected,
             "leave_one_out": self.left_out,
             "misfit": self.fit.misfit,
-            "starts": {"agreeing": self.fit.agreeing, "of": len(self.fit.starts)},
+            "starts": {"agreeing": self.fit.agreeing, "of": len(self.fit.starts), "rival": self.fit.rival},
             "converged": self.fit.converged,
             "combinations": [
                 {"data_share": c.share, "weights": {k: w for k, w in c.weights.items() if abs(w) > 0.2}}
@@ -145,14 +146,13 @@ class FitResult:
             for name in cells:
                 if name not in ("stiffness", "damping") and cells[name].parameter.kind == "entry":
                     lines.append(f"  {'':18} {name} {_cell(cells[name]).strip()}")
-        lines.append("  ( ) the data do not hold it: value and bound are mostly the prior's")
+        lines.append("  ( ) the data do not hold it: a bound, or mostly the prior")
         errors = "  ".join(
             f"{name.replace('_', ' ')} {value:.2%}" for name, value in self.error.items() if value is not None
         )
         floor = self.expected.get("held_out")
         lines.append(f"  error: {errors}" + (f"  (noise and tolerances explain {floor:.2%})" if floor else ""))
-        if self.held_out:
-            lines.append(f"  held out: {', '.join(self.held_out)}")
+        lines.append(f"  held out: {', '.join(self.held_out) or 'nothing'}")
         if self.left_out:
             left = "  ".join(f"{name} {value:.2%}" for name, value in self.left_out.items())
             lines.append(f"  each posture left out in turn: {left}")
@@ -532,7 +532,12 @@ def _warnings(result: FitResult, perfect_misfit: float = 1.0) -> list[str]:
     found, fitted = [], result.fit
     if len(fitted.starts) > 1 and fitted.agreeing < 2:
         found.append(f"no two of {len(fitted.starts)} starts agree: this may be a false minimum; try more starts")
-    elif fitted.agreeing < len(fitted.starts):
+    if fitted.rival is not None and fitted.rival < CLOSE_RIVAL * fitted.scale:
+        found.append(
+            f"a second minimum costs only {fitted.rival:.1f} more (in ½χ²): the data hardly tell the two apart; "
+            "intervals are about the first"
+        )
+    elif fitted.rival is not None:
         lost = len(fitted.starts) - fitted.agreeing
         found.append(f"{lost} of {len(fitted.starts)} starts ended in a worse minimum")
     if not fitted.converged:

@@ -36,7 +36,7 @@ LIMIT_SLACK = 0.02  # rad (m): an encoder's zero is not that of the limits
 LARGEST_STEP = 2.0  # in prior deviations
 LEAST_DAMPING = 0.1  # of a step that did not lower the cost
 LEAST_FALL = 0.2  # of the damping, after a step that did as expected
-AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8)
+AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8), by themselves and in the best one's quadratic model
 
 Objective = Callable[[FloatArray], tuple[float, FloatArray, FloatArray]]
 """z (n,) → cost, gradient (n,), Gauss–Newton matrix (n, n), prior included."""
@@ -73,10 +73,11 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Start:
-    """Where one start ended: its cost on the coarse lines, and its z."""
+    """Where one start ended: its cost on the coarse lines, its z, and the Gauss–Newton matrix there."""
 
     cost: float
     z: FloatArray
+    information: FloatArray
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,8 @@ class Fit:
         robot: the description with the values that belong to it.
         cost: ½ χ² + ½ zᵀz at the optimum; ``misfit`` is χ² over the number of real data.
         fisher: (n, n) information of the data in z, before any scaling by the misfit.
-        starts: where the starts ended, best first; ``agreeing`` of them reached the same minimum.
+        starts: where the starts ended, best first; ``agreeing`` of them reached the same minimum, and ``rival`` is the
+            cost of the best of the others above it, ``None`` when there is none.
         data: number of real data.
         converged: the last step was within tolerance.
         noise_known: the recordings state their variance; else the misfit sets its scale.
@@ -107,6 +109,8 @@ class Fit:
     data: int
     converged: bool
     noise_known: bool
+
+    rival: float | None
 
     @property
     def scale(self) -> float:
@@ -380,12 +384,12 @@ def fit_frf(
         z, *_ = minimise(log_objective(robot, parameters, few), z, 25, 0.1, bound)
         for temper in TEMPERS:
             z, *_ = minimise(linear_objective(robot, parameters, few, temper), z, 10, 0.1, bound)
-        z, cost, _, _ = minimise(linear_objective(robot, parameters, few), z, 15, 0.05, bound)
-        ends.append(Start(cost, z))
+        z, cost, information, _ = minimise(linear_objective(robot, parameters, few), z, 15, 0.05, bound)
+        ends.append(Start(cost, z, information))
         if progress:
             progress(1)
     ends.sort(key=lambda end: end.cost)
-    agreeing = sum(end.cost - ends[0].cost < AGREEMENT for end in ends)
+    agreeing, rival = agreement(ends)
     objective = linear_objective(robot, parameters, recordings, exact=True)
     misfit = 2 * ends[0].cost / max(1, _data(few))
     z, cost, information, converged = minimise(objective, ends[0].z, 60, 1e-3 * max(1.0, misfit), bound)
@@ -396,7 +400,20 @@ def fit_frf(
     return Fit(
         parameters, z, values, parameters.apply(robot, values), cost, (2 * cost - float(z @ z)) / max(data, 1),
         information - np.eye(len(z)), tuple(ends), agreeing, data, converged, noise_stated(recordings),
+        rival,
     )  # fmt: skip
+
+
+def agreement(starts: Sequence[Start]) -> tuple[int, float | None]:
+    """How many of some starts, best first, reached the minimum of the best; and the cost of the best rival above it."""
+    best, count, rival = starts[0], 0, None
+    for start in starts:
+        away = start.z - best.z
+        if max(start.cost - best.cost, 0.5 * float(away @ best.information @ away)) < AGREEMENT:
+            count += 1
+        elif rival is None:
+            rival = start.cost - best.cost
+    return count, rival
 
 
 def _data(recordings: Sequence[Recorded]) -> int:

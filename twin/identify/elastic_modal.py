@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from twin.errors import InputError
-from twin.identify.elastic import AGREEMENT, Fit, Objective, Start, minimise, recorded_posture, without_limits
+from twin.identify.elastic import Fit, Objective, Start, agreement, minimise, recorded_posture, without_limits
 from twin.identify.parameters import Parameters, free_parameters
 from twin.identify.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
@@ -140,10 +140,11 @@ def fit_modes(
     z, cost, information, converged = ends[0]
     data = sum(2 * len(p.frequency_hz) - int(np.isnan(p.damping).sum()) for p in postures)
     values = parameters.values(z)
-    agreeing = sum(end[1] - cost < AGREEMENT for end in ends)
+    reached = tuple(Start(end[1], end[0], end[2]) for end in ends)
+    agreeing, rival = agreement(reached)
     return Fit(
         parameters, z, values, parameters.apply(robot, values), cost, (2 * cost - float(z @ z)) / max(data, 1),
-        information - np.eye(len(z)), tuple(Start(end[1], end[0]) for end in ends), agreeing, data, converged, True,
+        information - np.eye(len(z)), reached, agreeing, data, converged, True, rival,
     )  # fmt: skip
 
 
