@@ -16,6 +16,7 @@ from twin.report.html import Section, Table
 if TYPE_CHECKING:
     from twin.commands.fit import FitResult
 
+BOUNDED = 0.75  # share of the prior's variance above which what the data give is a bound
 WORST_HELD = 6  # combinations shown
 
 
@@ -107,7 +108,7 @@ def _numbers(shown: Sequence[Estimate]) -> Table:
             e.parameter.unit,
             f"{e.share:.1%}",
             f"{e.drift:+.2f}",
-            "data" if e.identifiable else "prior",
+            "data" if e.identifiable else "data, a bound" if e.share > BOUNDED else "prior",
         )
         for e in shown
     ]
