@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.refit import Fitted
+from twin.diagnose.refit import Fitted, noise_floor, recorded_error
+from twin.identify.elastic import Recorded
 from twin.yamlfile import read_yaml
 
 
@@ -52,6 +53,7 @@ def decide(
     handicap: Sequence[float] | None = None,
     other: float | None = None,
     scale: float | None = None,
+    kept: Sequence[Recorded] = (),
 ) -> Decision:
     """Probabilities of hypotheses fitted to the same lines as the base model.
 
@@ -62,6 +64,7 @@ def decide(
         handicap: evidence taken off each fit, where a simpler one is within reach.
         other: probability that something unnamed is missing, where the engine has a better measure than the misfit.
         scale: factor on the data's variance (Birge's ratio); what the best fit leaves, by default.
+        kept: hammer tests that were not used; a name must hold there too.
     """
     numbers = calibration()
     sites: dict[str, int] = {}
@@ -77,8 +80,13 @@ def decide(
     weights = np.array([*logs, np.log(numbers["none"])])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
-    other = _other(base.misfit, best_misfit, numbers) if other is None else other
     order = np.argsort(-weights[:-1])
+    if other is None:
+        left = _left(base.misfit, best_misfit, numbers["noise_misfit"])
+        if kept and len(order) and weights[-1] < 0.5:
+            before, after = (held_misfit(fit, kept) for fit in (base, fits[order[0]]))
+            left = max(left, _left(before, after, numbers["held_out_misfit"]))
+        other = _other(left, numbers)
     share = (1 - other) * weights
     none = float(share[-1])
     if base.misfit > 2 * numbers["noise_misfit"] and none > 0.5:  # a mismatch that nothing here explains
@@ -86,12 +94,17 @@ def decide(
     return Decision([fits[k] for k in order], [float(share[k]) for k in order], none, float(other))
 
 
-def _other(base: float, best: float, numbers: Mapping[str, float]) -> float:
+def held_misfit(fit: Fitted, kept: Sequence[Recorded]) -> float:
+    """χ² per datum on recordings not used, after re-estimating what belongs to them alone."""
+    return (recorded_error(fit.robot, kept) / noise_floor(kept)) ** 2
+
+
+def _left(before: float, after: float, noise: float) -> float:
+    """Share of a misfit beyond noise that an answer leaves; one where it makes it worse."""
+    return max(after - noise, 0.0) / max(before - noise, after - noise, 1e-9)
+
+
+def _other(left: float, numbers: Mapping[str, float]) -> float:
     """Probability that what the best hypothesis leaves is a different physics."""
-    noise = numbers["noise_misfit"]
-    if best <= noise:
-        return 0.01
-    left = (best - noise) / max(base - noise, 1e-9)
-    return float(
-        np.clip(1 / (1 + np.exp(-(left - numbers["unexplained_share"]) / numbers["unexplained_width"])), 0.01, 0.99)
-    )
+    odds = (left - numbers["unexplained_share"]) / numbers["unexplained_width"]
+    return float(np.clip(1 / (1 + np.exp(-odds)), 0.01, 0.99))

@@ -62,6 +62,11 @@ class Hypothesis:
     parts: tuple["Hypothesis", ...] = ()
 
     @property
+    def identity(self) -> frozenset[str]:
+        """The same for the same things in whatever order."""
+        return frozenset(piece.key for piece in self.pieces)
+
+    @property
     def pieces(self) -> tuple["Hypothesis", ...]:
         """Single hypotheses; none for the base model."""
         return self.parts or ((self,) if self.entries or self.scale else ())

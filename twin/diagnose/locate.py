@@ -20,7 +20,8 @@ class Mismatch:
         edges_hz: (nb + 1,) of the bands.
         channels: (nc,) pairs, as ``21Z+/4Y+``.
         energy: (np, nb, nc) Σ |residual|²/σ².
-        sites: site → expected fall of the cost if its stiffness and damping were free in every posture.
+        sites: site → expected fall of the cost if its stiffness and damping were free in every posture, or in every
+            band (whichever brings more): a complex stiffness that knows no law.
     """
 
     postures: tuple[str, ...]
@@ -58,13 +59,13 @@ def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
     labels = first.setup
     channels = tuple(f"{r}/{e}" for r in labels.response.label for e in labels.excitation.label)
     energy = np.zeros((len(sample.recordings), BANDS, len(channels)))
-    at, slices = 0, []
+    at, cells = 0, []
     for k, r in enumerate(sample.recordings):
         size = r.frf.size
         part = residual[2 * at : 2 * (at + size)].view(complex).reshape(len(r.s), -1)
-        slices.append(slice(2 * at, 2 * (at + size)))
         at += size
         band = np.clip(np.searchsorted(edges, r.frequency, side="right") - 1, 0, BANDS - 1)
+        cells.append(np.repeat(np.stack([np.full(len(band), k), band]), 2 * size // len(band), axis=1))
         for b in range(BANDS):
             energy[k, b] = np.sum(np.abs(part[band == b]) ** 2, axis=0)
     inverse = np.linalg.inv(J @ J.T + np.eye(len(J)))
@@ -72,16 +73,13 @@ def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
     sites: dict[str, float] = {}
     for site in dict.fromkeys(p.site for p in fit.parameters if p.kind == "spring"):
         rows = [k for k, p in enumerate(fit.parameters) if p.kind == "spring" and p.site == site]
-        columns = []
-        for span in slices:
-            for row in rows:
-                column = np.zeros_like(residual)
-                column[span] = J[row, span]
-                columns.append(column)
-        S = np.array(columns)
-        across = J @ S.T
-        information = S @ S.T - across.T @ inverse @ across + np.eye(len(S))
-        gradient = S @ residual - across.T @ inverse @ pull
-        sites[site] = float(0.5 * gradient @ np.linalg.solve(information, gradient))
+        gains = []
+        for cell in np.concatenate(cells, axis=1):  # the posture, then the band, of every datum
+            S = np.array([J[row] * (cell == part) for part in np.unique(cell) for row in rows])
+            across = J @ S.T
+            information = S @ S.T - across.T @ inverse @ across + np.eye(len(S))
+            gradient = S @ residual - across.T @ inverse @ pull
+            gains.append(float(0.5 * gradient @ np.linalg.solve(information, gradient)))
+        sites[site] = max(gains)
     names = tuple(r.group for r in sample.recordings)
     return Mismatch(names, edges, channels, energy, dict(sorted(sites.items(), key=lambda item: -item[1])))

@@ -12,7 +12,8 @@ from twin.measure.campaign import FloatArray, PostureFRF, as_quantity, dead_chan
 
 NEIGHBOURS = 25  # lines over which the additive part is pooled
 ROUNDS = 4
-NOISY = 0.05  # noise over signal, in power, where |H|² is pooled as well
+NOISY = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
+NEAREST = 7
 LEAST = 1e-4  # of |H|: no FRF is known better
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
 
@@ -33,8 +34,8 @@ def pooled_variance(posture: PostureFRF) -> FloatArray | None:
     if scattered:
         single = 0.5 * power * noise * n / (n - 1)  # a variance about the mean of its own n hits
     # Where noise rules, |H|² is noise itself: a line that happens to come out small is not known better for it.
-    share = noise / (noise + NOISY)
-    width = np.minimum(len(power), NEIGHBOURS)
+    share = noise**2 / (noise**2 + NOISY**2)
+    width = min(len(power), NEAREST)
     power = (1 - share) * power + share * _smooth(power, width) / _smooth(np.ones_like(power), width)
     if not scattered:
         single = 0.5 * power * noise / (1 + noise)

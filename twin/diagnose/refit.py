@@ -62,12 +62,12 @@ class Fitted:
 
 
 def minimise(
-    objective: Objective, z: FloatArray, iterations: int, tolerance: float
+    objective: Objective, z: FloatArray, iterations: int, tolerance: float, hopeless: float = np.inf
 ) -> tuple[FloatArray, float, FloatArray, bool]:
     """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of the valley it goes
     along (geodesic acceleration; Transtrum and Sethna, arXiv:1201.5885): z, cost, Gauss–Newton matrix, and whether
     the expected gain fell below ``tolerance``, or below a share of the misfit beyond noise: where that is large the
-    model lacks something.
+    model lacks something. It is given up where five times the expected gain does not bring it below ``hopeless``.
 
     The region is a ball in the prior's metric, so that what holds steps back are parameters that the data hardly hold
     (the logarithm of a damper near zero) and those it shortens; directions the data hold well are left to Newton. The
@@ -136,6 +136,7 @@ def descend(
     tempered: int = 8,
     linear: int = 20,
     tolerance: float = 0.05,
+    hopeless: float = np.inf,
 ) -> Fitted:
     """Fit a hypothesis from z; the numbers are the largest iterations on each kind of residual."""
     robot = hypothesis.robot(base)
@@ -144,7 +145,7 @@ def descend(
     for temper in TEMPERS if tempered else ():
         z, *_ = minimise(Objective(robot, parameters, sample, temper), z, tempered, 0.1)
     objective = Objective(robot, parameters, sample)
-    z, cost, information, converged = minimise(objective, z, linear, tolerance)
+    z, cost, information, converged = minimise(objective, z, linear, tolerance, hopeless)
     values = parameters.values(z)
     data = objective.data
     return Fitted(

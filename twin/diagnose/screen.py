@@ -215,8 +215,8 @@ def _promise(
 class _Scan:
     """Secants of many resonators against the projected residual, the amplitude free.
 
-    A mass on a spring at a point p along a takes the force g(s) u_p, g = m s² (c s + k)/(m s² + c s + k), so that
-    H′ − H = −H_rp g/(1 + g h_pp) H_pe: one prediction serves all frequencies and axes.
+    A mass on a spring at a point p takes the force D u_p, along its axis D = m s² (c s + k)/(m s² + c s + k), across it
+    m s², so that H′ − H = −H_rp (1 + D H_pp)⁻¹ D H_pe: one prediction serves all frequencies and axes.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -255,10 +255,11 @@ class _Scan:
         for r, X, w in zip(self.sample.recordings, self.seen[key], self.objective.weight, strict=True):
             nr, ne = len(r.setup.response.label), len(r.setup.excitation.label)
             spring = 2 * values["damping_ratio"] * omega * mass * r.s + mass * omega**2
-            force = mass * r.s**2 * spring / (mass * r.s**2 + spring)
-            out, into, own = X[:, :nr, ne + axis], X[:, nr + axis, :ne], X[:, nr + axis, ne + axis]
-            gain = (r.s**r.power * force / (1 + force * own))[:, None, None]
-            change = -gain * out[:, :, None] * into[:, None, :]
+            stiffness = np.repeat((mass * r.s**2)[:, None], 3, axis=1)  # across its axis it is carried along
+            stiffness[:, axis] *= spring / (mass * r.s**2 + spring)
+            out, into, own = X[:, :nr, ne:], X[:, nr:, :ne], X[:, nr:, ne:]
+            reaction = np.linalg.solve(np.eye(3) + stiffness[:, :, None] * own, stiffness[:, :, None] * into)
+            change = -(r.s**r.power)[:, None, None] * (out @ reaction)
             parts.append(np.asarray(change * w, complex).reshape(-1).view(float))
         return np.concatenate(parts)
 

@@ -18,7 +18,7 @@ from twin.identify.parameters import Parameters
 from twin.measure.campaign import FloatArray
 from twin.robot.description import Robot
 
-SCREEN_LINES, REFIT_LINES = 25, 50
+SCREEN_LINES, REFIT_LINES, NEAR_LINES = 25, 50, 100
 CANDIDATES, FINALISTS, FEWEST = 12, 6, 3
 RACE = 0.08  # of the best gain: less promises nothing
 REACH = 40.0  # in ln evidence: what is worth converging
@@ -39,7 +39,7 @@ class Search:
         robust: (n,) the base model's optimum of the logarithmic residual.
         error: relative error of the base model beyond noise.
         promises: of the first round, most promising first.
-        fits: every hypothesis fitted to all lines, by key.
+        fits: every hypothesis fitted to all lines, by what it says is missing.
     """
 
     base: Fitted
@@ -47,7 +47,7 @@ class Search:
     robust: FloatArray
     error: float
     promises: list[Promise] = field(default_factory=list)
-    fits: dict[str, Fitted] = field(default_factory=dict)
+    fits: dict[frozenset[str], Fitted] = field(default_factory=dict)
 
     @property
     def finalists(self) -> list[Fitted]:
@@ -110,7 +110,7 @@ def _reconsider(
         if piece not in best.hypothesis.pieces:
             continue
         rest = together(*(p for p in best.hypothesis.pieces if p is not piece))
-        current = search.fits.get(rest.key)
+        current = search.fits.get(rest.identity)
         if current is None:
             keep = [
                 k for k, p in enumerate(best.parameters) if p.name in set(rest.parameters(search.base.parameters).names)
@@ -134,7 +134,7 @@ def _round(
     free, hypothesis = search.base.parameters, current.hypothesis
     error = search.error if hypothesis is NONE else inflation(current, robot, sample.thin(REFIT_LINES))
     far = error > FAR
-    lines = sample.thin(SCREEN_LINES if far else REFIT_LINES) if error > 0 else sample
+    lines = sample.thin(SCREEN_LINES if far else REFIT_LINES if error > 0 else NEAR_LINES)
     z = search.robust if hypothesis is NONE and far else current.z
     setting = Setting(robot, free, hypothesis, z, lines, sample.thin(SCREEN_LINES), error, far)
     if error > 0:
@@ -200,11 +200,19 @@ def _refit(
         z = descend(robot, hypothesis, parameters, sample.thin(REFIT_LINES), places[0], tempered=8, linear=15).z
     else:
         z = min(places, key=Objective(hypothesis.robot(robot), parameters, sample).cost)
-    known = search.fits.get(hypothesis.key)
-    fit = descend(robot, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+    known = search.fits.get(hypothesis.identity)
+    fit = descend(
+        robot, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=_reach(search)
+    )
     if known is None or fit.cost < known.cost:
-        search.fits[hypothesis.key] = fit
-    return search.fits[hypothesis.key]
+        search.fits[hypothesis.identity] = fit
+    return search.fits[hypothesis.identity]
+
+
+def _reach(search: Search) -> float:
+    """The cost above which a hypothesis is out of the race."""
+    best = min((fit.cost for fit in search.fits.values()), default=search.base.cost)
+    return best + REACH if search.fits else np.inf
 
 
 def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> list[Fitted]:
@@ -215,12 +223,12 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
     found = []
     for companion in companions(last, robot, free, postures):
         hypothesis = together(*others, companion)
-        if hypothesis.key in search.fits or companion.key in {piece.key for piece in others}:
+        if hypothesis.identity in search.fits or companion.key in {piece.key for piece in others}:
             continue
         parameters = hypothesis.parameters(free)
         n = len(parameters) - len(companion.own)
         if companion.scale:
-            simpler = search.fits.get(together(*others).key, search.base)
+            simpler = search.fits.get(together(*others).identity, search.base)
             held = simpler.z[[free.names.index(name) for name, _ in companion.scale]]
             if simpler.evidence() + 0.5 * float(held @ held) < best.evidence() - REACH:
                 continue  # more than the price of its prior cannot be gained
