@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from twin.commands.identify import in_joints
+from twin.commands.identify import check_low_pass, in_joints
 from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
@@ -117,6 +117,7 @@ def compare(
         InputError: bad input; nothing is written.
     """
     check_out(out)
+    check_low_pass(low_pass)
     progress = progress or (lambda description, total: lambda step: None)
     errors: dict[str, float] = {}
     parts: list[dict[str, Any]] = []

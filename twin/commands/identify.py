@@ -137,8 +137,7 @@ def identify_log(
     Raises:
         InputError: bad input; nothing is written.
     """
-    if not 0 < low_pass[0] < low_pass[1]:
-        raise InputError("--low-pass", "", f"expected 0 < pass < stop, found {low_pass[0]:g} {low_pass[1]:g}")
+    check_low_pass(low_pass)
     check_out(out)
     progress = progress or (lambda description, total: lambda step: None)
     log = read_motion_log(path)
@@ -158,6 +157,16 @@ def identify_log(
             result.files = outputs.files
             _write(result, outputs)
     return result
+
+
+def check_low_pass(low_pass: tuple[float, float]) -> None:
+    """Raise unless the taper runs from a lower to a higher frequency.
+
+    Raises:
+        InputError: it does not.
+    """
+    if not 0 < low_pass[0] < low_pass[1]:
+        raise InputError("--low-pass", "", f"expected 0 < pass < stop, found {low_pass[0]:g} {low_pass[1]:g}")
 
 
 def in_joints(log: MotionLog, robot: Robot) -> MotionLog:
@@ -189,7 +198,7 @@ def _write(result: Identified, name: Outputs) -> None:
     robot, split = found.regressor.robot, found.split
     first = result.log.runs[split.train[0].name]
     save(motion_figures.signals(robot, first, found.bands), name("signals.png"))
-    for rows, title, file in ((split.train, "fitted runs", "fitted"), (split.held_out, "held-out runs", "held_out")):
+    for rows, title, file in ((split.train, "fitted", "fitted"), (split.held_out, "held out", "held_out")):
         predicted = [r.matrix @ found.parameters + r.known for r in rows]
         save(motion_figures.prediction(robot, rows, {"predicted": predicted}, title), name(f"{file}.png"))
     save(motion_figures.residuals(robot, split.train, found.parameters), name("residuals.png"))

@@ -178,7 +178,7 @@ def residuals(robot: Robot, rows: Sequence[Rows], parameters: np.ndarray) -> Fig
             count = np.maximum(np.bincount(of, minlength=len(edges) - 1), 1)
             mean = np.bincount(of, residual[:, i], len(edges) - 1) / count
             if state.ndim == 1:  # no line across the pause between two runs
-                mean[np.diff(edges) > 5 * np.median(np.diff(edges))] = np.nan
+                mean[np.diff(edges) > 2.5 * np.median(np.diff(edges))] = np.nan
             ax.plot(0.5 * (edges[:-1] + edges[1:]), mean, color=_COLOURS[1], linewidth=1.3)
             ax.set_xlabel(label, fontsize=8)
             _tidy(ax)
