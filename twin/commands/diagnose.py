@@ -233,7 +233,7 @@ def diagnose_campaign(
     looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
-    decision = decide(fits, settled, looked_at)
+    decision = decide(fits, settled, looked_at, kept=kept)
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     missing = missing_of(decision, settled) if answered else []
@@ -263,9 +263,8 @@ def diagnose_campaign(
 
 
 def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
-    """Everything a base model has free on recordings; the sag of the springs is not."""
-    free = free_parameters(base, dict.fromkeys(r.setup.name for r in used), used[0].setup.response.label)
-    return free.select(k for k, p in enumerate(free) if p.kind != "sag")
+    """Everything a base model has free on recordings; the sag of its springs turns blows and sensors by 1e-3."""
+    return free_parameters(base, dict.fromkeys(r.setup.name for r in used), used[0].setup.response.label)
 
 
 def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
