@@ -52,7 +52,7 @@ def _draw_finding(finding: Finding) -> dict[str, Figure]:
     if frfs:
         drawn["mismatch.png"] = mismatch(frfs)
         drawn["overlay.png"] = overlay(frfs)
-    if finding.sites:
+    if max(finding.sites.values(), default=0.0) > 0:
         drawn["sites.png"] = sites(finding.sites)
     if logs:
         drawn["residual.png"] = residual(logs, finding.robot)
