@@ -311,6 +311,7 @@ def _overlay_column(axes: Any, record: FrfRecord, pair: int, spot: Spot | None) 
         rest.plot(f, np.abs(H - model), **style)
     for ax in (amplitude, rest):
         ax.set_yscale("log")
+        ax.yaxis.set_minor_formatter(NullFormatter())
     finite = np.abs(H[np.abs(H) > 0])
     amplitude.set_ylim(finite.min() / 2, max(finite.max(), np.abs(record.predicted["after"][flat]).max()) * 3)
     floor = np.nanmedian(np.where(np.isfinite(sigma), sigma, np.nan))
