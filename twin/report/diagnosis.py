@@ -25,6 +25,12 @@ COLOURS: dict[Stage, str] = {"as_given": "#8a8f98", "before": "#e8590c", "after"
 NAMES: dict[Stage, str] = {"as_given": "as given", "before": "before: refitted", "after": "after: with the answer"}
 _INK, _GRID = "#222222", "#e3e6ea"
 _BANDS = 48
+FREED = {
+    "frf-campaign": "expected fall of ½χ² with this spring and damper free in every posture",
+    "motion-log": "evidence gained by a free function of this joint's position and velocity, ln",
+    "modal-table": "expected fall of ½χ² with this site free",
+}
+"""What the picture of sites says of each kind of recording."""
 _DOTS = 3000  # drawn at most per cloud
 _ANSWERS = 10  # listed at most
 
@@ -53,7 +59,7 @@ def _draw_finding(finding: Finding) -> dict[str, Figure]:
         drawn["mismatch.png"] = mismatch(frfs)
         drawn["overlay.png"] = overlay(frfs)
     if max(finding.sites.values(), default=0.0) > 0:
-        drawn["sites.png"] = sites(finding.sites)
+        drawn["sites.png"] = sites(finding.sites, FREED[finding.source])
     if logs:
         drawn["residual.png"] = residual(logs, finding.robot)
         drawn["torque.png"] = torque(logs, finding.robot)
@@ -194,8 +200,8 @@ def _over_usual(item: Mapping[str, Any], robot: Robot) -> float | None:
     )
 
 
-def sites(found: Mapping[str, float]) -> Figure:
-    """Joint by joint: what the misfit would lose if this site's spring and damper were free in every posture."""
+def sites(found: Mapping[str, float], label: str) -> Figure:
+    """Joint by joint: what the misfit would lose if something more were free there; ``label`` says what."""
     names = list(found)[:_ANSWERS]
     figure = Figure(figsize=(6.2, 0.9 + 0.32 * len(names)), layout="constrained")
     ax = figure.subplots()
@@ -204,7 +210,7 @@ def sites(found: Mapping[str, float]) -> Figure:
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.set_xlim(left=0)
     ax.ticklabel_format(axis="x", style="sci", scilimits=(-2, 4), useMathText=True)
-    ax.set_xlabel("expected fall of ½χ² with this spring and damper free in every posture", fontsize=8.5)
+    ax.set_xlabel(label, fontsize=8.5)
     _plain(ax, "x")
     return figure
 
