@@ -14,11 +14,13 @@ from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
 from twin.diagnose.decide import decide
-from twin.diagnose.edit import check_linear, check_replayed, check_xml, payload_edit, with_modes
+from twin.diagnose.edit import check_linear, check_replayed, check_xml, is_nonlinear, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import Hypothesis, Sprung, entry_hypothesis, suspects, widened
 from twin.diagnose.joint import Knowledge, pooled, predicted_by, settled_with, shared, together
+from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.locate import mismatch
+from twin.diagnose.modal_table import diagnose_table
 from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
@@ -39,7 +41,7 @@ from twin.diagnose.verdict import (
     rival_of,
 )
 from twin.errors import InputError
-from twin.identify.elastic import Recorded, base_name, without_limits
+from twin.identify.elastic import Recorded, base_name, prepare, without_limits
 from twin.identify.parameters import Parameters, free_parameters
 from twin.measure.campaign import Campaign
 from twin.measure.modal_table import read_modal_table
@@ -92,25 +94,13 @@ def diagnose(
         elif test.kind == "frf-campaign":
             findings.append(diagnose_campaign(test.content, given, test.source, **options, told_by=told_by))
         else:
-            raise InputError(test.source, "", "expected hammer tests or motion logs: a modal table has too few numbers")
+            findings.append(diagnose_table(test.content, told_by.robot if told_by else given, test.source, **options))
     verdict = _settled(findings, tests, chosen)
     verdict.origin = provenance(
         recordings, {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
     )
     _finish(verdict, tests, out)
     return verdict
-
-
-def _settled(findings: list[Finding], tests: "Sequence[_Test]", chosen: Sequence[list[str] | None]) -> Verdict:
-    """The verdict on the one model that the last finding ends with; the others are judged on it."""
-    if len(findings) == 1:
-        return Verdict.of(findings[0])
-    last = findings[-1]
-    for finding, test, held in zip(findings[:-1], tests, chosen, strict=False):
-        if test.kind == "motion-log":
-            finding.records = predicted_by(last.robot, test.content, finding, held)
-            finding.error = {**finding.error, "after": pooled(finding.records, "after")}
-    return together(findings, last.base, last.robot)
 
 
 @dataclass(frozen=True)
@@ -122,6 +112,18 @@ class _Test:
     content: Any
     named: str | None
     names: tuple[str, ...]
+
+
+def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[list[str] | None]) -> Verdict:
+    """The verdict on the one model that the last finding ends with; the others are judged on it."""
+    if len(findings) == 1:
+        return Verdict.of(findings[0])
+    last = findings[-1]
+    for finding, test, held in zip(findings[:-1], tests, chosen, strict=False):
+        if test.kind == "motion-log":
+            finding.records = predicted_by(last.robot, test.content, finding, held)
+            finding.error = {**finding.error, "after": pooled(finding.records, "after")}
+    return together(findings, last.base, last.robot)
 
 
 def _grouped(recordings: Sequence[str | Path]) -> list[tuple[Source, list[Path]]]:
@@ -228,6 +230,10 @@ def diagnose_campaign(
     if told_by and told_by.fit:
         free = Knowledge.of(told_by.fit).on(free, base)
     search = converge(base, free, sample, seed=seed)
+    if found.nonlinear and not told_by:
+        tick = progress("force levels", 40) if progress else None
+        if answer := levels_finding(campaign, given, base, source, found, search, tick):
+            return answer
     band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
     brakes = [r.setup.brakes for r in found.recordings.values()]
     looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)
@@ -276,7 +282,7 @@ def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     if robot is fit.robot:
         return fit
     written = fit.parameters.written if isinstance(fit.parameters, Sprung) else fit.parameters
-    free = written.only("spring", "entry", "posture", "gain")
+    free = written.only("spring", "entry", "posture", "sag", "gain")
     values = np.array([fit.values[written.names.index(name)] for name in free.names])
     described = robot.model_copy(update={"links": base.links})
     fits = []
@@ -394,6 +400,7 @@ def _posture(verdict: Verdict) -> tuple[np.ndarray, Any]:
                 return record.q, record.brakes or "off"
             if isinstance(record, LogRecord):
                 return record.position[0], "off"
+            return record.q, "on"
     return np.zeros(verdict.robot.axis_count), "off"
 
 
@@ -404,12 +411,18 @@ def _check(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> None:
             name = next((name for name in test.names if name in finding.held_out), test.names[0])
             verdict.checks.append(check_replayed(folder / "robot.yaml", test.content.runs[name], test.source))
     frfs = [r for finding in verdict.findings for r in finding.records if isinstance(r, FrfRecord)]
-    if not frfs:
-        return
-    q, brakes = _posture(verdict)
-    verdict.checks.append(check_linear(folder / "robot.yaml", frfs))
-    verdict.checks.append(check_xml(folder / "robot.xml", verdict.robot, q, brakes))
-    verdict.payload_edit = payload_edit(verdict.base, verdict.robot, frfs)
+    if frfs:
+        verdict.checks += _hit(verdict, tests, folder) or [check_linear(folder / "robot.yaml", frfs)]
+        verdict.payload_edit = payload_edit(verdict.base, verdict.robot, frfs)
+    verdict.checks.append(check_xml(folder / "robot.xml", load_robot(folder / "robot.yaml"), *_posture(verdict)))
+
+
+def _hit(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> list[dict[str, Any]]:
+    """A nonlinear answer stepped under the blows of a campaign with force levels; none where there is neither."""
+    robot = load_robot(folder / "robot.yaml")
+    campaigns = [test for test in tests if test.kind == "frf-campaign"] if is_nonlinear(robot) else []
+    found = [check_blows(robot, test.content, prepare(test.content, robot, test.source)) for test in campaigns]
+    return [check for check in found if check]
 
 
 def _write_report(verdict: Verdict, name: Outputs) -> None:

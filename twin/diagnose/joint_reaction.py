@@ -334,19 +334,25 @@ def inverse2(matrix: FloatArray) -> FloatArray:
 
 @dataclass
 class Stepped(Cost):
-    """Cost of a base model with a law at one joint; ``parameters`` end with the law's own, ``robot`` lacks its entry.
+    """Cost of a base model with a law at one joint; ``robot`` lacks its entry, ``parameters`` end with the law's own.
 
-    Derivatives: of what the law is sensitive to (its sizes, the joint's spring and damper) by differences of stepped
-    blows; of everything else with the law as the complex stiffness that each blow saw.
+    With ``fixed`` sizes (m,) they hold none. Derivatives: of what the law is sensitive to (its sizes, the joint's
+    spring and damper) by differences of stepped blows; of everything else with the law as the complex stiffness that
+    each blow saw.
     """
 
     law: Law = LAWS[0]
     site: str = ""
     blow: dict[str, Blow] = field(default_factory=dict)
+    fixed: FloatArray | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.base = self.parameters.select(range(len(self.parameters) - len(self.law.names)))
+        own = len(self.law.names) if self.fixed is None else 0
+        self.base = self.parameters.select(range(len(self.parameters) - own))
+
+    def _sizes(self, z: FloatArray) -> FloatArray:
+        return self.parameters.values(z)[len(self.base) :] if self.fixed is None else self.fixed
 
     def predicted(self, z: FloatArray) -> list[ComplexArray]:
         """FRFs (nf, nr, ne) per recording."""
@@ -426,7 +432,7 @@ class Stepped(Cost):
         """Models and reactions at several z, stepped side by side."""
         n = len(self.base)
         postures = [_Postures(self.robot, self.base, self.site, z[:n], False) for z in points]
-        strikes = [self._strikes(some, self.parameters.values(z)[n:]) for some, z in zip(postures, points, strict=True)]
+        strikes = [self._strikes(some, self._sizes(z)) for some, z in zip(postures, points, strict=True)]
         stepped = iter(torques([strike for some in strikes for strike in some], self.law, self._samples))
         reactions = [
             [_reaction(r, strike, next(stepped)[0]) for r, strike in zip(self.sample.recordings, some, strict=True)]

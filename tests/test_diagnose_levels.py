@@ -1,0 +1,148 @@
+"""Force levels that disagree: blows stepped against MuJoCo and the truth code; joint, law and size are found."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tools.truth.__main__ import main as truth
+from twin.diagnose.blow import RATE_HZ, Strike, pulse, torques, transform
+from twin.diagnose.joint_laws import Cubic, Gap, Law, Slip
+from twin.diagnose.joint_reaction import Blow, Stepped, blows
+from twin.diagnose.levels import decide_levels, explain_levels
+from twin.diagnose.levels_finding import check_blows
+from twin.diagnose.objective import Sample
+from twin.diagnose.search import converge
+from twin.diagnose.triage import triage
+from twin.diagnose.verdict import estimates_of
+from twin.identify.elastic import prepare, without_limits
+from twin.identify.parameters import free_parameters, independent
+from twin.identify.sensitivity import Observed
+from twin.measure.campaign import Campaign, read_campaign
+from twin.robot.description import Entry, Robot
+
+
+def recorded(folder: Path, effect: str, *options: str) -> Campaign:
+    """Two force levels by the truth code."""
+    file = folder / "c.h5"
+    concealed = ["--effect", effect] if effect else []
+    assert truth(["campaign", "--out", str(file), "--force-levels", "100", "600", *concealed, *options]) == 0
+    return read_campaign(file)
+
+
+SLIP = Slip((1e-6, 3e-6, 1e-5, 3e-5, 1e-4))
+CASES = [
+    ("hardening_stiffness@joint1.z:cubic=3e13", Cubic(), [3e13], 0.002),
+    ("hardening_stiffness@joint2.z:cubic=1e13", Cubic(), [1e13], 0.002),  # stiffened by the weight it carries
+    ("backlash@joint2.z:gap=5e-5", Gap(), [5e-5], 0.002),  # pressed shut by it
+    ("backlash@joint1.z:gap=2e-5", Gap(), [2e-5], 0.1),  # open: the ends of decays hang on the least difference
+    (
+        "hysteresis@joint2.z:stiffness=1e5|1e5|1e5|1e5|1e5,yield_torque=0.1|0.3|1|3|10", SLIP, [1e5] * 5, 0.005,
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("effect", "law", "sizes", "tolerance"), CASES, ids=[c[0].partition(":")[0] for c in CASES])
+def test_stepped_blows_are_the_truth_codes(
+    kr90: Robot, tmp_path: Path, effect: str, law: Law, sizes: list[float], tolerance: float
+) -> None:
+    """The law at a joint gives the FRFs of both force levels that an independent simulation of every blow gives."""
+    campaign = recorded(tmp_path, effect, "--nominal", "--no-sag", "--noise", "0", "--scatter", "0", "--postures", "1")
+    recordings = tuple(prepare(campaign, kr90).values())
+    blow, site = blows(campaign), effect.partition("@")[2].partition(":")[0]
+    assert blow is not None
+    stepped = Stepped(
+        without_limits(kr90), independent([]), Sample(recordings), law=law, site=site, blow=blow, fixed=np.array(sizes)
+    )
+    for r, H in zip(recordings, stepped.predicted(np.zeros(0)), strict=True):
+        assert np.linalg.norm(H - r.frf) < tolerance * np.linalg.norm(r.frf)
+
+
+def oscillator(omega: float, zeta: float) -> Observed:
+    """One kilogram on a spring."""
+    one = np.ones((1, 1))
+    return Observed(one, 2 * zeta * omega * one, omega**2 * one, 0 * one, one, one, np.ones(1), np.zeros(1))
+
+
+def test_duffings_frequency_rises_with_the_square_of_amplitude() -> None:
+    """A free undamped oscillator with a cubic spring swings at ω²(1 + ¾ k₃A²/k) to first order (Nayfeh and Mook)."""
+    omega, amplitude = 2 * np.pi * 10, 1e-4
+    k3 = 0.04 * omega**2 / amplitude**2
+    strike = Strike(oscillator(omega, 0.0), 0, omega**2, 0.0, 1.0, 0.002, np.array([k3]))
+    momentum = pulse(0.002).sum() / RATE_HZ
+    # the blow gives a velocity v; energy fixes the amplitude it leads to
+    speed = np.sqrt(omega**2 * amplitude**2 + 0.5 * k3 * amplitude**4)
+    strike = replace(strike, peak_n=speed / momentum)
+    ((g, largest),) = torques([strike], Cubic(), 8192)
+    assert largest[0] == pytest.approx(amplitude, rel=3e-3)
+    x = np.cbrt(g[:, 0] / k3)
+    up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
+    crossing = up - x[up] / (x[up + 1] - x[up])
+    found = 2 * np.pi * RATE_HZ * (len(up) - 1) / (crossing[-1] - crossing[0])
+    assert (found / omega) ** 2 - 1 == pytest.approx(0.75 * 0.04, rel=0.02)
+
+
+def test_slip_dissipates_the_area_of_its_loop() -> None:
+    """One Jenkins element swung to ±X beyond its yield takes 4 k δ (X − δ) per cycle."""
+    law = Slip((1e-5,) * 5)
+    sizes = np.array([[1e6], [0.0], [0.0], [0.0], [0.0]])
+    x = 5e-5 * np.sin(np.linspace(0, 4 * np.pi, 40001))
+    state, g = law.state(1), []
+    for value in x:
+        torque, state = law.torque(np.array([value]), np.ones(1), sizes, state)
+        g.append(torque[0])
+    last = slice(20000, None)
+    assert np.trapezoid(np.array(g)[last], x[last]) == pytest.approx(4 * 1e6 * 1e-5 * 4e-5, rel=1e-3)
+
+
+def test_transform_is_that_of_the_broken_line() -> None:
+    """A decaying exponential through its samples has the transform 1/(s + a)."""
+    s = 0.6 + 2j * np.pi * np.array([5.0, 20.0])
+    t = np.arange(9000) / RATE_HZ
+    assert transform(s, 9000) @ np.exp(-5 * t) - 0.5 / RATE_HZ == pytest.approx(1 / (s + 5), rel=0.03)
+
+
+def found_in(campaign: Campaign, robot: Robot) -> tuple[list[str], dict[str, dict[str, object]]]:
+    """Names in the order of probability, with the first one's parameters."""
+    base = without_limits(robot)
+    checked = triage(campaign, base, "test", None)
+    sample = Sample(tuple(checked.used))
+    free = free_parameters(base, dict.fromkeys(r.setup.name for r in checked.used), campaign.response.label)
+    free = free.select(k for k, p in enumerate(free) if p.kind != "sag")
+    search = converge(base, free, sample)
+    levels = explain_levels(campaign, base, search.base, sample, search.robust)
+    assert levels is not None
+    decision = decide_levels(levels)
+    assert decision.none + decision.other + sum(decision.probability) == pytest.approx(1.0)
+    return [fit.hypothesis.key for fit in decision.ranked], estimates_of(decision.ranked[0], decision.ranked[0].own)
+
+
+def test_hardening_is_found_with_its_size(kr90: Robot, tmp_path: Path) -> None:
+    """A cubic spring at joint 1 of a robot with all tolerances is named, and its interval is about its true value."""
+    campaign = recorded(tmp_path, "hardening_stiffness@joint1.z:cubic=2e13", "--seed", "5", "--postures", "3")
+    names, sizes = found_in(campaign, kr90)
+    assert names[0] == "hardening_stiffness@joint1.z"
+    assert sizes["cubic"]["value"] == pytest.approx(2e13, rel=0.03)
+
+
+def test_mujoco_steps_the_same_blows(kr90: Robot, tmp_path: Path) -> None:
+    """MuJoCo's native cubic spring under the same blows gives the FRFs of the search and the recorded level change."""
+    effect = "hardening_stiffness@joint1.z:cubic=3e13"
+    campaign = recorded(tmp_path, effect, "--nominal", "--no-sag", "--noise", "0", "--scatter", "0", "--postures", "1")
+    entry = Entry(effect="hardening_stiffness", site="joint1.z", cubic=3e13)
+    robot = kr90.model_copy(update={"physics": [*kr90.physics, entry]})
+    check = check_blows(robot, campaign, prepare(campaign, kr90))
+    assert check is not None
+    assert check["value"] < 0.01
+
+
+def test_levels_without_peak_forces_say_nothing(tmp_path: Path, kr90: Robot) -> None:
+    """Amplitudes follow from peak forces: without them there is no law of amplitude to fit."""
+    campaign = recorded(tmp_path, "", "--postures", "1")
+    bare = {name: replace(p, peak_force_n=None) for name, p in campaign.postures.items()}
+    assert blows(replace(campaign, postures=bare)) is None
+    assert blows(campaign) == {
+        "milling@100N": Blow(100.0, 0.008, 8192),
+        "milling@600N": Blow(600.0, 0.008, 8192),
+    }
