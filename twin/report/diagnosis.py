@@ -24,6 +24,7 @@ from twin.robot.description import Robot
 COLOURS: dict[Stage, str] = {"as_given": "#8a8f98", "before": "#e8590c", "after": "#1f4e9c"}
 NAMES: dict[Stage, str] = {"as_given": "as given", "before": "before: refitted", "after": "after: with the answer"}
 _INK, _GRID = "#222222", "#e3e6ea"
+RIM = 2.5  # points by which before is larger, to be seen where after is the same
 _BANDS = 48
 FREED = {
     "frf-campaign": "expected fall of ½χ² with this spring and damper free in every posture",
@@ -91,7 +92,8 @@ def errors(finding: Finding) -> Figure:
         for stage in STAGES:
             hollow = stage == "as_given"
             ax.plot(
-                100 * values[stage], y, "o", markersize=size, color=COLOURS[stage], zorder=2 if hollow else 3,
+                100 * values[stage], y, "o", markersize=size + RIM * (stage == "before"), color=COLOURS[stage],
+                zorder=2 if hollow else 3,
                 markerfacecolor="white" if hollow else COLOURS[stage],
             )  # fmt: skip
         if floor is not None and np.isfinite(floor):
@@ -473,7 +475,8 @@ def modal(records: Sequence[ModalRecord]) -> Figure:
             ax.plot([-width, width], [y, y], color="#c9ced6", linewidth=6, solid_capstyle="butt", zorder=0)
             for stage in STAGES:
                 ax.plot(
-                    100 * (r.predicted[stage][k, column] / reference - 1), y, "o", markersize=5, color=COLOURS[stage],
+                    100 * (r.predicted[stage][k, column] / reference - 1), y, "o", color=COLOURS[stage],
+                    markersize=5 + RIM * (stage == "before"),
                     markerfacecolor="white" if stage == "as_given" else COLOURS[stage],
                 )  # fmt: skip
         ax.axvline(0, color=_INK, linewidth=0.8)
