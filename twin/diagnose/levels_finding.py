@@ -161,14 +161,13 @@ def _stepped_records(
     law, sizes, robot = law_of(fit.robot)
     site = fit.hypothesis.site
     own = levels.objectives[levels.fits.index(fit)].base
-    belongs = [k for k, p in enumerate(own) if p.kind in ("posture", "gain")]
+    belongs = [k for k, p in enumerate(own) if p.kind in ("posture", "sag", "gain")]
     predicted = Stepped(
         robot, independent([own[k] for k in belongs]), Sample(tuple(used)), law=law, site=site, blow=blow, fixed=sizes
     ).predicted(np.array([fit.z[k] for k in belongs]))
     error: dict[str, float | None] = {"train": relative_error(used, predicted), "held_out": None}
     if kept:
         free = recording_set(robot, kept)
-        free = free.select(k for k, p in enumerate(free) if p.kind != "sag")
         objective = Stepped(robot, free, Sample(tuple(kept)), law=law, site=site, blow=blow, fixed=sizes)
         z = np.zeros(len(free))
         few = Sample(tuple(kept)).thin(JUDGED_LINES)
