@@ -127,8 +127,8 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
             part: _pooled([r for r in records if r.held_out is held], stage)
             for part, held in (("train", False), ("held_out", True))
         }
-    used = [r for r in records if not r.held_out]
-    power = np.mean(np.concatenate([r.measured[r.valid] for r in used]) ** 2, axis=0)
+    judged = [r for r in records if r.held_out] or records  # the floor is what the error on runs not used is held to
+    power = np.mean(np.concatenate([r.measured[r.valid] for r in judged]) ** 2, axis=0)
     errors["noise_floor"] = float(np.sqrt(np.mean(noise**2 / np.maximum(power, 1e-300))))
     return records, errors
 

@@ -53,6 +53,7 @@ SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up t
 STEP = 0.02  # of a prior deviation, for differences
 OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
 CREEP_S = 0.16  # about a stop: the encoder hardly counts, the axis may creep
+SPEED_ERROR = 7e-4  # of the largest speed: what encoder and low-pass leave of doubt at a reversal
 RINGING = 16  # rows that the low-pass rings before and after a step
 MOST_STOPS = 60  # per run that the noise is estimated without
 STANDSTILL_S = 0.12  # shorter is a reversal
@@ -453,7 +454,8 @@ def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
     """Moments at which friction is in doubt, in order: rows, and low-passed torque (rows, b) per unit of friction.
 
     About a stop or start boxes, each of a row, that together say nothing of it. At a reversal an impulse: the sign
-    changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of their distance.
+    changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of their distance, and
+    by what an error of the speed makes of a slow reversal.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
@@ -462,7 +464,10 @@ def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
     stops = stops_of(run, joint)
     events: list[tuple[int, bool]] = [(sample, True) for sample in stops]
     sign = np.sign(run.dense.velocity[:, joint])
-    moving = run.dense.sign(run.dense.velocity[:, joint]) != 0
+    moving = np.ones(len(sign), bool)
+    for first, last in zip(stops[::2], stops[1::2], strict=True):
+        moving[first : last + 1] = False
+    fastest = float(np.abs(run.dense.velocity[:, joint]).max())
     for sample in stops:
         moving[max(0, sample - reach * step) : sample + reach * step + 1] = False
     turns = np.flatnonzero((sign[1:] * sign[:-1] < 0) & moving[1:]) + 1
@@ -479,7 +484,8 @@ def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
                 first = here + (k - reach) * step
                 boxes[max(first, 0) : max(first + step, 0), k] = 1.0
         elif 0 <= here < len(boxes):
-            boxes[here, 0] = 2 * dense_hz / (np.sqrt(12) * run.sample_hz)
+            drift = SPEED_ERROR * fastest / max(abs(run.dense.acceleration[sample, joint]), 1e-9)
+            boxes[here, 0] = 2 * dense_hz * np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(drift, CREEP_S))
         columns = lowpass(boxes, dense_hz, *run.bands.fit)[::step]
         found.append((slice(near.start, near.stop + 1), columns))
     return found

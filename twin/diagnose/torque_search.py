@@ -47,6 +47,7 @@ SLIGHT = 0.01  # of the evidence gained by names: less is their laws' inexactnes
 SEEN = 15.0  # ln evidence of such a function from which something is there
 SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches it is preferred
 ROUNDS = 5  # of looking for more with what was found in the model
+FIRST = 13.0  # ln evidence below which nothing is named: the largest of nulls
 FURTHER = 25.0  # ln evidence that a second thing must gain: it was looked for among more
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
@@ -174,7 +175,7 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     if not step.decision.ranked or step.decision.probability[0] < step.decision.none:
         return False
     gained = sum(other.gain for other in earlier)
-    enough = step.gain > max(EXACT * gained, FURTHER if earlier else 0.0)
+    enough = step.gain > max(EXACT * gained, FURTHER if earlier else FIRST)
     if enough and judge is not None:
         step.held, enough = judge.gain(step.system, step.first, step.trial)
     if not enough:
