@@ -1,0 +1,181 @@
+"""Diagnosis of motion logs: recordings of the truth code, which shares nothing with the twin, and real ones."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from test_identify_real import emps, needs
+
+from tools.truth.__main__ import main as truth
+from twin.diagnose.torque import diagnose_log
+from twin.diagnose.torque_fit import _correlation, _prediction_filter
+from twin.diagnose.torque_locate import around_reversals, state_map
+from twin.diagnose.torque_signal import prepare
+from twin.diagnose.verdict import Finding
+from twin.errors import InputError
+from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
+from twin.model.replay import inverse_dynamics
+from twin.physics import CATALOGUE
+from twin.physics.motion import Motion
+from twin.robot.description import Robot, load_robot, parse_robot
+
+DATA = Path(__file__).parent / "data"
+
+
+def recorded(path: Path, *options: str, seed: int = 3) -> MotionLog:
+    """Three runs of 30 s with a standstill each."""
+    file = path / "log.h5"
+    base = ["log", "--out", str(file), "--seed", str(seed), "--runs", "3", "--seconds", "30", "--dwells", "1"]
+    assert truth([*base, *options]) == 0
+    return read_motion_log(file)
+
+
+@pytest.fixture(scope="module")
+def drifting(tmp_path_factory: pytest.TempPathFactory) -> Finding:
+    """A hose pack that pulls joint 1 back with 60 N·m/rad."""
+    options = ("--effect", "cable_stiffness@joint1:stiffness=60,rest=0.3")
+    return diagnose_log(recorded(tmp_path_factory.mktemp("cable"), *options), load_robot("kr90"), "cable.h5")
+
+
+def test_a_complete_model_is_adequate_in_spite_of_ordinary_ripple_and_a_gas_law(tmp_path: Path, kr90: Robot) -> None:
+    """Wrong inertias, coloured noise, ripple of 1.5 N·m at every joint, a compensator that is no series: tolerance."""
+    found = diagnose_log(recorded(tmp_path, "--ripple", "1.5", "--compensator", "gas"), kr90)
+    assert found.word == "adequate"
+    assert not found.missing
+    assert found.error["before"]["held_out"] < 1.3 * found.error["noise_floor"]
+
+
+def test_a_hose_pack_is_named_measured_and_put_back(drifting: Finding) -> None:
+    (missing,) = drifting.missing
+    assert missing.first.key == "cable_stiffness@joint1"
+    assert missing.probability > 0.9
+    stiffness = missing.first.parameters["stiffness"]
+    assert stiffness["value"] == pytest.approx(60, rel=0.1)
+    assert stiffness["interval90"][0] < 60 < stiffness["interval90"][1]
+    (entry,) = [e for e in drifting.robot.physics if e.effect == "cable_stiffness"]
+    assert entry.values["rest"] == pytest.approx(0.3, abs=0.15)
+    assert drifting.error["after"]["held_out"] < drifting.error["before"]["held_out"]
+
+
+def test_dry_friction_left_out_is_named_and_its_level_found(tmp_path: Path, kr90: Robot) -> None:
+    """The truth's bristles are not the catalogue's sign: Coulomb friction all the same, and memory beside it."""
+    log = recorded(tmp_path, "--friction", "lugre", "--nominal")
+    found = diagnose_log(log, kr90.without(["coulomb_friction@joint2"]))
+    first = found.missing[0].first
+    assert first.effect in ("coulomb_friction", "hysteresis")
+    assert first.site.startswith("joint2")
+    assert {m.first.site[:6] for m in found.missing} == {"joint1", "joint2", "joint3"}  # bristles at every joint
+    assert found.error["after"]["held_out"] < 0.1 * found.error["before"]["held_out"]
+
+
+def test_a_law_outside_the_vocabulary_is_located_and_not_named(tmp_path: Path, kr90: Robot) -> None:
+    """A torque 300 v₁ cos(q₁) at joint 1: a law is discovered, and it holds on runs not used."""
+    log = recorded(tmp_path, "--nominal")
+    runs = {}
+    for name, run in log.runs.items():
+        velocity = np.gradient(run.position, run.time, axis=0)
+        torque = run.torque.copy()
+        torque[:, 0] += 300 * np.cos(run.position[:, 0]) * velocity[:, 0]
+        runs[name] = MotionRun(name, run.time, run.position, run.sample_rate_hz, torque=torque)
+    found = diagnose_log(MotionLog(runs), kr90)
+    assert found.word == "located"
+    law = found.missing[-1].first
+    assert (law.effect, law.site) == ("discovered", "joint1")
+    assert law.formula is not None
+    assert {"v1", "q1"} <= set(re.findall(r"[qv]\d", law.formula))
+    assert found.error["after"]["held_out"] < 0.7 * found.error["before"]["held_out"]
+    assert any(entry.effect == "discovered" for entry in found.robot.physics)
+
+
+def test_whitening_makes_coloured_noise_white() -> None:
+    rng = np.random.default_rng(1)
+    noise = lfilter([1.0], [1.0, -0.9], rng.normal(size=20_000))
+    none = np.zeros((len(noise), 1))
+    filter_ = _prediction_filter(_correlation([noise], [none], [np.ones(len(noise), bool)], 30))
+    white = lfilter(filter_, [1.0], noise)[30:]
+    assert np.std(white) == pytest.approx(1, rel=0.03)
+    assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.03
+
+
+def test_slip_elements_by_reversals_are_those_by_samples() -> None:
+    """Stepping through every sample, as the law is written down, gives the same torque."""
+    rng = np.random.default_rng(2)
+    q = np.cumsum(rng.normal(size=500))[:, None] * 1e-3
+    stiffness, limit = np.array([1e4, 3e3]), np.array([20.0, 15.0])
+    element, expected = np.zeros(2), []
+    for step in np.diff(q[:, 0], prepend=q[0, 0]):
+        element = np.clip(element + stiffness * step, -limit, limit)
+        expected.append(element.sum())
+    values = {"stiffness": stiffness.tolist(), "yield_torque": limit.tolist()}
+    found = CATALOGUE["hysteresis"].torque(Motion(np.arange(500.0), q, 0 * q, 0 * q), "joint1.z", values)
+    np.testing.assert_allclose(found[0], expected, atol=1e-9)
+
+
+def test_a_discovered_law_loads_and_adds_its_formula_to_the_torque(kr90: Robot) -> None:
+    data = kr90.model_dump(mode="json")
+    formula = "c1*sign(v2)*abs(q1) + c2*sin(2*q3)**2"
+    data["physics"].append({"effect": "discovered", "site": "joint3", "formula": formula, "coefficients": [3, -2.5]})
+    robot = parse_robot(data)
+    rng = np.random.default_rng(0)
+    q, v, a = (rng.uniform(0.2, 1.0, (20, 3)) * sign for sign in (1, -1, 1))
+    difference = inverse_dynamics(robot, Motion(np.arange(20.0), q, v, a)) - inverse_dynamics(
+        kr90, Motion(np.arange(20.0), q, v, a)
+    )
+    np.testing.assert_allclose(difference[:, 2], -3 * q[:, 0] - 2.5 * np.sin(2 * q[:, 2]) ** 2, atol=1e-9)
+    assert not difference[:, :2].any()
+
+
+@pytest.mark.parametrize(
+    ("formula", "message"),
+    [
+        ("c1*w1", "unknown 'w1'"), ("c3*q1", "c3 is missing"), ("__import__('os')", "one argument|unknown"),
+        ("c1 if q1 else 0", "expected arithmetic"), ("c1*", "not an expression"), ("q1.real", "expected arithmetic"),
+    ],
+)  # fmt: skip
+def test_a_formula_is_arithmetic_only(kr90: Robot, formula: str, message: str) -> None:
+    data = kr90.model_dump(mode="json")
+    data["physics"].append({"effect": "discovered", "site": "joint1", "formula": formula, "coefficients": [1, 2]})
+    with pytest.raises(InputError, match=message):
+        parse_robot(data)
+
+
+def test_maps_show_what_was_missed(drifting: Finding) -> None:
+    """Without the hose pack the refitted model misses joint 1 along its position; with it the map is flat."""
+    size = {}
+    for stage in ("before", "after"):
+        along, rate, mean = state_map(drifting.records, stage, 0)  # type: ignore[arg-type]
+        assert mean.shape == (len(along) - 1, len(rate) - 1)
+        size[stage] = np.sqrt(np.nanmean(mean**2))
+    assert size["after"] < 0.7 * size["before"]
+    lags, mean = around_reversals(drifting.records, "after", 0)  # type: ignore[arg-type]
+    assert len(lags) == len(mean)
+    assert drifting.sites["joint1"] == max(drifting.sites.values())
+
+
+def test_a_run_too_short_and_an_unknown_run_are_refused(kr90: Robot) -> None:
+    time = np.arange(200) / 250
+    run = MotionRun("a", time, np.zeros((200, 3)), 250.0, torque=np.random.default_rng(0).normal(size=(200, 3)))
+    with pytest.raises(InputError, match="too short"):
+        prepare(MotionLog({"a": run}), kr90, "log.h5")
+
+
+@needs("emps")
+def test_emps_from_viscous_only_comes_to_dry_and_direction_dependent_friction() -> None:
+    """Published: F_c 20.4 N, F_v 166.7 and 240.4; ≤ 3.11 % on the training record, ≤ 2.56 N on the pulse record."""
+    robot = load_robot(DATA / "emps.yaml").without(["asymmetric_friction", "coulomb_friction"])
+    found = diagnose_log(emps(), robot, "emps", hold_out=["pulses"])
+    names = [missing.first.effect for missing in found.missing]
+    assert names[:2] == ["coulomb_friction", "asymmetric_friction"]
+    assert found.missing[0].first.parameters["torque"]["value"] == pytest.approx(20.4, rel=0.03)
+    viscous = found.missing[1].first.parameters["viscous_difference"]["value"]
+    assert viscous == pytest.approx(166.7 - 240.4, rel=0.05)
+    assert not {"cable_stiffness", "torque_ripple", "friction_drift", "payload", "hysteresis"} & set(names)
+    assert found.error["after"]["train"] < 0.0311
+    (pulses,) = [record for record in found.records if record.held_out]
+    rest = (pulses.measured - pulses.predicted["after"])[pulses.valid]  # type: ignore[union-attr]
+    assert np.sqrt(np.mean(rest**2)) < 2.56
+    restless = [spot for spot in found.location if spot["band_hz"][0] > 10]
+    assert restless[0]["run"] == "pulses"
+    assert restless[0]["band_hz"][0] < 19 < 33 < restless[0]["band_hz"][1]
