@@ -82,15 +82,15 @@ def diagnose_table(
         raise InputError(source, "postures", "no posture with modes is left to fit to")
     looked_at = mechanical_suspects(base)
     tick = progress("modal table", len(looked_at)) if progress else (lambda count: None)
+    used = scattered(used, scatter(fitted(base, NONE, free, used, seed), used))
     before = fitted(base, NONE, free, used, seed)
     fits = []
     for hypothesis in looked_at:
         fits.append(fitted(base, hypothesis, free, used, seed, starts=1))
         tick(1)
-    scale = scatter(before, used)
-    fits.sort(key=lambda fit: -fit.evidence(scale))
+    fits.sort(key=lambda fit: -fit.evidence())
     again = [fitted(base, fit.hypothesis, free, used, seed) for fit in fits[:CONTENDERS]]
-    fits = sorted([*again, *fits[CONTENDERS:]], key=lambda fit: -fit.evidence(scale))
+    fits = sorted([*again, *fits[CONTENDERS:]], key=lambda fit: -fit.evidence())
     plain = left_out(base, NONE, free, used, seed)
     crossed = {fit.hypothesis.key: left_out(base, fit.hypothesis, free, used, seed) for fit in fits[:CONTENDERS]}
     decision = decide_table(fits, before, looked_at, used, plain, crossed)
@@ -189,7 +189,7 @@ def decide_table(
         handicap.append(0.0 if out is not None and out.pooled < BETTER * plain.pooled else HOPELESS)
     return decide(
         fits, before, [[hypothesis] for hypothesis in looked_at], handicap=handicap,
-        other=UNKNOWN_SCATTER, scale=scatter(before, postures),
+        other=UNKNOWN_SCATTER, scale=1.0,
     )  # fmt: skip
 
 
@@ -201,6 +201,16 @@ def scatter(before: Fitted, postures: Mapping[str, ModalPosture]) -> float:
         if mode.frequency_hz is None
     )
     return max(1.0, before.misfit - absent / max(before.data, 1))
+
+
+def scattered(postures: Mapping[str, ModalPosture], scale: float) -> dict[str, ModalPosture]:
+    """The table with its variances multiplied: priors then count for as much as they should beside it."""
+    return {
+        name: replace(
+            p, frequency_spread=p.frequency_spread * np.sqrt(scale), damping_spread=p.damping_spread * np.sqrt(scale)
+        )
+        for name, p in postures.items()
+    }
 
 
 def states_scatter(table: ModalTable) -> bool:
@@ -219,7 +229,6 @@ def told(
     """What these numbers support, in one sentence a person can check."""
     frequencies = sum(len(p.frequency_hz) for p in postures.values())
     dampings = sum(int(np.isfinite(p.damping).sum()) for p in postures.values())
-    scale = scatter(before, postures)
     text = (
         f"{frequencies} frequencies and {dampings} damping ratios for {len(before.parameters)} numbers with priors; "
         f"base model refitted {_error(before.robot, postures):.1%}"
@@ -228,7 +237,7 @@ def told(
         return text + "; a single posture leaves nothing to judge a name by"
     text += f", each posture left out in turn {plain.pooled:.1%} ({_listed(plain)})"
     for fit in [fit for fit in fits if fit.hypothesis.key in crossed][:3]:
-        gain = fit.evidence(scale) - before.evidence(scale)
+        gain = fit.evidence() - before.evidence()
         out = crossed[fit.hypothesis.key]
         text += (
             f"; with {fit.hypothesis.effect} at {fit.hypothesis.site} {_error(fit.robot, postures):.1%}, left out "
