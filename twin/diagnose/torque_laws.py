@@ -281,7 +281,7 @@ def _coupling(s: _Setting) -> list[Suspect]:
             s.normal("ratio", 0.5), s.scale("inertia", inertia, 1.5 if values["inertia"] else 6.0),
             s.scale("friction[0]", friction[0], 2.0), s.scale("friction[1]", friction[1], 2.0),
         ]  # fmt: skip
-        starts = [[ratio, inertia, *friction] for ratio in (0.0, -0.3, 0.3, -1.0, 1.0)]
+        starts = [[ratio, inertia, *friction] for ratio in (0.0, -1.0, 1.0)]
         found += s.suspect(
             {"from": f"joint{j + 1}", "ratio": 0.0, "inertia": inertia, "friction": friction}, own, starts
         )
