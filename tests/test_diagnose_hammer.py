@@ -1,0 +1,175 @@
+"""The hammer-test diagnosis against the truth code: what is concealed is found, nothing else is, and where is told."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tools.truth.__main__ import main as truth
+from twin.diagnose.decide import Decision, decide
+from twin.diagnose.hypotheses import entry_hypothesis, suspects, together
+from twin.diagnose.locate import mismatch
+from twin.diagnose.noise import pooled_variance
+from twin.diagnose.objective import Objective, Sample
+from twin.diagnose.refit import NONE, Fitted, minimise
+from twin.diagnose.screen import Setting, _Scan
+from twin.diagnose.search import Search, converge, explain, settle
+from twin.diagnose.triage import Triage, triage
+from twin.identify.elastic import without_limits
+from twin.identify.parameters import Parameter as Free
+from twin.identify.parameters import Parameters, free_parameters, independent
+from twin.measure.campaign import Campaign, FloatArray, read_campaign
+from twin.physics import CATALOGUE
+from twin.robot.description import Robot, load_robot
+
+SHORT = ("--spacing-hz", "0.5", "--lines", "48", "--coherence", "estimated")
+
+
+@dataclass(frozen=True)
+class Case:
+    campaign: Campaign
+    base: Robot
+    found: Triage
+    sample: Sample
+    free: Parameters
+
+
+def recorded(folder: Path, *options: str, without: tuple[str, ...] = (), hold_out: list[str] | None = None) -> Case:
+    path = folder / "c.h5"
+    assert truth(["campaign", "--out", str(path), *SHORT, *options]) == 0
+    campaign, given = read_campaign(path), load_robot("kr90").without(list(without))
+    found, base = triage(campaign, given, "c.h5", hold_out), without_limits(given)
+    names = dict.fromkeys(r.setup.name for r in found.used)
+    return Case(campaign, base, found, Sample(tuple(found.used)), free_parameters(base, names, campaign.response.label))
+
+
+def looked_at(case: Case, *effects: str) -> list:
+    brakes = [r.setup.brakes for r in case.found.recordings.values()]
+    everything = suspects(case.base, case.campaign.response, case.campaign.excitation, brakes, (5.0, 29.0))
+    return [variants for variants in everything if not effects or variants[0].effect in effects]
+
+
+def diagnosed(case: Case, *effects: str) -> tuple[Decision, Fitted, Search]:
+    search = converge(case.base, case.free, case.sample)
+    among = looked_at(case, *effects)
+    *fits, base = settle(case.base, explain(case.base, search, case.sample, among), case.sample)
+    return decide(fits, base, among, kept=case.found.kept), base, search
+
+
+def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> None:
+    case = recorded(tmp_path, "--seed", "11", "--postures", "4")
+    decision, base, search = diagnosed(case, "base_compliance", "payload", "sensor_gain", "hammer_misalignment")
+    assert decision.none > 0.9
+    assert 0.8 < base.misfit < 1.1
+    assert search.others[0].misfit == pytest.approx(search.base.misfit, rel=0.1)  # both starts reach one minimum
+
+
+def test_a_foundation_that_tilts_is_named(tmp_path: Path) -> None:
+    case = recorded(tmp_path, "--seed", "12", "--postures", "4", "--effect", "base_compliance@base.ry")
+    decision, base, _ = diagnosed(case, "base_compliance", "payload", "sensor_gain")
+    assert decision.ranked[0].hypothesis.key == "base_compliance@base.ry"
+    assert decision.probability[0] > 0.8
+    assert decision.ranked[0].misfit < 1.1 < base.misfit
+
+
+def test_a_joint_that_also_tilts_is_named_though_the_base_model_is_far_off(tmp_path: Path) -> None:
+    case = recorded(tmp_path, "--seed", "13", "--postures", "4", without=("transverse_compliance@joint1.x",))
+    decision, base, search = diagnosed(case, "transverse_compliance", "servo_compliance", "structural_damping")
+    assert search.error > 0.1
+    assert base.misfit > 100
+    assert decision.ranked[0].hypothesis.key == "transverse_compliance@joint1.x"
+    assert decision.ranked[0].misfit < 1.1
+
+
+def test_two_things_are_found_together(tmp_path: Path) -> None:
+    options = ("--effect", "base_compliance@base.y", "--effect", "sensor_gain@sensor:21Z+:gain=1.1")
+    case = recorded(tmp_path, "--seed", "14", "--postures", "4", *options)
+    decision, _, _ = diagnosed(case, "base_compliance", "sensor_gain", "time_delay")
+    keys = {piece.key for piece in decision.ranked[0].hypothesis.pieces}
+    assert keys == {"base_compliance@base.y", "sensor_gain@sensor:21Z+"}
+
+
+def test_a_stiffness_that_depends_on_posture_is_located_at_its_joint(tmp_path: Path) -> None:
+    effect = "posture_stiffness@joint2.z:amplitude=0.1,phase=0.5"
+    case = recorded(tmp_path, "--seed", "16", "--postures", "5", "--effect", effect, hold_out=[])
+    search = converge(case.base, case.free, case.sample)
+    assert next(iter(mismatch(search.base, case.sample).sites)) == "joint2.z"
+
+
+def test_variance_of_faint_channels_is_that_of_their_noise(tmp_path: Path) -> None:
+    options = ("campaign", "--seed", "17", "--postures", "1", "--noise", "1e-3", "--lines", "200")
+    assert truth([*options, "--out", str(tmp_path / "noisy.h5")]) == 0
+    clean = ["--noise" if option == "--noise" else option for option in options]
+    clean[clean.index("--noise") + 1] = "0"
+    assert truth([*clean, "--scatter", "0", "--out", str(tmp_path / "clean.h5")]) == 0
+    noisy, exact = (next(iter(read_campaign(tmp_path / f"{n}.h5").postures.values())) for n in ("noisy", "clean"))
+    variance = pooled_variance(noisy)
+    assert variance is not None
+    chi2 = (np.abs(noisy.frf - exact.frf) ** 2 / variance / 2).mean(axis=0)
+    assert 0.6 < np.median(chi2) < 1.2
+    assert chi2.max() < 2.5  # no channel pair is trusted far more than it deserves
+
+
+def test_resonators_are_scanned_by_the_change_they_make(tmp_path: Path) -> None:
+    case = recorded(tmp_path, "--seed", "18", "--postures", "1", hold_out=[])
+    values = {**(CATALOGUE["attached_resonator"].typical(case.base, "link2") or {}), "frequency_hz": 12.3, "axis": "y"}
+    hypothesis = entry_hypothesis(case.base, "attached_resonator", "link2", values)
+    z = np.zeros(len(case.free))
+    setting = Setting(case.base, case.free, NONE, z, case.sample, case.sample, 0.1, False)
+    with_it = replace(setting.objective(hypothesis))
+    change = setting.objective(NONE).residual(z) - with_it.residual(np.concatenate([z, np.zeros(len(hypothesis.own))]))
+    assert _Scan(setting)._secant(hypothesis) == pytest.approx(
+        change, abs=1e-2 * np.abs(change).max()
+    )  # the weight sags otherwise
+
+
+class Canyon(Objective):
+    """Rosenbrock's valley as a least-squares problem."""
+
+    def __init__(self) -> None:
+        self.parameters = independent(Free(name, "1", "gain", False, 0.0, 1.0, "") for name in ("gain.a", "gain.b"))
+        self.among, self.rows, self.calls = None, [], 0
+
+    @property
+    def data(self) -> int:
+        return 2
+
+    def _residual(self, z: FloatArray) -> FloatArray:
+        return np.array([1 - z[0], 1e3 * (z[1] - z[0] ** 2)])
+
+    def cost(self, z: FloatArray) -> float:
+        return 0.5 * float(self._residual(z) @ self._residual(z))
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        self.calls += 1
+        G = np.array([[-1.0, -2e3 * z[0]], [0.0, 1e3]])
+        return self.cost(z), G @ self._residual(z), G @ G.T
+
+    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray:
+        return np.array([[-1.0, -2e3 * z[0]], [0.0, 1e3]]) @ np.array([0.0, -2e3 * step[0] ** 2])
+
+
+def test_a_curved_valley_is_followed() -> None:
+    canyon = Canyon()
+    z, cost, _, converged = minimise(canyon, np.array([-1.2, 1.0]), 60, 1e-9)
+    assert converged
+    assert cost < 1e-8
+    assert z == pytest.approx([1.0, 1.0], abs=1e-3)
+    assert canyon.calls < 40
+
+
+def test_a_damper_is_known_relative_to_its_spring() -> None:
+    robot = load_robot("kr90")
+    hypothesis = entry_hypothesis(robot, "base_compliance", "base.x", {"stiffness": 1e8, "damping": 1e4})
+    parameters = hypothesis.parameters(independent([]))
+    stiffness, damping = parameters.values(np.array([2.0, 0.0]))
+    assert stiffness / 1e8 == pytest.approx(damping / 1e4)
+
+
+def test_nothing_beside_a_thing_is_that_thing() -> None:
+    robot = load_robot("kr90")
+    one = entry_hypothesis(robot, "sensor_gain", "sensor:21X+", {"gain": 1.0})
+    two = entry_hypothesis(robot, "sensor_gain", "sensor:21Y+", {"gain": 1.0})
+    assert together(NONE, one) is one
+    assert [piece.key for piece in together(together(one, two), NONE).pieces] == [one.key, two.key]
