@@ -51,7 +51,7 @@ def postures(effect: str, site: str, seed: int) -> list[str]:
     robot, rng = load_robot("kr90"), np.random.default_rng(seed)
     options = []
     while len(options) < 12:
-        q = np.round([rng.uniform(-85, 85), rng.uniform(25, 140), rng.uniform(-140, -10)])
+        q = np.round([rng.uniform(-85, 85), rng.uniform(25, 135), rng.uniform(-140, -10)])
         model = structure(assemble(robot, robot.angles(q)))
         light = abs(model.load[model.coordinates.index(site)]) < UNLOADED_NM
         if light or len(options) >= 6:

@@ -89,7 +89,7 @@ class Cubic(Law):
         return np.array([0.1 * k / USUAL_DEFLECTION**2])
 
     def sizes(self, k: float, amplitude: float) -> FloatArray:
-        return (k / amplitude**2 * np.geomspace(0.01, 10.0, 7))[:, None]
+        return (k / amplitude**2 * np.geomspace(1e-4, 10.0, 11))[:, None]
 
 
 class Gap(Law):
