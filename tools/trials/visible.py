@@ -1,9 +1,10 @@
 """How large an effect has to be to be seen: its signature after everything a modeller would refit has moved to hide it.
 
-Both recordings are turned into vectors in units of their noise, y(truth). The signature of an effect is y with it minus
-y without, projected off the derivatives of y with respect to what nobody knows exactly (springs, dampers, masses,
-posture, gains, friction), each under its tolerance as a prior. The smallest visible size is the one at which half the
-squared length of that is `SEEN`, in logarithms of a likelihood ratio. All of it by the truth code alone.
+Both recordings are turned into vectors in units of their noise, y(truth). The signature of an effect is the derivative
+of y with respect to its size, projected off the derivatives with respect to what nobody knows exactly (springs,
+dampers, masses, posture, gains, friction), each under its tolerance as a prior. The smallest visible size is the one at
+which half the squared length of that is `SEEN`, in logarithms of a likelihood ratio. Derivatives, because a projected
+difference would count the curvature of what a refit absorbs. All of it by the truth code alone.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,7 +22,7 @@ SEEN = 8.0
 LINES = 40  # of an FRF, standing for all
 HIGHEST_HZ = 10.0  # of a torque: above, the low-pass of any identification has the word
 EVERY = 5  # samples of a motion log, of which one is taken
-STEP = 1e-3  # of a nuisance, in deviations
+STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
 
 Signal = Callable[[Truth], Array]
 
@@ -48,35 +49,34 @@ def scaled(effect: Effect, factor: float) -> Effect:
 def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: float, project: bool = True) -> Effect:
     """The effect at so many times its smallest visible size on this recording."""
     without = replace(truth, effects=tuple(e for e in truth.effects if e is not effect))
-    others = without.effects
-    y = signal(without)
-    basis = None
-    if project:
-        J = np.array([_slope(change, without, signal, y) for change in _nuisances(without)])
-        basis = J, np.linalg.inv(J @ J.T + np.eye(len(J)))
 
-    def energy(factor: float) -> float:
-        difference = signal(replace(without, effects=(*others, scaled(effect, factor)))) - y
-        size = float(difference @ difference)
-        if basis is not None:
-            across = basis[0] @ difference
-            size -= float(across @ basis[1] @ across)
-        return 0.5 * size
+    def changed(factor: float) -> Array:
+        return signal(replace(without, effects=(*without.effects, scaled(effect, factor)))) - signal(without)
 
-    low, high = 1e-3, 1e3
-    factor = 1.0
-    for _ in range(12):  # energy grows about as the square of the size
-        found = energy(factor)
+    if not project:
+        return scaled(effect, _visible_factor(changed) * multiple)
+    tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
+    J = np.array([_slope(change, without, signal) for change in _nuisances(without)])
+    across = J @ tangent
+    left = float(tangent @ tangent - across @ np.linalg.solve(J @ J.T + np.eye(len(J)), across))
+    return scaled(effect, np.sqrt(2 * SEEN / left) * multiple)
+
+
+def _visible_factor(changed: Callable[[float], Array]) -> float:
+    """Where a signature that nothing else makes, and that is no multiple of the size, is just seen."""
+    low, high, factor = 1e-3, 1e3, 1.0
+    for _ in range(12):  # its energy grows about as the square of the size
+        found = 0.5 * float(np.sum(changed(factor) ** 2))
         low, high = (factor, high) if found < SEEN else (low, factor)
         if abs(np.log(max(found, 1e-300) / SEEN)) < 0.2:
             break
         step = factor * np.sqrt(SEEN / max(found, 1e-12))
         factor = float(step if low < step < high else np.sqrt(low * high))
-    return scaled(effect, factor * multiple)
+    return factor
 
 
-def _slope(change: Callable[[Truth, float], Truth], truth: Truth, signal: Signal, y: Array) -> Array:
-    return (signal(change(truth, STEP)) - y) / STEP
+def _slope(change: Callable[[Truth, float], Truth], truth: Truth, signal: Signal) -> Array:
+    return (signal(change(truth, STEP)) - signal(change(truth, -STEP))) / (2 * STEP)
 
 
 def _nuisances(truth: Truth) -> Iterator[Callable[[Truth, float], Truth]]:
@@ -103,7 +103,8 @@ def _nuisances(truth: Truth) -> Iterator[Callable[[Truth, float], Truth]]:
         yield of_link(i, lambda link, z: replace(link, mass=link.mass * (1 + 0.03 * z)))
         for k in range(3):
             yield of_link(i, lambda link, z, k=k: replace(link, com=link.com + 0.01 * z * np.eye(3)[k]))
-            yield of_link(i, lambda link, z, k=k: replace(link, inertia=_stretched(link.inertia, k, 0.03 * z)))
+            for j in range(k + 1):
+                yield of_link(i, lambda link, z, j=j, k=k: replace(link, inertia=_changed(link.inertia, j, k, z)))
     if log:
         for i in range(chain.n):
             for name, width in (("viscous", 0.3), ("coulomb", 0.3), ("rotor_inertia", 0.1)):
@@ -131,9 +132,10 @@ def _nuisances(truth: Truth) -> Iterator[Callable[[Truth, float], Truth]]:
         )
 
 
-def _stretched(inertia: Array, k: int, share: float) -> Array:
+def _changed(inertia: Array, j: int, k: int, z: float) -> Array:
     out = inertia.copy()
-    out[k, k] *= 1 + share
+    out[j, k] += 0.03 * z * np.sqrt(inertia[j, j] * inertia[k, k])
+    out[k, j] = out[j, k]
     return out
 
 
