@@ -19,6 +19,7 @@ from twin.measure.campaign import Brakes, FloatArray
 from twin.robot.description import Robot
 
 SEEN = 8.0  # ln Bayes factor from which an effect would be seen
+SMALL = 1e-4  # of the usual size, where the derivative is taken
 CANDIDATES = 24
 
 
@@ -27,7 +28,9 @@ def smallest_visible(
 ) -> list[dict[str, Any]]:
     """The size of each entry whose signature, after projection, this recording would have shown.
 
-    A spring's signature grows with its compliance, any other with its size; the first parameter of the entry is given.
+    The signature is the derivative with respect to the size, a spring's size being its compliance: a difference would
+    count the curvature of what a refit absorbs, and let a payload show at grams. The first parameter of the entry is
+    given.
     """
     objective = Objective(robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
@@ -35,20 +38,17 @@ def smallest_visible(
     found = []
     for variants in suspects:
         hypothesis = variants[len(variants) // 2]
-        parameters = hypothesis.parameters(fit.parameters)
-        own = np.zeros(len(hypothesis.own))
         first = hypothesis.own[0]
-        if not first.log:
-            own[0] = 0.1
-        changed = Objective(hypothesis.robot(robot), parameters, sample).residual(np.concatenate([fit.z, own]))
-        secant = residual - changed
-        across = J @ secant
-        energy = float(secant @ secant - across @ inverse @ across)
-        ratio = float(np.sqrt(2 * SEEN / max(energy, 1e-300)))  # smallest over this size
+        changed = Objective(hypothesis.robot(robot), hypothesis.parameters(fit.parameters), sample)
+        one, two = (residual - changed.residual(_of_size(hypothesis, fit.z, size)) for size in (SMALL, 2 * SMALL))
+        tangent = (4 * one - two) / (2 * SMALL)  # one-sided: a size has a sign
+        across = J @ tangent
+        energy = float(tangent @ tangent - across @ inverse @ across)
+        size = float(np.sqrt(2 * SEEN / max(energy, 1e-300)))
         if first.log:
-            value = first.mean / ratio if first.quantity == "stiffness" else first.mean * ratio
+            value = first.mean / size if first.quantity == "stiffness" else first.mean * size
         else:
-            value = 0.1 * first.deviation * ratio
+            value = first.deviation * size
         found.append(
             {
                 "effect": hypothesis.effect, "site": hypothesis.site,
@@ -56,6 +56,17 @@ def smallest_visible(
             }
         )  # fmt: skip
     return found
+
+
+def _of_size(hypothesis: Hypothesis, z: FloatArray, size: float) -> FloatArray:
+    """Prior coordinates of a hypothesis whose first parameter makes it so many times its usual size."""
+    own = np.zeros(len(hypothesis.own))
+    first = hypothesis.own[0]
+    if first.log:
+        own[0] = np.log(size) * (-1 if first.quantity == "stiffness" else 1) / first.deviation
+    else:
+        own[0] = size
+    return np.concatenate([z, own])
 
 
 def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: int = 0) -> dict[str, Any] | None:
