@@ -27,7 +27,7 @@ from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 SIZES = {"near": (-0.5, 1.0, 3.0, 5.0), "off": (-0.5, 1.0)}
-"""Where a search starts: prior deviations of the first scale, towards null; near is closer than a linear step reaches."""
+"""Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""
 YIELDING = 5  # iterations in which springs make room for an entry
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
