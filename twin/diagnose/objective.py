@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.diagnose.hypotheses import Sprung
 from twin.identify.elastic import LOG_SPREAD, Recorded
@@ -15,6 +16,7 @@ from twin.identify.sensitivity import (
     contract,
     frf,
     frf_slopes,
+    moving,
     observe,
     slopes,
     spatial_inertia,
@@ -50,7 +52,7 @@ class Objective:
         robot: the description before values are applied.
         weight: 1/σ per recording (nf, nr, ne); zero where a line is not used.
         held, among: with ``among``, z holds those coordinates alone and the others are as in ``held``.
-        rows: residual and its derivatives where a linear one was evaluated last, recording by recording.
+        rows: residual, its derivatives and by what, where a linear one was evaluated last; recording by recording.
     """
 
     robot: Robot
@@ -61,7 +63,7 @@ class Objective:
     weight: list[FloatArray] = field(default_factory=list)
     held: FloatArray | None = None
     among: tuple[int, ...] | None = None
-    rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+    rows: list[tuple[FloatArray, FloatArray, NDArray[np.intp]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         if self.weight:
@@ -117,8 +119,10 @@ class Objective:
     def jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted residual (data,) and derivatives (n, data) of the weighted prediction with respect to z."""
         rows, rest = [], []
-        for r, w, (H, dH) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
-            rows.append((dH * w).reshape(len(z), -1).view(float))
+        for r, w, (H, dH, moves) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
+            row = np.zeros((len(z), *H.shape), complex)
+            row[moves] = dH * w
+            rows.append(row.reshape(len(z), -1).view(float))
             rest.append(((r.frf - H) * w).reshape(-1).view(float))
         return np.concatenate(rest), np.concatenate(rows, axis=1)
 
@@ -134,15 +138,14 @@ class Objective:
         """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
         cost, gradient, information = 0.5 * float(self.whole(z) @ self.whole(z)), z.copy(), np.eye(len(z))
         self.rows.clear()
-        for r, w, (H, dH) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
+        for r, w, (H, dH, moves) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
             e, pull, factor = self._error(r, H, w)
             cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
-            dH *= factor
-            G = dH.reshape(len(z), -1).view(float)
-            gradient += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
-            information += G @ G.T
+            G = np.multiply(dH, factor, order="C").reshape(len(moves), -1).view(float)
+            gradient[moves] += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
+            information[np.ix_(moves, moves)] += G @ G.T
             if not self.logarithmic:
-                self.rows.append((np.ascontiguousarray(e).reshape(-1).view(float), G))
+                self.rows.append((np.ascontiguousarray(e).reshape(-1).view(float), G, moves))
         return cost, gradient, information
 
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
@@ -150,11 +153,11 @@ class Objective:
         if not self.rows:
             return None
         h, total = 0.1, np.zeros(len(z))
-        for r, H, w, (e, G) in zip(
+        for r, H, w, (e, G, moves) in zip(
             self.sample.recordings, self.predicted(z + h * step), self.weight, self.rows, strict=True
         ):
             ahead = np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float)
-            total += G @ (2 / h * ((ahead - e) / h - step @ G))
+            total[moves] += G @ (2 / h * ((ahead - e) / h - step[moves] @ G))
         return total
 
     def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -172,8 +175,8 @@ class Objective:
             inverse = np.where(H != 0, -1 / H, 0)
         return e * soft, e * weight, inverse * w * weight
 
-    def _slopes(self, z: FloatArray) -> Iterator[tuple[ComplexArray, ComplexArray]]:
-        """Prediction and its derivatives with respect to z, recording by recording."""
+    def _slopes(self, z: FloatArray) -> Iterator[tuple[ComplexArray, ComplexArray, NDArray[np.intp]]]:
+        """Prediction, its derivatives (m, …) with respect to the m coordinates that move it, and which those are."""
         values = self.parameters.values(self.whole(z))
         robot, transform = self.parameters.apply(self.robot, values), self.parameters.transform(values)
         free, own = self.free, values
@@ -181,8 +184,9 @@ class Objective:
             transform, own = transform[np.ix_(self.among, self.among)], values[list(self.among)]
         for r in self.sample.recordings:
             seen, model = observe(robot, r.setup, self.parameters, values)
-            rate = _rates(robot, r.setup, free, own, seen, model)
-            yield frf_slopes(seen, contract(rate, transform), r.s, r.power)
+            rate = contract(_rates(robot, r.setup, free, own, seen, model), transform)
+            moves = moving(rate)
+            yield *frf_slopes(seen, Observed.of(array[moves] for array in rate.arrays()), r.s, r.power), moves
 
 
 def _rates(

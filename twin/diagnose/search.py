@@ -196,10 +196,9 @@ def _refit(
     far: bool,
 ) -> Fitted:
     """A hypothesis at its optimum on all lines, from the best of some places; ``far``: of the logarithmic residual."""
-    if far:
-        z = descend(robot, hypothesis, parameters, sample.thin(REFIT_LINES), places[0], tempered=8, linear=15).z
-    else:
-        z = min(places, key=Objective(hypothesis.robot(robot), parameters, sample).cost)
+    few = sample.thin(REFIT_LINES)
+    z = places[0] if far else min(places, key=Objective(hypothesis.robot(robot), parameters, few).cost)
+    z = descend(robot, hypothesis, parameters, few, z, tempered=8 if far else 0, linear=15).z
     known = search.fits.get(hypothesis.identity)
     fit = descend(
         robot, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=_reach(search)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.identify.parameters import Parameter, Parameters
 from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
@@ -143,26 +144,28 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
     rest = deflection or {}
     bodies: dict[str, int] = {}
     names: list[str] = []
-    screws: list[FloatArray] = []
+    axes: list[FloatArray] = []
+    places: list[FloatArray] = []
     paths: list[tuple[int, ...]] = []
-    rotation: list[FloatArray] = []
-    origin: list[FloatArray] = []
+    rotations: list[FloatArray] = []
+    origins: list[FloatArray] = []
     inboard: list[tuple[int, ...]] = []
     joints = []
-    command: list[FloatArray] = []
+    commands: list[tuple[FloatArray, FloatArray]] = []
     for body in mechanism.bodies.values():
         if body.parent:
             parent = bodies[body.parent]
-            turn, place, path = rotation[parent], origin[parent], paths[parent]
+            turn, place, path = rotations[parent], origins[parent], paths[parent]
         else:
             turn, place, path = np.eye(3), np.zeros(3), ()
         place = place + turn @ body.position
         turn = turn @ matrix_of(body.quaternion)
         if body.kind == "motor":
-            command.append(_screw(turn[:, 2], place, mechanism.axis_kind(len(command))))
+            commands.append((turn[:, 2], place))
         for joint in body.joints:
             axis = turn @ np.asarray(joint.axis)
-            screws.append(_screw(axis, place, joint.kind))
+            axes.append(axis)
+            places.append(place)
             path = (*path, len(names))
             inboard.append(path)
             names.append(joint.name)
@@ -172,23 +175,31 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
                 place = place + amount * axis
             elif amount:
                 turn = _rodrigues(axis, amount) @ turn
-        bodies[body.name] = len(rotation)
-        rotation.append(turn)
-        origin.append(place)
+        bodies[body.name] = len(rotations)
+        rotations.append(turn)
+        origins.append(place)
         paths.append(path)
-    nb, nv, n = len(bodies), len(names), len(command)
+    nb, nv, n = len(bodies), len(names), len(commands)
+    rotation, origin = np.array(rotations), np.array(origins)
+    screw = _screws(axes, places, [joint.kind == "slide" for joint in joints])
+    command = _screws(
+        [z for z, _ in commands],
+        [place for _, place in commands],
+        [mechanism.axis_kind(i) == "slide" for i in range(n)],
+    )
     on_path, inboard_mask = np.zeros((nb, nv)), np.zeros((nv, nv))
     for row, path in zip(on_path, paths, strict=True):
         row[list(path)] = 1
     for k, path in enumerate(inboard):
         inboard_mask[list(path), k] = 1
-    spatial = np.zeros((nb, 6, 6))
+    inertia = np.array([body.inertia for body in mechanism.bodies.values()])
     for index, body in enumerate(mechanism.bodies.values()):
-        X = _to_body(rotation[index], origin[index])
-        inertia = body.inertia
-        if body.kind == "base" and body.joints and not inertia.any():
-            inertia = FOOT_INERTIA * np.eye(3)
-        spatial[index] = X.T @ spatial_inertia(body.mass, body.com, inertia) @ X
+        if body.kind == "base" and body.joints and not body.inertia.any():
+            inertia[index] = FOOT_INERTIA * np.eye(3)
+    X = _to_body(rotation, origin)
+    mass = np.array([body.mass for body in mechanism.bodies.values()])
+    com = np.array([body.com for body in mechanism.bodies.values()])
+    spatial = X.swapaxes(1, 2) @ spatial_inertia(mass, com, inertia) @ X
     moved = np.zeros((n, nb))
     carried = np.zeros((n, nv))
     for i in range(n):
@@ -198,7 +209,7 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
                 outboard.add(body.name)
                 moved[i, bodies[body.name]] = 1
                 carried[i, [names.index(joint.name) for joint in body.joints]] = 1
-    screw, gravity = np.array(screws).reshape(nv, 6), np.array(mechanism.robot.gravity)
+    gravity = np.array(mechanism.robot.gravity)
     S = screw * on_path[:, :, None]
     inertial = spatial @ S.swapaxes(1, 2)
     momentum = inertial[:, 3:].sum(axis=0)
@@ -215,8 +226,8 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
         K = K + tendon.stiffness * np.outer(pull, pull)
     loss = _diagonal(joint.loss_factor * joint.stiffness[0] for joint in joints)
     return Structure(
-        tuple(names), bodies, screw, inboard_mask, on_path, np.array(rotation), np.array(origin), spatial,
-        np.array(command).reshape(n, 6), moved, carried, gravity, load, M, C, K, loss, strain, mechanism,
+        tuple(names), bodies, screw, inboard_mask, on_path, rotation, origin, spatial, command, moved, carried,
+        gravity, load, M, C, K, loss, strain, mechanism,
     )  # fmt: skip
 
 
@@ -224,12 +235,17 @@ def _diagonal(values: Iterable[float]) -> FloatArray:
     return np.diag(np.array(list(values), float))
 
 
-def spatial_inertia(mass: float, com: FloatArray, inertia: FloatArray) -> FloatArray:
-    """Spatial inertia (6, 6) about the frame's origin, rows and columns (ω, v); ``inertia`` (3, 3) is at the com."""
-    skew = mass * _skew(com)
-    out = np.zeros((6, 6))
-    out[:3, :3] = inertia + mass * ((com @ com) * np.eye(3) - np.outer(com, com))
-    out[:3, 3:], out[3:, :3], out[3:, 3:] = skew, -skew, mass * np.eye(3)
+def spatial_inertia(mass: float | FloatArray, com: FloatArray, inertia: FloatArray) -> FloatArray:
+    """Spatial inertia (…, 6, 6) about the frame's origin, rows and columns (ω, v).
+
+    Args:
+        mass: (…), kg; ``com`` (…, 3) m; ``inertia`` (…, 3, 3) at the com, kg·m².
+    """
+    mass = np.asarray(mass)[..., None, None]
+    skew = _skew(com)
+    out = np.zeros((*com.shape[:-1], 6, 6))
+    out[..., :3, :3] = inertia - mass * skew @ skew
+    out[..., :3, 3:], out[..., 3:, :3], out[..., 3:, 3:] = mass * skew, -mass * skew, mass * np.eye(3)
     return out
 
 
@@ -244,21 +260,27 @@ def _tangent(stiffness: Sequence[float], load: float) -> float:
     return float(k1 + 2 * k2 * x + 3 * k3 * x**2)
 
 
-def _screw(axis: FloatArray, point: FloatArray, kind: str) -> FloatArray:
-    if kind == "slide":
-        return np.concatenate([np.zeros(3), axis])
-    return np.concatenate([axis, _cross(point, axis)])
+def _screws(axes: Sequence[FloatArray], points: Sequence[FloatArray], slides: Sequence[bool]) -> FloatArray:
+    """Twists (n, 6) of joints, (ω, v) at the world's origin."""
+    if not slides:
+        return np.zeros((0, 6))
+    axis, slide = np.array(axes), np.array(slides)[:, None]
+    return np.hstack([np.where(slide, 0.0, axis), np.where(slide, axis, _cross(np.array(points), axis))])
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """a × b over the last axis; numpy's own is ten times slower on arrays this small."""
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
     b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[..., 0], out[..., 1], out[..., 2] = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    return out
 
 
 def _skew(v: FloatArray) -> FloatArray:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 2, 1], out[..., 0, 2], out[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
+    return out - out.swapaxes(-1, -2)
 
 
 def _rodrigues(axis: FloatArray, angle: float) -> FloatArray:
@@ -267,10 +289,11 @@ def _rodrigues(axis: FloatArray, angle: float) -> FloatArray:
 
 
 def _to_body(rotation: FloatArray, origin: FloatArray) -> FloatArray:
-    """(6, 6) that takes a twist about the world's origin to the body's frame."""
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = rotation.T
-    out[3:, :3] = -rotation.T @ _skew(origin)
+    """(…, 6, 6) that takes a twist about the world's origin to a body's frame (…, 3, 3), (…, 3)."""
+    turned = rotation.swapaxes(-1, -2)
+    out = np.zeros((*origin.shape[:-1], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = turned
+    out[..., 3:, :3] = -turned @ _skew(origin)
     return out
 
 
@@ -326,14 +349,19 @@ class Observed:
         return self.M, self.C, self.K, self.loss, self.J_r, self.J_e, self.gain, self.delay
 
 
-def observe(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray) -> tuple[Observed, Structure]:
-    """The model of a posture at parameter values (n,); ``robot`` already carries the values that belong to it."""
+def observe(
+    robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, *, sagging: bool = True
+) -> tuple[Observed, Structure]:
+    """The model of a posture at parameter values (n,); ``robot`` already carries the values that belong to it.
+
+    Without ``sagging``, as if the springs did not give way under the weight: what a difference of two models needs.
+    """
     q = setup.q + parameters.posture_error(setup.name, values, len(setup.q))
     model = structure(assemble(robot, q, brakes=setup.brakes or "off"))
     chain = recording_chain(robot, setup.response, setup.excitation)
     gain = chain.response_gain * parameters.gains(setup.response.label, values)
     seen = _seen(model, setup, chain, gain)
-    share = parameters.sag(values)
+    share = parameters.sag(values) if sagging else None
     if share is None:
         return seen, model
     low = structure(model.mechanism, model.sag())  # deflections are below 1e-3 rad: what they change is linear in them
@@ -373,16 +401,18 @@ def slopes(
     out = Observed.of(np.zeros((len(parameters), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
     rows: tuple[FloatArray, FloatArray] | None = None
+    differenced = _differenced(parameters, setup, model)
     for i, link in enumerate(robot.links):
         body = f"link{i + 1}"
-        own = [p for p, parameter in enumerate(parameters) if parameter.name.startswith(f"{body}.")]
-        own = [p for p in own if parameters[p].kind == "link" and not _differenced(parameters[p], setup, model)]
+        own = [p for p, parameter in enumerate(parameters) if parameter.kind == "link" and not differenced[p]]
+        own = [p for p in own if parameters[p].name.startswith(f"{body}.")]
         if own:
-            changes = np.array([_link_slope(link.inertial, parameters[p].name) for p in own])
+            inertial = link.inertial
+            changes = np.array([_link_slope(inertial, parameters[p].name) for p in own])
             out.M[own], out.K[own] = model.inertial_slopes(body, changes)
     for p, parameter in enumerate(parameters):
         site, _, what = parameter.name.rpartition(".")
-        if _differenced(parameter, setup, model):
+        if differenced[p]:
             for target, change in zip(out.arrays(), _difference(robot, setup, parameters, values, p), strict=True):
                 target[p] = change
         elif parameter.kind == "spring" and site in index:
@@ -419,10 +449,11 @@ def sag_slopes(robot: Robot, setup: Setup, parameters: Parameters, values: Float
     seen, _ = observe(robot, setup, parameters, values)
     out = Observed.of(np.zeros((len(parameters), *array.shape)) for array in seen.arrays())
     share = parameters.sag(values)
+    differenced = _differenced(parameters, setup, model)
     for p, parameter in enumerate(parameters):
         moves = parameter.kind == "link" or (parameter.kind == "spring" and parameter.quantity == "stiffness")
         moves = moves or (parameter.kind == "posture" and parameter.site == f"posture.{setup.name}")
-        if share and moves and not _differenced(parameter, setup, model):
+        if share and (moves or differenced[p]):
             for target, change in zip(
                 out.arrays(), _difference(robot, setup, parameters, values, p, True), strict=True
             ):
@@ -430,9 +461,13 @@ def sag_slopes(robot: Robot, setup: Setup, parameters: Parameters, values: Float
     return out
 
 
-def _differenced(parameter: Parameter, setup: Setup, model: Structure) -> bool:
-    """No closed form: other entries, links that bend, and all that moves the working point of a hardening spring."""
+def _differenced(parameters: Parameters, setup: Setup, model: Structure) -> list[bool]:
+    """Which have no closed form: other entries, links that bend, all that moves a hardening spring's working point."""
     curved = {joint.name for joint in model.mechanism.joints if any(joint.stiffness[1:])}
+    return [_curved(parameter, setup, model, curved) for parameter in parameters]
+
+
+def _curved(parameter: Parameter, setup: Setup, model: Structure, curved: set[str]) -> bool:
     if parameter.kind == "spring":
         return parameter.site in curved
     if parameter.kind == "link":
@@ -451,8 +486,8 @@ def _difference(
     for side in (values[p] + step, values[p] - step):
         shifted = values.copy()
         shifted[p] = side
-        seen, _ = observe(parameters.apply_one(robot, p, side), setup, parameters, shifted)
-        sides.append((seen.sag if sag and seen.sag else seen).arrays())
+        seen, _ = observe(parameters.apply_one(robot, p, side), setup, parameters, shifted, sagging=sag)
+        sides.append((seen.sag or seen).arrays())
     return [(high - low) / (2 * step) for high, low in zip(*sides, strict=True)]
 
 
@@ -472,6 +507,11 @@ def _link_slope(inertial: tuple[float, FloatArray, FloatArray], name: str) -> Fl
     change = np.zeros((6, 6))
     change[i, j] = change[j, i] = 1.0
     return change
+
+
+def moving(rate: Observed) -> NDArray[np.intp]:
+    """Indices of the parameters that change anything: not the postures of other recordings."""
+    return np.flatnonzero(np.any([array.reshape(len(array), -1).any(axis=1) for array in rate.arrays()], axis=0))
 
 
 def contract(slopes_: Observed, transform: FloatArray) -> Observed:
@@ -506,12 +546,13 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
             product = flat @ columns
             left[:, :, some] -= (product if factor is None else factor * product).reshape(nf, nr, some.size, nv)
     left += rate.J_r.transpose(1, 0, 2)
+    left *= record[..., None]
     slope = (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne)
     some = np.flatnonzero(rate.J_e.any(axis=(1, 2)))
     if some.size:
         turned = (flat @ rate.J_e[some].transpose(2, 0, 1).reshape(nv, -1)).reshape(nf, nr, some.size, ne)
-        slope[:, :, some] += turned
-    slope = slope.transpose(2, 0, 1, 3) * record
+        slope[:, :, some] += turned * record[..., None]
+    slope = slope.transpose(2, 0, 1, 3)
     for p in np.flatnonzero(rate.gain.any(axis=1) | rate.delay.any(axis=1)):
         slope[p] += H * (rate.gain[p] / seen.gain - s[:, None] * rate.delay[p])[:, :, None]
     return H, slope
