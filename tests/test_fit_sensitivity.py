@@ -131,7 +131,7 @@ def everything(robot: Robot) -> Parameters:
     entries = [
         "payload@flange.mass", "payload@flange.com[2]", "attached_resonator@link3.mass",
         "sensor_misalignment@sensor:21.angles[1]", "hammer_misalignment@hammer:9Y+.angles[0]",
-        "time_delay@sensor:21Y+.delay",
+        "time_delay@sensor:21Y+.delay", "attached_resonator@link3.position[0]",
     ]  # fmt: skip
     return join(
         free_parameters(robot, ["milling"], [p.label for p in robot.test_points[-3:]]).only(
@@ -141,8 +141,10 @@ def everything(robot: Robot) -> Parameters:
     )
 
 
-def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot) -> None:
+@pytest.mark.parametrize("hardening", [True, False])
+def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot, hardening: bool) -> None:
     """Every parameter: springs, dampers, links (one split), postures, sag, gains, entries, measurement chain."""
+    full = full if hardening else full.without(["hardening_stiffness"])
     setup, parameters = setup_of(full), everything(full)
     z = 0.3 * np.random.default_rng(1).normal(size=len(parameters))
 

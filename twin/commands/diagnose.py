@@ -285,13 +285,11 @@ def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     free = written.only("spring", "entry", "posture", "sag", "gain")
     values = np.array([fit.values[written.names.index(name)] for name in free.names])
     described = robot.model_copy(update={"links": base.links})
-    fits = []
+    few, fits = sample.thin(REFIT_LINES), []
     for start, z, logarithmic in ((robot, free.coordinates(values), 0), (described, np.zeros(len(free)), 25)):
-        fits.append(
-            descend(start, NONE, free, sample, z, logarithmic=logarithmic, tempered=8, linear=25)
-        )  # fmt: skip
-    best = min(fits, key=lambda other: other.cost)
-    return replace(best, hypothesis=fit.hypothesis)
+        fits.append((descend(start, NONE, free, few, z, logarithmic=logarithmic, linear=25), start))
+    best, start = min(fits, key=lambda pair: pair[0].cost)
+    return replace(descend(start, NONE, free, sample, best.z, tempered=0, linear=10), hypothesis=fit.hypothesis)
 
 
 def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, seed: int) -> Fitted:

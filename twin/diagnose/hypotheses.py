@@ -96,8 +96,9 @@ class Hypothesis:
     def _prior(self) -> Parameters:
         """The own parameters; what is known of a damper is its ratio to its spring."""
         own = independent(self.own)
-        if self.effect in CATALOGUE and CATALOGUE[self.effect].sprung and len(self.own) == 2:
-            ratio = np.array([[1.0, 0.0], [1.0, 1.0]])
+        if self.effect in CATALOGUE and CATALOGUE[self.effect].sprung:
+            ratio = np.eye(len(self.own))
+            ratio[1, 0] = 1.0
             return Parameters(own.items, ratio @ own.covariance @ ratio.T)
         return own
 

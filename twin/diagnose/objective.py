@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from twin.diagnose.hypotheses import Sprung
 from twin.identify.elastic import LOG_SPREAD, Recorded
 from twin.identify.parameters import SIX, Parameters
 from twin.identify.sensitivity import (
+    Change,
     Observed,
     Setup,
     Structure,
@@ -25,6 +27,9 @@ from twin.measure.campaign import ComplexArray, FloatArray
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 from twin.robot.mechanism import Inertial, cut
+
+Changes = dict[tuple[Any, ...], Change | None]
+"""What entries change in a mechanism, kept while the values are the same."""
 
 
 @dataclass(frozen=True)
@@ -182,15 +187,22 @@ class Objective:
         free, own = self.free, values
         if self.among is not None:
             transform, own = transform[np.ix_(self.among, self.among)], values[list(self.among)]
+        changes: Changes = {}
         for r in self.sample.recordings:
             seen, model = observe(robot, r.setup, self.parameters, values)
-            rate = contract(_rates(robot, r.setup, free, own, seen, model), transform)
+            rate = contract(_rates(robot, r.setup, free, own, seen, model, changes), transform)
             moves = moving(rate)
             yield *frf_slopes(seen, Observed.of(array[moves] for array in rate.arrays()), r.s, r.power), moves
 
 
 def _rates(
-    robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, seen: Observed, model: Structure
+    robot: Robot,
+    setup: Setup,
+    parameters: Parameters,
+    values: FloatArray,
+    seen: Observed,
+    model: Structure,
+    changes: Changes,
 ) -> Observed:
     """:func:`twin.identify.sensitivity.slopes`, links that bend differentiated through their cut."""
     split = {f"link{number}": plane for number, plane in model.mechanism.splits.items()}
@@ -198,13 +210,13 @@ def _rates(
         k for k, p in enumerate(parameters) if p.kind == "link" and p.name.partition(".")[0] in split
     ]  # fmt: skip
     if not through:
-        return slopes(robot, setup, parameters, values, seen, model)
+        return slopes(robot, setup, parameters, values, seen, model, changes)
     # The rest is asked for under a name that nothing answers to, and filled in here.
     items = list(parameters.items)
     for k in through:
         items[k] = replace(items[k], name="gain.-", kind="gain")
     written = parameters.written if isinstance(parameters, Sprung) else parameters
-    out = slopes(robot, setup, Sprung(tuple(items), parameters.covariance, written), values, seen, model)
+    out = slopes(robot, setup, Sprung(tuple(items), parameters.covariance, written), values, seen, model, changes)
     for k in through:
         body, _, quantity = parameters[k].name.partition(".")
         origin, normal = split[body]

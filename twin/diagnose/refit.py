@@ -20,6 +20,7 @@ from twin.robot.description import Robot
 NONE = Hypothesis("none", "")
 LARGEST_STEP = 5.0  # length of the first step, in prior deviations
 TURN = 0.75  # of a step: its longest correction for the bend
+HOPE = 5.0  # times the expected gain: more is not hoped for
 SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
 TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
 
@@ -67,7 +68,7 @@ def minimise(
     """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of the valley it goes
     along (geodesic acceleration; Transtrum and Sethna, arXiv:1201.5885): z, cost, Gauss–Newton matrix, and whether
     the expected gain fell below ``tolerance``, or below a share of the misfit beyond noise: where that is large the
-    model lacks something. It is given up where five times the expected gain does not bring it below ``hopeless``.
+    model lacks something. It is given up where ``HOPE`` times the expected gain does not bring it below ``hopeless``.
 
     The region is a ball in the prior's metric, so that what holds steps back are parameters that the data hardly hold
     (the logarithm of a damper near zero) and those it shortens; directions the data hold well are left to Newton. The
@@ -78,10 +79,13 @@ def minimise(
     log = np.array([p.log for p in objective.free]) * np.diag(objective.free.root)
     cost, gradient, information = objective(z)
     for _ in range(iterations):
-        if 0.5 * float(gradient @ np.linalg.solve(information, gradient)) < max(
-            tolerance, SLACK * (cost - 0.55 * data)
-        ):
+        if not (np.isfinite(cost) and np.isfinite(information).all()):
+            return z, np.inf, np.eye(len(z)), False
+        expected = 0.5 * float(gradient @ np.linalg.solve(information, gradient))
+        if expected < max(tolerance, SLACK * (cost - 0.55 * data)):
             return z, cost, information, True
+        if cost - HOPE * expected > hopeless:
+            return z, cost, information, False
         curvature, axes = np.linalg.eigh(information + np.diag(np.maximum(log * (gradient - z), 0)))
         along = axes.T @ gradient
         while True:

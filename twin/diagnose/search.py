@@ -23,6 +23,7 @@ CANDIDATES, FINALISTS, FEWEST = 12, 6, 3
 RACE = 0.08  # of the best gain: less promises nothing
 REACH = 40.0  # in ln evidence: what is worth converging
 ROUNDS = 3  # things missing at once
+ROUGHLY = 1.05  # on few lines a cost differs from that on all by so much
 SHORT = 0.2  # of what another has gained: less promised is not refitted
 SLIGHT = 3.0  # ln likelihood that a refit must promise
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
@@ -143,7 +144,7 @@ def _round(
     promises = screen(setting, suspects, progress("screen", len(suspects)))
     if hypothesis is NONE:
         search.promises = promises
-    least = max(SLIGHT, RACE * promises[0].gain)
+    least = max(SLIGHT * lines.repeat, RACE * promises[0].gain)  # fewer lines promise as many times the noise
     if error > 0:
         starts = _halve(setting, _varied(promises, CANDIDATES), progress)
     else:
@@ -156,7 +157,8 @@ def _round(
         gained = max((current.cost - fit.cost for fit in found), default=0.0)
         if number >= FEWEST and promise.gain < SHORT * gained:
             continue
-        found.append(_refit(robot, search, promise.hypothesis, promise.parameters, places, sample, far))
+        worth = current.cost - SLIGHT  # less cannot pay for a further thing
+        found.append(_refit(robot, search, promise.hypothesis, promise.parameters, places, sample, far, worth))
         tick(1)
     found.sort(key=lambda fit: -fit.evidence())
     if found[0].evidence() > current.evidence():
@@ -194,15 +196,19 @@ def _refit(
     places: Sequence[FloatArray],
     sample: Sample,
     far: bool,
+    worth: float = np.inf,
 ) -> Fitted:
-    """A hypothesis at its optimum on all lines, from the best of some places; ``far``: of the logarithmic residual."""
-    few = sample.thin(REFIT_LINES)
+    """A hypothesis at its optimum on all lines, from the best of some places; ``far``: of the logarithmic residual.
+
+    It is given up where it will not come below the cost ``worth``, or near the best so far.
+    """
+    few, hopeless = sample.thin(REFIT_LINES), min(worth, _reach(search))
     z = places[0] if far else min(places, key=Objective(hypothesis.robot(robot), parameters, few).cost)
-    z = descend(robot, hypothesis, parameters, few, z, tempered=8 if far else 0, linear=15).z
+    z = descend(
+        robot, hypothesis, parameters, few, z, tempered=8 if far else 0, linear=15, hopeless=ROUGHLY * hopeless
+    ).z
     known = search.fits.get(hypothesis.identity)
-    fit = descend(
-        robot, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=_reach(search)
-    )
+    fit = descend(robot, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=hopeless)
     if known is None or fit.cost < known.cost:
         search.fits[hypothesis.identity] = fit
     return search.fits[hypothesis.identity]

@@ -10,13 +10,13 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import Base, base_of, stops_of, system_of
+from twin.diagnose.torque_fit import Base, base_fit, base_of, stops_of, system_of
 from twin.diagnose.torque_laws import entry_torque, log_suspects, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_search import Progress, Search, explain, smallest_visible
 from twin.diagnose.torque_signal import Prepared, Run, prepare
-from twin.diagnose.verdict import Finding, Missing, Word, missing_of
+from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands
 from twin.measure.campaign import FloatArray
@@ -79,8 +79,13 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     first = search.steps[0].decision
     _, other = search.other
     missing: list[Missing] = []
+    settled = base_fit(search.system)
     for step in search.found:
-        missing += missing_of(step.decision, step.base)
+        (found,) = missing_of(step.decision, step.base)
+        if step.trial is not None:  # its numbers as they are with everything else in the model
+            numbers = estimates_of(settled, search.system.own(step.trial.suspect))
+            found = replace(found, first=replace(found.first, parameters=numbers))
+        missing.append(found)
     if search.law:
         _, _, fit = search.law
         (found,) = missing_of(Decision([fit], [other], 0.0, other), search.after)
@@ -109,7 +114,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
     )
     records = []
     for held, base_, runs in ((False, first.base, prepared.used), (True, None, prepared.kept)):
-        columns = base_ or (base_of(prepared.regressor, runs) if runs else None)
+        columns = base_ or (base_of(prepared.regressor, runs, first.base.sliding) if runs else None)
         if columns is None:
             continue
         for k, run in enumerate(runs):

@@ -27,6 +27,7 @@ from twin.diagnose.torque_laws import (
     Suspect,
     entry_torque,
     on_dense,
+    presliding_columns,
     smooth_columns,
     with_values,
 )
@@ -57,6 +58,9 @@ SPEED_ERROR = 7e-4  # of the largest speed: what encoder and low-pass leave of d
 RINGING = 16  # rows that the low-pass rings before and after a step
 MOST_STOPS = 60  # per run that the noise is estimated without
 STANDSTILL_S = 0.12  # shorter is a reversal
+TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 4), "prismatic": np.geomspace(3e-6, 1e-4, 4)}
+"""rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
+PRESLIDING, UNLIKE = 0.5, 0.02  # share of dry friction that does, per travel: common to all joints, and of one alone
 UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero
 
 
@@ -71,6 +75,9 @@ class Base:
         parameters: (z + ripple + offsets) free numbers, offsets of the runs last.
         ripple: (m, n, 2 RIPPLE_ORDERS) per run, sines and cosines of each joint's angle, of ordinary size.
         offset: (n,) their prior deviation; ``friction`` (n,) a joint's dry friction as described, N·m (N).
+        sliding: (n,) N·m (N), dry friction whose presliding is ordinary: alike at all joints it is a tolerance of
+            sgn q̇, at one joint it is ``hysteresis``.
+        presliding: (m, n, travels) per run, torque of a bristle that turns round less its sign, times ``sliding``.
     """
 
     regressor: Regressor
@@ -83,6 +90,8 @@ class Base:
     offset: FloatArray
     friction: FloatArray
     ripple: list[FloatArray]
+    sliding: FloatArray
+    presliding: list[FloatArray]
 
     @property
     def rest(self) -> list[FloatArray]:
@@ -105,12 +114,13 @@ class Base:
         """Torque of run k per unit z, (m, n, z + offsets)."""
         n = self.regressor.robot.axis_count
         rows = self.matrix[k] @ self.spread
-        orders = self.ripple[k].shape[2]
-        own = np.zeros((*rows.shape[:2], n * (orders + len(self.runs))))
+        orders, travels = self.ripple[k].shape[2], self.presliding[k].shape[2]
+        own = np.zeros((*rows.shape[:2], n * (orders + travels + len(self.runs))))
         for j in range(n):
             own[:, j, j * orders : (j + 1) * orders] = self.ripple[k][:, j]
-            own[:, j, n * orders + k * n + j] = self.offset[j]
-        return np.concatenate([rows, own], axis=2)
+            own[:, j, n * orders + j * travels : n * orders + (j + 1) * travels] = UNLIKE * self.presliding[k][:, j]
+            own[:, j, n * (orders + travels) + k * n + j] = self.offset[j]
+        return np.concatenate([rows, PRESLIDING * self.presliding[k], own], axis=2)
 
     @property
     def lasting(self) -> int:
@@ -122,9 +132,12 @@ class Base:
         run, values = self.runs[k], self.values(z)
         links = 10 * self.regressor.robot.axis_count
         torque = self.matrix[k] @ values + self.known[k]
-        orders = self.ripple[k].shape[2]
-        own = z[self.spread.shape[1] :][: orders * torque.shape[1]].reshape(torque.shape[1], orders)
-        torque += np.einsum("mjo,jo->mj", self.ripple[k], own)
+        n, orders, travels = torque.shape[1], self.ripple[k].shape[2], self.presliding[k].shape[2]
+        common, own, alone = np.split(z[self.spread.shape[1] :][: travels + n * (orders + travels)],
+                                      [travels, travels + n * orders])  # fmt: skip
+        torque += np.einsum("mjo,jo->mj", self.ripple[k], own.reshape(n, orders))
+        shares = PRESLIDING * common + UNLIKE * alone.reshape(n, travels)
+        torque += np.einsum("mjt,jt->mj", self.presliding[k], shares)
         load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
         friction = np.zeros_like(load)
         roles = [CATALOGUE[c.name.partition("@")[0]].role if c.group == "entry" else "" for c in self.regressor.columns]
@@ -136,8 +149,14 @@ class Base:
         return State(torque, load, friction)
 
 
-def base_of(regressor: Regressor, runs: Sequence[Run]) -> Base:
-    """Columns of the base model on runs, and the prior its description states."""
+def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | None = None) -> Base:
+    """Columns of the base model on runs, and the prior its description states.
+
+    Args:
+        regressor: of the description.
+        runs: with their rows.
+        sliding: (n,) see :class:`Base`; as described by default.
+    """
     robot, columns = regressor.robot, regressor.columns
     n = robot.axis_count
     scale = np.sqrt(np.mean(np.concatenate([r.torque[r.valid] for r in runs]) ** 2, axis=0))
@@ -177,18 +196,34 @@ def base_of(regressor: Regressor, runs: Sequence[Run]) -> Base:
         for name in ("sin", "cos")
         for order in range(1, RIPPLE_ORDERS + 1)
     ]
-    ripple = []
-    for run in runs:
-        angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
-        ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
-    parameters = join(Parameters(tuple(links), covariance), independent([*others, *waves, *offsets]))
     friction = USUAL * scale
+    described = np.zeros(n)
     for entry in robot.physics:
         if entry.effect == "coulomb_friction":
-            friction[axis_of(entry.site)] = max(entry.values["torque"], friction[axis_of(entry.site)])
+            described[axis_of(entry.site)] += entry.values["torque"]
+    friction = np.maximum(friction, described)
+    if sliding is None:
+        sliding = described * (np.count_nonzero(described) > 1)
+    travels = len(TRAVELS["revolute"])
+    slides = [
+        Parameter(f"ordinary_presliding{where}.travel{k + 1}", "1", "gain", False, 0.0, width)
+        for where, width in (("", PRESLIDING), *((f"@joint{j + 1}", UNLIKE) for j in range(n)))
+        for k in range(travels)
+    ]
+    ripple, presliding = [], []
+    for run in runs:
+        turning = np.zeros((*run.torque.shape, travels))
+        for j in np.flatnonzero(sliding).tolist():
+            turning[:, j] = sliding[j] * presliding_columns(run, j, TRAVELS[robot.axes[j].type])
+        presliding.append(turning)
+        angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
+        ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
+    own = [*others, *slides[:travels], *waves, *slides[travels:], *offsets]
+    parameters = join(Parameters(tuple(links), covariance), independent(own))
     return Base(
-        regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction, ripple
-    )
+        regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction, ripple,
+        sliding, presliding,
+    )  # fmt: skip
 
 
 _LINEAR_EFFECTS = frozenset(
@@ -400,6 +435,15 @@ class System:
             at += len(own)
         return out
 
+    def own(self, suspect: Suspect) -> list[int]:
+        """Indices in z of the numbers of something found."""
+        at = len(self.base.parameters)
+        for found in self.found:
+            if found.name == suspect.name:
+                break
+            at += len(found.hypothesis.own)
+        return list(range(at, at + len(suspect.hypothesis.own)))
+
     def torque(self, entries: Sequence[Entry]) -> list[FloatArray]:
         """What entries add (m, n), run by run."""
         out = []
@@ -603,6 +647,8 @@ def _rounded(entry: Entry, robot: Robot) -> Entry:
 def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | None = None) -> System:
     """The used runs of a log, whitened by the residual of the richest model there is."""
     base = base_of(prepared.regressor, prepared.used if runs is None else runs)
+    if base.sliding.any():
+        base = base_of(prepared.regressor, base.runs, _dry_friction(base))
     n = prepared.regressor.robot.axis_count
     system = System(base, np.zeros((n, _order(base.runs) + 1)), base.parameters)
     refer(system, np.zeros(len(base.parameters)))
@@ -635,6 +681,24 @@ def _plain_fit(system: System) -> FloatArray:
         z = np.linalg.solve(W.T @ W + np.eye(W.shape[1]), (y / noise).ravel() @ W)
         noise = np.maximum(np.sqrt(np.mean((y - D @ z) ** 2, axis=0)), 1e-9 * np.abs(y).max(axis=0) + 1e-300)
     return np.asarray(z)
+
+
+def _dry_friction(base: Base) -> FloatArray:
+    """A joint's dry friction (n,), N·m (N), as least squares find it, also where none is described."""
+    found = np.zeros_like(base.friction)
+    valid = np.concatenate([r.valid for r in base.runs])
+    designs = np.concatenate([base.design(k) for k in range(len(base.runs))])[valid]
+    rest = np.concatenate(base.rest)[valid]
+    for j, scale in enumerate(base.friction):
+        described = [k for k, p in enumerate(base.parameters) if p.name == f"coulomb_friction@joint{j + 1}.torque"]
+        sign = np.concatenate([r.filtered(r.dense.sign(r.dense.velocity[:, j])) for r in base.runs])[valid]
+        columns = np.column_stack([scale * sign, designs[:, j]])
+        ridge = 0.05**2 * np.mean(rest[:, j] ** 2) * np.eye(columns.shape[1])
+        x = np.linalg.solve(columns.T @ columns + ridge, columns.T @ rest[:, j])
+        found[j] = scale * x[0] + sum(
+            base.parameters[k].value(base.parameters[k].deviation * x[1 + k]) for k in described
+        )
+    return np.maximum(found, 0.0)
 
 
 def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, FloatArray, FloatArray]:

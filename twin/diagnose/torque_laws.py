@@ -7,6 +7,7 @@ from where a search starts. A size that can have either sign, or vanish, has a n
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -341,3 +342,20 @@ def smooth_columns(run: Run, axis: int, middle: float, half: float, speed: float
     stepping = [sign * along[:, a] * np.abs(v) ** b for a in range(4) for b in (0, 2)]
     stepping += [sign * np.exp(-((v / width) ** 2)) for width in (0.03, 0.1, 0.3)]
     return run.filtered(np.stack([*smooth, *stepping], -1))
+
+
+def presliding_columns(run: Run, axis: int, travels: FloatArray) -> FloatArray:
+    """What bristles (Dahl, 1968) of unit friction and given travels (t,) add to sgn q̇ (m, t), low-passed.
+
+    Between reversals z approaches the sense of motion s as z = s + (z₀ − s) exp(−|Δq| / travel); at rest it holds.
+    """
+    x = run.dense.position[:, axis]
+    sense = np.sign(np.diff(x))
+    turns = np.flatnonzero(sense[1:] != sense[:-1]) + 1
+    z = np.zeros(len(travels))
+    out = np.zeros((len(x), len(travels)))
+    for first, last in pairwise([0, *turns, len(x) - 1]):
+        passed = np.abs(x[first + 1 : last + 1, None] - x[first]) / travels
+        out[first + 1 : last + 1] = sense[first] + (z - sense[first]) * np.exp(-passed)
+        z = out[last]
+    return run.filtered(out - run.dense.sign(run.dense.velocity[:, axis])[:, None])

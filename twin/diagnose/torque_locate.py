@@ -76,7 +76,7 @@ def disturbances(log: MotionLog, search: Search, source: str) -> list[dict[str, 
             run, time=run.time[:end], position=run.position[:end], torque=run.torque[:end],  # type: ignore[index]
             velocity=None, acceleration=None, link_position=None,
         )  # fmt: skip
-        base = base_of(regressor, [run_of(regressor, joint_run(regressor.robot, short), bands)])
+        base = base_of(regressor, [run_of(regressor, joint_run(regressor.robot, short), bands)], system.base.sliding)
         known = np.zeros(len(base.parameters))
         known[: base.lasting] = z[: base.lasting]
         state, wide, design = base.state(0, known), base.runs[0], base.design(0)

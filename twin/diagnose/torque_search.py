@@ -52,6 +52,10 @@ FURTHER = 25.0  # ln evidence that a second thing must gain: it was looked for a
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
 HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
+REFINED = frozenset({"hysteresis", "stribeck_friction"})
+"""Laws that are Coulomb friction in a limit: where there is none, it comes first if it does most of what they do."""
+
+MOST = 0.5  # of their gain
 EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
 SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
 LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
@@ -86,7 +90,17 @@ class Step:
     @property
     def trial(self) -> Trial | None:
         """Of the first, ``None`` where it is a number of the base model."""
-        return self.trials.get(self.first.hypothesis.key)
+        return self.trials.get(self.key)
+
+    @property
+    def key(self) -> str:
+        """``EFFECT@SITE`` of the first."""
+        return self.first.hypothesis.key
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Zero-based, on which the first acts; none where it is a number of the base model."""
+        return self.trial.column.joints if self.trial else ()
 
     @property
     def gain(self) -> float:
@@ -111,6 +125,21 @@ class Search:
     free: FloatArray
     left: FloatArray
     law: tuple[int, Trial, Fitted] | None = None
+
+    @property
+    def finalists(self) -> tuple[dict[str, Any], ...]:
+        """What the first selection was made from, for other rules to choose: the base model (``none``) and every fit.
+
+        ``misfit`` is χ² + zᵀz of the optimum over ``data``; ``own_parameters`` is how many numbers were added.
+        """
+        step = self.steps[0]
+        return tuple(
+            {
+                "effect": fit.hypothesis.effect, "site": fit.hypothesis.site, "misfit": 2 * fit.cost / max(fit.data, 1),
+                "data": fit.data, "own_parameters": len(fit.hypothesis.own) or len(fit.hypothesis.scale),
+            }
+            for fit in (step.base, *step.decision.ranked)
+        )  # fmt: skip
 
     @property
     def found(self) -> list[Step]:
@@ -162,6 +191,7 @@ def explain(
             if _borne_out(beside, steps, judge):
                 steps.append(beside)
                 system = accepted(system, beside)
+        system = _pruned(steps, system)
     left = np.array([free_gain(system, j) for j in axes])
     search = Search(steps, system, base_fit(system), free, left)
     joint, other = search.other
@@ -209,6 +239,23 @@ def accepted(system: System, step: Step) -> System:
     return with_wider(system, step.first.hypothesis) if step.trial is None else extended(system, step.trial)
 
 
+def _pruned(steps: Sequence[Step], system: System) -> System:
+    """The model without what later finds at the same joint have made needless; such a step is accepted no more."""
+    for number, old in enumerate(steps):
+        later = [s for s in steps[number + 1 :] if s.accepted and s.joints == old.joints]
+        if not (old.accepted and old.joints and later):
+            continue
+        shorter = steps[0].system
+        for step in steps:
+            if step.accepted and step is not old:
+                again = settle(shorter, step.trial) if step.trial and step in later else step.trial
+                shorter = accepted(shorter, replace(step, trials={**step.trials, step.key: again} if again else {}))
+        lost = base_fit(system).evidence() - base_fit(shorter).evidence()
+        if lost < max(FURTHER, EXACT * sum(s.gain for s in steps if s.accepted)):
+            old.accepted, system = False, shorter
+    return system
+
+
 def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
     """Take names off a joint that they do not explain, and look for a law there."""
     system = search.steps[0].system
@@ -251,8 +298,46 @@ def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], s
     numbers = [max(len(f.hypothesis.own), len(f.hypothesis.scale)) for f in fits]
     fewest = min((m for m, gain in zip(numbers, gains, strict=True) if gain > SIMPLER * best), default=0)
     handicap = [(1 - SIMPLER) * best * (m > fewest) for m in numbers]
+    for k, first in [*_ladder(system, fits, gains), *_composed(fits, gains, trials)]:
+        handicap[k] = max(handicap[k], gains[k] - gains[first] + FURTHER)
     hypotheses = [[s.hypothesis] for s in suspects]
     return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=0.01, scale=1.0), trials)
+
+
+def _ladder(system: System, fits: Sequence[Fitted], gains: FloatArray) -> list[tuple[int, int]]:
+    """Laws that refine dry friction where the model has none, each with the plain one that comes first."""
+    present = {entry.site for entry in system.base.regressor.robot.physics if entry.effect == "coulomb_friction"}
+    present |= {s.hypothesis.site for s in system.found if s.hypothesis.effect == "coulomb_friction"}
+    plain = {f.hypothesis.site: k for k, f in enumerate(fits) if f.hypothesis.effect == "coulomb_friction"}
+    found = []
+    for k, fit in enumerate(fits):
+        site = fit.hypothesis.site.partition(".")[0]
+        first = plain.get(site)
+        refines = fit.hypothesis.effect in REFINED and site not in present
+        if refines and first is not None and gains[first] > MOST * gains[k]:
+            found.append((k, first))
+    return found
+
+
+def _composed(fits: Sequence[Fitted], gains: FloatArray, trials: dict[str, Trial]) -> list[tuple[int, int]]:
+    """Entries that act on several joints where one law at each of several gains more, each with the first of those.
+
+    A delay of the whole log beats slip at any one joint, and loses to slip at all.
+    """
+    best: dict[str, dict[int, int]] = {}
+    for k, fit in enumerate(fits):
+        trial = trials.get(fit.hypothesis.key)
+        if trial is not None and len(trial.column.joints) == 1 and gains[k] > FURTHER:
+            own = best.setdefault(fit.hypothesis.effect, {})
+            joint = trial.column.joints[0]
+            own[joint] = max(own.get(joint, k), k, key=lambda i: gains[i])
+    sums = {effect: sum(gains[k] for k in own.values()) for effect, own in best.items() if len(own) > 1}
+    if not sums:
+        return []
+    strongest = max(sums, key=lambda effect: sums[effect])
+    first = max(best[strongest].values(), key=lambda k: gains[k])
+    several = (k for k, f in enumerate(fits) if (t := trials.get(f.hypothesis.key)) and len(t.column.joints) > 1)
+    return [(k, first) for k in several if sums[strongest] > gains[k] + FURTHER]
 
 
 def _varied(started: Sequence[Trial]) -> list[Trial]:
@@ -317,7 +402,7 @@ class Judge:
     """Rows kept aside, whitened as those used; the offsets of their runs are their own."""
 
     def __init__(self, system: System, kept: Sequence[Run]) -> None:
-        self.base: Base = base_of(system.base.regressor, kept)
+        self.base: Base = base_of(system.base.regressor, kept, system.base.sliding)
         self.system = System(self.base, system.whitening, self.base.parameters, level=system.level, noise=system.noise)
         refer(self.system, np.zeros(len(self.base.parameters)))
         self.system.assemble()

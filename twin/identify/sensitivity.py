@@ -13,6 +13,7 @@ central differences of these small matrices. ``twin.model.linear`` gives the sam
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from twin.identify.parameters import Parameter, Parameters
 from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
+from twin.physics.effect import Effect
 from twin.robot.description import Robot
 from twin.robot.frames import matrix_of
 from twin.robot.mechanism import Mechanism, assemble
@@ -386,18 +388,30 @@ def recording_chain(robot: Robot, response: Channels, excitation: Channels) -> M
         torque_gain=np.ones(robot.axis_count),
     )
     for entry in robot.physics:
-        CATALOGUE[entry.effect].record(chain, entry.site, robot.values(entry))
+        effect = CATALOGUE[entry.effect]
+        if type(effect).record is not Effect.record:
+            effect.record(chain, entry.site, robot.values(entry))
     return chain
 
 
 def slopes(
-    robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, seen: Observed, model: Structure
+    robot: Robot,
+    setup: Setup,
+    parameters: Parameters,
+    values: FloatArray,
+    seen: Observed,
+    model: Structure,
+    changes: "dict[tuple[Any, ...], Change | None] | None" = None,
 ) -> Observed:
     """Derivatives of :func:`observe` with respect to every parameter's value, stacked on a first axis (n, …).
 
     Springs, dampers, links and postures in closed form, without what sag changes in them, see :func:`sag_slopes`; any
-    other parameter by central differences.
+    other parameter through what it changes in the mechanism, or by central differences.
+
+    Args:
+        changes: of the mechanism, kept by the caller for the other postures of the same robot and values.
     """
+    changes = {} if changes is None else changes
     out = Observed.of(np.zeros((len(parameters), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
     rows: tuple[FloatArray, FloatArray] | None = None
@@ -408,13 +422,20 @@ def slopes(
         own = [p for p in own if parameters[p].name.startswith(f"{body}.")]
         if own:
             inertial = link.inertial
-            changes = np.array([_link_slope(inertial, parameters[p].name) for p in own])
-            out.M[own], out.K[own] = model.inertial_slopes(body, changes)
+            local = np.array([_link_slope(inertial, parameters[p].name) for p in own])
+            out.M[own], out.K[own] = model.inertial_slopes(body, local)
     for p, parameter in enumerate(parameters):
         site, _, what = parameter.name.rpartition(".")
         if differenced[p]:
-            for target, change in zip(out.arrays(), _difference(robot, setup, parameters, values, p), strict=True):
-                target[p] = change
+            key = p, setup.brakes, setup.response.label, setup.excitation.label
+            if key not in changes:
+                changes[key] = _change(robot, setup, parameters, values, p) if parameter.kind == "entry" else None
+            change = changes[key]
+            if change is not None and not any(any(joint.stiffness[1:]) for joint in model.mechanism.joints):
+                _apply_change(out, p, change, model, setup, parameters.gains(setup.response.label, values))
+                continue
+            for target, rate in zip(out.arrays(), _difference(robot, setup, parameters, values, p), strict=True):
+                target[p] = rate
         elif parameter.kind == "spring" and site in index:
             k = index[site]
             if what == "stiffness":
@@ -433,8 +454,8 @@ def slopes(
             out.M[p], out.K[p] = model.command_slopes(axis)
             out.J_r[p], out.J_e[p] = rows[0][axis], rows[1][axis]
         elif parameter.kind == "sag" and seen.sag is not None:
-            for target, change in zip(out.arrays(), seen.sag.arrays(), strict=True):
-                target[p] = change
+            for target, rate in zip(out.arrays(), seen.sag.arrays(), strict=True):
+                target[p] = rate
         elif parameter.kind == "gain":
             rows_of = [k for k, label in enumerate(setup.response.label) if parameter.name == f"gain.{label}"]
             out.gain[p, rows_of] = seen.gain[rows_of] / values[p]
@@ -489,6 +510,76 @@ def _difference(
         seen, _ = observe(parameters.apply_one(robot, p, side), setup, parameters, shifted, sagging=sag)
         sides.append((seen.sag or seen).arrays())
     return [(high - low) / (2 * step) for high, low in zip(*sides, strict=True)]
+
+
+@dataclass(frozen=True)
+class Change:
+    """What one value of an entry changes in a mechanism and its measurement chain, per unit of the value.
+
+    Attributes:
+        inertial: body → spatial inertia (6, 6) about, and in, its own frame.
+        joints: name → armature, damping, stiffness, loss factor times stiffness.
+        chain: directions of responses (nr, 3) and excitations (ne, 3), gains (nr,), delays (nr,).
+    """
+
+    inertial: dict[str, FloatArray]
+    joints: dict[str, FloatArray]
+    chain: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+def _change(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, p: int) -> Change | None:
+    """By central differences of what the posture does not touch; ``None`` where the value changes the geometry."""
+    step = parameters[p].step(values[p])
+    sides = [parameters.apply_one(robot, p, values[p] + sign * step) for sign in (-1.0, 1.0)]
+    low, high = (assemble(side, setup.q, brakes=setup.brakes or "off") for side in sides)
+    if list(low.bodies) != list(high.bodies) or low.tendons != high.tendons:
+        return None
+    inertial, joints = {}, {}
+    parents = {body.parent for body in low.bodies.values()}
+    for name, one in low.bodies.items():
+        two = high.bodies[name]
+        shift = two.position - one.position
+        # a leaf on slides: where it hangs is where its mass is
+        leaf = name not in parents and all(joint.kind == "slide" for joint in one.joints) and one.quaternion[0] == 1
+        if [j.name for j in one.joints] != [j.name for j in two.joints] or (shift.any() and not leaf):
+            return None
+        if (one.quaternion != two.quaternion).any():
+            return None
+        a, b = (spatial_inertia(x.mass, x.com + k * shift, x.inertia) for x, k in ((one, -0.5), (two, 0.5)))
+        if (a != b).any():
+            inertial[name] = (b - a) / (2 * step)
+        for old, new in zip(one.joints, two.joints, strict=True):
+            was, now = (
+                np.array([j.armature, j.damping[0], j.stiffness[0], j.loss_factor * j.stiffness[0]]) for j in (old, new)
+            )
+            if old.axis != new.axis:
+                return None
+            if (was != now).any():
+                joints[old.name] = (now - was) / (2 * step)
+    before, after = (recording_chain(side, setup.response, setup.excitation) for side in sides)
+    names = ("response_direction", "excitation_direction", "response_gain", "response_delay")
+    first, second, third, fourth = ((getattr(after, n) - getattr(before, n)) / (2 * step) for n in names)
+    return Change(inertial, joints, (first, second, third, fourth))
+
+
+def _apply_change(
+    out: Observed, p: int, change: Change, model: Structure, setup: Setup, calibration: FloatArray
+) -> None:
+    """Write a change into row p of derivatives; ``calibration`` (nr,) are the gains fitted beside the description's."""
+    for body, local in change.inertial.items():
+        dM, dK = model.inertial_slopes(body, local[None])
+        out.M[p] += dM[0]
+        out.K[p] += dK[0]
+    for name, rates in change.joints.items():
+        k = model.coordinates.index(name)
+        for target, rate in zip((out.M, out.C, out.K, out.loss), rates, strict=True):
+            target[p, k, k] += rate
+    response, excitation, gain, delay = change.chain
+    if response.any():
+        out.J_r[p] = model.rows(setup.response, response)
+    if excitation.any():
+        out.J_e[p] = model.rows(setup.excitation, excitation)
+    out.gain[p], out.delay[p] = gain * calibration, delay
 
 
 def _link_slope(inertial: tuple[float, FloatArray, FloatArray], name: str) -> FloatArray:

@@ -24,7 +24,7 @@ class ServoCompliance(Effect):
     parameters = (
         Parameter("stiffness", "N·m/rad", inf, positive=True, spread=1.6),
         Parameter("damping", "N·m·s/rad", nonnegative=True, spread=2.3),
-        Parameter("inertia", "kg·m²", nonnegative=True, optional=True),
+        Parameter("inertia", "kg·m²", nonnegative=True, optional=True, spread=0.1),
     )
     seen_in = frozenset({"hammer"})
     order = 1
@@ -55,4 +55,4 @@ class ServoCompliance(Effect):
         if rotor == 0 or axis.stiffness is None:
             return None
         stiffness = 5 * axis.stiffness
-        return {"stiffness": stiffness, "damping": 2 * 0.05 * float(np.sqrt(stiffness * rotor))}
+        return {"stiffness": stiffness, "damping": 2 * 0.05 * float(np.sqrt(stiffness * rotor)), "inertia": rotor}

@@ -290,7 +290,8 @@ def cut(inertial: Inertial, origin: np.ndarray, normal: np.ndarray) -> tuple[Ine
     """
     mass, com, inertia = inertial
     covariance = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
-    spread = np.sqrt(normal @ covariance @ normal)
+    # a search may try inertias that no body has: the cloud then is a thin one
+    spread = np.sqrt(max(float(normal @ covariance @ normal), 1e-6 * float(np.abs(covariance).max())))
     depth = normal @ (com - origin) / spread
     toward = covariance @ normal / spread
     parts = []
