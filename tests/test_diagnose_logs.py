@@ -167,7 +167,10 @@ def test_emps_from_viscous_only_comes_to_dry_and_direction_dependent_friction() 
     found = diagnose_log(emps(), robot, "emps", hold_out=["pulses"])
     names = [missing.first.effect for missing in found.missing]
     assert names[:2] == ["coulomb_friction", "asymmetric_friction"]
-    assert found.missing[0].first.parameters["torque"]["value"] == pytest.approx(20.4, rel=0.03)
+    dry = found.missing[0].first.parameters["torque"]["value"]
+    slow = sum(m.first.parameters["static_excess"]["value"] for m in found.missing if m.first.effect[:3] == "str")
+    assert dry + slow < 20.4 < dry * 1.01  # less at low speed, where that is found too
+    assert "time_delay" not in names
     viscous = found.missing[1].first.parameters["viscous_difference"]["value"]
     assert viscous == pytest.approx(166.7 - 240.4, rel=0.05)
     assert not {"cable_stiffness", "torque_ripple", "friction_drift", "payload", "hysteresis"} & set(names)

@@ -251,7 +251,7 @@ def _pruned(steps: Sequence[Step], system: System) -> System:
                 again = settle(shorter, step.trial) if step.trial and step in later else step.trial
                 shorter = accepted(shorter, replace(step, trials={**step.trials, step.key: again} if again else {}))
         lost = base_fit(system).evidence() - base_fit(shorter).evidence()
-        if lost < max(FURTHER, EXACT * sum(s.gain for s in steps if s.accepted)):
+        if lost < FURTHER:
             old.accepted, system = False, shorter
     return system
 
