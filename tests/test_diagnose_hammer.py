@@ -19,7 +19,7 @@ from twin.diagnose.triage import Triage, triage
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import Parameter as Free
 from twin.identify.parameters import Parameters, free_parameters, independent
-from twin.measure.campaign import Campaign, FloatArray, read_campaign
+from twin.measure.campaign import Campaign, FloatArray, PostureFRF, read_campaign
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot, load_robot
 
@@ -109,6 +109,23 @@ def test_variance_of_faint_channels_is_that_of_their_noise(tmp_path: Path) -> No
     chi2 = (np.abs(noisy.frf - exact.frf) ** 2 / variance / 2).mean(axis=0)
     assert 0.6 < np.median(chi2) < 1.2
     assert chi2.max() < 2.5  # no channel pair is trusted far more than it deserves
+
+
+def test_noise_in_proportion_to_the_response_is_found_at_few_peaks() -> None:
+    """Coherence of four hits, 0.5 % of scatter beside a sensor's noise that rules everywhere but at two peaks."""
+    rng = np.random.default_rng(5)
+    f, hits = np.arange(5.0, 30.0, 0.125), 4
+    H = sum(0.1 / (f0**2 - f**2 + 2j * 0.004 * f0 * f) for f0 in (11.3, 16.7))[:, None, None] * np.ones((1, 3, 8))
+    truth = np.sqrt(1e-5**2 + (0.005 * np.abs(H)) ** 2)
+    seen = H + truth * (rng.normal(size=(hits, *H.shape)) + 1j * rng.normal(size=(hits, *H.shape))) / np.sqrt(2)
+    mean = seen.mean(axis=0)
+    coherence = np.abs(mean) ** 2 / np.mean(np.abs(seen) ** 2, axis=0)
+    variance = pooled_variance(PostureFRF("a", np.zeros(3), "on", f, mean, "accelerance", coherence, hits))
+    assert variance is not None
+    ratio = variance / (truth**2 / 2 / hits)
+    assert np.median(ratio) == pytest.approx(1, abs=0.1)
+    peaks = np.abs(H) > 0.1 * np.abs(H).max()
+    assert 0.6 < ratio[peaks].mean() < 1.6 and np.percentile(ratio[peaks], 2) > 0.3
 
 
 def test_resonators_are_scanned_by_the_change_they_make(tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 from twin.measure.campaign import FloatArray, PostureFRF, as_quantity, dead_channels, frf_variance
 
 NEIGHBOURS = 25  # lines over which the additive part is pooled
-ROUNDS = 4
+ROUNDS = 40
 NOISY = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
 NEAREST = 7
-LEAST = 1e-4  # of |H|: no FRF is known better
+LEAST = 5e-4  # of |H|: no FRF is known better
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
 
 
@@ -45,14 +45,15 @@ def pooled_variance(posture: PostureFRF) -> FloatArray | None:
     b = np.median(single / np.maximum(power, 1e-300), axis=0)
     a = np.broadcast_to(np.median(single, axis=0), single.shape)
     kernel = min(NEIGHBOURS, len(single))
+    # Likelihood of gamma-distributed variances, by multiplicative steps that keep both parts positive (Févotte and
+    # Idier 2011, Itakura–Saito divergence): one part is not explained away by the other's error. a is a running mean.
+    weight = a / kernel
     for _ in range(ROUNDS):
         model = np.maximum(a + b * power, 1e-300)
-        # b from where the proportional part rules, a from the rest, both relative to what the model expects there
-        share = b * power / model
-        weight = share / model
-        b = np.maximum(np.sum(weight * (single - a), axis=0) / np.maximum(np.sum(weight * power, axis=0), 1e-300), 0)
-        own = (1 - share) / model
-        a = np.maximum(_smooth(own * (single - b * power), kernel) / np.maximum(_smooth(own, kernel), 1e-300), 0)
+        b = b * np.sqrt(np.sum(power * single / model**2, axis=0) / np.maximum(np.sum(power / model, axis=0), 1e-300))
+        model = np.maximum(a + b * power, 1e-300)
+        weight = weight * np.sqrt(_smooth(single / model**2, kernel) / np.maximum(_smooth(1 / model, kernel), 1e-300))
+        a = _smooth(weight, kernel)
     variance = np.maximum(a + b * power, np.maximum(floor, LEAST**2 * power))
     if posture.quantity != "accelerance":
         variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
