@@ -10,7 +10,7 @@ from test_identify_real import emps, needs
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.torque import diagnose_log
-from twin.diagnose.torque_fit import _correlation, _prediction_filter
+from twin.diagnose.torque_fit import _correlation, prediction_filter
 from twin.diagnose.torque_locate import around_reversals, state_map
 from twin.diagnose.torque_signal import prepare
 from twin.diagnose.verdict import Finding
@@ -92,7 +92,7 @@ def test_whitening_makes_coloured_noise_white() -> None:
     rng = np.random.default_rng(1)
     noise = lfilter([1.0], [1.0, -0.9], rng.normal(size=20_000))
     none = np.zeros((len(noise), 1))
-    filter_ = _prediction_filter(_correlation([noise], [none], [np.ones(len(noise), bool)], 30))
+    filter_ = prediction_filter(_correlation([noise], [none], [np.ones(len(noise), bool)], 30))
     white = lfilter(filter_, [1.0], noise)[30:]
     assert np.std(white) == pytest.approx(1, rel=0.03)
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.03

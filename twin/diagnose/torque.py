@@ -10,10 +10,11 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import Base, base_fit, base_of, stops_of, system_of
+from twin.diagnose.torque_fit import Base, base_fit, stops_of, system_of
 from twin.diagnose.torque_laws import entry_torque, log_suspects, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
+from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import Progress, Search, explain, smallest_visible
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
@@ -58,11 +59,18 @@ def diagnose_log(
     base = search.steps[0].base
     records, errors = log_records(prepared, base, search)
     after = search.law[2] if search.law else search.after
+    robot_after = after.robot
+    found_plays = _plays(search)
+    for play in found_plays:
+        if play.seen:
+            robot_after = with_play(robot_after, play)
+            missing.append(missing_play(play, robot_after))
+            word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
     where = spots(records, source, prepared.bands.fit[1]) + disturbances(log, search, source)
     sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
     finding = Finding(
-        source, "motion-log", word, missing, none, other, robot, base.robot, after.robot, errors,
-        list(prepared.held_out), records, where, sites, smallest_visible(system, suspects),
+        source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
+        list(prepared.held_out), records, where, sites, [*smallest_visible(system, suspects), *_visible(found_plays)],
         warnings=list(prepared.notes), fit=after,
     )  # fmt: skip
     if word == "ambiguous":
@@ -72,6 +80,25 @@ def diagnose_log(
         for m in missing
     ]
     return finding
+
+
+def _plays(search: Search) -> list[Play]:
+    """Gaps where the log has an encoder on the link side, loads as the fitted model has them."""
+    z = search.system.plain(search.system.z)
+    if search.aside is None:
+        return plays(search.system, (), ())
+    known = np.zeros(len(search.aside.parameters))
+    known[: search.aside.lasting] = z[: search.aside.lasting]
+    states = [search.aside.state(k, known) for k in range(len(search.aside.runs))]
+    return plays(search.system, search.aside.runs, states)
+
+
+def _visible(found: Sequence[Play]) -> list[dict[str, Any]]:
+    return [
+        {"effect": "backlash", "site": play.site, "parameter": "gap", "value": play.visible, "unit": "rad"}
+        for play in found
+        if np.isfinite(play.visible)
+    ]
 
 
 def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
@@ -113,8 +140,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
         ("after", last.plain(after.z), entries),
     )
     records = []
-    for held, base_, runs in ((False, first.base, prepared.used), (True, None, prepared.kept)):
-        columns = base_ or (base_of(prepared.regressor, runs, first.base.sliding) if runs else None)
+    for held, columns, runs in ((False, first.base, prepared.used), (True, search.aside, prepared.kept)):
         if columns is None:
             continue
         for k, run in enumerate(runs):

@@ -58,9 +58,10 @@ SPEED_ERROR = 7e-4  # of the largest speed: what encoder and low-pass leave of d
 RINGING = 16  # rows that the low-pass rings before and after a step
 MOST_STOPS = 60  # per run that the noise is estimated without
 STANDSTILL_S = 0.12  # shorter is a reversal
-TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 4), "prismatic": np.geomspace(3e-6, 1e-4, 4)}
+TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
-PRESLIDING, UNLIKE = 0.5, 0.02  # share of dry friction that does, per travel: common to all joints, and of one alone
+PRESLIDING, UNLIKE = 0.5, 0.004  # share of dry friction that does, per travel: common to all joints, and of one alone
+HELD = 0.1  # of dry friction that presliding holds through a standstill: doubt, how the axis crept to its rest
 UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero
 
 
@@ -470,7 +471,7 @@ def _stops(system: System) -> list[list[Stop]]:
         at = 0
         for run, mask in zip(system.base.runs, system.masks, strict=True):
             place = at + np.cumsum(mask) - 1
-            for near, columns in stop_columns(run, j):
+            for near, columns in stop_columns(run, j, HELD * bool(system.base.sliding[j])):
                 inside = mask[near]
                 if not inside.any():
                     continue
@@ -478,7 +479,7 @@ def _stops(system: System) -> list[list[Stop]]:
                 first = int(place[near][np.argmax(inside)])
                 start, end = first, first + len(W)
                 near_by: list[Stop] = [earlier for earlier in found[-6:] if earlier.span.stop > start]
-                start = max(first - 2 * RINGING, min([start, *(earlier.span.start for earlier in near_by)]))
+                start = max(first - 2 * RINGING - len(W), min([start, *(earlier.span.start for earlier in near_by)]))
                 wide = np.zeros((end - start, W.shape[1]))
                 wide[first - start :] = W
                 for earlier in near_by:  # what they take off this one too
@@ -494,12 +495,13 @@ def _stops(system: System) -> list[list[Stop]]:
     return out
 
 
-def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
+def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, FloatArray]]:
     """Moments at which friction is in doubt, in order: rows, and low-passed torque (rows, b) per unit of friction.
 
     About a stop or start boxes, each of a row, that together say nothing of it. At a reversal an impulse: the sign
     changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of their distance, and
-    by what an error of the speed makes of a slow reversal.
+    by what an error of the speed makes of a slow reversal. With ``held``, the share of friction that may be held
+    through a standstill, one more for the time between stop and start.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
@@ -507,6 +509,7 @@ def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
     reach = max(1, int(np.ceil(CREEP_S * run.rate_hz)))
     stops = stops_of(run, joint)
     events: list[tuple[int, bool]] = [(sample, True) for sample in stops]
+    rests = dict(zip(stops[::2], stops[1::2], strict=True)) if held else {}
     sign = np.sign(run.dense.velocity[:, joint])
     moving = np.ones(len(sign), bool)
     for first, last in zip(stops[::2], stops[1::2], strict=True):
@@ -520,13 +523,16 @@ def stop_columns(run: Run, joint: int) -> list[tuple[slice, FloatArray]]:
     found = []
     for sample, stop in events:
         middle = sample // step
-        near = slice(max(0, middle - reach - RINGING), min(count - 1, middle + reach + RINGING + ORDER))
-        boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * reach if stop else 1))
+        end = rests.get(sample, sample)
+        near = slice(max(0, middle - reach - RINGING), min(count - 1, end // step + reach + RINGING + ORDER))
+        boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * reach + (sample in rests) if stop else 1))
         here = sample - near.start * step
         if stop:
             for k in range(2 * reach):
                 first = here + (k - reach) * step
                 boxes[max(first, 0) : max(first + step, 0), k] = 1.0
+            if sample in rests:
+                boxes[max(here, 0) : end - near.start * step, -1] = held
         elif 0 <= here < len(boxes):
             drift = SPEED_ERROR * fastest / max(abs(run.dense.acceleration[sample, joint]), 1e-9)
             boxes[here, 0] = 2 * dense_hz * np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(drift, CREEP_S))
@@ -742,7 +748,7 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
             variance = max(float(e @ e) / max(valid.sum() - float(share.sum()), 0.1 * valid.sum()), 1e-300)
         Q = Q * np.sqrt(1 - (1 - share) ** 2)
         correlation = _correlation(np.split(e, ends), np.split(Q, ends), np.split(valid, ends), order)
-        out[j] = _prediction_filter(correlation)
+        out[j] = prediction_filter(correlation)
         white = np.concatenate([lfilter(out[j], [1.0], part)[order:] for part in np.split(e, ends)])
         left = max(valid.sum() - float(np.sum(Q**2)), 0.1 * valid.sum())
         level[j] = float(white @ white) / left
@@ -804,7 +810,7 @@ def _correlation(residual: list[FloatArray], Q: list[FloatArray], valid: list[np
     return correlation if correlation[0] > 0 else np.eye(1, order + 1)[0]
 
 
-def _prediction_filter(correlation: FloatArray) -> FloatArray:
+def prediction_filter(correlation: FloatArray) -> FloatArray:
     """Prediction-error filter (order + 1,) over the innovation's deviation (Levinson)."""
     correlation = correlation.copy()
     correlation[0] *= 1 + RIDGE

@@ -117,6 +117,7 @@ class Search:
         system: with all that was accepted; ``after`` its fit.
         free, left: per joint, evidence gained by a free function of its state, before and after.
         law: what was discovered where names do not reach, with the joint it is at.
+        aside: the base model's columns on the rows kept aside, where there are any.
     """
 
     steps: list[Step]
@@ -125,6 +126,7 @@ class Search:
     free: FloatArray
     left: FloatArray
     law: tuple[int, Trial, Fitted] | None = None
+    aside: Base | None = None
 
     @property
     def finalists(self) -> tuple[dict[str, Any], ...]:
@@ -193,7 +195,7 @@ def explain(
                 system = accepted(system, beside)
         system = _pruned(steps, system)
     left = np.array([free_gain(system, j) for j in axes])
-    search = Search(steps, system, base_fit(system), free, left)
+    search = Search(steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     joint, other = search.other
     if other > 0.5:
         _locate(search, joint, judge)

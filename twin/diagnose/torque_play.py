@@ -1,0 +1,165 @@
+"""Play between motor and link where a second encoder sees it: twist = load / k + ½ gap sgn(load) + what else is smooth.
+
+The torque says little of a gap, the difference of two encoders all: it steps where the load through the gear changes
+sign. Loads come from the fitted model, the gear's compliance and smooth departures from it are free.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from twin.diagnose.decide import calibration
+from twin.diagnose.torque_fit import System, prediction_filter
+from twin.diagnose.torque_laws import State
+from twin.diagnose.torque_signal import Run
+from twin.diagnose.verdict import Candidate, Missing
+from twin.identify.uncertainty import NINETY
+from twin.measure.campaign import FloatArray
+from twin.robot.description import Entry, Robot
+
+USUAL_GAP = 5e-4  # rad at the gear output (m): a few minutes of arc
+DOUBT = (0.003, 0.01, 0.03, 0.06, 0.12)  # of a joint's RMS load: over which the gap is crossed
+ORDER = 10  # of the noise's autoregression
+FIRST = 13.0  # ln evidence below which nothing is named, as for torques
+LEAST = 0.1  # of its gain on the rows used, per row, that rows not used must show
+
+
+@dataclass(frozen=True)
+class Play:
+    """A gap at a joint.
+
+    Attributes:
+        joint: zero-based.
+        gap, deviation: rad (m).
+        gain: ln evidence over no gap.
+        fall: of χ² on the rows used; ``held`` ½ of it on rows not used, ``None`` without such.
+        visible: gap from which it would be named.
+    """
+
+    joint: int
+    gap: float
+    deviation: float
+    gain: float
+    fall: float
+    held: float | None
+    visible: float
+
+    @property
+    def site(self) -> str:
+        """As in the vocabulary."""
+        return f"joint{self.joint + 1}.z"
+
+    @property
+    def probability(self) -> float:
+        """That there is a gap, were it this or nothing."""
+        numbers = calibration()
+        odds = self.gain / numbers["temperature"] + np.log((1 - numbers["none"]) / 60 / numbers["none"])
+        return float(np.clip(1 / (1 + np.exp(-odds)), 0.0, 0.99))
+
+    @property
+    def seen(self) -> bool:
+        """Whether it is named."""
+        return self.gain > FIRST and (self.held is None or self.held > 0)
+
+
+def plays(system: System, kept: Sequence[Run], kept_states: Sequence[State]) -> list[Play]:
+    """The gap at every joint, from runs that have both encoders; none where no run does."""
+    used = [(r, s) for r, s in zip(system.base.runs, system.state, strict=True) if r.twist is not None]
+    aside = [(r, s) for r, s in zip(kept, kept_states, strict=True) if r.twist is not None]
+    if not used:
+        return []
+    found = []
+    for joint in range(used[0][0].torque.shape[1]):
+        best = max((_play(used, aside, joint, share) for share in DOUBT), key=lambda play: play.gain)
+        found.append(best)
+    return found
+
+
+def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: int, share: float) -> Play:
+    scale = float(np.sqrt(np.mean(np.concatenate([s.load[:, joint] for _, s in used]) ** 2))) + 1e-12
+    X, g, y, valid = _columns(used, joint, scale, share)
+    rich = np.column_stack([X, g])[valid]
+    rest = y - np.column_stack([X, g]) @ np.linalg.lstsq(rich, y[valid], rcond=1e-9)[0]
+    e = np.where(valid, rest, 0.0)
+    order = min(ORDER, int(valid.sum()) // 20)
+    correlation = np.array([e[: len(e) - k] @ e[k:] for k in range(order + 1)]) / max(int(valid.sum()), 1)
+    if not correlation[0] > 1e-24:
+        return Play(joint, 0.0, np.inf, -np.inf, 0.0, None, np.inf)
+    whitening = prediction_filter(correlation)
+    white = _white(whitening, np.column_stack([X, g, y]), valid)
+    basis = np.linalg.qr(white[:, :-2])[0]
+    column, data = (white[:, k] - basis @ (basis.T @ white[:, k]) for k in (-2, -1))
+    information = float(column @ column)
+    pull = float(column @ data)
+    gap = max(pull / (information + 1 / USUAL_GAP**2), 0.0)
+    occam = 0.5 * np.log1p(information * USUAL_GAP**2) - np.log(2.0) + np.log(len(DOUBT))
+    gain = 0.5 * gap * pull - occam
+    held = None
+    if aside:
+        X2, g2, y2, valid2 = _columns(aside, joint, scale, share)
+        white2 = _white(whitening, np.column_stack([X2, g2, y2]), valid2)
+        basis2 = np.linalg.qr(white2[:, :-2])[0]
+        column2, data2 = (white2[:, k] - basis2 @ (basis2.T @ white2[:, k]) for k in (-2, -1))
+        expected = 0.5 * gap * pull * len(white2) / max(len(white), 1)
+        seen = float(gap * (column2 @ data2) - 0.5 * gap**2 * (column2 @ column2))
+        held = seen - LEAST * min(expected, 0.5 * gap**2 * float(column2 @ column2))
+    deviation = 1 / np.sqrt(information + 1 / USUAL_GAP**2)
+    needed = max(FIRST, calibration()["temperature"] * np.log(60.0)) + occam
+    return Play(
+        joint, gap, float(deviation), gain, gap * pull, held, float(np.sqrt(2 * needed / max(information, 1e-30)))
+    )
+
+
+def _columns(
+    parts: list[tuple[Run, State]], joint: int, scale: float, share: float
+) -> tuple[FloatArray, FloatArray, FloatArray, np.ndarray]:
+    """Free smooth columns (m, c), the gap's per unit, the recorded twist, and which rows count, runs together."""
+    free, step, twist = [], [], []
+    for k, (run, state) in enumerate(parts):
+        assert run.twist is not None
+        load = state.load[:, joint] / scale
+        zero = np.zeros((len(run.time), len(parts)))
+        zero[:, k] = 1.0
+        speed = run.dense.velocity[:, joint]
+        smooth = np.stack([load, load * np.abs(load), load**3, speed, run.dense.sign(speed)], -1)
+        free.append(np.column_stack([run.filtered(smooth), zero]))
+        step.append(0.5 * run.filtered(np.tanh(load / share)))
+        twist.append(run.twist[:, joint])
+    X = np.concatenate(free)
+    X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)
+    X = X[:, np.any(X != 0, axis=0)]
+    return X, np.concatenate(step), np.concatenate(twist), np.concatenate([run.valid for run, _ in parts])
+
+
+def _white(whitening: FloatArray, columns: FloatArray, valid: np.ndarray) -> FloatArray:
+    order = len(whitening) - 1
+    bad = np.cumsum(np.concatenate([np.ones(order, int), ~valid]))
+    keep = valid & (bad[order:] - bad[: len(bad) - order] == 0)
+    return np.asarray(lfilter(whitening, [1.0], columns, axis=0)[keep])
+
+
+def with_play(robot: Robot, play: Play) -> Robot:
+    """The description with the gap in it."""
+    entry = Entry.model_validate({"effect": "backlash", "site": play.site, "gap": play.gap})
+    return robot.model_copy(update={"physics": [*robot.physics, entry]})
+
+
+def missing_play(play: Play, robot: Robot) -> Missing:
+    """A gap as an answer.
+
+    Args:
+        play: that is seen.
+        robot: the description with it.
+    """
+    ends = [max(play.gap + side * NINETY * play.deviation, 0.0) for side in (-1, 1)]
+    first = Candidate(
+        "backlash", play.site, play.gain, robot,
+        {"gap": {"value": play.gap, "unit": "rad", "interval90": ends}},
+    )  # fmt: skip
+    evidence = (
+        f"The encoders of motor and link of joint{play.joint + 1} jump by {play.gap:.2g} rad against each other where "
+        f"the load through the gear changes sign; χ² of their difference falls by {play.fall:.0f} with it."
+    )
+    return Missing(first, play.probability, (), evidence)
