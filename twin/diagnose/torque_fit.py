@@ -43,7 +43,7 @@ from twin.robot.frames import inertia_matrix, inertia_six
 
 FARTHEST = 3.0  # prior deviations of a shape (a speed, an order, a travel)
 ORDER = 30  # of the autoregression, less where runs are short
-LARGEST_KEPT = 4_000_000  # numbers of a suspect's columns kept from one search to the next
+LARGEST_KEPT = 20_000_000  # numbers of a suspect's columns kept from one search to the next
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit may have explained away
 RIDGE = 1e-4  # of the noise's power: white noise added to the autoregression, so that stop bands are not amplified
 ROTOR, COMPENSATOR = 0.1 * TOLERANCE_DEVIATION, 0.1 * TOLERANCE_DEVIATION  # relative: described to ±10 %
@@ -567,15 +567,19 @@ def refer(system: System, z: FloatArray) -> None:
             state.torque[...] += extra
 
 
-def extended(system: System, trial: "Trial") -> System:
-    """The same rows with an entry in the base model: its numbers are nuisances from now on."""
+def extended(system: System, trial: "Trial", settled: bool = True) -> System:
+    """The same rows with an entry in the base model: its numbers are nuisances from now on.
+
+    Laws that act on other torques see it there only if ``settled``, or after :func:`refer`.
+    """
     slopes = system.full(trial.slopes)
     bigger = replace(
         system, found=(*system.found, trial.suspect),
         parameters=join(system.parameters, independent(trial.suspect.hypothesis.own)),
         A=np.column_stack([system.A, slopes]), y=system.y - system.full(trial.column)[:, 0] + slopes @ trial.u,
     )  # fmt: skip
-    refer(bigger, bigger.z)
+    if settled:
+        refer(bigger, bigger.z)
     return bigger
 
 

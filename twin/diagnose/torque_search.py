@@ -5,7 +5,7 @@ joint's state gains, and gives way to a simpler one within reach: no law is exac
 better.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -56,6 +56,8 @@ REFINED = frozenset({"hysteresis", "stribeck_friction"})
 """Laws that are Coulomb friction in a limit: where there is none, it comes first if it does most of what they do."""
 
 MOST = 0.5  # of their gain
+ELEMENTS = 3  # of slip at a joint, at most
+TRAVELS = (0.1, 10.0)  # of a further element over that of the strongest there is
 EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
 SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
 LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
@@ -194,6 +196,8 @@ def explain(
                 steps.append(beside)
                 system = accepted(system, beside)
         system = _pruned(steps, system)
+    for step in [s for s in steps if s.accepted and s.first.hypothesis.effect == "hysteresis"]:
+        system = _grown(steps, step, system, judge)
     left = np.array([free_gain(system, j) for j in axes])
     search = Search(steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     joint, other = search.other
@@ -236,9 +240,57 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
             system = accepted(system, found)
 
 
-def accepted(system: System, step: Step) -> System:
+def accepted(system: System, step: Step, settled: bool = True) -> System:
     """The model with a step's first answer in it."""
-    return with_wider(system, step.first.hypothesis) if step.trial is None else extended(system, step.trial)
+    return with_wider(system, step.first.hypothesis) if step.trial is None else extended(system, step.trial, settled)
+
+
+def _rebuilt(system: System, steps: Iterable[Step]) -> System:
+    """A base model with what several steps found."""
+    for step in steps:
+        system = accepted(system, step, settled=False)
+    refer(system, system.z)
+    return system
+
+
+def _grown(steps: Sequence[Step], step: Step, system: System, judge: "Judge | None") -> System:
+    """The model with as many slip elements at a joint as the rows bear: one stands for a first guess only."""
+    others = _rebuilt(steps[0].system, [s for s in steps if s.accepted and s is not step])
+    trial = step.trial
+    assert trial is not None
+    trial = evaluate(others, trial.suspect, trial.u)
+    for _ in range(ELEMENTS - 1):
+        starts = [evaluate(others, *_with_element(trial, factor), slopes=False) for factor in TRAVELS]
+        best = max(starts, key=lambda t: t.gain)
+        more = refine(others, evaluate(others, best.suspect, best.u), 4)
+        before, after = (fitted(others, t) for t in (trial, more))
+        if after.evidence() - before.evidence() < max(FURTHER, EXACT * step.gain):
+            break
+        if judge is not None and judge.fall(others, before, after) < 0:
+            break
+        trial = more
+    if trial.suspect is step.trial.suspect:  # type: ignore[union-attr]
+        return system
+    step.trials[step.key] = trial
+    return extended(others, trial)
+
+
+def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
+    """A slip suspect with one element more, of half the strongest's torque and ``factor`` of its travel."""
+    suspect, hypothesis = trial.suspect, trial.suspect.hypothesis
+    values = own_values(hypothesis.own, trial.u).reshape(-1, 2)  # yield torque and stiffness of each
+    strongest = values[np.argmax(values[:, 0])]
+    new = np.array([0.5 * strongest[0], 0.5 * strongest[1] / factor])
+    count = len(values)
+    (entry,) = hypothesis.entries
+    own = [*hypothesis.own, *(replace(p, name=p.name.replace("[0]", f"[{count}]")) for p in hypothesis.own[:2])]
+    lists = {name: [*entry.values[name], entry.values[name][0]] for name in ("yield_torque", "stiffness")}
+    longer = Entry.model_validate({"effect": entry.effect, "site": entry.site, **lists})
+    grown = replace(
+        suspect, hypothesis=replace(hypothesis, entries=(longer,), own=tuple(own)),
+        nonnegative=np.concatenate([suspect.nonnegative, suspect.nonnegative[:2]]),
+    )  # fmt: skip
+    return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
 
 def _pruned(steps: Sequence[Step], system: System) -> System:
@@ -247,11 +299,11 @@ def _pruned(steps: Sequence[Step], system: System) -> System:
         later = [s for s in steps[number + 1 :] if s.accepted and s.joints == old.joints]
         if not (old.accepted and old.joints and later):
             continue
-        shorter = steps[0].system
-        for step in steps:
-            if step.accepted and step is not old:
-                again = settle(shorter, step.trial) if step.trial and step in later else step.trial
-                shorter = accepted(shorter, replace(step, trials={**step.trials, step.key: again} if again else {}))
+        kept = [s for s in steps if s.accepted and s is not old and s not in later]
+        shorter = _rebuilt(steps[0].system, kept)
+        for step in later:
+            again = settle(shorter, step.trial) if step.trial else None
+            shorter = accepted(shorter, replace(step, trials={**step.trials, step.key: again} if again else {}))
         lost = base_fit(system).evidence() - base_fit(shorter).evidence()
         if lost < FURTHER:
             old.accepted, system = False, shorter
@@ -296,12 +348,15 @@ def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], s
     """Probabilities of fits to one system, simpler ones preferred within reach."""
     base = base_fit(system)
     gains = np.array([fit.evidence() for fit in fits]) - base.evidence()
-    best = float(gains.max(initial=0.0))
+    later = {k: first for k, first in [*_ladder(system, fits, gains), *_composed(fits, gains, trials)]}
+    best = max((gain for k, gain in enumerate(gains) if k not in later), default=0.0)
     numbers = [max(len(f.hypothesis.own), len(f.hypothesis.scale)) for f in fits]
-    fewest = min((m for m, gain in zip(numbers, gains, strict=True) if gain > SIMPLER * best), default=0)
-    handicap = [(1 - SIMPLER) * best * (m > fewest) for m in numbers]
-    for k, first in [*_ladder(system, fits, gains), *_composed(fits, gains, trials)]:
-        handicap[k] = max(handicap[k], gains[k] - gains[first] + FURTHER)
+    near = [
+        m for k, (m, gain) in enumerate(zip(numbers, gains, strict=True)) if gain > SIMPLER * best and k not in later
+    ]
+    handicap = [(1 - SIMPLER) * max(best, 0.0) * (m > min(near, default=0)) for m in numbers]
+    for k, first in later.items():
+        handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + FURTHER)
     hypotheses = [[s.hypothesis] for s in suspects]
     return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=0.01, scale=1.0), trials)
 
@@ -445,6 +500,14 @@ class Judge:
         if trained < RELIEF * (fit.evidence() - base_fit(system).evidence()):
             return float(fall.sum()), bool(fall.sum() > -HARM - 0.01 * power.sum())
         return float(fall.sum()), bool(fall.sum() > SHARE * expected and (fall / power).max() > LEAST)
+
+    def fall(self, system: System, before: Fitted, after: Fitted) -> float:
+        """Fall of ½ χ² from one fit of entries on a system to another."""
+        rests = []
+        for fit in (before, after):
+            entries = [*system.entries(fit.z), *with_values(fit.hypothesis, fit.values[fit.own])]
+            rests.append(self.rest(system.plain(fit.z), entries))
+        return float(0.5 * (rests[0] @ rests[0] - rests[1] @ rests[1]))
 
 
 def smallest_visible(system: System, suspects: Sequence[Suspect]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.fft
 import scipy.interpolate
 import scipy.signal
 
@@ -24,6 +25,7 @@ from twin.physics.motion import Motion
 from twin.robot.description import Robot
 
 LARGEST_BAND_HZ = 10.0
+LONG_S, LEAST_BAND_HZ = 600.0, 6.0  # a longer log has motion enough at lower frequencies, down to
 ROWS = 2.5  # per second and hertz of the low-pass
 SMOOTH, DENSE = 2, 8  # instants per row of smooth laws, and at least of laws that step
 RECORDED = 1e-5  # of its largest density: torque was low-passed in recording where its spectrum falls below
@@ -61,12 +63,40 @@ class Run:
     def filtered(self, law: FloatArray) -> FloatArray:
         """A law's torque (nt, …) on the dense or the smooth clock, low-passed at the rows (m, …)."""
         step = (len(law) - 1) // (len(self.time) - 1)
-        return np.ascontiguousarray(lowpass(law, self.rate_hz * step, *self.bands.fit)[::step])
+        return thinned(law, self.rate_hz, step, *self.bands.fit)
+
+
+def thinned(signal: FloatArray, rate_hz: float, step: int, pass_hz: float, stop_hz: float) -> FloatArray:
+    """``lowpass`` of a signal (step (m − 1) + 1, …) at every ``step``-th sample (m, …), which hold all of its band.
+
+    Args:
+        signal: ``step`` times as dense as the rows.
+        rate_hz: of the rows, above twice ``stop_hz``.
+        step: samples per row.
+        pass_hz, stop_hz: gain one below, zero above.
+    """
+    last = len(signal) - 1
+    memory = min(last, int(np.ceil(10 * rate_hz / (stop_hz - pass_hz))) * step)
+    rows = scipy.fft.next_fast_len(last // step + 2 * memory // step, real=True)
+    after = min(last, rows * step - last - memory)
+    rows = (last + memory + after) // step
+    ends = 2 * signal[:1] - signal[memory:0:-1], signal, 2 * signal[-1:] - signal[-2 : -2 - after : -1]
+    extended = np.concatenate(ends)  # by its point reflection; a line through its ends makes it periodic
+    start, rise = extended[:1].copy(), extended[-1:] - extended[:1]
+    broad = (-1, *[1] * (signal.ndim - 1))
+    extended -= start + rise * np.linspace(0, 1, len(extended)).reshape(broad)
+    spectrum = scipy.fft.rfft(extended[:-1], axis=0)[: rows // 2 + 1]
+    phase = np.clip((np.arange(len(spectrum)) * rate_hz / rows - pass_hz) / (stop_hz - pass_hz), 0, 1)
+    spectrum *= (0.5 * (1 + np.cos(np.pi * phase)) / step).reshape(broad)
+    filtered = scipy.fft.irfft(spectrum, rows, axis=0)
+    along = (memory // step + np.arange(last // step + 1)) / rows
+    return np.asarray(filtered[memory // step :][: len(along)] + start + rise * along.reshape(broad))
 
 
 def bands_of(log: MotionLog) -> Bands:
-    """The low-pass a log allows: 10 Hz, less where it was sampled slowly or its torque low-passed in recording."""
-    stop = LARGEST_BAND_HZ
+    """The low-pass a log allows: 10 Hz, less where it is long, sampled slowly or its torque low-passed in recording."""
+    seconds = sum(float(run.time[-1] - run.time[0]) for run in log.runs.values())
+    stop = float(np.clip(LARGEST_BAND_HZ * LONG_S / seconds, LEAST_BAND_HZ, LARGEST_BAND_HZ))
     for run in log.runs.values():
         if run.torque is None:
             continue
