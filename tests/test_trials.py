@@ -7,11 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tools.trials import make, score, store
-from tools.trials.cases import MIX, case, plan
+from tools.trials import __main__ as trials
+from tools.trials import ask, make, real, score, store
+from tools.trials.baselines import metadata
+from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campaign, _candidates, case, plan
+from tools.trials.naive import best_correlated
 from tools.trials.score import Rate, Scored
-from tools.trials.visible import scaled
+from tools.trials.visible import hammer_signal, overlap, scaled
+from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
+from tools.truth.recording import Posture
+from twin.robot.description import load_robot
 
 ERROR = {
     "before": {"train": 0.2, "held_out": 0.2}, "after": {"train": 0.1, "held_out": 0.11}, "noise_floor": 0.1,
@@ -84,6 +90,33 @@ def test_sets_are_exact_or_not() -> None:
     assert not one(both, result("named", *groups, [("payload", "link1", 0.7)])).exact
 
 
+def test_base_and_joint_1_tilt_alike_only_with_one_q1() -> None:
+    truth = answer("single", ("base_compliance", "base.rx", 5.0))
+    said = result("ambiguous", [("transverse_compliance", "joint1.x", 0.5), ("base_compliance", "base.rx", 0.45)])
+    assert not one(truth, said).top1
+    assert one({**truth, "circumstances": {"same_q1": True}}, said).top1
+
+
+def test_every_wrong_answer_has_its_class() -> None:
+    single, null, pair = answer("single", PAYLOAD), answer("none"), answer("pair", PAYLOAD, ("x", "joint1", 4.0))
+    name = [("payload", "link1", 0.9)]
+    assert score.fault(one(single, result("named", name))) == "right effect, wrong site"
+    assert score.fault(one(single, result("named", [("x", "joint1", 0.9)]))) == "wrong name"
+    assert score.fault(one(single, result("adequate"))) == "not seen"
+    assert score.fault(one(null, result("named", name))) == "false alarm"
+    assert score.fault(one(null, result("adequate"))) == ""
+    assert score.fault(one(pair, result("named", [("payload", "flange", 0.9)]))) == "pair: one missed"
+    assert score.fault(one(answer("outside", ("y", "joint1", 3.0)), result("located"))) == ""
+
+
+def test_an_error_for_each_of_two_recordings() -> None:
+    error = {"before": {"held_out": {"a": 0.2, "b": 0.1}}, "after": {"held_out": {"a": 0.1, "b": 0.1}},
+             "noise_floor": {"a": 0.1, "b": 0.1}}  # fmt: skip
+    said = result("named", [("payload", "flange", 0.9)])
+    said["diagnosis"]["error"] = error
+    assert score.headline([one(answer("single", PAYLOAD), said)])["held-out gain over the true model's"] == 1.0
+
+
 def test_faint_effects_do_not_count_against_the_rates() -> None:
     faint = one(answer("single", ("payload", "flange", 1.5)), result("adequate", none=0.9))
     found = score.headline([faint])
@@ -104,16 +137,71 @@ def test_rates_and_calibration_by_hand() -> None:
 def test_the_mix_is_as_promised() -> None:
     cases = plan(240, 1)
     for kind, share in MIX.items():
-        assert abs(sum(k == kind for k, _, _ in cases) - 240 * share) <= 1
+        assert abs(sum(k == kind for k, *_ in cases) - 240 * share) <= 1
+    for recording in RECORDINGS:
+        assert any(r == recording for k, r, *_ in cases if k == "none")
+        met = {_candidates(k, recording, n, np.random.default_rng(s))[0].kind
+               for k, r, s, n in cases if (k, r) == ("single", recording)}  # fmt: skip
+        assert met == set(SITES[recording])  # all effects
     assert plan(240, 1) == cases != plan(240, 2)
 
 
+def test_pairs_are_two_effects_that_a_recording_can_show_together() -> None:
+    rng = np.random.default_rng(0)
+    for number in range(60):
+        found = _candidates("pair", "hammer", number, rng)
+        assert len(found) in (2, 1 + CANDIDATES)
+        assert all(e.site != found[0].site or "." not in e.site for e in found[1:])
+
+
+def test_a_null_lies_within_what_the_description_states() -> None:
+    """Else an alarm would be the trial's fault."""
+    stated, drawn = load_robot("kr90").tolerances, Tolerances()
+    for name in ("mass", "com", "inertia", "posture_deg"):
+        assert getattr(drawn, name) <= getattr(stated, name)
+    assert drawn.gain <= stated.channel_gain
+    chain = kr90()
+    for kind in ("none", "single"):
+        found = case(kind, "log", 11, 0).motion
+        assert found is not None
+        for link, true in zip(chain.links, found.truth.chain.links, strict=True):
+            assert abs(true.mass / link.mass - 1) <= stated.mass
+            assert np.abs(true.com - link.com).max() <= stated.com
+
+
+def test_postures_are_reached_and_differ() -> None:
+    chain, q1 = kr90(), []
+    for seed in range(30):
+        campaign, _ = _campaign("hammer", seed, [], np.random.default_rng([seed, 2]), False)
+        q = np.deg2rad([p.q_deg for p in campaign.postures])
+        assert np.all((q > chain.range_[:, 0]) & (q < chain.range_[:, 1]))
+        tip = np.array([flange_position(chain, x) for x in q])
+        own = tip[3:, 2]  # after the three of the paper
+        assert np.all((own > chain.workspace[2, 0]) & (own < chain.workspace[2, 1]))
+        assert len(np.unique(q, axis=0)) == len(q) >= 6
+        q1.append(np.ptp(q[:, 0]) > 0)
+    assert 0.5 < np.mean(q1) < 1  # now and then one q₁ for all
+
+
 def test_what_a_recording_looks_like_does_not_depend_on_what_it_conceals() -> None:
-    null, single = (case(kind, "log", 5, 3) for kind in ("none", "single"))
+    null, single = (case(kind, "log", 5, 3).motion for kind in ("none", "single"))
+    assert null is not None
+    assert single is not None
     assert null.truth.effects == ()
     assert len(single.truth.effects) == 1
-    assert replace(null.log, link_encoder=False) == replace(single.log, link_encoder=False)  # type: ignore[type-var]
+    assert replace(null.log, link_encoder=False) == replace(single.log, link_encoder=False)
     assert [len(r.time) for r in null.runs] == [len(r.time) for r in single.runs]
+
+
+def test_an_effect_hides_itself_and_half_of_it_doubles() -> None:
+    campaign, _ = _campaign("hammer", 3, [], np.random.default_rng(1), False)
+    campaign = replace(campaign, postures=(Posture("a", (10.0, 80.0, -90.0)),),
+                       truth=replace(campaign.truth, posture_error={"a": np.zeros(3)}))  # fmt: skip
+    signal = hammer_signal(campaign.postures, campaign.test, campaign.points)
+    load = Effect("payload", "flange", {"mass": 10.0, "com": [1.6, 0.0, 0.0]})
+    less = Effect("payload", "flange", {"mass": -5.0, "com": [1.6, 0.0, 0.0]})
+    assert overlap(load, load, campaign.truth, signal) == pytest.approx(1)
+    assert overlap(load, less, campaign.truth, signal) == pytest.approx(-1, abs=1e-3)
 
 
 def test_sizes_scale_as_their_signature_does() -> None:
@@ -128,18 +216,78 @@ def test_answers_are_sealed_and_openings_counted(tmp_path: Path) -> None:
     again = make.prepare(tmp_path / "other", 4, None)
     assert {c[0] for c in drawn}.isdisjoint(c[0] for c in again)
     assert drawn != again
-    name, kind, recording, seed, number = drawn[0]
-    line = make.record(tmp_path, name, kind, "log" if recording == "log" else "hammer", seed, number)
-    assert set(line) == {"id", "without", "recording", "answer"}
+    name, kind, _, seed, number = drawn[0]
+    line = make.record(tmp_path, name, kind, "log", seed, number)
+    assert set(line) == {"id", "without", "files", "answer"}
+    assert set(line["files"]) == {"log.h5"}
     sealed = tmp_path / "answers" / f"{name}.json"
     assert store.sha256(sealed) == line["answer"]
     sealed.write_text(json.dumps({**store.read(sealed), "kind": "none"}))
     assert store.sha256(sealed) != line["answer"]
-    assert len(store.opened(tmp_path, "first")) == 1
-    assert len(store.opened(tmp_path, "second")) == 2
+    assert len(store.entered(tmp_path, "first")) == 1
+    assert len(store.entered(tmp_path, "second")) == 2
 
 
 def test_probabilities_not_stated_are_nothing() -> None:
     found = one(answer("single", PAYLOAD), result("named", [("payload", "link1", 1.0)]))
     assert score.log_score(found) == pytest.approx(np.log(1000))
     assert score.brier(found) == 2.0
+
+
+def small(kind: str, recording: str, seed: int, number: int) -> Case:
+    """A case as the trial's, but short."""
+    found = case(kind, recording, seed, number)  # type: ignore[arg-type]
+    if found.campaign:
+        c = found.campaign
+        test = replace(c.test, lines=48)
+        found = replace(found, campaign=replace(c, postures=c.postures[:3], points=c.points[:5], test=test))
+    if found.motion:
+        runs = tuple(replace(r, time=r.time[: 15 * 250]) for r in found.motion.runs[:2])
+        found = replace(found, motion=replace(found.motion, runs=runs))
+    return found
+
+
+def test_two_cases_from_recording_to_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command, asked blindly about a null of each kind, names nothing, and the page tells it."""
+    monkeypatch.setattr(make, "case", small)
+    lines = [make.record(tmp_path, f"0{k}", "none", kind, 40 + k, 0) for k, kind in enumerate(("hammer", "log"))]
+    store.write(tmp_path / "manifest.json", {"format": "twin-trials", "version": 2, "cases": lines})
+    assert not ask.ask(tmp_path, "00", [], deadline=0.0)  # no time left
+    assert all(ask.ask(tmp_path, line["id"], line["without"]) for line in lines)
+    trials._score(tmp_path, tmp_path / "proof.md", None)
+    text = (tmp_path / "proof.md").read_text()
+    assert "| false alarms | 0/2" in text
+    assert "| failed | 0/2" in text
+    assert "Measured recordings" not in text
+    assert len(store.read(tmp_path / "ledger.json")) == 1
+    assert metadata(tmp_path / "recordings" / "00")[0] == 1
+    assert "@" in best_correlated(tmp_path / "recordings" / "01", lines[1]["without"])
+
+
+def test_a_command_that_crashes_or_hangs_is_an_answer(tmp_path: Path) -> None:
+    (tmp_path / "recordings" / "00").mkdir(parents=True)
+    (tmp_path / "recordings" / "00" / "log.h5").write_bytes(b"nothing")
+    assert ask.ask(tmp_path, "00", [])
+    said = store.read(tmp_path / "results" / "00.json")
+    assert said["code"] != 0
+    assert "log.h5" in said["complaint"]
+    assert one(answer("none"), said).verdict == "failed"
+    code, _, complaint = ask.run(["diagnose", "--help"], 0.05)
+    assert code == 124
+    assert "no answer within" in complaint
+
+
+def test_measured_recordings_are_told_without_their_paths(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time,q1\n0,0\n")
+    (tmp_path / "list.yaml").write_text("- {name: A log, recordings: [log.csv], known: nothing}\n")
+    said = real.asked(tmp_path / "list.yaml", 60)
+    text = real.section(said)
+    assert "### A log" in text
+    assert "No answer" in text
+    assert str(tmp_path) not in text
+    effects = result("named", [("payload", "flange", 0.9), ("payload", "link2", 0.05)])["diagnosis"]["effects"]
+    filled = {"verdict": "named", "probabilities": {"none": 0.01, "other": 0.02}, "error": ERROR, "effects": effects}
+    said["rows"][0]["diagnosis"] = filled
+    text = real.section(said)
+    assert "payload@flange 90%" in text
+    assert "| with the answer | 0.1 | 0.11 |" in text

@@ -1,9 +1,10 @@
-"""Trials with concealed physics: `python -m tools.trials make | run | score | prove`."""
+"""Trials with concealed physics: `python -m tools.trials make | run | score | prove | real`."""
 
 import argparse
 import json
 import os
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from tools.trials import ask, make, score, store
+from tools.trials import ask, make, real, score, store
 from tools.trials.report import page
 
 DEVELOPMENT_SEED = 20
@@ -24,13 +25,17 @@ EXAMPLES = """
   run     put every recording to `twin diagnose`
   score   open the answers, write the page
   prove   all three
+  real    put measured recordings to `twin diagnose`; the file that is written goes into the page by --real
 
-Every step goes on where it was interrupted. The development split has a fixed seed; the seed of a sealed split is drawn
-in secret, and every opening of its answers is entered in its ledger with the hash of the engine that was judged.
+Every step goes on where it was interrupted; a result of another version of the engine is asked for again. The
+development split has a fixed seed; the seed of a sealed split is drawn in secret, and its making and every opening of
+its answers are entered in its ledger with the hash of the engine.
 
   python -m tools.trials prove --split development --cases 60
   python -m tools.trials prove --split sealed --cases 240 --page docs/proof.md
-  python -m tools.trials run --split sealed --scheduler tcp://HOST:8786     # pip install distributed; shared folder
+  python -m tools.trials prove --split sealed --cases 240 --minutes 70      # report on what was done by then
+  python -m tools.trials run --split sealed --scheduler tcp://HOST:8786  # needs twin[distributed]
+  python -m tools.trials real recordings.yaml --out real.json               # see tools/trials/real.py
 """
 
 
@@ -41,10 +46,16 @@ def executor(processes: int, scheduler: str | None) -> Iterator[Executor]:
         with ProcessPoolExecutor(processes) as pool:
             yield pool
         return
-    from distributed import Client
-
-    with Client(scheduler) as client:
-        yield client.get_executor()
+    try:
+        from distributed import Client
+    except ImportError:
+        sys.exit('--scheduler: expected Dask; pip install "twin[distributed]"')
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        sys.exit(f"--scheduler {scheduler}: expected the address of a running Dask scheduler ({error})")
+    with client:
+        yield client.get_executor(pure=False)
 
 
 def every(title: str, pool: Executor, function: Any, jobs: list[tuple[Any, ...]]) -> list[Any]:
@@ -54,9 +65,14 @@ def every(title: str, pool: Executor, function: Any, jobs: list[tuple[Any, ...]]
         task = bars.add_task(title, total=len(jobs))
         futures = {pool.submit(function, *job): k for k, job in enumerate(jobs)}
         found: list[Any] = [None] * len(jobs)
-        for future in as_completed(futures):
-            found[futures[future]] = future.result()
-            bars.advance(task)
+        try:
+            for future in as_completed(futures):
+                found[futures[future]] = future.result()
+                bars.advance(task)
+        except BaseException:
+            for future in futures:
+                future.cancel()
+            raise
     return found
 
 
@@ -65,46 +81,78 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tools.trials", description=__doc__, epilog=EXAMPLES, formatter_class=shape
     )
-    parser.add_argument("step", choices=("make", "run", "score", "prove"))
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/trials"), help="folder of the splits (default %(default)s)"
-    )
+    parser.add_argument("step", choices=("make", "run", "score", "prove", "real"))
+    parser.add_argument("recordings", nargs="?", type=Path, help="list of measured recordings, for `real`")
+    parser.add_argument("--out", type=Path, help="folder of the splits (default out/trials), file of `real`")
     parser.add_argument("--split", default="development", help="development, or any name for a sealed one")
     parser.add_argument("--cases", type=int, default=240)
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--scheduler", help="address of a Dask scheduler that sees the same folder")
+    parser.add_argument("--minutes", type=float, help="begin no diagnosis later than this after the start")
+    parser.add_argument("--limit", type=float, default=ask.LIMIT_S, help="seconds per case (default %(default)g)")
     parser.add_argument("--page", type=Path, help="Markdown page to write (default: in the split's folder)")
+    parser.add_argument("--real", type=Path, help="file of `real`, for the page")
     options = parser.parse_args(arguments)
-    split = (options.out / options.split).resolve()
+    if options.step == "real":
+        if options.recordings is None:
+            parser.error("real: expected a list of recordings")
+        target = options.out or Path("real.json")
+        store.write(target, real.asked(options.recordings, options.limit))
+        print(f"wrote {target}")
+        return
+    deadline = None if options.minutes is None else time.time() + 60 * options.minutes
+    split = ((options.out or Path("out/trials")) / options.split).resolve()
     if options.step in ("make", "run", "prove"):
         with executor(options.processes, options.scheduler) as pool:
             if options.step != "run":
-                seed = DEVELOPMENT_SEED if options.split == "development" else None
-                jobs = [(split, *case) for case in make.prepare(split, options.cases, seed)]
-                lines = every("record", pool, make.record, jobs)
-                store.write(split / "manifest.json", {"format": "twin-trials", "version": 1, "cases": lines})
+                _make(split, options.cases, DEVELOPMENT_SEED if options.split == "development" else None, pool)
             if options.step != "make":
-                cases = store.read(split / "manifest.json")["cases"]
-                todo = [
-                    (split, c["id"], c["without"])
-                    for c in cases
-                    if not (split / "results" / f"{c['id']}.json").exists()
-                ]
-                every("diagnose", pool, ask.ask, todo)
+                _run(split, options.limit, deadline, pool)
     if options.step in ("score", "prove"):
-        _score(split, options.page or split / "proof.md")
+        _score(split, options.page or split / "proof.md", options.real)
 
 
-def _score(split: Path, target: Path) -> None:
+def _make(split: Path, count: int, seed: int | None, pool: Executor) -> None:
+    if not (split / "answers" / "plan.json").exists():
+        store.entered(split, f"{count} cases drawn")
+    jobs = [(split, *case) for case in make.prepare(split, count, seed)]
+    lines = every("record", pool, make.record, jobs)
+    store.write(split / "manifest.json", {"format": "twin-trials", "version": 2, "cases": lines})
+
+
+def _run(split: Path, limit_s: float, deadline: float | None, pool: Executor) -> None:
+    if not (split / "manifest.json").exists():
+        sys.exit(f"{split}: no cases yet; make first")
+    engine = store.engine_hash()
+
+    def missing(name: str) -> bool:
+        path = split / "results" / f"{name}.json"
+        return not path.exists() or store.read(path)["engine"] != engine
+
+    todo = [c for c in store.read(split / "manifest.json")["cases"] if missing(c["id"])]
+    # The slow first, so that no process is left with one at the end; where time may run out, in the order of the
+    # names, which know nothing of the cases.
+    todo.sort(key=lambda c: (-len(c["files"]), *sorted(c["files"])) if deadline is None else (c["id"],))
+    asked = every("diagnose", pool, ask.ask, [(split, c["id"], c["without"], limit_s, deadline) for c in todo])
+    if not all(asked):
+        print(f"time is up: {sum(not a for a in asked)} cases not asked; the same command goes on", file=sys.stderr)
+
+
+def _score(split: Path, target: Path, measured: Path | None) -> None:
+    if not (split / "manifest.json").exists():
+        sys.exit(f"{split}: no cases yet; make first")
     manifest = store.read(split / "manifest.json")["cases"]
     results = {c["id"]: store.read(split / "results" / f"{c['id']}.json") for c in manifest
                if (split / "results" / f"{c['id']}.json").exists()}  # fmt: skip
     if not results:
         sys.exit(f"{split}: no results yet; run first")
-    ledger = store.opened(split, f"score of {len(results)} cases")
     for c in manifest:
         if store.sha256(split / "answers" / f"{c['id']}.json") != c["answer"]:
             sys.exit(f"{split}: the answer of {c['id']} is not the one that was sealed")
+        for name, digest in c["files"].items():
+            if store.sha256(split / "recordings" / c["id"] / name) != digest:
+                sys.exit(f"{split}: recordings/{c['id']}/{name} is not the one that was sealed")
+    ledger = store.entered(split, f"answers opened: score of {len(results)} cases")
     cases = [
         score.scored(store.read(split / "answers" / f"{c['id']}.json"), results[c["id"]])
         for c in manifest
@@ -112,7 +160,8 @@ def _score(split: Path, target: Path) -> None:
     ]
     without = {c["id"]: c["without"] for c in manifest}
     target.parent.mkdir(parents=True, exist_ok=True)
-    page(target, f"Proof: {split.name} split", cases, results, split, without, ledger)
+    told = real.section(store.read(measured)) if measured else ""
+    page(target, f"Proof: {split.name} split", cases, results, split, without, ledger, len(manifest), told)
     for name, value in score.headline(cases).items():
         print(f"{name:40s} {value:.3g}" if isinstance(value, float) else f"{name:40s} {value}")
     store.write(split / "scores.json", json.loads(json.dumps(score.headline(cases), default=str)))

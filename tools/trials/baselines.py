@@ -8,7 +8,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from tools.trials.score import Rate, Scored, aliases
+from tools.trials.naive import best_correlated
+from tools.trials.score import Rate, Scored, numbers
 
 
 def chance(cases: Sequence[Scored]) -> Rate:
@@ -28,7 +29,7 @@ def by_finalists(cases: Sequence[Scored], results: dict[str, dict[str, Any]], ru
     """
     top, alarms = [], []
     for c in cases:
-        rows = ((results[c.name]["diagnosis"] or {}).get("finalists")) or []
+        rows = _finalists(results[c.name])
         if not rows or c.kind not in ("none", "single", "chain"):
             continue
         scores = {}
@@ -42,8 +43,33 @@ def by_finalists(cases: Sequence[Scored], results: dict[str, dict[str, Any]], ru
         if c.kind == "none":
             alarms.append(answer != "none")
         else:
-            top.append(c.truth[0] in aliases(answer))
+            top.append(c.truth[0] in c.aliases(answer))
     return Rate(sum(top), len(top)), Rate(sum(alarms), len(alarms))
+
+
+def _finalists(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows with a misfit; none where the command does not tell."""
+    rows = (result["diagnosis"] or {}).get("finalists") or []
+    return [r for r in rows if r.get("misfit") is not None and r.get("data")]
+
+
+def naive(cases: Sequence[Scored], split: Path, without: dict[str, list[str]]) -> Rate:
+    """Top-1 of the signature that correlates best with the misfit of the model as described (`naive.py`)."""
+    one = [c for c in cases if c.kind in ("single", "chain")]
+    answers = [best_correlated(split / "recordings" / c.name, without[c.name]) for c in one]
+    return Rate(sum(c.truth[0] in c.aliases(a) for c, a in zip(one, answers, strict=True)), len(one))
+
+
+def freed(cases: Sequence[Scored]) -> dict[str, float]:
+    """Median held-out error over its noise floor: as described, all parameters of the base model freed, diagnosed."""
+    found: dict[str, list[float]] = {"as_given": [], "before": [], "after": []}
+    for c in cases:
+        floor = numbers(c.error.get("noise_floor"))
+        rows = {key: numbers((c.error.get(key) or {}).get("held_out")) for key in found}
+        if floor and all(len(row) == len(floor) for row in rows.values()):
+            for key, row in rows.items():
+                found[key].append(max(e / f for e, f in zip(row, floor, strict=True)))
+    return {key: float(np.median(values)) if values else float("nan") for key, values in found.items()}
 
 
 def impostors(cases: Sequence[Scored], results: dict[str, dict[str, Any]]) -> tuple[Rate, float]:
@@ -53,12 +79,12 @@ def impostors(cases: Sequence[Scored], results: dict[str, dict[str, Any]]) -> tu
     """
     fooled, share = [], []
     for c in cases:
-        rows = ((results[c.name]["diagnosis"] or {}).get("finalists")) or []
+        rows = _finalists(results[c.name])
         if c.kind != "single" or not rows:
             continue
         misfit = {f"{r['effect']}@{r['site']}": r["misfit"] for r in rows}
         base = next((r["misfit"] for r in rows if r["effect"] == "none"), None)
-        same = aliases(c.truth[0])
+        same = c.aliases(c.truth[0])
         true = [m for name, m in misfit.items() if name in same]
         rest = [m for name, m in misfit.items() if name not in same and not name.startswith("none@")]
         if base is None or not true or not rest or base <= min(true):
@@ -69,23 +95,28 @@ def impostors(cases: Sequence[Scored], results: dict[str, dict[str, Any]]) -> tu
     return Rate(sum(fooled), len(fooled)), float(np.median(share)) if share else float("nan")
 
 
-def metadata(path: Path) -> np.ndarray:
-    """What a cheat sees of a recording without its physics: counts, sizes, noise levels, names' lengths."""
-    with h5py.File(path) as file:
-        if "postures" in file:
-            postures = list(file["postures"].values())
-            first = postures[0]
-            brakes = {"on": 1.0, "off": 2.0}.get(str(postures[0].attrs.get("brakes", "")), 0.0)
-            coherence = np.median([np.median(p["coherence"][()]) for p in postures])
-            row = [1, len(postures), len(first["frequency"]), first["frequency"][0], float(coherence), brakes,
-                   float(first["coherence"].attrs.get("averages", 0)),
-                   float(first.attrs.get("exponential_window_rate", 0))]  # fmt: skip
-        else:
-            runs = list(file["runs"].values())
-            rough = [np.median(np.abs(np.diff(run["torque"][()], axis=0))) for run in runs]
-            row = [2, len(runs), len(runs[0]["time"]), float("link_position" in runs[0]), float(np.median(rough)),
-                   runs[0]["time"][0], sum(len(run["time"]) for run in runs), 0]  # fmt: skip
-    return np.array([*row, np.log(path.stat().st_size)], float)
+def metadata(room: Path) -> np.ndarray:
+    """What a cheat sees of a case without its physics: counts, sizes, noise levels."""
+    row = [0.0] * 17
+    for path in sorted(room.glob("*.h5")):
+        with h5py.File(path) as file:
+            if "postures" in file:
+                postures = list(file["postures"].values())
+                first = postures[0]
+                brakes = {"on": 1.0, "off": 2.0}.get(str(first.attrs.get("brakes", "")), 0.0)
+                coherence = np.median([np.median(p["coherence"][()]) for p in postures])
+                q1 = np.ptp([p.attrs["q_deg"][0] for p in postures])
+                row[:10] = [1, len(postures), len(first["frequency"]), first["frequency"][0], float(coherence), brakes,
+                            float(first["coherence"].attrs.get("averages", 0)), float(q1 > 0),
+                            float(first.attrs.get("exponential_window_rate", 0)), first["frf"].shape[2]]  # fmt: skip
+            else:
+                runs = list(file["runs"].values())
+                rough = [np.median(np.abs(np.diff(run["torque"][()], axis=0))) for run in runs]
+                row[10:16] = [1, len(runs), len(runs[0]["time"]), float("link_position" in runs[0]),
+                              float(np.median(rough)), sum(len(run["time"]) for run in runs)]  # fmt: skip
+        row[16] += path.stat().st_size
+    row[16] = np.log(row[16])
+    return np.array(row, float)
 
 
 def leak_probe(
@@ -93,9 +124,9 @@ def leak_probe(
 ) -> dict[str, Rate]:
     """Nearest neighbours on metadata, left-one-out: how often they tell a null, and the effect; beside the majority."""
     here = [c for c in cases if c.kind in ("none", "single")]
-    rows = np.array([[*metadata(split / "recordings" / f"{c.name}.h5"), len(without[c.name])] for c in here])
+    rows = np.array([[*metadata(split / "recordings" / c.name), len(without[c.name])] for c in here])
     rows = (rows - rows.mean(0)) / np.where(rows.std(0) > 0, rows.std(0), 1)
-    rows[:, 0] *= 10  # never across kinds of recording
+    rows[:, [0, 10]] *= 10  # never across kinds of recording
     distance = np.linalg.norm(rows[:, None] - rows[None], axis=2) + np.diag(np.full(len(rows), np.inf))
     null = [c.kind == "none" for c in here]
     name = [c.truth[0].partition("@")[0] if c.truth else "" for c in here]

@@ -2,21 +2,22 @@
 
 What a case conceals and what it looks like are drawn apart: number of postures, noise, windows, averages, a base model
 that lacks a spring, friction with memory and dwells come alike with and without an effect, so that nothing but the
-physics tells.
+physics tells. All that a null robot differs by from its description lies within what the description says of itself.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from tools.trials.visible import LogSignal, Signal, hammer_signal, level_signal, multiple_of_visible
+from tools.trials.visible import LogSignal, hammer_signal, level_signal, multiple_of_visible, overlap
 from tools.truth.chain import Tolerances, kr90
-from tools.truth.effects import Effect, draw
+from tools.truth.effects import EFFECTS, Effect, draw
 from tools.truth.motion import Log, Run, draw_fourier
 from tools.truth.recording import HAMMER, SENSORS, HammerTest, Posture, Truth, draw_postures, draw_truth, streams
 
-Recording = Literal["hammer", "levels", "log"]
+Recording = Literal["hammer", "levels", "log", "both"]
 JOINTS = ("joint1", "joint2", "joint3")
 SITES: dict[Recording, dict[str, tuple[str, ...]]] = {
     "hammer": {
@@ -47,6 +48,14 @@ SITES: dict[Recording, dict[str, tuple[str, ...]]] = {
         "backlash": tuple(f"{j}.z" for j in JOINTS),
         "time_delay": ("log",),
     },
+    "both": {
+        "payload": ("flange", "link2", "link3"),
+        "base_compliance": tuple(f"base.{a}" for a in ("rx", "ry", "rz", "x", "y", "z")),
+        "asymmetric_friction": JOINTS,
+        "transverse_compliance": tuple(f"{j}.{a}" for j in JOINTS for a in "xy"),
+        "gravity_compensator": JOINTS,
+        "attached_resonator": ("link1", "link2", "link3"),
+    },
 }  # fmt: skip
 OUTSIDE: dict[Recording, dict[str, tuple[str, ...]]] = {
     "hammer": {
@@ -55,53 +64,96 @@ OUTSIDE: dict[Recording, dict[str, tuple[str, ...]]] = {
     },
     "levels": {"eddy_current_damper": tuple(f"{j}.z" for j in JOINTS)},
     "log": {"quadratic_friction": JOINTS, "position_friction": JOINTS},
+    "both": {"posture_stiffness": tuple(f"{j}.z" for j in JOINTS), "quadratic_friction": JOINTS},
 }
-CHAIN = ("sensor_gain", "sensor_misalignment", "hammer_misalignment", "time_delay")
+CHAIN: dict[Recording, tuple[str, ...]] = {
+    "hammer": ("sensor_gain", "sensor_misalignment", "hammer_misalignment", "time_delay"),
+    "log": ("torque_constant", "time_delay"),
+}
 ENTRIES = (
     *((kind, j) for j in JOINTS for kind in ("viscous_friction", "coulomb_friction")),
     ("gravity_compensator", "joint2"),
 )  # what the base model knows of friction and compensator
 MIX = {"none": 0.25, "single": 0.40, "pair": 0.20, "outside": 0.10, "chain": 0.05}
-RECORDINGS = {"hammer": 0.5, "levels": 0.1, "log": 0.4}
-MULTIPLES = {"hammer": (1, 100), "levels": (1, 30), "log": (1, 30)}  # of the smallest visible size
+RECORDINGS = {"hammer": 0.42, "levels": 0.10, "log": 0.38, "both": 0.10}
+SMALLEST, LARGEST = 1.0, 30.0  # multiples of the smallest visible size, uniform in the logarithm
+CANCELLING = 1 / 3  # share of pairs whose second effect hides the first as well as any of `CANDIDATES` drawn does
+CANDIDATES = 6
+SAME_Q1 = 0.12  # share of hammer tests with one q₁ in all postures: base and joint 1 tilt alike
+RAW = 0.3  # share of hammer tests whose FRFs come from simulated time signals
+BEAM_SEGMENTS = (4, 9)  # of a link that bends as a beam rather than in one hinge
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A hammer test: the truth that is struck, at which of the points, how."""
+
+    truth: Truth
+    postures: tuple[Posture, ...]
+    test: HammerTest
+    points: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion log: the truth that moves, along which runs, how recorded."""
+
+    truth: Truth
+    log: Log
+    runs: tuple[Run, ...]
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is recorded of which truth.
+    """What is recorded of which robot.
 
     Attributes:
         kind: none, single, pair, outside or chain.
-        truth: robot, effects and errors.
-        multiples: size of each effect over the smallest visible.
+        effects: what is concealed; ``multiples`` their sizes over the smallest visible.
+        overlap: cosine between the signatures of a pair's effects, negative where one hides the other.
         without: entries the base model is to be without.
-        levels, postures, test, log, runs: what is done with the robot.
+        campaign, motion: the recordings.
     """
 
     seed: int
     kind: str
     recording: Recording
-    truth: Truth
+    effects: tuple[Effect, ...]
     multiples: tuple[float, ...]
-    without: tuple[str, ...] = ()
-    postures: tuple[Posture, ...] = ()
-    test: HammerTest | None = None
-    log: Log | None = None
-    runs: tuple[Run, ...] = ()
+    overlap: float | None
+    without: tuple[str, ...]
+    campaign: Campaign | None = None
+    motion: Motion | None = None
+
+    @property
+    def circumstances(self) -> dict[str, Any]:
+        """What the recording is like, whatever it conceals."""
+        found: dict[str, Any] = {}
+        if self.campaign:
+            q1 = {p.q_deg[0] for p in self.campaign.postures}
+            test = self.campaign.test
+            kind = "time signals" if test.hits else "force levels" if test.levels_n else "FRFs"
+            found |= {"postures": len(self.campaign.postures), "same_q1": len(q1) == 1, "measured": kind}
+        if self.motion:
+            found |= {"friction": self.motion.log.friction, "compensator": self.motion.log.compensator}
+        return found
 
 
-def plan(count: int, seed: int) -> list[tuple[str, Recording, int]]:
-    """Kinds and recordings of `count` cases in exact shares, and a seed for each, in random order."""
+def plan(count: int, seed: int) -> list[tuple[str, Recording, int, int]]:
+    """(kind, recording, seed, number) of `count` cases in exact shares and random order.
+
+    The numbers of one kind and recording count on from a random start: they go round the effects.
+    """
     rng = np.random.default_rng(seed)
+    found: list[tuple[str, Recording, int, int]] = []
     kinds = _shares(MIX, count)
-    rng.shuffle(kinds)
-    found: list[tuple[str, Recording, int]] = []
     for kind in MIX:
-        number = sum(k == kind for k in kinds)
+        number = kinds.count(kind)
         recordings = ["hammer", "log"] * number if kind == "chain" else _shares(RECORDINGS, number)
-        found += [(kind, r, int(s)) for r, s in zip(recordings[:number], rng.integers(1, 2**31, number), strict=True)]  # type: ignore[misc]
-    order = rng.permutation(len(found))
-    return [found[k] for k in order]
+        start = int(rng.integers(1000))
+        for k, r in enumerate(recordings[:number]):
+            found.append((kind, r, int(rng.integers(1, 2**31)), start + recordings[:k].count(r)))  # type: ignore[arg-type]
+    return [found[k] for k in rng.permutation(len(found))]
 
 
 def _shares(shares: dict[str, float], count: int) -> list[str]:
@@ -110,116 +162,175 @@ def _shares(shares: dict[str, float], count: int) -> list[str]:
 
 
 def case(kind: str, recording: Recording, seed: int, number: int) -> Case:
-    """One case; `number` goes round the effects and their sites so that all are met."""
+    """One case; `number` chooses the effect, so that consecutive numbers meet all of them."""
     hidden, looks = (np.random.default_rng([seed, k]) for k in (1, 2))
-    effects = _effects(kind, recording, number, hidden)
-    return _log(kind, seed, effects, hidden, looks) if recording == "log" else _hammer(
-        kind, recording, seed, effects, hidden, looks
-    )  # fmt: skip
+    candidates = _candidates(kind, recording, number, hidden)
+    hits = looks.random() < RAW and recording == "hammer" and not any(e.kind in NOT_IN_TIME for e in candidates)
+    campaign = motion = None
+    without: list[str] = []
+    if recording != "log":
+        campaign, missing = _campaign(recording, seed, candidates, looks, hits)
+        without += missing
+    if recording in ("log", "both"):
+        motion, missing = _motion(seed, candidates, looks)
+        without += missing
+    effects, multiples, hiding = _sized(candidates, campaign, motion, hidden)
+    if campaign:
+        shown = tuple(e for e in effects if EFFECTS[e.kind].shows != "log")
+        campaign = replace(campaign, truth=replace(campaign.truth, effects=shown))
+    if motion:
+        shown = tuple(e for e in effects if recording == "log" or EFFECTS[e.kind].shows in ("log", "both"))
+        motion = replace(motion, truth=replace(motion.truth, effects=shown))
+    return Case(seed, kind, recording, effects, multiples, hiding, tuple(without), campaign, motion)
 
 
-def _effects(kind: str, recording: Recording, number: int, rng: np.random.Generator) -> list[Effect]:
+NOT_IN_TIME = ("structural_damping", "fractional_damper", "time_delay", "servo_compliance")
+"""Laws and delays in frequency only."""
+NEEDS_ABSENCE = ("transverse_compliance", "viscous_friction", "coulomb_friction", "gravity_compensator")
+"""Effects that the base model may already have."""
+
+
+def _candidates(kind: str, recording: Recording, number: int, rng: np.random.Generator) -> list[Effect]:
+    """Nothing, one effect, or one and those that may come second; without parameters."""
     if kind == "none":
         return []
+    table = (OUTSIDE if kind == "outside" else SITES)[recording]
     if kind == "chain":
-        table = {k: v for k, v in SITES[recording].items() if k in CHAIN}
-    else:
-        table = (OUTSIDE if kind == "outside" else SITES)[recording]
+        table = {name: table[name] for name in CHAIN[recording]}
     names = list(table)
     first = names[number % len(names)]
-    found = [Effect(first, table[first][(number // len(names)) % len(table[first])])]
-    if kind == "pair":
-        if recording == "levels":  # a second one that every hammer test shows, and that has a law in time
-            table = {k: v for k, v in SITES["hammer"].items() if k not in ("structural_damping", *CHAIN)}
-        while len(found) < 2:
-            other = str(rng.choice(list(table)))
-            site = str(rng.choice(table[other]))
-            if (other, site) != (first, found[0].site):
-                found.append(Effect(other, site))
+    found = [Effect(first, str(rng.choice(table[first])))]
+    if kind != "pair":
+        return found
+    if recording == "levels":  # a second one that every hammer test shows, and that has a law in time
+        table = {k: v for k, v in SITES["hammer"].items() if k not in (*NOT_IN_TIME, *CHAIN["hammer"])}
+    table = {name: sites for name, sites in table.items() if name not in NEEDS_ABSENCE}
+    seconds = CANDIDATES if rng.random() < CANCELLING else 1
+    while len(found) < 1 + seconds:
+        other = str(rng.choice(list(table)))
+        effect = Effect(other, str(rng.choice(table[other])))
+        if all(effect.site != e.site or (effect.kind != e.kind and "." not in e.site) for e in found):
+            found.append(effect)
     return found
 
 
 def _sized(
-    effects: list[Effect], low: float, high: float, truth: Truth, rng: np.random.Generator, signal: Signal,
-    levels: Signal | None = None,
-) -> tuple[Truth, tuple[float, ...]]:  # fmt: skip
-    """The truth with its effects, each at a log-uniform multiple of its smallest visible size."""
-    sized, multiples = [], []
-    for effect in effects:
-        drawn = draw(effect, truth.chain, rng, log=not truth.posture_error)
-        alone = replace(truth, effects=(drawn,))
-        multiple = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-        if levels is not None and alone.nonlinear:
-            sized.append(multiple_of_visible(drawn, alone, levels, multiple, project=False))
-        else:
-            sized.append(multiple_of_visible(drawn, alone, signal, multiple))
+    candidates: Sequence[Effect], campaign: Campaign | None, motion: Motion | None, rng: np.random.Generator
+) -> tuple[tuple[Effect, ...], tuple[float, ...], float | None]:
+    """The effects, each at a log-uniform multiple of its smallest visible size, and how a pair overlaps."""
+    if not candidates:
+        return (), (), None
+    chain = kr90()
+    drawn = [_drawn(draw(e, chain, rng, log=campaign is None), rng) for e in candidates]
+    struck = hammer_signal(campaign.postures, campaign.test, campaign.points) if campaign else None
+    moved = LogSignal(motion.runs[:2], motion.log) if motion else None
+
+    def where(e: Effect) -> tuple[Truth, Any]:
+        if campaign and EFFECTS[e.kind].shows != "log":
+            return campaign.truth, struck
+        assert motion is not None
+        return motion.truth, moved
+
+    hiding = None
+    if len(drawn) > 1:
+        truth, signal = where(drawn[0])
+        same = [e for e in drawn[1:] if where(e)[1] is signal] if not _by_level(drawn[0]) else []
+        cosines = [overlap(drawn[0], e, truth, signal) for e in same]
+        if cosines:
+            hiding = min(cosines)
+            drawn = [drawn[0], same[int(np.argmin(cosines))]]
+        drawn = drawn[:2]
+    effects, multiples = [], []
+    for e in drawn:
+        multiple = float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
+        truth, signal = where(e)
+        if campaign and _by_level(e):
+            signal = level_signal(campaign.postures, campaign.test, campaign.points)
+        effects.append(multiple_of_visible(e, truth, signal, multiple, project=not (campaign and _by_level(e))))
         multiples.append(multiple)
-    return replace(truth, effects=tuple(sized)), tuple(multiples)
+    return tuple(effects), tuple(multiples), hiding
 
 
-def _hammer(
-    kind: str, recording: Recording, seed: int, effects: list[Effect], hidden: np.random.Generator,
-    looks: np.random.Generator,
-) -> Case:  # fmt: skip
+def _by_level(e: Effect) -> bool:
+    return EFFECTS[e.kind].shows == "levels" or e.kind in ("backlash", "hysteresis")
+
+
+def _drawn(e: Effect, rng: np.random.Generator) -> Effect:
+    """Half of the links bend as beams, half of the servos are cascades: laws that no catalogue of one spring has."""
+    if e.kind == "link_flexibility" and rng.random() < 0.5:
+        return Effect(e.kind, e.site, {**e.parameters, "segments": int(rng.integers(*BEAM_SEGMENTS))})
+    if e.kind == "servo_compliance" and rng.random() < 0.5:
+        return Effect(e.kind, e.site, {**e.parameters, "integral_time": float(rng.uniform(0.1, 0.5))})
+    return e
+
+
+def _campaign(
+    recording: Recording, seed: int, effects: Sequence[Effect], looks: np.random.Generator, hits: bool
+) -> tuple[Campaign, list[str]]:
+    """A hammer test of the robot without the effects, and entries that its base model is to be without."""
     levels = recording == "levels"
     brakes = str(looks.choice(["off", "off", "unknown", "on"]))
     if brakes == "on" and any(e.kind == "servo_compliance" for e in effects):
         brakes = "off"  # rotors held by brakes have no servo
+    postures = draw_postures(int(looks.integers(3, 5) if levels else looks.choice([6, 6, 7])), streams(seed)[1])
+    same_q1 = looks.random() < SAME_Q1
     postures = tuple(
-        replace(p, brakes=None if brakes == "unknown" else brakes)
-        for p in draw_postures(int(looks.integers(3, 5) if levels else looks.integers(6, 9)), streams(seed)[1])
+        replace(p, brakes=None if brakes == "unknown" else brakes, q_deg=(0.0 if same_q1 else p.q_deg[0], *p.q_deg[1:]))
+        for p in postures
     )
+    averages = int(looks.integers(3, 9))
     test = HammerTest(
-        start_hz=float(looks.choice([4.0, 5.0, 6.0])), spacing_hz=0.25 if levels else 0.125,
-        lines=100 if levels else int(looks.choice([160, 200, 240])), averages=int(looks.integers(3, 9)),
+        start_hz=float(looks.choice([4.0, 5.0, 6.0])), spacing_hz=0.25,
+        lines=80 if levels else int(looks.choice([80, 90, 100])), averages=averages,
         noise=float(3e-5 * np.exp(looks.uniform(-0.7, 0.7))), scatter=float(looks.uniform(0.003, 0.008)),
         coherence=str(looks.choice(["expected", "estimated"])), pulse_s=float(looks.uniform(0.006, 0.010)),
         levels_n=(100.0, 250.0, 600.0) if levels else (),
-        window=None if levels or looks.random() < 0.6 else float(looks.uniform(0.1, 0.5)),
+        window=None if levels or hits or looks.random() < 0.6 else float(looks.uniform(0.1, 0.5)),
+        hits=averages if hits else 0, double_hits=0.2,
     )  # fmt: skip
+    labels = [c.label for c in HAMMER]
+    own = [i for i, c in enumerate(HAMMER) if c.node == "21"]
+    others = [int(i) for i in looks.permutation([i for i in range(len(HAMMER)) if i not in own])]
+    named = [labels.index(e.site.partition(":")[2]) for e in effects if e.site.startswith("hammer:")]
+    others = [*(i for i in named if i not in own), *(i for i in others if i not in named)]
+    points = tuple(sorted([*own, *others[: int(looks.integers(6, 9))]]))
     truth = draw_truth(seed, (), postures, Tolerances())
     # Every other base model is without a transverse spring; the robot has it only where that is what is concealed.
     missing = [e.site for e in effects if e.kind == "transverse_compliance"]
     unused, lacking = str(looks.choice(SITES["hammer"]["transverse_compliance"])), looks.random() < 0.5
-    if lacking and not missing:
+    if lacking and not missing and unused not in [e.site for e in effects]:
         missing = [unused]
     stiffness = truth.chain.stiffness.copy()
     for site in missing:
         stiffness[int(site[5]) - 1, "zxy".index(site[-1])] = np.inf
     truth = replace(truth, chain=replace(truth.chain, stiffness=stiffness))
-    signals = hammer_signal(postures, test), level_signal(postures, test) if levels else None
-    truth, multiples = _sized(effects, *MULTIPLES[recording], truth, hidden, *signals)
-    without = tuple(f"transverse_compliance@{site}" for site in missing)
-    return Case(seed, kind, recording, truth, multiples, without, postures, test)
+    return Campaign(truth, postures, test, points), [f"transverse_compliance@{site}" for site in missing]
 
 
-def _log(kind: str, seed: int, effects: list[Effect], hidden: np.random.Generator, looks: np.random.Generator) -> Case:
+def _motion(seed: int, effects: Sequence[Effect], looks: np.random.Generator) -> tuple[Motion, list[str]]:
+    """A log of the robot without the effects, and entries that its base model is to be without."""
     chain = kr90()
-    truth = draw_truth(seed, (), (), Tolerances(inertia=0.05), log=True)
+    truth = draw_truth(seed, (), (), Tolerances(), log=True)
     # Every other base model is without an entry it usually has; the robot has it only where that is what is concealed.
     missing = [(e.kind, e.site) for e in effects if (e.kind, e.site) in ENTRIES]
     unused, lacking = ENTRIES[int(looks.integers(len(ENTRIES)))], looks.random() < 0.5
     if lacking and not missing:
         missing = [unused]
-    for effect, site in missing:
-        name = {"viscous_friction": "viscous", "coulomb_friction": "coulomb", "gravity_compensator": "compensator"}[
-            effect
-        ]
-        values = getattr(truth.chain, name).copy()
+    columns = {"viscous_friction": "viscous", "coulomb_friction": "coulomb", "gravity_compensator": "compensator"}
+    for kind, site in missing:
+        values = getattr(truth.chain, columns[kind]).copy()
         values[int(site[5]) - 1] = 0.0
-        truth = replace(truth, chain=replace(truth.chain, **{name: values}))
-    encoder = looks.random() < 0.3 or any(e.kind == "backlash" for e in effects)
+        truth = replace(truth, chain=replace(truth.chain, **{columns[kind]: values}))
+    encoder = looks.random() < 0.4 or any(e.kind == "backlash" for e in effects)
     log = Log(
-        white=float(looks.uniform(5, 15)), coloured=float(looks.uniform(2, 10)), ripple=float(looks.uniform(0, 3)),
+        white=float(looks.uniform(5, 15)), coloured=float(looks.uniform(2, 10)), ripple=float(looks.uniform(0, 0.5)),
         friction=str(looks.choice(["coulomb", "coulomb", "lugre"])), compensator=str(looks.choice(["series", "gas"])),
         link_encoder=bool(encoder),
     )  # fmt: skip
     runs, start = [], 0.0
     for k in range(int(looks.integers(3, 6))):
-        seconds, dwells = float(looks.uniform(40, 80)), int(looks.integers(0, 4))
+        seconds, dwells = float(looks.uniform(40, 60)), int(looks.integers(0, 4))
         time = np.arange(int(seconds * log.rate_hz)) / log.rate_hz
         runs.append(Run(f"run{k + 1}", draw_fourier(chain, looks, seconds, dwells), time, start))
         start += seconds + float(looks.uniform(5, 60))
-    truth, multiples = _sized(effects, *MULTIPLES["log"], truth, hidden, LogSignal(tuple(runs[:2]), log))
-    without = tuple(f"{effect}@{site}" for effect, site in missing)
-    return Case(seed, kind, "log", truth, multiples, without, log=log, runs=tuple(runs))
+    return Motion(truth, log, tuple(runs)), [f"{kind}@{site}" for kind, site in missing]

@@ -1,6 +1,7 @@
 """Record the cases of a split and seal their answers."""
 
 import hashlib
+import os
 import secrets
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +10,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from tools.trials.cases import Case, case, plan
+from tools.trials.cases import Campaign, Case, Motion, case, plan
 from tools.trials.store import read, sha256, write
 from tools.truth.effects import Effect
 from tools.truth.motion import write_log
 from tools.truth.recording import plain, streams, write_campaign
 
 BAD_CHANNELS = 0.15  # share of hammer tests with one blow point whose FRFs are noise
+LINK_COUNTS, LINK_NOISE_RAD = 2**22, 5e-6  # of a second encoder: per turn, white
 EDIT = Effect("payload", "flange", {"mass": 15.0, "com": [1.615, -0.041, 0.0]})
 """What is hung on robot and model in the edit test."""
 
@@ -28,50 +30,98 @@ def prepare(split: Path, count: int, seed: int | None) -> list[tuple[str, str, s
         write(path, {"seed": secret, "cases": plan(count, secret), "salt": secrets.token_hex(16)})
     content = read(path)
     return [
-        (hashlib.sha256(f"{content['salt']}/{n}".encode()).hexdigest()[:12], kind, recording, seed, n)
-        for n, (kind, recording, seed) in enumerate(content["cases"])
+        (hashlib.sha256(f"{content['salt']}/{n}".encode()).hexdigest()[:12], *drawn)
+        for n, drawn in enumerate(content["cases"])
     ]
 
 
 def record(split: Path, name: str, kind: str, recording: str, seed: int, number: int) -> dict[str, Any]:
     """Write one case unless it is there, and return its line of the manifest."""
-    answer, file, edited = (split / f"{room}/{name}.{end}" for room, end in
-                            (("answers", "json"), ("recordings", "h5"), ("edit", "h5")))  # fmt: skip
+    answer, room, edit = split / "answers" / f"{name}.json", split / "recordings" / name, split / "edit" / name
     if not answer.exists():
         found = case(kind, recording, seed, number)  # type: ignore[arg-type]
-        for path in (file, edited):
-            path.parent.mkdir(parents=True, exist_ok=True)
-        _write(found, file)
-        other = replace(found.truth, effects=(*found.truth.effects, EDIT))
-        _write(replace(found, truth=other, postures=found.postures[:3], runs=found.runs[:1]), edited)
+        write_case(found, room)
+        write_case(_edited(found), edit)
         write(
             answer,
             {
-                "kind": kind, "recording": recording, "seed": seed, "number": number,
+                "kind": kind, "recording": recording, "seed": seed, "number": number, "overlap": found.overlap,
                 "effects": [
-                    {"effect": e.kind, "site": e.site, "parameters": e.parameters, "multiple": m}
-                    for e, m in zip(found.truth.effects, found.multiples, strict=True)
+                    {"effect": e.kind, "site": e.site, "parameters": plain(e.parameters), "multiple": m}
+                    for e, m in zip(found.effects, found.multiples, strict=True)
                 ],
-                "without": found.without, "truth": plain(found.truth),
+                "without": found.without, "circumstances": found.circumstances,
+                "truth": {part: plain(getattr(found, part).truth) for part in ("campaign", "motion")
+                          if getattr(found, part)},
             },
         )  # fmt: skip
-    without = read(answer)["without"]
-    return {"id": name, "without": without, "recording": sha256(file), "answer": sha256(answer)}
+    files = {path.name: sha256(path) for path in sorted(room.glob("*.h5"))}
+    return {"id": name, "without": read(answer)["without"], "files": files, "answer": sha256(answer)}
 
 
-def _write(found: Case, path: Path) -> None:
+def _edited(found: Case) -> Case:
+    """The robot with another load, recorded briefly and once."""
+    if found.campaign:
+        truth = replace(found.campaign.truth, effects=(*found.campaign.truth.effects, EDIT))
+        brief = replace(found.campaign, truth=truth, postures=found.campaign.postures[:2])
+        return replace(found, campaign=brief, motion=None)
+    assert found.motion is not None
+    truth = replace(found.motion.truth, effects=(*found.motion.truth.effects, EDIT))
+    return replace(found, motion=replace(found.motion, truth=truth, runs=found.motion.runs[:1]))
+
+
+def write_case(found: Case, room: Path) -> None:
+    """Record a case into the folder `room`: frf.h5, log.h5 or both."""
+    room.mkdir(parents=True, exist_ok=True)
     noise = streams(found.seed)[3]
-    if found.log is not None:
-        write_log(path, found.truth, found.runs, found.log, noise)
-        return
-    assert found.test is not None
-    write_campaign(path, found.truth, found.postures, found.test, noise)
-    bad = np.random.default_rng([found.seed, 3])
-    if bad.random() < BAD_CHANNELS:
-        with h5py.File(path, "r+") as file:
-            column = int(bad.integers(len(file["excitation/label"])))
-            for posture in file["postures"].values():
-                frf = posture["frf"]
-                shape, size = frf[:, :, column].shape, np.median(np.abs(frf[()]))
-                frf[:, :, column] = size * (bad.normal(size=shape) + 1j * bad.normal(size=shape))
-                posture["coherence"][:, :, column] = bad.uniform(0, 0.3, shape)
+    if found.campaign:
+        _strike(found.campaign, found.seed, room / "frf.h5", noise)
+    if found.motion:
+        _move(found.motion, room / "log.h5", noise)
+
+
+def _strike(campaign: Campaign, seed: int, path: Path, noise: np.random.Generator) -> None:
+    """The FRFs at the points struck, as an analyser keeps them: time signals dropped, one bad channel now and then."""
+    points, aside, whole = list(campaign.points), path.with_suffix(".part"), path.with_suffix(".whole")
+    bad = np.random.default_rng([seed, 3])
+    column = int(bad.integers(len(points))) if bad.random() < BAD_CHANNELS else None
+    try:
+        write_campaign(whole, campaign.truth, campaign.postures, campaign.test, noise)
+        with h5py.File(whole) as source, h5py.File(aside, "w") as target:
+            target.attrs.update(source.attrs)
+            source.copy("response", target)
+            for key, values in source["excitation"].items():
+                target[f"excitation/{key}"] = values[()][points]
+            for name, posture in source["postures"].items():
+                group = target.create_group(f"postures/{name}")
+                group.attrs.update(posture.attrs)
+                group["frequency"] = posture["frequency"][()]
+                frf, coherence = (posture[key][()][:, :, points] for key in ("frf", "coherence"))
+                if column is not None:
+                    shape, size = frf[:, :, column].shape, np.median(np.abs(frf))
+                    frf[:, :, column] = size * (bad.normal(size=shape) + 1j * bad.normal(size=shape))
+                    coherence[:, :, column] = bad.uniform(0, 0.3, shape)
+                for key, values in (("frf", frf), ("coherence", coherence)):
+                    group[key] = values
+                    group[key].attrs.update(posture[key].attrs)
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+        whole.unlink(missing_ok=True)
+
+
+def _move(motion: Motion, path: Path, noise: np.random.Generator) -> None:
+    """The log; a second encoder counts too."""
+    aside = path.with_suffix(".part")
+    try:
+        write_log(aside, motion.truth, motion.runs, motion.log, noise)
+        with h5py.File(aside, "r+") as file:
+            for run in file["runs"].values():
+                if "link_position" in run:
+                    count = 2 * np.pi / LINK_COUNTS
+                    link = run["link_position"][()]
+                    seen = link + LINK_NOISE_RAD * noise.normal(size=link.shape)
+                    run["link_position"][...] = np.round(seen / count) * count
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)

@@ -5,7 +5,7 @@ command leaves out is taken as nothing.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +14,8 @@ import numpy as np
 Z95 = 1.959964
 LEVEL = 0.9  # of the credible set
 VISIBLE = 2.0  # multiples of the smallest visible size from which rates are asked for
+HIDING = -0.2  # cosine between a pair's signatures below which they hide each other
+EDIT_ROOM = 1.5  # times the held-out error: allowed on the robot that carries another load
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,9 @@ class Scored:
         kind, recording: as drawn.
         groups: for each effect reported, its hypotheses and probabilities, first answer first.
         none, other: probabilities.
+        location: sites that the residual, and a law without a name, were located at.
+        circumstances: what the recording is like, whatever it conceals.
+        overlap: cosine between a pair's signatures.
     """
 
     name: str
@@ -43,6 +48,9 @@ class Scored:
     location: str
     edit_error: float | None
     wall_s: float
+    complaint: str = ""
+    circumstances: dict[str, Any] = field(default_factory=dict)
+    overlap: float | None = None
 
     @property
     def named(self) -> list[str]:
@@ -56,7 +64,11 @@ class Scored:
 
     def right(self, guess: str, truth: str) -> bool:
         """Whether a guess is the truth, or an alias of it that comes with the truth beside it."""
-        return guess == truth or (truth in aliases(guess) and any(truth in dict(group) for group in self.groups))
+        return guess == truth or (truth in self.aliases(guess) and any(truth in dict(group) for group in self.groups))
+
+    def aliases(self, hypothesis: str) -> set[str]:
+        """Hypotheses that mechanics does not tell from this one in this recording."""
+        return aliases(hypothesis, bool(self.circumstances.get("same_q1")))
 
     @property
     def top1(self) -> bool:
@@ -86,8 +98,8 @@ class Scored:
         )
 
 
-def aliases(hypothesis: str) -> set[str]:
-    """Hypotheses that mechanics does not tell from this one."""
+def aliases(hypothesis: str, same_q1: bool = False) -> set[str]:
+    """Hypotheses that mechanics does not tell from this one; `same_q1`: with one q₁ in all postures."""
     pairs = [
         {"payload@flange", "payload@link3", "parameter@link3.mass"},
         {"base_compliance@base.rz", "parameter@joint1.z.stiffness", "servo_compliance@joint1"},
@@ -101,6 +113,10 @@ def aliases(hypothesis: str) -> set[str]:
             }
             for i in (1, 2, 3)
             for a in "yz"
+        ),
+        *(
+            {f"base_compliance@base.r{a}", f"transverse_compliance@joint1.{a}", f"parameter@joint1.{a}.stiffness"}
+            for a in ("xy" if same_q1 else "")
         ),
     ]
     return set().union({hypothesis}, *(pair for pair in pairs if hypothesis in pair))
@@ -119,21 +135,27 @@ def scored(answer: dict[str, Any], result: dict[str, Any]) -> Scored:
         if e["effect"] != "discovered"
     )
     intervals, values = _parameters(effects, d["effects"])
-    location = d.get("location") or [{}]
-    edit = result.get("edit_error")
+    location = [str((d.get("location") or [{}])[0].get("site") or "")]
+    location += [str(e["site"]) for e in d["effects"] if e["effect"] == "discovered"]
     return Scored(
         result["id"], answer["kind"], answer["recording"],
         tuple(f"{e['effect']}@{e['site']}" for e in effects), tuple(e["multiple"] for e in effects),
         d["verdict"], groups, float(d["probabilities"]["none"]), float(d["probabilities"]["other"]),
-        d.get("error") or {}, intervals, values, str(location[0].get("site") or ""),
-        _number(edit), float(result["wall_s"]),
+        d.get("error") or {}, intervals, values, " ".join(location),
+        next(iter(numbers(result.get("edit_error"))), None), float(result["wall_s"]),
+        "" if result["diagnosis"] else _last_line(result.get("complaint", "")),
+        answer.get("circumstances", {}), answer.get("overlap"),
     )  # fmt: skip
 
 
-def _number(error: Any) -> float | None:
-    if isinstance(error, dict):
-        error = next((v for v in error.values() if isinstance(v, int | float)), None)
-    return float(error) if isinstance(error, int | float) else None
+def numbers(error: Any) -> list[float]:
+    """The numbers of an error: one, or one per recording."""
+    values = error.values() if isinstance(error, dict) else [error]
+    return [float(v) for v in values if isinstance(v, int | float)]
+
+
+def _last_line(text: str) -> str:
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "")
 
 
 def _parameters(
@@ -187,48 +209,81 @@ def rate(cases: Iterable[Scored], good: Callable[[Scored], bool]) -> Rate:
     return Rate(sum(flags), len(flags))
 
 
+def judged(cases: Iterable[Scored]) -> list[Scored]:
+    """Nulls and single effects above twice the smallest visible size: what probabilities are judged by."""
+    return [c for c in cases if c.kind == "none" or (c.kind in ("single", "chain") and c.size >= VISIBLE)]
+
+
 def headline(cases: Sequence[Scored]) -> dict[str, Any]:
     """The vector of scores."""
     null = [c for c in cases if c.kind == "none"]
     one = [c for c in cases if c.kind in ("single", "chain")]
     clear = [c for c in one if c.size >= VISIBLE]
-    pairs = [c for c in cases if c.kind == "pair"]
-    clear_pairs = [c for c in pairs if c.size >= VISIBLE]
+    pairs = [c for c in cases if c.kind == "pair" and c.size >= VISIBLE]
+    hiding = [c for c in pairs if c.overlap is not None and c.overlap < HIDING]
     outside = [c for c in cases if c.kind == "outside" and c.size >= VISIBLE]
-    hits = [claim(c) for c in [*null, *one]]
+    alike = [c for c in clear if len(c.aliases(c.truth[0])) > 1]
+    sure = judged(cases)
     held = [g for c in clear if (g := _gain(c)) is not None]
-    inside = [
-        low <= c.true_values[key] <= high for c in [*one, *pairs] for key, (low, high) in c.intervals.items()
-    ]  # fmt: skip
+    edited = [c for c in cases if c.edit_error is not None and numbers(c.error.get("after", {}).get("held_out"))]
+    inside = [low <= c.true_values[key] <= high for c in [*clear, *pairs] for key, (low, high) in c.intervals.items()]
     return {
         "false alarms": rate(null, lambda c: bool(c.named)),
-        "found at all (above twice visible)": rate(clear, lambda c: c.verdict != "adequate"),
+        "nulls not called adequate": rate(null, lambda c: c.verdict != "adequate"),
+        "found at all (above twice visible)": rate(clear, lambda c: c.verdict not in ("adequate", "failed")),
         "top-1 (above twice visible)": rate(clear, lambda c: c.top1),
         "top-3 (above twice visible)": rate(clear, lambda c: c.top3),
         "top-1 by effect alone": rate(clear, lambda c: bool(c.named) and _effect(c.named[0]) == _effect(c.truth[0])),
-        "pairs, exact set": rate(clear_pairs, lambda c: c.exact),
+        "top-3 by effect alone": rate(
+            clear, lambda c: any(_effect(h) == _effect(c.truth[0]) for g in c.groups[:1] for h, _ in g[:3])
+        ),
+        "wrong name first (above twice visible)": rate(clear, lambda c: bool(c.named) and not c.top1),
+        "pairs, exact set": rate(pairs, lambda c: c.exact),
         "pairs, one of both first": rate(
-            clear_pairs, lambda c: bool(c.named) and any(c.right(c.named[0], t) for t in c.truth)
+            pairs, lambda c: bool(c.named) and any(c.right(c.named[0], t) for t in c.truth)
         ),
+        "pairs that hide each other, exact set": rate(hiding, lambda c: c.exact),
         "precision over sets": _rate([any(c.right(h, t) for t in c.truth) for c in cases for h in c.named]),
-        "recall over sets": _rate(
-            [any(c.right(h, t) for h in c.named) for c in [*clear, *clear_pairs] for t in c.truth]
-        ),
-        "credible set holds the truth": rate(
-            [*null, *one],
-            lambda c: any(t in c.credible or aliases(t) & set(c.credible) for t in (c.truth[:1] or ("none",))),
-        ),
-        "mean size of the credible set": float(np.mean([len(c.credible) for c in [*null, *one]])) if one else np.nan,
+        "recall over sets": _rate([any(c.right(h, t) for h in c.named) for c in [*clear, *pairs] for t in c.truth]),
+        "credible set holds the truth": rate(sure, lambda c: (c.truth[0] if c.truth else "none") in c.credible),
+        "mean size of the credible set": float(np.mean([len(c.credible) for c in sure])) if sure else np.nan,
+        "aliases come with the truth": rate(alike, lambda c: c.truth[0] in {h for g in c.groups for h, _ in g}),
         "wrong name on unknown physics": rate(outside, lambda c: bool(c.named)),
         "right joint on unknown physics": rate(outside, lambda c: _joint(c.truth[0]) in c.location),
         "90 % intervals hold the truth": _rate(inside),
-        "calibration error": calibration(hits)[0],
-        "Brier score": float(np.mean([brier(c) for c in [*null, *one]])) if null or one else np.nan,
-        "log score": float(np.mean([log_score(c) for c in [*null, *one]])) if null or one else np.nan,
+        "calibration error": calibration([claim(c) for c in sure])[0],
+        "calibration error, faint ones too": calibration([claim(c) for c in [*null, *one]])[0],
+        "Brier score": float(np.mean([brier(c) for c in sure])) if sure else np.nan,
+        "log score": float(np.mean([log_score(c) for c in sure])) if sure else np.nan,
         "held-out gain over the true model's": float(np.median(held)) if held else np.nan,
+        "edit test passed": rate(
+            edited, lambda c: c.edit_error <= EDIT_ROOM * max(numbers(c.error["after"]["held_out"]))
+        ),
         "failed": rate(cases, lambda c: c.verdict == "failed"),
         "seconds, median": float(np.median([c.wall_s for c in cases])) if cases else np.nan,
+        "seconds, longest": float(np.max([c.wall_s for c in cases])) if cases else np.nan,
     }
+
+
+def fault(c: Scored) -> str:
+    """What is wrong with the answer to a case; empty: nothing."""
+    if c.verdict == "failed":
+        return "no answer"
+    if c.kind == "none":
+        return "false alarm" if c.named else "" if c.verdict == "adequate" else "null not called adequate"
+    if c.kind == "outside":
+        return "wrong name on unknown physics" if c.named else ""
+    if c.kind == "pair":
+        wrong = [h for h in c.named if not any(c.right(h, t) for t in c.truth)]
+        return (
+            "" if c.exact else "pair: a wrong name" if wrong else "pair: one missed" if c.named else "pair: both missed"
+        )
+    if c.top1:
+        return "" if len(c.named) == 1 else "one too many"
+    if c.named:
+        same = _effect(c.named[0]) == _effect(c.truth[0])
+        return "right effect, wrong site" if same else "truth among the rivals" if c.top3 else "wrong name"
+    return "not seen" if c.verdict == "adequate" else "seen, not named"
 
 
 def _rate(flags: Sequence[bool]) -> Rate:
@@ -250,15 +305,18 @@ def claim(c: Scored) -> tuple[bool, float]:
 
 
 def _gain(c: Scored) -> float | None:
-    """Fall of the held-out error over the fall down to the noise floor, which no model can beat by much."""
+    """Fall of the held-out error over the fall down to the noise floor, which no model can beat by much.
+
+    With both kinds of recording, the mean over those whose error could fall.
+    """
     try:
-        before, after = c.error["before"]["held_out"], c.error["after"]["held_out"]
-        floor = c.error["noise_floor"]
+        rows = [numbers(c.error[key]["held_out"]) for key in ("before", "after")] + [numbers(c.error["noise_floor"])]
     except (KeyError, TypeError):
         return None
-    if not all(isinstance(v, int | float) for v in (before, after, floor)) or before <= 1.1 * floor:
+    if len({len(row) for row in rows}) > 1:
         return None
-    return float(np.clip((before - after) / (before - floor), -1, 1.2))
+    gains = [(b - a) / (b - floor) for b, a, floor in zip(*rows, strict=True) if b > 1.1 * floor]
+    return float(np.clip(np.mean(gains), -1, 1.2)) if gains else None
 
 
 def calibration(claims: Sequence[tuple[bool, float]], bins: int = 10) -> tuple[float, list[tuple[float, Rate]]]:

@@ -1,11 +1,11 @@
 """A split on disk: recordings that tell nothing by name, answers kept apart and hashed, results, and who looked when.
 
 SPLIT/manifest.json          case ids, SHA-256 of recordings and answers, what the command is called with
-SPLIT/recordings/ID.h5       what `twin diagnose` is given
-SPLIT/edit/ID.h5             the same robot carrying another load, for the edit test
+SPLIT/recordings/ID/         what `twin diagnose` is given: frf.h5, log.h5 or both
+SPLIT/edit/ID/               the same robot carrying another load, for the edit test
 SPLIT/answers/ID.json        the truth; opened by the scorer only
 SPLIT/results/ID.json        what the command said
-SPLIT/ledger.json            every opening of the answers: when, by which version of the engine
+SPLIT/ledger.json            the making of the split and every opening of its answers: when, with which engine
 """
 
 import hashlib
@@ -57,8 +57,8 @@ def commit() -> str:
     return found.stdout.strip()
 
 
-def opened(split: Path, why: str) -> list[dict[str, str]]:
-    """Enter one more opening of the answers into the ledger, and return all of them."""
+def entered(split: Path, why: str) -> list[dict[str, str]]:
+    """Enter one more event into the ledger, and return all of them."""
     path = split / "ledger.json"
     ledger = read(path) if path.exists() else []
     entry = {"engine": engine_hash(), "commit": commit(), "why": why}

@@ -7,7 +7,7 @@ which half the squared length of that is `SEEN`, in logarithms of a likelihood r
 difference would count the curvature of what a refit absorbs. All of it by the truth code alone.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,8 @@ from tools.truth.recording import SENSORS, STEP_HZ, HammerTest, Posture, Truth, 
 SEEN = 8.0
 LINES = 40  # of an FRF, standing for all
 HIGHEST_HZ = 10.0  # of a torque: above, the low-pass of any identification has the word
+TRANSMISSION_RAD = 2e-5  # RMS: what a gear's own error leaves of the difference between two encoders
+REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
 EVERY = 5  # samples of a motion log, of which one is taken
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
 
@@ -47,19 +49,32 @@ def scaled(effect: Effect, factor: float) -> Effect:
 
 
 def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: float, project: bool = True) -> Effect:
-    """The effect at so many times its smallest visible size on this recording."""
-    without = replace(truth, effects=tuple(e for e in truth.effects if e is not effect))
+    """The effect at so many times its smallest visible size on the recording of `truth`, which is without it."""
+    base = signal(truth)
 
     def changed(factor: float) -> Array:
-        return signal(replace(without, effects=(*without.effects, scaled(effect, factor)))) - signal(without)
+        return signal(_with(truth, scaled(effect, factor))) - base
 
     if not project:
         return scaled(effect, _visible_factor(changed) * multiple)
     tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
-    J = np.array([_slope(change, without, signal) for change in _nuisances(without)])
+    J = np.array([(signal(change(truth, STEP)) - base) / STEP for change in _nuisances(truth)])
     across = J @ tangent
     left = float(tangent @ tangent - across @ np.linalg.solve(J @ J.T + np.eye(len(J)), across))
+    if not left > 0:
+        raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
     return scaled(effect, np.sqrt(2 * SEEN / left) * multiple)
+
+
+def overlap(first: Effect, second: Effect, truth: Truth, signal: Signal) -> float:
+    """Cosine between the signatures of two effects: −1 where one hides the other."""
+    base = signal(truth)
+    a, b = (signal(_with(truth, scaled(e, STEP))) - base for e in (first, second))
+    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
+
+
+def _with(truth: Truth, effect: Effect) -> Truth:
+    return replace(truth, effects=(*truth.effects, effect))
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:
@@ -73,10 +88,6 @@ def _visible_factor(changed: Callable[[float], Array]) -> float:
         step = factor * np.sqrt(SEEN / max(found, 1e-12))
         factor = float(step if low < step < high else np.sqrt(low * high))
     return factor
-
-
-def _slope(change: Callable[[Truth, float], Truth], truth: Truth, signal: Signal) -> Array:
-    return (signal(change(truth, STEP)) - signal(change(truth, -STEP))) / (2 * STEP)
 
 
 def _nuisances(truth: Truth) -> Iterator[Callable[[Truth, float], Truth]]:
@@ -107,6 +118,7 @@ def _nuisances(truth: Truth) -> Iterator[Callable[[Truth, float], Truth]]:
                 yield of_link(i, lambda link, z, j=j, k=k: replace(link, inertia=_changed(link.inertia, j, k, z)))
     if log:
         for i in range(chain.n):
+            yield of_chain("stiffness", (i, 0), np.log(1.3))  # between two encoders
             for name, width in (("viscous", 0.3), ("coulomb", 0.3), ("rotor_inertia", 0.1)):
                 if getattr(chain, name)[i]:
                     yield of_chain(name, (i,), width)
@@ -139,34 +151,55 @@ def _changed(inertia: Array, j: int, k: int, z: float) -> Array:
     return out
 
 
-def hammer_signal(postures: tuple[Posture, ...], test: HammerTest) -> Signal:
-    """FRFs of a linear truth in units of their noise, thinned to `LINES`."""
+def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Sequence[int]) -> Signal:
+    """FRFs of a linear truth at the blow points `points` in units of their noise, thinned to `LINES`.
+
+    Without sag, which moves no signature by much. A posture whose angles have not changed is not computed again.
+    """
     span = test.lines * test.spacing_hz
     thin = replace(test, lines=LINES, spacing_hz=span / LINES, window=test.decay, levels_n=(), hits=0)
-    deviation: list[Array] = []
+    deviation: dict[str, Array] = {}
+    known: dict[tuple[str, int], tuple[Truth, Array]] = {}
+
+    def frf(truth: Truth, posture: Posture) -> Array:
+        key = posture.name, id(truth.chain)
+        if key in known:
+            before, found = known[key]
+            same = before.chain is truth.chain and before.effects == truth.effects and before.gain == truth.gain
+            if same and np.array_equal(before.posture_error[posture.name], truth.posture_error[posture.name]):
+                return found
+        found = accelerance(replace(truth, sag=False), (posture,), thin)[0][0, 0][:, :, list(points)]
+        if key not in known:
+            known[key] = truth, found
+        return found
 
     def signal(truth: Truth) -> Array:
-        frfs = [frf[0, 0] for frf in accelerance(truth, postures, thin)]
-        if not deviation:
-            deviation.extend(_deviation(frf, test, thin.frequency) / np.sqrt(test.lines / LINES) for frf in frfs)
-        return np.concatenate(
-            [(frf / d).astype(complex).ravel().view(float) for frf, d in zip(frfs, deviation, strict=True)]
-        )
+        parts = []
+        for posture in postures:
+            found = frf(truth, posture)
+            if posture.name not in deviation:
+                deviation[posture.name] = _deviation(found, test, thin.frequency) / np.sqrt(test.lines / LINES)
+            parts.append((found / deviation[posture.name]).astype(complex).ravel().view(float))
+        return np.concatenate(parts)
 
     return signal
 
 
-def level_signal(postures: tuple[Posture, ...], test: HammerTest) -> Signal:
-    """Difference between the highest and the lowest force level in units of its noise: zero for a linear truth."""
-    coarse = replace(test, levels_n=(min(test.levels_n), max(test.levels_n)), spread=0.0)
+def level_signal(postures: tuple[Posture, ...], test: HammerTest, points: Sequence[int]) -> Signal:
+    """Difference between the highest and the lowest force level in units of its noise: zero for a linear truth.
+
+    However many lines there are, a difference of less than `REPEATABLE`, RMS, is not taken for one.
+    """
+    coarse = replace(test, levels_n=(min(test.levels_n), max(test.levels_n)), spread=0.0, hits=0)
 
     def signal(truth: Truth) -> Array:
         parts = []
         for frf in accelerance(truth, postures[:2], coarse):
-            low, high = frf[0, 0], frf[1, 0]
+            low, high = frf[0, 0][:, :, list(points)], frf[1, 0][:, :, list(points)]
             pairs = zip((low, high), coarse.peaks, strict=True)
             noise = [_deviation(f, replace(test, peak_n=p), test.frequency) for f, p in pairs]
-            parts.append(((high - low) / np.hypot(*noise)).ravel().view(float))
+            floor = REPEATABLE * np.abs(low) * np.sqrt(low.size / SEEN)
+            parts.append(((high - low) / np.sqrt(noise[0] ** 2 + noise[1] ** 2 + floor**2)).ravel().view(float))
         return np.concatenate(parts)
 
     return signal
@@ -182,7 +215,10 @@ def _deviation(frf: Array, test: HammerTest, frequency: Array) -> Array:
 
 @dataclass(frozen=True)
 class LogSignal:
-    """Torques in units of their coloured noise, up to `HIGHEST_HZ`, offsets free."""
+    """Torques in units of their coloured noise, up to `HIGHEST_HZ`, offsets free; and what a second encoder adds.
+
+    However many samples there are, a twist of less than `TRANSMISSION_RAD`, RMS, is not seen.
+    """
 
     runs: tuple[Run, ...]
     log: Log
@@ -190,8 +226,9 @@ class LogSignal:
     def __call__(self, truth: Truth) -> Array:
         parts, rate = [], self.log.rate_hz / EVERY
         plain = replace(self.log, friction="coulomb")  # which memory friction has matters to its size by little
+        samples = sum(len(run.time[::EVERY]) for run in self.runs)
         for run in self.runs:
-            _, _, torque = motor_torque(truth, replace(run, time=run.time[::EVERY]), plain)
+            link, motor, torque = motor_torque(truth, replace(run, time=run.time[::EVERY]), plain)
             total = np.sum(list(torque.values()), axis=0)
             spectrum = np.fft.rfft(total, axis=0) / np.sqrt(len(total) / 2)
             frequency = np.fft.rfftfreq(len(total), 1 / rate)
@@ -200,4 +237,7 @@ class LogSignal:
             shape = (1 - keep**2) / np.abs(1 - keep * np.exp(-2j * np.pi * frequency / rate)) ** 2
             density = self.log.white**2 / EVERY + self.log.coloured**2 * shape
             parts.append((spectrum[kept] / np.sqrt(density[kept])[:, None]).ravel().view(float))
+            if self.log.link_encoder:
+                twist = motor - link
+                parts.append(((twist - twist.mean(0)) / (TRANSMISSION_RAD * np.sqrt(samples / (2 * SEEN)))).ravel())
         return np.concatenate(parts)

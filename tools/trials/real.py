@@ -1,0 +1,113 @@
+"""Measured recordings put to `twin diagnose`, and what the page says of them.
+
+The list is YAML; paths are relative to it. Nothing of the recordings is kept, nor where they lie:
+
+  - name: EMPS, a linear axis             # as the page calls it
+    recordings: [emps/log.csv]
+    options: [--robot, emps.yaml]         # of `twin diagnose`; a path that exists beside the list is found there
+    known: friction is asymmetric         # what is known of the robot, if anything
+    note: the maker's gains are used      # optional
+"""
+
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from tools.trials import ask
+from tools.trials.store import commit, engine_hash
+
+
+def asked(path: Path, limit_s: float) -> dict[str, Any]:
+    """What the command says of every recording listed in `path`."""
+    listed = YAML(typ="safe", pure=True).load(path)
+    here = path.resolve().parent
+
+    def found(word: str) -> str:
+        beside = here / word
+        return str(beside) if not word.startswith("-") and beside.exists() else word
+
+    rows = []
+    for item in listed:
+        with TemporaryDirectory() as scratch:
+            words = [found(str(w)) for w in [*item["recordings"], *item.get("options", [])]]
+            code, said, complaint = ask.run(["diagnose", *words, "--json", "--out", f"{scratch}/out"], limit_s)
+        lines = [line for line in complaint.strip().splitlines() if line.strip()]
+        rows.append({
+            **{key: item.get(key, "") for key in ("name", "known", "note")},
+            "diagnosis": _kept(json.loads(said)) if code == 0 else None,
+            "complaint": "" if code == 0 else (lines[-1].replace(str(here), "") if lines else f"exit code {code}"),
+        })  # fmt: skip
+    return {"format": "twin-trials-real", "version": 1, "engine": engine_hash(), "commit": commit(), "rows": rows}
+
+
+def _kept(diagnosis: dict[str, Any]) -> dict[str, Any]:
+    return {key: diagnosis.get(key) for key in ("verdict", "effects", "probabilities", "error", "next_test")}
+
+
+def section(content: dict[str, Any]) -> str:
+    """The Markdown section of the page."""
+    lines = ["## Measured recordings", "",
+             f"By engine {content['engine']} ({content['commit']}). Here nobody holds the truth; *known* is what is "
+             "published of the robot. Error: RMS of the residual over RMS of the data.", ""]  # fmt: skip
+    for row in content["rows"]:
+        lines += [f"### {row['name']}", ""]
+        if row["known"]:
+            lines += [f"Known: {row['known']}", ""]
+        d = row["diagnosis"]
+        if d is None:
+            lines += [f"No answer: {row['complaint']}", ""]
+            continue
+        lines += [f"Verdict: **{d['verdict']}**; nothing missing {_share(d['probabilities'].get('none'))}, something "
+                  f"else {_share(d['probabilities'].get('other'))}.", ""]  # fmt: skip
+        for e in d["effects"]:
+            rivals = ", ".join(
+                f"{a['effect']}@{a['site']} {_share(a['probability'])}" for a in e.get("alternatives", [])
+            )
+            values = "; ".join(f"{k} {_value(v)}" for k, v in (e.get("parameters") or {}).items())
+            said = f"- {e['effect']}@{e['site']} {_share(e['probability'])}"
+            said += f" ({values})" if values else ""
+            said += f"; or {rivals}" if rivals else ""
+            lines.append(said + (f". {e['evidence']}" if e.get("evidence") else ""))
+        if d["effects"]:
+            lines.append("")
+        lines += [*_errors(d["error"] or {}), ""]
+        if row["note"]:
+            lines += [str(row["note"]), ""]
+    return "\n".join(lines)
+
+
+def _share(p: Any) -> str:
+    return f"{p:.0%}" if isinstance(p, int | float) else "–"
+
+
+def _value(v: Any) -> str:
+    value = v.get("value") if isinstance(v, dict) else v
+    unit = v.get("unit", "") if isinstance(v, dict) else ""
+    text = f"{value:.3g}" if isinstance(value, int | float) else ", ".join(f"{x:.3g}" for x in value or [])
+    return f"{text} {unit}".strip() if unit != "1" else text
+
+
+def _errors(error: dict[str, Any]) -> list[str]:
+    """Rows as given, before, after; a recording of several is named by its kind's number."""
+    head = ["| error | fitted | held out |", "|---|---|---|"]
+    rows = []
+    for key, label in (
+        ("as_given", "model as it came"),
+        ("before", "refitted, nothing added"),
+        ("after", "with the answer"),
+    ):
+        item = error.get(key)
+        if not isinstance(item, dict):
+            continue
+        cells = [_cell(item.get(side)) for side in ("train", "held_out")]
+        rows.append(f"| {label} | {cells[0]} | {cells[1]} |")
+    return [*head, *rows] if rows else []
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(_cell(v) for v in value.values())
+    return f"{value:.3g}" if isinstance(value, int | float) else "–"
