@@ -1,7 +1,7 @@
 """What a motion log says is missing from a robot description: the motion-log side of ``twin diagnose``."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,18 @@ from twin.robot.description import Entry, Robot
 SETTLING_S = 0.15  # about a stop, where the encoder cannot tell creeping from standing: not counted in errors
 
 
+@dataclass
+class LogFinding(Finding):
+    """What a motion log says, and what its first selection was made from, so that other rules can choose from it.
+
+    Attributes:
+        finalists: ``effect`` (``none``: the base model), ``site``, ``misfit`` (χ² + zᵀz at the optimum over ``data``,
+            the number of independent data) and ``own_parameters``, the number of parameters added.
+    """
+
+    finalists: tuple[dict[str, Any], ...] = ()
+
+
 def diagnose_log(
     log: MotionLog,
     robot: Robot,
@@ -36,7 +48,7 @@ def diagnose_log(
     seed: int = 0,
     progress: Progress | None = None,
     bands: Bands | None = None,
-) -> Finding:
+) -> LogFinding:
     """What a motion log says.
 
     Args:
@@ -68,10 +80,10 @@ def diagnose_log(
             word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
     where = spots(records, source, prepared.bands.fit[1]) + disturbances(log, search, source)
     sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
-    finding = Finding(
+    finding = LogFinding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
         list(prepared.held_out), records, where, sites, [*smallest_visible(system, suspects), *_visible(found_plays)],
-        warnings=list(prepared.notes), fit=after,
+        warnings=list(prepared.notes), fit=after, finalists=_finalists(search, found_plays),
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
@@ -91,6 +103,17 @@ def _plays(search: Search) -> list[Play]:
     known[: search.aside.lasting] = z[: search.aside.lasting]
     states = [search.aside.state(k, known) for k in range(len(search.aside.runs))]
     return plays(search.system, search.aside.runs, states)
+
+
+def _finalists(search: Search, found: Sequence[Play]) -> tuple[dict[str, Any], ...]:
+    """Fits to the torque, and gaps by what they take off the misfit of the encoders."""
+    base = search.finalists[0]
+    gaps = (
+        {**base, "effect": "backlash", "site": p.site, "misfit": base["misfit"] - p.fall / base["data"],
+         "own_parameters": 1}
+        for p in found
+    )  # fmt: skip
+    return (*search.finalists, *gaps)
 
 
 def _visible(found: Sequence[Play]) -> list[dict[str, Any]]:

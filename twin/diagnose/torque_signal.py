@@ -30,6 +30,7 @@ ROWS = 2.5  # per second and hertz of the low-pass
 SMOOTH, DENSE = 2, 8  # instants per row of smooth laws, and at least of laws that step
 RECORDED = 1e-5  # of its largest density: torque was low-passed in recording where its spectrum falls below
 CLEAR = 0.75  # of that frequency is clear of the recording's own low-pass
+SHORTEST = 80.0  # seconds times hertz of the low-pass, over all runs
 MOST_CUT = 0.05  # share of a run whose torque may be cut off
 
 
@@ -106,7 +107,7 @@ def bands_of(log: MotionLog) -> Bands:
         frequency, power = scipy.signal.welch(run.torque, rate, nperseg=length, axis=0)
         share = np.max(power / np.maximum(power.max(axis=0), 1e-300), axis=1)
         held = np.flatnonzero(share > RECORDED)
-        if frequency[held[-1]] < 0.4 * rate:
+        if held.size and frequency[held[-1]] < 0.4 * rate:
             stop = min(stop, max(CLEAR * float(frequency[held[-1]]), 8 / (run.time[-1] - run.time[0])))
     return Bands((0.8 * stop, stop), (1.2 * stop, 1.5 * stop))
 
@@ -201,6 +202,10 @@ def prepare(
     bands = bands or bands_of(log)
     regressor = Regressor(robot)
     runs, notes = [], list(log.notes)
+    seconds = sum(float(run.time[-1] - run.time[0]) for run in log.runs.values())
+    if seconds * bands.fit[1] < SHORTEST:
+        least = SHORTEST / bands.fit[1]
+        raise InputError(source, "runs", f"too short to judge: {seconds:.2g} s in all, expected {least:.2g} s or more")
     for name, run in log.runs.items():
         if run.torque is None:
             raise InputError(source, f"runs/{name}/torque", "missing: a trajectory cannot be diagnosed")
