@@ -28,8 +28,9 @@ demo: install
 bench: install
 	$(BIN)/python tools/benchmark.py
 
+# Parallel and resumable; REAL=file of `python -m tools.trials real`, for the section on measured recordings.
 proof: install
-	$(BIN)/python -m tools.trials prove --split sealed --cases 240 --page docs/proof.md
+	$(BIN)/python -m tools.trials prove --split sealed --cases 240 --page docs/proof.md $(if $(REAL),--real $(REAL))
 
 clean:
 	rm -rf $(VENV) out

@@ -1,6 +1,7 @@
 """The trial itself: its mix, its seals and its scorer, on answers written by hand."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -291,3 +292,9 @@ def test_measured_recordings_are_told_without_their_paths(tmp_path: Path) -> Non
     text = real.section(said)
     assert "payload@flange 90%" in text
     assert "| with the answer | 0.1 | 0.11 |" in text
+
+
+def test_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(SystemExit, match="expected Dask"), trials.executor(1, "tcp://localhost:8786"):
+        pass
