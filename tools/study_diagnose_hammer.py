@@ -28,7 +28,7 @@ from tools.trials.cases import OUTSIDE, SITES
 from tools.trials.visible import hammer_signal, multiple_of_visible
 from tools.truth.chain import Tolerances
 from tools.truth.effects import Effect, draw
-from tools.truth.recording import HammerTest, draw_postures, draw_truth, streams, write_campaign
+from tools.truth.recording import HAMMER, HammerTest, draw_postures, draw_truth, streams, write_campaign
 
 FIRST_SEED = {"development": 1000, "evaluation": 500_000}
 SIZES, OUTSIDE_SIZES = (2.0, 6.0), (10.0, 30.0)  # of the smallest visible
@@ -64,7 +64,7 @@ def record(seed: int, things: list[tuple[str, str]], path: Path, postures: int) 
     for site in missing:
         stiffness[int(site[5]) - 1, "zxy".index(site[-1])] = np.inf
     truth = replace(truth, chain=replace(truth.chain, stiffness=stiffness))
-    signal, effects = hammer_signal(places, test), []
+    signal, effects = hammer_signal(places, test, range(len(HAMMER))), []
     for kind, site in things:
         drawn = draw(Effect(kind, site), truth.chain, rng)
         low, high = OUTSIDE_SIZES if kind in OUTSIDE["hammer"] else SIZES

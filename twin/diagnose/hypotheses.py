@@ -7,7 +7,6 @@ further from its description than its tolerance says (effect ``parameter``).
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -112,10 +111,14 @@ class Hypothesis:
                     items[k] = replace(parameter, name=f"{site}.{quantity}", kind="spring")
         return Sprung(tuple(items), written.covariance, written)
 
-    @cached_property
-    def widths(self) -> FloatArray:
-        """Prior deviations (m,) of the own parameters."""
-        return np.array([p.deviation for p in self.own])
+    def of_size(self, z: FloatArray, size: float) -> FloatArray:
+        """Prior coordinates z (n,) of a base model, then own ones that make the entry so many times its usual size.
+
+        A spring's size is its compliance; a first parameter of either sign is so many deviations from null.
+        """
+        own, first = np.zeros(len(self.own)), self.own[0]
+        own[0] = (-1 if first.quantity == "stiffness" else 1) * np.log(size) / first.deviation if first.log else size
+        return np.concatenate([z, own])
 
 
 def entry_hypothesis(base: Robot, effect: str, site: str, values: dict[str, Any]) -> Hypothesis:

@@ -40,7 +40,7 @@ def smallest_visible(
         hypothesis = variants[len(variants) // 2]
         first = hypothesis.own[0]
         changed = Objective(hypothesis.robot(robot), hypothesis.parameters(fit.parameters), sample)
-        one, two = (residual - changed.residual(_of_size(hypothesis, fit.z, size)) for size in (SMALL, 2 * SMALL))
+        one, two = (residual - changed.residual(hypothesis.of_size(fit.z, size)) for size in (SMALL, 2 * SMALL))
         tangent = (4 * one - two) / (2 * SMALL)  # one-sided: a size has a sign
         across = J @ tangent
         energy = float(tangent @ tangent - across @ inverse @ across)
@@ -56,17 +56,6 @@ def smallest_visible(
             }
         )  # fmt: skip
     return found
-
-
-def _of_size(hypothesis: Hypothesis, z: FloatArray, size: float) -> FloatArray:
-    """Prior coordinates of a hypothesis whose first parameter makes it so many times its usual size."""
-    own = np.zeros(len(hypothesis.own))
-    first = hypothesis.own[0]
-    if first.log:
-        own[0] = np.log(size) * (-1 if first.quantity == "stiffness" else 1) / first.deviation
-    else:
-        own[0] = size
-    return np.concatenate([z, own])
 
 
 def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: int = 0) -> dict[str, Any] | None:

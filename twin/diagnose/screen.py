@@ -16,22 +16,29 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import Fitted, minimise
-from twin.identify.parameters import Parameters
+from twin.identify.parameters import SIX, Parameters
 from twin.identify.sensitivity import frf, observe
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
+from twin.robot.frames import inertia_six
+from twin.robot.mechanism import fuse
 
-SIZES = {"near": (-0.5, 1.0, 3.0, 5.0), "off": (-0.5, 1.0)}
+SIZES = (-0.5, 1.0)
 """Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""
 YIELDING = 5  # iterations in which springs make room for an entry
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
+SMALL = 1e-6  # of the usual size, where the derivative with respect to it is taken
+LEAST = 1e-4  # of the usual size: less is nothing
+PARTS = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
+INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
 LONGEST = 3.0  # prior deviations that a promised step may take
 FAR = 0.03  # relative misfit of the current model above which residuals are taken logarithmic
 
@@ -87,18 +94,30 @@ class Setting:
 
 
 class Linear:
-    """An objective's residual (data,) and derivatives J (n, data) at one place, and the nuisance block J Jᵀ + 1.
+    """An objective to first order about z: ½ ‖ρ − A δ‖², ρ = [residual; −z], A = [Jᵀ; 1], by orthogonal factors.
 
-    ``gain`` is what a step of its own promises: on fewer lines than it was fitted to, a model is not at its optimum.
+    What is left of a payload once links may move is 1e-5 of it: normal equations would lose that in rounding.
     """
 
     def __init__(self, objective: Objective, z: FloatArray) -> None:
-        self.residual, self.J = objective.jacobian(z)
-        self.information = self.J @ self.J.T + np.eye(len(z))
-        self.inverse = np.linalg.inv(self.information)
-        self.pull = self.J @ self.residual
-        gradient = z - self.pull
-        self.gain = 0.5 * float(gradient @ self.inverse @ gradient)
+        self.residual, J = objective.jacobian(z)
+        self.Q, self.R = np.linalg.qr(np.vstack([J.T, np.eye(len(z))]))
+        self.z = z
+        self.gain = 0.5 * float(np.sum((self.Q.T @ self.target(self.residual)) ** 2))
+
+    def target(self, residual: FloatArray) -> FloatArray:
+        """ρ (data + n,) for a residual at z."""
+        return np.concatenate([residual, -self.z])
+
+    def left(self, vectors: FloatArray) -> FloatArray:
+        """What the step cannot make of vectors (data or data + n, m)."""
+        if len(vectors) < len(self.Q):
+            vectors = np.concatenate([vectors, np.zeros((len(self.z), *vectors.shape[1:]))])
+        return np.asarray(vectors - self.Q @ (self.Q.T @ vectors))
+
+    def step(self, vector: FloatArray) -> FloatArray:
+        """δ (n,) that comes nearest to a vector (data + n,)."""
+        return np.asarray(np.linalg.solve(self.R, self.Q.T @ vector))
 
 
 def inflation(fit: Fitted, base: Robot, sample: Sample) -> float:
@@ -151,7 +170,7 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     objective = setting.objective(hypothesis)
     size = next((k for k, p in enumerate(suspect.own) if p.log), None)
     found = []
-    for deviation in SIZES["off" if setting.error > 0 else "near"] if size is not None else (0.0,):
+    for deviation in SIZES if size is not None else (0.0,):
         own = np.zeros(len(suspect.own))
         if size is not None:
             own[size] = deviation if CATALOGUE[suspect.effect].sprung else -deviation
@@ -163,6 +182,9 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
             found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
         else:
             found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
+    if size is not None and not setting.logarithmic:
+        found += _tangent_promise(setting, hypothesis, suspect, objective)
+        found += _part_promise(setting, hypothesis, suspect, objective.parameters)
     if setting.logarithmic:  # the springs make up for what is missing: start from the description too
         z = np.zeros(len(objective.parameters))
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
@@ -180,24 +202,84 @@ def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> FloatArr
     return inner.whole(minimise(inner, z[springs], YIELDING, 0.5)[0])
 
 
+def _tangent_promise(
+    setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective
+) -> list[Promise]:
+    """The size at which an entry promises most to first order, the current model making room for it.
+
+    That finds what hides in the tension of the prior: a payload as a forearm with its centre of mass 10 cm off.
+    """
+    base, n, first = setting.linear, len(setting.z), suspect.own[0]
+    small = suspect.of_size(setting.z, SMALL)
+    _, (row,) = replace(objective, logarithmic=False, weight=[]).within(small, [n]).jacobian(small[n:][:1])
+    tangent = row * (-1 if first.quantity == "stiffness" else 1) / (SMALL * first.deviation)
+    rho, across = base.target(base.residual), base.left(tangent)
+    size = float(across @ rho) / max(float(across @ across), 1e-300)
+    if not LEAST < size < 1 / LEAST:
+        return []
+    own = suspect.of_size(setting.z, size)[n:]
+    gain = 0.5 * size * float(across @ rho) - 0.5 * float(own @ own)
+    rho[: len(tangent)] -= size * tangent
+    start, fallback = (np.concatenate([z, own]) for z in (setting.z + base.step(rho), setting.z))
+    return [Promise(hypothesis, suspect, objective.parameters, gain, start, fallback)]
+
+
+def _part_promise(
+    setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, parameters: Parameters
+) -> list[Promise]:
+    """A mass that is a part of a link: what the tension of the link's prior falls by if the link gives it up.
+
+    All else stays as it is, exactly: the whole that moves is the same.
+    """
+    n, number = len(setting.z), CATALOGUE[suspect.effect].carrier(setting.base, suspect.site)
+    at = [k for k, p in enumerate(setting.free) if p.kind == "link" and p.name.startswith(f"link{(number or 0) + 1}.")]
+    if number is None or len(at) < len(INERTIAL):
+        return []
+    free, link, rest = setting.free.select(at), parameters.select(at), setting.z[at]
+    whole = free.apply(setting.base, free.values(rest)).links[number].inertial
+
+    def tension(own: FloatArray) -> FloatArray:
+        mass, *com = parameters.values(np.concatenate([setting.z, own]))[n:]
+        left, centre, inertia = fuse(whole, (-mass, np.array(com), np.zeros((3, 3))))
+        if left <= 0.1 * whole[0]:
+            return np.full(len(at) + len(own), 1e6)
+        values = [left, *centre, *(inertia_six(inertia))]
+        return np.concatenate([link.coordinates(np.array([values[k] for k in order])), own])
+
+    order = [INERTIAL.index(setting.free[k].name.partition(".")[2]) for k in at]
+    starts = [np.array([size, *[0.0] * (len(suspect.own) - 1)]) for size in PARTS]
+    best = min((least_squares(tension, start) for start in starts), key=lambda end: float(end.cost))
+    gain = 0.5 * float(rest @ rest) - float(best.cost)
+    if gain <= 0:
+        return []
+    start = np.concatenate([setting.z, best.x])
+    start[at] = tension(best.x)[: len(at)]
+    return [Promise(hypothesis, suspect, parameters, gain, start, start)]
+
+
 def _near_promise(
     setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective, z: FloatArray, before: float
 ) -> Promise:
     base, n, m = setting.linear, len(setting.z), len(suspect.own)
-    inner = objective.within(z, range(n, n + m))
-    residual, D = inner.jacobian(z[n:])
-    across = base.J @ D.T
-    information = np.block([[base.information, across], [across.T, D @ D.T + np.eye(m)]])
-    gradient = z - np.concatenate([base.J @ residual, D @ residual])
+    residual, D = objective.within(z, range(n, n + m)).jacobian(z[n:])
+    rho, own = base.target(residual), z[n:]
+    across = base.left(D.T)
+    change = np.linalg.solve(across.T @ across + np.eye(m), across.T @ rho - own)
+    moved = rho.copy()
+    moved[: len(residual)] -= change @ D
+    step = np.asarray(np.concatenate([base.step(moved), change]), float)
     loss = 0.5 * float(residual @ residual + z @ z) - before
-    return _promise(setting, hypothesis, suspect, objective.parameters, z, loss, gradient, information)
+    slope = -float((base.Q.T @ rho) @ (base.R @ step[:n])) + float((own - D @ residual) @ change)
+    return _promise(setting, hypothesis, suspect, objective.parameters, z, loss, slope, step)
 
 
 def _full_promise(
     setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective, z: FloatArray, before: float
 ) -> Promise:
     cost, gradient, information = objective(z)
-    promise = _promise(setting, hypothesis, suspect, objective.parameters, z, cost - before, gradient, information)
+    step = np.asarray(-np.linalg.solve(information, gradient), float)
+    slope = float(gradient @ step)
+    promise = _promise(setting, hypothesis, suspect, objective.parameters, z, cost - before, slope, step)
     return promise if objective.cost(promise.start) < cost else replace(promise, start=z)
 
 
@@ -208,14 +290,13 @@ def _promise(
     parameters: Parameters,
     z: FloatArray,
     loss: float,
-    gradient: FloatArray,
-    information: FloatArray,
+    slope: float,
+    step: FloatArray,
 ) -> Promise:
-    """The step from z, where the cost is ``loss`` above the current model's."""
+    """The step from z, where the cost is ``loss`` above the current model's, and its gradient times the step."""
     n = len(setting.z)
-    step = -np.linalg.solve(information, gradient)
     reach = min(1.0, LONGEST / max(float(np.abs(step[n:]).max(initial=0.0)), 1e-9))
-    gain = -loss - (reach - 0.5 * reach**2) * float(gradient @ step)
+    gain = -loss - (reach - 0.5 * reach**2) * slope
     end = z + reach * min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-9)) * step
     return Promise(hypothesis, suspect, parameters, gain, end, z)
 
@@ -242,10 +323,9 @@ class _Scan:
         scores: dict[str, tuple[float, Hypothesis]] = {}
         for hypothesis in variants:
             secant = self._secant(hypothesis)
-            across = self.linear.J @ secant
-            along = float(secant @ self.linear.residual - across @ self.linear.inverse @ self.linear.pull)
-            size = float(secant @ secant - across @ self.linear.inverse @ across)
-            gain = along * abs(along) / max(size, 1e-12)
+            across = self.linear.left(secant)
+            along = float(across @ self.linear.target(self.linear.residual))
+            gain = along * abs(along) / max(float(across @ across), 1e-12)
             words = "".join(str(v) for v in hypothesis.entries[0].values.values() if isinstance(v, str))
             if words not in scores or gain > scores[words][0]:
                 scores[words] = gain, hypothesis

@@ -90,12 +90,33 @@ def explain(
     best = search.base
     for number in range(ROUNDS):
         found = _round(robot, search, best, sample, suspects, progress)
-        if not found or found[0].evidence() - best.evidence() < WORTH * max(1.0, found[0].misfit):
+        if not found or not _worth(best, found[0]):
             break
+        simpler = _without_last(robot, search, best, found[0], sample)
+        if not _worth(simpler, found[0]):  # it had only not converged
+            best = simpler
+            continue
         best = found[0]
         if number:
             best = _reconsider(robot, search, best, sample, suspects, progress)
     return search
+
+
+def _worth(simpler: Fitted, richer: Fitted) -> bool:
+    return richer.evidence() - simpler.evidence() >= WORTH * max(1.0, richer.misfit)
+
+
+def _without_last(robot: Robot, search: Search, simpler: Fitted, richer: Fitted, sample: Sample) -> Fitted:
+    """The simpler hypothesis fitted again from where the richer one ended: a valley may not have been followed out."""
+    z = richer.z[: len(simpler.z)]
+    fit = descend(robot, simpler.hypothesis, simpler.parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+    if fit.cost >= simpler.cost:
+        return simpler
+    if simpler.hypothesis is NONE:
+        search.base = fit
+    else:
+        search.fits[simpler.hypothesis.identity] = fit
+    return fit
 
 
 def _reconsider(
@@ -117,7 +138,9 @@ def _reconsider(
                 k for k, p in enumerate(best.parameters) if p.name in set(rest.parameters(search.base.parameters).names)
             ]
             parameters = rest.parameters(search.base.parameters)
-            current = _refit(robot, search, rest, parameters, [best.z[keep]], sample, False)
+            n = len(search.base.z)
+            places = [best.z[keep], np.concatenate([search.base.z, best.z[keep][n:]])]
+            current = _refit(robot, search, rest, parameters, places, sample, False)
         found = _round(robot, search, current, sample, suspects, progress)
         best = max([best, *found], key=lambda fit: fit.evidence())
     return best

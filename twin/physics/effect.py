@@ -140,6 +140,10 @@ class Effect:
         typical = self.typical(robot, site)
         return [] if typical is None else [typical]
 
+    def carrier(self, robot: "Robot", site: str) -> int | None:
+        """Zero-based link of which the entry's ``mass`` at ``com`` is rigidly a part; ``None`` for anything else."""
+        return None
+
     def is_site(self, site: str, axes: int) -> bool:
         """Whether ``site`` is one of this effect's sites on a robot with ``axes`` axes."""
         return any(_matches(pattern, site, axes) for pattern in self.sites)

@@ -39,16 +39,18 @@ class Payload(Effect):
             return "inertia: no body of positive mass can have it (triangle inequality)"
         return None
 
+    def carrier(self, robot: "Robot", site: str) -> int:
+        return robot.axis_count - 1 if site == "flange" else axis_of(site)
+
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        body = f"link{mechanism.robot.axis_count}" if site == "flange" else site
         if values["mass"] > 0:
+            body = f"link{self.carrier(mechanism.robot, site) + 1}"
             mechanism.attach(body, values["mass"], np.array(values["com"]), _matrix(values["inertia"] or [0.0] * 3))
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """2 % of the links' mass, where the next joint (the flange) is."""
         mass = 0.02 * sum(link.inertial[0] for link in robot.links)
-        number = robot.axis_count - 1 if site == "flange" else axis_of(site)
-        return {"mass": mass, "com": link_end(robot, number)}
+        return {"mass": mass, "com": link_end(robot, self.carrier(robot, site))}
 
 
 def _matrix(inertia: list[float]) -> np.ndarray:
