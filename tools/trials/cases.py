@@ -81,6 +81,7 @@ CANCELLING = 1 / 3  # share of pairs whose second effect hides the first as well
 CANDIDATES = 6
 SAME_Q1 = 0.12  # share of hammer tests with one q₁ in all postures: base and joint 1 tilt alike
 RAW = 0.3  # share of hammer tests whose FRFs come from simulated time signals
+SPACING_HZ = 0.25  # of FRF lines
 BEAM_SEGMENTS = (4, 9)  # of a link that bends as a beam rather than in one hinge
 
 
@@ -280,12 +281,12 @@ def _campaign(
     )
     averages = int(looks.integers(3, 9))
     test = HammerTest(
-        start_hz=float(looks.choice([4.0, 5.0, 6.0])), spacing_hz=0.25,
+        start_hz=float(looks.choice([4.0, 5.0, 6.0])), spacing_hz=SPACING_HZ,
         lines=80 if levels else int(looks.choice([80, 90, 100])), averages=averages,
         noise=float(3e-5 * np.exp(looks.uniform(-0.7, 0.7))), scatter=float(looks.uniform(0.003, 0.008)),
         coherence=str(looks.choice(["expected", "estimated"])), pulse_s=float(looks.uniform(0.006, 0.010)),
         levels_n=(100.0, 250.0, 600.0) if levels else (),
-        window=None if levels or hits or looks.random() < 0.6 else float(looks.uniform(0.1, 0.5)),
+        window=_window(levels, hits, looks),
         hits=averages if hits else 0, double_hits=0.2,
     )  # fmt: skip
     labels = [c.label for c in HAMMER]
@@ -305,6 +306,12 @@ def _campaign(
         stiffness[int(site[5]) - 1, "zxy".index(site[-1])] = np.inf
     truth = replace(truth, chain=replace(truth.chain, stiffness=stiffness))
     return Campaign(truth, postures, test, points), [f"transverse_compliance@{site}" for site in missing]
+
+
+def _window(levels: bool, hits: bool, looks: np.random.Generator) -> float | None:
+    """Rate 1/s of the exponential window. Time signals: ten per record, else their ends leak more than noise."""
+    chosen = float(looks.uniform(0.1, 0.5)) if looks.random() < 0.4 else None
+    return 10 * SPACING_HZ if hits else None if levels else chosen
 
 
 def _motion(seed: int, effects: Sequence[Effect], looks: np.random.Generator) -> tuple[Motion, list[str]]:

@@ -234,7 +234,7 @@ def _calibration(path: Path, cases: Sequence[Scored]) -> None:
 
 
 def _power(path: Path, cases: Sequence[Scored]) -> None:
-    recordings = sorted({c.recording for c in cases})
+    recordings, sizes = sorted({c.recording for c in cases}), (1, 2, 4, 8, 16, 30)
     figure, all_axes = plt.subplots(1, len(recordings), figsize=(3.6 * len(recordings), 3.4), layout="constrained",
                                     sharey=True, squeeze=False)  # fmt: skip
     for axes, recording in zip(all_axes[0], recordings, strict=True):
@@ -246,6 +246,9 @@ def _power(path: Path, cases: Sequence[Scored]) -> None:
             if rows:
                 axes.fill_between(x, *np.array([r.interval for r in rates]).T, color=colour, alpha=0.15, lw=0)
         axes.set(xscale="log", xlabel="size / smallest visible", title=recording, ylim=(0, 1.02))
+        axes.set_xticks(sizes, [str(size) for size in sizes])
+        axes.set_xlim(1, 30)
+        axes.minorticks_off()
         axes.axvline(score.VISIBLE, color="0.7", lw=1)
     all_axes[0][0].set_ylabel("share of cases")
     all_axes[0][0].legend(frameon=False, loc="lower right")

@@ -375,11 +375,15 @@ def by_effect(cases: Sequence[Scored]) -> dict[str, tuple[Rate, Rate]]:
 
 
 def confusion(cases: Sequence[Scored]) -> tuple[list[str], list[str], np.ndarray]:
-    """Concealed effect (rows) against first answer (columns), counts; nulls, unknowns included."""
+    """Counts of concealed effects (rows; unknown ones last) against first answers (columns; verdicts last)."""
     here = [c for c in cases if c.kind != "pair"]
-    rows = sorted({_effect(c.truth[0]) if c.truth else "none" for c in here})
+    outside = {_effect(c.truth[0]) for c in here if c.kind == "outside"}
+    rows = sorted(
+        {_effect(c.truth[0]) if c.truth else "none" for c in here}, key=lambda r: (r in outside, r == "none", r)
+    )
     said = [_effect(c.named[0]) if c.named else c.verdict for c in here]
-    columns = sorted(set(said))
+    verdicts = {c.verdict for c in here if not c.named}
+    columns = sorted(set(said), key=lambda column: (column in verdicts, column))
     table = np.zeros((len(rows), len(columns)), int)
     for c, answer in zip(here, said, strict=True):
         table[rows.index(_effect(c.truth[0]) if c.truth else "none"), columns.index(answer)] += 1
