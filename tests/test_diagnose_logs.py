@@ -12,10 +12,11 @@ from tools.truth.__main__ import main as truth
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.torque_fit import _correlation, prediction_filter
 from twin.diagnose.torque_locate import around_reversals, state_map
-from twin.diagnose.torque_signal import prepare
+from twin.diagnose.torque_signal import prepare, thinned
 from twin.diagnose.verdict import Finding
 from twin.errors import InputError
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
+from twin.measure.signals import lowpass
 from twin.model.replay import inverse_dynamics
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
@@ -67,6 +68,34 @@ def test_dry_friction_left_out_is_named_and_its_level_found(tmp_path: Path, kr90
     assert missing.first.key == "coulomb_friction@joint2"
     assert missing.first.parameters["torque"]["value"] == pytest.approx(373.24, rel=0.03)
     assert found.error["after"]["held_out"] < 0.1 * found.error["before"]["held_out"]
+
+
+def test_bristles_at_every_joint_are_a_complete_model_and_a_slower_gear_is_not(tmp_path: Path, kr90: Robot) -> None:
+    """Presliding over 0.2 mrad alike at all joints is how friction is; slip over 1 mrad at one joint is missing."""
+    found = diagnose_log(recorded(tmp_path, "--friction", "lugre"), kr90)
+    assert found.word == "adequate"
+    slip = "hysteresis@joint3.z:stiffness=80000,yield_torque=80"
+    missing = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", slip), kr90).missing
+    assert missing[0].first.key == "hysteresis@joint3.z"
+
+
+def test_play_shows_in_the_difference_of_two_encoders(tmp_path: Path, kr90: Robot) -> None:
+    """The load on joint 2 changes sign; the truth's link lags by ±gap/2 then, its motor does not."""
+    log = recorded(tmp_path, "--link-encoder", "--effect", "backlash@joint2.z:gap=0.00015")
+    found = diagnose_log(log, kr90, "play.h5")
+    (missing,) = found.missing
+    assert missing.first.key == "backlash@joint2.z"
+    assert missing.first.parameters["gap"]["value"] == pytest.approx(1.5e-4, rel=0.1)
+    assert any(entry.effect == "backlash" for entry in found.robot.physics)
+    misfit = {f"{row['effect']}@{row['site']}": row["misfit"] * row["data"] for row in found.finalists}
+    assert min(misfit, key=lambda name: misfit[name]) == "backlash@joint2.z"
+
+
+@pytest.mark.parametrize(("rows", "step"), [(900, 8), (901, 2), (60, 8)])
+def test_low_pass_and_thinning_in_one_step_are_those_in_two(rows: int, step: int) -> None:
+    signal = np.cumsum(np.random.default_rng(0).normal(size=((rows - 1) * step + 1, 2)), axis=0)
+    expected = lowpass(signal, 25.0 * step, 8.0, 10.0)[::step]
+    np.testing.assert_allclose(thinned(signal, 25.0, step, 8.0, 10.0), expected, atol=1e-9)
 
 
 def test_a_law_outside_the_vocabulary_is_located_and_not_named(tmp_path: Path, kr90: Robot) -> None:

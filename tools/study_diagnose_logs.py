@@ -5,8 +5,9 @@
 
 Truth: KR90 with masses, inertias, rotors, compensator and friction off within tolerance, random Fourier motions with
 dwells, encoder counts, white and coloured torque noise, in every second case ripple at every joint and a gas law for
-the compensator. Sizes are log-uniform from one to thirty times the smallest visible (VISIBLE). What the description has
-(friction) is taken out of it, and the truth is given the size that is left. Every case is one JSON file; a study that
+the compensator, in every third bristles for friction, in every fourth (and with play) encoders on the links too.
+Sizes are log-uniform from one to thirty times the smallest visible (VISIBLE). What the description has (friction) is
+taken out of it, and the truth is given the size that is left. Every case is one JSON file; a study that
 is interrupted goes on where it stopped. Rates come with Wilson 95 % intervals.
 """
 
@@ -68,10 +69,13 @@ def concealed(case: Case) -> tuple[list[str], list[str], float]:
     seed, effect, site = case
     rng = np.random.default_rng([seed, 77])
     nuisance = ["--ripple", "1.5", "--compensator", "gas"] if seed % 2 else []
+    nuisance += ["--friction", "lugre"] if seed % 3 == 0 else []
+    nuisance += ["--link-encoder"] if effect == "backlash" or seed % 4 == 0 else []
     if effect == "none":
         return nuisance, [], 0.0
     if effect == "gravity_compensator" and site == "joint2":
-        return [*nuisance[:2], "--compensator", "gas"], [f"{effect}@{site}"], 100.0
+        others = [word for word in nuisance if word not in ("--compensator", "gas")]
+        return [*others, "--compensator", "gas"], [f"{effect}@{site}"], 100.0
     size = VISIBLE[effect] * float(np.exp(rng.uniform(0, np.log(30))))
     size = min(size, LARGEST.get(effect, np.inf))
     sign = float(rng.choice([-1, 1]))
