@@ -114,8 +114,10 @@ def fit_modes(
     objective: ModalObjective = "posterior",
     starts: int = 4,
     seed: int = 0,
+    guess: FloatArray | None = None,
 ) -> Fit:
-    """Fit a robot to measured modes.
+    """Fit a robot to measured modes; one that no mode of the model is paired with costs what one a factor of two off
+    does, so that dropping a mode is no way to agree.
 
     Args:
         robot: the described robot, whose values are the prior means.
@@ -123,6 +125,7 @@ def fit_modes(
         parameters: what is free; by default springs, dampers and links (no angles and gains).
         objective: ``posterior`` weighs by the modes' spread; ``paper`` is Eq. 23 with its weights, W_f 100 and W_ζ 1.
         starts: the first from the description, the others with springs and dampers drawn from the prior.
+        guess: prior coordinates (n,) of the first start in place of the description's.
         seed: of the starts.
     """
     robot = without_limits(robot)
@@ -135,6 +138,8 @@ def fit_modes(
         z = np.zeros(len(parameters))
         if number:
             z[elastic] = rng.normal(size=np.count_nonzero(elastic))
+        elif guess is not None:
+            z = guess.copy()
         ends.append(_descend(robot, postures, parameters, objective, z))
     ends.sort(key=lambda end: end[1])
     z, cost, information, converged = ends[0]
@@ -166,6 +171,8 @@ def _descend(
             _modal_objective(robot, postures, parameters, objective, pairing), z, 60, 1e-6, parameters.bound
         )
         pairing = _signed(robot, postures, parameters, z, pairing)
+    for posture, pairs in zip(postures, pairing or (), strict=True):
+        cost += 0.5 * float(np.sum((FARTHEST / posture.frequency_spread[pairs.model < 0]) ** 2))
     return z, cost, information, converged
 
 
