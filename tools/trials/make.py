@@ -18,6 +18,7 @@ from tools.truth.recording import plain, streams, write_campaign
 
 BAD_CHANNELS = 0.15  # share of hammer tests with one blow point whose FRFs are noise
 LINK_COUNTS, LINK_NOISE_RAD = 2**22, 5e-6  # of a second encoder: per turn, white
+ATTEMPTS = 5
 EDIT = Effect("payload", "flange", {"mass": 15.0, "com": [1.615, -0.041, 0.0]})
 """What is hung on robot and model in the edit test."""
 
@@ -39,13 +40,13 @@ def record(split: Path, name: str, kind: str, recording: str, seed: int, number:
     """Write one case unless it is there, and return its line of the manifest."""
     answer, room, edit = split / "answers" / f"{name}.json", split / "recordings" / name, split / "edit" / name
     if not answer.exists():
-        found = case(kind, recording, seed, number)  # type: ignore[arg-type]
+        found = _drawn(kind, recording, seed, number)
         write_case(found, room)
         write_case(_edited(found), edit)
         write(
             answer,
             {
-                "kind": kind, "recording": recording, "seed": seed, "number": number, "overlap": found.overlap,
+                "kind": kind, "recording": recording, "seed": found.seed, "number": number, "overlap": found.overlap,
                 "effects": [
                     {"effect": e.kind, "site": e.site, "parameters": plain(e.parameters), "multiple": m}
                     for e, m in zip(found.effects, found.multiples, strict=True)
@@ -57,6 +58,17 @@ def record(split: Path, name: str, kind: str, recording: str, seed: int, number:
         )  # fmt: skip
     files = {path.name: sha256(path) for path in sorted(room.glob("*.h5"))}
     return {"id": name, "without": read(answer)["without"], "files": files, "answer": sha256(answer)}
+
+
+def _drawn(kind: str, recording: str, seed: int, number: int) -> Case:
+    """The case of the seed, or of the next where an effect drawn shows nowhere in what was to be recorded."""
+    for later in range(ATTEMPTS):
+        try:
+            return case(kind, recording, seed + later, number)  # type: ignore[arg-type]
+        except ValueError:  # of which the truth code's own is one
+            if later == ATTEMPTS - 1:
+                raise
+    raise AssertionError
 
 
 def _edited(found: Case) -> Case:
