@@ -69,7 +69,7 @@ def record(seed: int, things: list[tuple[str, str]], path: Path, postures: int) 
         drawn = draw(Effect(kind, site), truth.chain, rng)
         low, high = OUTSIDE_SIZES if kind in OUTSIDE["hammer"] else SIZES
         multiple = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-        effects.append(multiple_of_visible(drawn, replace(truth, effects=(drawn,)), signal, multiple))
+        effects.append(multiple_of_visible(drawn, truth, signal, multiple))
     write_campaign(path, replace(truth, effects=tuple(effects)), places, test, streams(seed)[3])
     return effects, [f"transverse_compliance@{site}" for site in missing]
 

@@ -35,10 +35,12 @@ YIELDING = 5  # iterations in which springs make room for an entry
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
+SCANNED_MASSES = (1.0, 0.01)  # of the usual one: a heavy one loads the robot, a light one shows at its own frequency
 SMALL = 1e-6  # of the usual size, where the derivative with respect to it is taken
 LEAST = 1e-4  # of the usual size: less is nothing
 PARTS = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
 INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
+NEARLY = 0.5  # of its best variant's gain: a variant of an entry (another axis) is looked at beside it
 LONGEST = 3.0  # prior deviations that a promised step may take
 FAR = 0.03  # relative misfit of the current model above which residuals are taken logarithmic
 
@@ -144,7 +146,7 @@ def inflation(fit: Fitted, base: Robot, sample: Sample) -> float:
 def screen(
     setting: Setting, suspects: Sequence[Sequence[Hypothesis]], progress: Callable[[int], None] | None = None
 ) -> list[Promise]:
-    """The most promising variant and size of every suspect not in the current hypothesis, best first."""
+    """The most promising size of every suspect not in the current hypothesis, and of its rival variants, best first."""
     present = {piece.key for piece in setting.current.pieces}
     before = setting.objective(setting.current).cost(setting.z)
     if not setting.error:
@@ -160,7 +162,9 @@ def screen(
         if len(variants) > SCANNED:
             scan = scan or _Scan(setting)
             chosen = scan.best(variants)
-        found.append(max((p for h in chosen for p in _promises(setting, h, before)), key=lambda promise: promise.gain))
+        best = [max(_promises(setting, h, before), key=lambda promise: promise.gain) for h in chosen]
+        most = max(promise.gain for promise in best)
+        found += [promise for promise in best if promise.gain >= NEARLY * most]
     return sorted(found, key=lambda promise: -promise.gain)
 
 
@@ -321,20 +325,21 @@ class _Scan:
     def best(self, variants: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The most promising variants, one for every word (an axis) among the parameters."""
         scores: dict[str, tuple[float, Hypothesis]] = {}
+        rho = self.linear.target(self.linear.residual)
         for hypothesis in variants:
-            secant = self._secant(hypothesis)
-            across = self.linear.left(secant)
-            along = float(across @ self.linear.target(self.linear.residual))
-            gain = along * abs(along) / max(float(across @ across), 1e-12)
+            across = self.linear.left(np.array([self._secant(hypothesis, share) for share in SCANNED_MASSES]).T)
+            along = rho @ across
+            gain = float(np.max(along * np.abs(along) / np.maximum(np.sum(across**2, axis=0), 1e-300)))
             words = "".join(str(v) for v in hypothesis.entries[0].values.values() if isinstance(v, str))
             if words not in scores or gain > scores[words][0]:
                 scores[words] = gain, hypothesis
         ranked = sorted(scores.values(), key=lambda item: -item[0])
         return [hypothesis for _, hypothesis in ranked[:SCANNED_KEPT]]
 
-    def _secant(self, hypothesis: Hypothesis) -> FloatArray:
+    def _secant(self, hypothesis: Hypothesis, share: float = 1.0) -> FloatArray:
+        """Change of the weighted FRFs (data,) over ``share``, by a resonator of so much of its usual mass."""
         values = hypothesis.entries[0].values
-        mass, omega = values["mass"], 2 * np.pi * values["frequency_hz"]
+        mass, omega = share * values["mass"], 2 * np.pi * values["frequency_hz"]
         place, axis = tuple(values["position"]), "xyz".index(values["axis"])
         key = hypothesis.site, place
         if key not in self.seen:
@@ -348,7 +353,7 @@ class _Scan:
             out, into, own = X[:, :nr, ne:], X[:, nr:, :ne], X[:, nr:, ne:]
             reaction = np.linalg.solve(np.eye(3) + stiffness[:, :, None] * own, stiffness[:, :, None] * into)
             change = -(r.s**r.power)[:, None, None] * (out @ reaction)
-            parts.append(np.asarray(change * w, complex).reshape(-1).view(float))
+            parts.append(np.asarray(change / share * w, complex).reshape(-1).view(float))
         return np.concatenate(parts)
 
     def _receptance(self, body: str, place: tuple[float, ...]) -> list[ComplexArray]:

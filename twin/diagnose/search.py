@@ -279,10 +279,10 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
 
 
 def _varied(promises: Sequence[Promise], count: int) -> list[Promise]:
-    """The most promising, at most a third of them from one effect."""
+    """The most promising, at most a third of them from one effect, variants of one entry counted once."""
     kept: list[Promise] = []
     for promise in promises:
-        same = sum(other.suspect.effect == promise.suspect.effect for other in kept)
+        same = len({other.suspect.site for other in kept if other.suspect.effect == promise.suspect.effect})
         if same < max(2, count // 3):
             kept.append(promise)
         if len(kept) == count:
