@@ -89,7 +89,7 @@ def run(case: Case, folder: str, postures: int) -> dict[str, Any]:
     return {
         "seed": seed, "things": things, "truth": [e.parameters for e in effects], "verdict": finding.word,
         "effects": [m.data() for m in finding.missing], "none": finding.none, "other": finding.other,
-        "error": finding.error, "sites": finding.sites,
+        "error": finding.error, "sites": finding.sites, "finalists": finding.finalists,
         "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu,
     }  # fmt: skip
 

@@ -13,7 +13,7 @@ from twin.commands.identify import in_joints
 from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
-from twin.diagnose.decide import decide
+from twin.diagnose.decide import decide, finalists
 from twin.diagnose.edit import check_linear, check_replayed, check_xml, is_nonlinear, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import Hypothesis, Sprung, entry_hypothesis, suspects, widened
@@ -258,6 +258,7 @@ def diagnose_campaign(
         given, _limited(before.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         smallest_visible(settled.robot, settled, few, looked_at), warnings=found.warnings,
+        finalists=finalists(search.base, fits),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
     if told_by:

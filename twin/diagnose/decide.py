@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -92,6 +93,21 @@ def decide(
     if base.misfit > 2 * numbers["noise_misfit"] and none > 0.5:  # a mismatch that nothing here explains
         none, other = 0.0, other + none
     return Decision([fits[k] for k in order], [float(share[k]) for k in order], none, float(other))
+
+
+def finalists(base: Fitted, fits: Sequence[Fitted]) -> tuple[dict[str, Any], ...]:
+    """What a selection was made from, for other rules to choose: the base model (effect ``none``) and every fit.
+
+    ``misfit`` is χ² + zᵀz of the optimum over ``data``; ``own_parameters`` is how many numbers were added.
+    """
+    return tuple(
+        {
+            "effect": fit.hypothesis.effect, "site": fit.hypothesis.site, "misfit": 2 * fit.cost / max(fit.data, 1),
+            "data": fit.data, "own_parameters": len(fit.hypothesis.own) or len(fit.hypothesis.scale),
+            "ln_bayes_factor": fit.evidence() - base.evidence(),
+        }
+        for fit in (base, *fits)
+    )  # fmt: skip
 
 
 def held_misfit(fit: Fitted, kept: Sequence[Recorded]) -> float:

@@ -1,7 +1,7 @@
 """What a motion log says is missing from a robot description: the motion-log side of ``twin diagnose``."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,18 +27,6 @@ from twin.robot.description import Entry, Robot
 SETTLING_S = 0.15  # about a stop, where the encoder cannot tell creeping from standing: not counted in errors
 
 
-@dataclass
-class LogFinding(Finding):
-    """What a motion log says, and what its first selection was made from, so that other rules can choose from it.
-
-    Attributes:
-        finalists: ``effect`` (``none``: the base model), ``site``, ``misfit`` (χ² + zᵀz at the optimum over ``data``,
-            the number of independent data) and ``own_parameters``, the number of parameters added.
-    """
-
-    finalists: tuple[dict[str, Any], ...] = ()
-
-
 def diagnose_log(
     log: MotionLog,
     robot: Robot,
@@ -48,7 +36,7 @@ def diagnose_log(
     seed: int = 0,
     progress: Progress | None = None,
     bands: Bands | None = None,
-) -> LogFinding:
+) -> Finding:
     """What a motion log says.
 
     Args:
@@ -80,7 +68,7 @@ def diagnose_log(
             word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
     where = spots(records, source, prepared.bands.fit[1]) + disturbances(log, search, source)
     sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
-    finding = LogFinding(
+    finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
         list(prepared.held_out), records, where, sites, [*smallest_visible(system, suspects), *_visible(found_plays)],
         warnings=list(prepared.notes), fit=after, finalists=_finalists(search, found_plays),

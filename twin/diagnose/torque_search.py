@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration, decide
+from twin.diagnose.decide import Decision, calibration, decide, finalists
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_discover import discover
@@ -132,18 +132,9 @@ class Search:
 
     @property
     def finalists(self) -> tuple[dict[str, Any], ...]:
-        """What the first selection was made from, for other rules to choose: the base model (``none``) and every fit.
-
-        ``misfit`` is χ² + zᵀz of the optimum over ``data``; ``own_parameters`` is how many numbers were added.
-        """
+        """What the first selection was made from."""
         step = self.steps[0]
-        return tuple(
-            {
-                "effect": fit.hypothesis.effect, "site": fit.hypothesis.site, "misfit": 2 * fit.cost / max(fit.data, 1),
-                "data": fit.data, "own_parameters": len(fit.hypothesis.own) or len(fit.hypothesis.scale),
-            }
-            for fit in (step.base, *step.decision.ranked)
-        )  # fmt: skip
+        return finalists(step.base, step.decision.ranked)
 
     @property
     def found(self) -> list[Step]:

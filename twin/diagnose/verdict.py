@@ -107,6 +107,7 @@ class Finding:
         smallest_visible: per effect and site, the size this recording would have shown.
         warnings: of the triage, one line each.
         fit: of ``robot``, where another recording can build on it.
+        finalists: what the answer was chosen from, as :func:`twin.diagnose.decide.finalists` has it.
     """
 
     recording: str
@@ -127,6 +128,7 @@ class Finding:
     next_test: dict[str, Any] | None = None
     warnings: list[str] = field(default_factory=list)
     fit: Fitted | None = None
+    finalists: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass
@@ -209,6 +211,7 @@ class Verdict:
             "location": self.location, "error": self.error, "smallest_visible": self.smallest_visible,
             "next_test": self.next_test, "model": self.model, "held_out": self.held_out,
             "triage": [text for finding in self.findings for text in finding.warnings],
+            "finalists": [row for finding in self.findings for row in finding.finalists],
             "checks": self.checks, "payload_edit": self.payload_edit,
             "recordings": [
                 {"recording": f.recording, "kind": f.source, "verdict": f.word,
