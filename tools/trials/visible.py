@@ -58,9 +58,13 @@ def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: 
     if not project:
         return scaled(effect, _visible_factor(changed) * multiple)
     tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
-    J = np.array([(signal(change(truth, STEP)) - base) / STEP for change in _nuisances(truth)])
-    across = J @ tangent
-    left = float(tangent @ tangent - across @ np.linalg.solve(J @ J.T + np.eye(len(J)), across))
+    J = np.array(
+        [(signal(change(truth, STEP)) - signal(change(truth, -STEP))) / (2 * STEP) for change in _nuisances(truth)]
+    )
+    # by orthogonal factors: what is left may be 1e-5 of the signature, which normal equations lose
+    Q = np.linalg.qr(np.vstack([J.T, np.eye(len(J))]))[0]
+    whole = np.concatenate([tangent, np.zeros(len(J))])
+    left = float(np.sum((whole - Q @ (Q.T @ whole)) ** 2))
     if not left > 0:
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
     return scaled(effect, np.sqrt(2 * SEEN / left) * multiple)

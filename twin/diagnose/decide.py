@@ -90,7 +90,9 @@ def decide(
         other = _other(left, numbers)
     share = (1 - other) * weights
     none = float(share[-1])
-    if base.misfit > 2 * numbers["noise_misfit"] and none > 0.5:  # a mismatch that nothing here explains
+    if none > 0.5 and (
+        base.misfit > 2 * numbers["noise_misfit"] or (kept and held_misfit(base, kept) > numbers["held_out_adequate"])
+    ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
     return Decision([fits[k] for k in order], [float(share[k]) for k in order], none, float(other))
 
