@@ -3,7 +3,7 @@
 Coherence from n hits gives a variance with 2(n − 1) degrees of freedom at every line: with five hits it scatters by a
 factor of two, and weights that scatter with the noise they weigh make a true model look wrong. A blow's noise has two
 parts, one that does not know the response (sensor, background) and one in proportion to it (force calibration, blows
-that differ), so per channel pair v = a(f) + b |H|², a and b pooled over lines.
+that differ): v = a(f) + b |H|², a pooled over neighbouring lines of a channel pair, b over all that a blow excites.
 """
 
 import numpy as np
@@ -42,7 +42,7 @@ def pooled_variance(posture: PostureFRF) -> FloatArray | None:
     dead = dead_channels(posture)
     rms = np.sqrt(np.mean(power, axis=0))
     floor = (SENSOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
-    b = np.median(single / np.maximum(power, 1e-300), axis=0)
+    b = np.median(single / np.maximum(power, 1e-300), axis=(0, 1))
     a = np.broadcast_to(np.median(single, axis=0), single.shape)
     kernel = min(NEIGHBOURS, len(single))
     # Likelihood of gamma-distributed variances, by multiplicative steps that keep both parts positive (Févotte and
@@ -50,7 +50,7 @@ def pooled_variance(posture: PostureFRF) -> FloatArray | None:
     weight = a / kernel
     for _ in range(ROUNDS):
         model = np.maximum(a + b * power, 1e-300)
-        b = b * np.sqrt(np.sum(power * single / model**2, axis=0) / np.maximum(np.sum(power / model, axis=0), 1e-300))
+        b = b * np.sqrt(_of_blow(power * single / model**2) / np.maximum(_of_blow(power / model), 1e-300))
         model = np.maximum(a + b * power, 1e-300)
         weight = weight * np.sqrt(_smooth(single / model**2, kernel) / np.maximum(_smooth(1 / model, kernel), 1e-300))
         a = _smooth(weight, kernel)
@@ -59,6 +59,12 @@ def pooled_variance(posture: PostureFRF) -> FloatArray | None:
         variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
     variance[:, dead] = np.inf
     return variance
+
+
+def _of_blow(values: FloatArray) -> FloatArray:
+    """Sum (ne,) over lines and responses, and as much again of an average blow: few lines at peaks tell of b."""
+    total = np.sum(values, axis=(0, 1))
+    return np.asarray(total + total.mean())
 
 
 def _scattered(single: FloatArray, power: FloatArray) -> bool:

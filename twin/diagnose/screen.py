@@ -187,8 +187,9 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
         else:
             found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
     if size is not None and not setting.logarithmic:
-        found += _tangent_promise(setting, hypothesis, suspect, objective)
-        found += _part_promise(setting, hypothesis, suspect, objective.parameters)
+        found += _part_promise(setting, hypothesis, suspect, objective.parameters) or _tangent_promise(
+            setting, hypothesis, suspect, objective
+        )
     if setting.logarithmic:  # the springs make up for what is missing: start from the description too
         z = np.zeros(len(objective.parameters))
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))

@@ -251,7 +251,10 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
     found = []
     for companion in companions(last, robot, free, postures):
         hypothesis = together(*others, companion)
-        if hypothesis.identity in search.fits or companion.key in {piece.key for piece in others}:
+        known, alike = search.fits.get(hypothesis.identity), _alike(companion, last)
+        if companion.key in {piece.key for piece in others}:
+            continue
+        if known is not None and not (alike and known.cost > best.cost + SLIGHT):  # an alias may have been fitted worse
             continue
         parameters = hypothesis.parameters(free)
         n = len(parameters) - len(companion.own)
@@ -261,12 +264,17 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
             if simpler.evidence() + 0.5 * float(held @ held) < best.evidence() - REACH:
                 continue  # more than the price of its prior cannot be gained
             z = np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z))
-        elif [p.quantity for p in companion.own] == [p.quantity for p in last.own]:
+        elif alike:
             z = best.z
         else:
             z = np.concatenate([best.z[:n], np.zeros(len(companion.own))])
         found.append(_refit(robot, search, hypothesis, parameters, [z], sample, False))
     return found
+
+
+def _alike(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two entries have the same parameters."""
+    return bool(one.own) and [p.quantity for p in one.own] == [p.quantity for p in other.own]
 
 
 def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
