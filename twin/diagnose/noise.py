@@ -15,16 +15,17 @@ ROUNDS = 40
 NOISY = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
 NEAREST = 7
 LEAST = 5e-4  # of |H|: no FRF is known better
+USUAL = 0.01  # of |H|, where nothing tells how blows differ
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
 
 
-def pooled_variance(posture: PostureFRF) -> FloatArray | None:
+def pooled_variance(posture: PostureFRF) -> FloatArray:
     """Variance (nf, nr, ne) of real and imaginary part in the unit of ``frf`` squared; infinite on dead channels.
 
-    ``None`` where the recording holds no coherence over two averages or more.
+    Where the recording holds no coherence over two averages or more, from its own roughness.
     """
     if frf_variance(posture) is None or posture.coherence is None or posture.averages is None:
-        return None
+        return _roughness(posture)
     accelerance = as_quantity(posture, "accelerance").frf
     n = posture.averages
     power = np.abs(accelerance) ** 2
@@ -58,6 +59,25 @@ def pooled_variance(posture: PostureFRF) -> FloatArray | None:
     if posture.quantity != "accelerance":
         variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
     variance[:, dead] = np.inf
+    return variance
+
+
+def _roughness(posture: PostureFRF) -> FloatArray:
+    """The additive part as what third differences from line to line leave, in the median over neighbours.
+
+    Peaks are as rough as noise: what a blow adds in proportion cannot be told from them and is taken as usual.
+    """
+    power = np.abs(posture.frf) ** 2
+    usual = (USUAL**2 / 2) * power + (SENSOR**2 * np.mean(power, axis=0))
+    if len(power) < 8:
+        variance = np.asarray(usual)
+    else:
+        rough = np.abs(np.diff(posture.frf, 3, axis=0)) ** 2 / 20 / 2  # 1 + 9 + 9 + 1 variances, two parts
+        window = min(NEIGHBOURS, len(rough))
+        median = np.median(np.lib.stride_tricks.sliding_window_view(rough, window, axis=0), axis=-1) / np.log(2)
+        left = (len(power) - len(median)) // 2
+        variance = usual + np.pad(median, ((left, len(power) - len(median) - left), (0, 0), (0, 0)), mode="edge")
+    variance[:, dead_channels(posture)] = np.inf
     return variance
 
 

@@ -58,7 +58,7 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
     for name, recorded in prepare(campaign, robot, source).items():
         variance = pooled_variance(campaign.postures[name])
         lines = np.isin(campaign.postures[name].frequency, recorded.frequency)
-        recordings[name] = recorded if variance is None else replace(recorded, variance=variance[lines])
+        recordings[name] = replace(recorded, variance=variance[lines])
     names = list(dict.fromkeys(r.setup.name for r in recordings.values()))
     groups = {group: base_name(campaign, group) for group in campaign.postures}
     checks: list[Check] = []
