@@ -648,7 +648,7 @@ def _rounded(entry: Entry, robot: Robot) -> Entry:
         if parameter.nonnegative and parameter.name in values and not parameter.word:
             given = values[parameter.name]
             values[parameter.name] = [max(x, 0.0) for x in given] if isinstance(given, list) else max(given, 0.0)
-    return Entry(effect=entry.effect, site=entry.site, **values)
+    return Entry(effect=entry.effect, site=entry.site, **CATALOGUE[entry.effect].nearest(robot, entry.site, values))
 
 
 # --- noise ------------------------------------------------------------------------------------------------------------

@@ -106,6 +106,10 @@ class Effect:
         """The parameters as given, with those filled in that an entry leaves to the rest of the description."""
         return given
 
+    def nearest(self, robot: "Robot", site: str, values: dict[str, Any]) -> dict[str, Any]:
+        """Fitted values as the rest of the description allows them; the same by default."""
+        return values
+
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         """Write the entry into the mechanism, with native MuJoCo elements wherever they exist.
 

@@ -3,7 +3,7 @@
 Rotor j turns with q_j + ratio · q_i instead of q_j alone: its inertia and friction load axis j, and axis i ratio times.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,18 +46,28 @@ class JointCoupling(Effect):
         inertia = drive.gear_ratio**2 * drive.rotor_inertia + sums["rotor_inertia"]
         return {"inertia": inertia, "friction": [sums["viscous_friction"], sums["coulomb_friction"]]} | dict(given)
 
+    def nearest(self, robot: "Robot", site: str, values: dict[str, Any]) -> dict[str, Any]:
+        """No more of the drive turns with both axes than there is of it."""
+        whole = self.complete(robot, site, {"from": values["from"]})
+        given = {**whole, **values}
+        friction = [min(part, all_) for part, all_ in zip(given["friction"], whole["friction"], strict=True)]
+        return {**values, "inertia": min(given["inertia"], whole["inertia"]), "friction": friction}
+
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         driven, driving = mechanism.motor(axis_of(site)), mechanism.motor(axis_of(values["from"]))
         if driven and driving:
             viscous, coulomb = values["friction"]
-            own = (driving.armature, driving.damping[0], driving.frictionloss)
+            # a drive that the description couples already carries its rotor on a tendon of its own
+            coupled = next((t for t in mechanism.tendons if t.name == f"drive{axis_of(values['from']) + 1}"), None)
+            rotor = coupled or driving
+            own = (rotor.armature, driving.damping[0], driving.frictionloss)
             if any(
                 part > whole * (1 + 1e-9)
                 for part, whole in zip((values["inertia"], viscous, coulomb), own, strict=True)
             ):
                 message = f"{values['from']} has less inertia or friction than turns with {site} too"
                 raise InputError(mechanism.robot.name, f"joint_coupling@{site}", message)
-            driving.armature = max(0.0, own[0] - values["inertia"])
+            rotor.armature = max(0.0, own[0] - values["inertia"])
             driving.damping[0], driving.frictionloss = max(0.0, own[1] - viscous), max(0.0, own[2] - coulomb)
             mechanism.tendon(
                 f"{site}.coupling",
