@@ -51,7 +51,8 @@ class JointCoupling(Effect):
         whole = self.complete(robot, site, {"from": values["from"]})
         given = {**whole, **values}
         friction = [min(part, all_) for part, all_ in zip(given["friction"], whole["friction"], strict=True)]
-        return {**values, "inertia": min(given["inertia"], whole["inertia"]), "friction": friction}
+        # a rotor without inertia of its own cannot be stepped
+        return {**values, "inertia": min(given["inertia"], 0.99 * whole["inertia"]), "friction": friction}
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         driven, driving = mechanism.motor(axis_of(site)), mechanism.motor(axis_of(values["from"]))
