@@ -7,6 +7,7 @@ that differ): v = a(f) + b |H|², a pooled over neighbouring lines of a channel 
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.measure.campaign import FloatArray, PostureFRF, as_quantity, dead_channels, frf_variance
 
@@ -58,8 +59,13 @@ def pooled_variance(posture: PostureFRF) -> FloatArray:
     variance = np.maximum(a + b * power, np.maximum(floor, LEAST**2 * power))
     if posture.quantity != "accelerance":
         variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
-    variance[:, dead] = np.inf
+    variance[:, dead | _incoherent(posture.coherence, n)] = np.inf
     return variance
+
+
+def _incoherent(coherence: FloatArray, averages: int) -> NDArray[np.bool_]:
+    """Channel pairs (nr, ne) with at most a tenth of their lines above what noise alone gives, 1 − 0.05^(1/(n−1))."""
+    return np.asarray(np.quantile(coherence, 0.9, axis=0) < 1 - 0.05 ** (1 / max(averages - 1, 1)))
 
 
 def _roughness(posture: PostureFRF) -> FloatArray:
