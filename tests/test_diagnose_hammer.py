@@ -105,7 +105,6 @@ def test_variance_of_faint_channels_is_that_of_their_noise(tmp_path: Path) -> No
     assert truth([*clean, "--scatter", "0", "--out", str(tmp_path / "clean.h5")]) == 0
     noisy, exact = (next(iter(read_campaign(tmp_path / f"{n}.h5").postures.values())) for n in ("noisy", "clean"))
     variance = pooled_variance(noisy)
-    assert variance is not None
     chi2 = (np.abs(noisy.frf - exact.frf) ** 2 / variance / 2).mean(axis=0)
     assert 0.6 < np.median(chi2) < 1.2
     assert chi2.max() < 2.5  # no channel pair is trusted far more than it deserves
@@ -121,7 +120,6 @@ def test_noise_in_proportion_to_the_response_is_found_at_few_peaks() -> None:
     mean = seen.mean(axis=0)
     coherence = np.abs(mean) ** 2 / np.mean(np.abs(seen) ** 2, axis=0)
     variance = pooled_variance(PostureFRF("a", np.zeros(3), "on", f, mean, "accelerance", coherence, hits))
-    assert variance is not None
     ratio = variance / (truth**2 / 2 / hits)
     assert np.median(ratio) == pytest.approx(1, abs=0.1)
     peaks = np.abs(H) > 0.1 * np.abs(H).max()
