@@ -225,7 +225,7 @@ def diagnose_campaign(
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
     found = triage(campaign, given, source, hold_out)
     base = without_limits(told_by.robot if told_by else given)
-    sample, kept = Sample(tuple(found.used)), found.kept
+    sample, kept = Sample(tuple(found.used), 1 / found.shared), found.kept
     free = _free(base, found.used)
     if told_by and told_by.fit:
         free = Knowledge.of(told_by.fit).on(free, base)

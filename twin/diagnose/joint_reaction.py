@@ -53,7 +53,7 @@ class Cost:
             self.weight.append(np.sqrt(self.sample.repeat) * weight)
 
     @property
-    def data(self) -> int:
+    def data(self) -> float:
         """Number of real data that the lines stand for."""
         return 2 * self.sample.repeat * sum(int(np.count_nonzero(w)) for w in self.weight)
 

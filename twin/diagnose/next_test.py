@@ -104,7 +104,7 @@ def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: 
     }  # fmt: skip
 
 
-def _separation(first: Fitted, rival: Fitted, recorded: Any, repeat: int) -> float:
+def _separation(first: Fitted, rival: Fitted, recorded: Any, repeat: float) -> float:
     """½ ‖H₁ − H₂‖² in units of noise, after the rival has moved what it has free within its posterior."""
 
     def predicted(fit: Fitted, setup: Setup) -> Any:

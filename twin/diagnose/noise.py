@@ -6,10 +6,13 @@ parts, one that does not know the response (sensor, background) and one in propo
 that differ): v = a(f) + b |H|², a pooled over neighbouring lines of a channel pair, b over all that a blow excites.
 """
 
+from collections.abc import Sequence
+from math import comb
+
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.measure.campaign import FloatArray, PostureFRF, as_quantity, dead_channels, frf_variance
+from twin.measure.campaign import ComplexArray, FloatArray, PostureFRF, as_quantity, dead_channels, frf_variance
 
 NEIGHBOURS = 25  # lines over which the additive part is pooled
 ROUNDS = 40
@@ -18,6 +21,9 @@ NEAREST = 7
 LEAST = 5e-4  # of |H|: no FRF is known better
 USUAL = 0.01  # of |H|, where nothing tells how blows differ
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
+ROUGH, SMOOTH = 3, 5  # order of differences over lines: noise and no more; noise even where it is smooth
+QUIETEST = 0.1  # quantile of channels whose roughness is noise
+LIGHT = 0.03  # σT of a window that ties no lines together
 
 
 def pooled_variance(posture: PostureFRF) -> FloatArray:
@@ -68,6 +74,45 @@ def _incoherent(coherence: FloatArray, averages: int) -> NDArray[np.bool_]:
     return np.asarray(np.quantile(coherence, 0.9, axis=0) < 1 - 0.05 ** (1 / max(averages - 1, 1)))
 
 
+def shared_lines(postures: Sequence[PostureFRF]) -> float:
+    """Lines that carry the noise of one independent line, 1 or more.
+
+    A record of T = 1/spacing under a window e^{−σt} has Σ_k |ρ_k|² = σT coth σT of them, with ρ_k = 1/(1 − ikπ/σT) the
+    correlation of noise k lines apart. 1 where the noise is rougher than that: lines that were made one by one.
+    """
+    decay = float(np.mean([_decay(posture) for posture in postures]))
+    if decay < LIGHT:
+        return 1.0
+    seen, expected = [], []
+    for posture in postures:
+        if posture.coherence is not None and len(posture.frequency) > SMOOTH:
+            variance = np.median(pooled_variance(posture), axis=0)
+            live = np.isfinite(variance)
+            seen.append(np.median(_rough(posture.frf, SMOOTH), axis=0)[live] / np.log(2) / variance[live])
+            expected.append(_kept(_decay(posture), SMOOTH))
+    # The quietest channels: in the others the roughness is the FRF's own.
+    if seen and np.quantile(np.concatenate(seen), QUIETEST) > np.sqrt(np.mean(expected)):
+        return 1.0
+    return decay / float(np.tanh(decay))
+
+
+def _decay(posture: PostureFRF) -> float:
+    """σT of the exponential window in a posture's record."""
+    return float(posture.exponential_window_rate / np.median(np.diff(posture.frequency)))
+
+
+def _rough(frf: ComplexArray, order: int) -> FloatArray:
+    """Squared differences (nf − order, nr, ne) over lines, as the variance of one part if lines were independent."""
+    return np.abs(np.diff(frf, order, axis=0)) ** 2 / comb(2 * order, order) / 2
+
+
+def _kept(decay: float, order: int) -> float:
+    """Share of its variance that noise keeps in such differences where a window σT = ``decay`` ties lines together."""
+    t = (np.arange(1000) + 0.5) / 1000
+    share = (2 * np.sin(np.pi * t)) ** (2 * order) / comb(2 * order, order)
+    return float(np.average(share, weights=np.exp(-2 * decay * t)))
+
+
 def _roughness(posture: PostureFRF) -> FloatArray:
     """The additive part as what third differences from line to line leave, in the median over neighbours.
 
@@ -78,7 +123,7 @@ def _roughness(posture: PostureFRF) -> FloatArray:
     if len(power) < 8:
         variance = np.asarray(usual)
     else:
-        rough = np.abs(np.diff(posture.frf, 3, axis=0)) ** 2 / 20 / 2  # 1 + 9 + 9 + 1 variances, two parts
+        rough = _rough(posture.frf, ROUGH) / _kept(_decay(posture), ROUGH)
         window = min(NEIGHBOURS, len(rough))
         median = np.median(np.lib.stride_tricks.sliding_window_view(rough, window, axis=0), axis=-1) / np.log(2)
         left = (len(power) - len(median)) // 2

@@ -34,10 +34,10 @@ Changes = dict[tuple[Any, ...], Change | None]
 
 @dataclass(frozen=True)
 class Sample:
-    """Recordings as a fit sees them: each line stands for ``repeat`` lines."""
+    """Recordings as a fit sees them: each line stands for ``repeat`` lines, less than one where lines share noise."""
 
     recordings: tuple[Recorded, ...]
-    repeat: int = 1
+    repeat: float = 1.0
 
     def thin(self, lines: int) -> "Sample":
         """About so many lines of every recording, with the weight of all."""
@@ -83,7 +83,7 @@ class Objective:
             self.weight.append(np.sqrt(self.sample.repeat) * weight)
 
     @property
-    def data(self) -> int:
+    def data(self) -> float:
         """Number of real data that the lines stand for."""
         return 2 * self.sample.repeat * sum(int(np.count_nonzero(w)) for w in self.weight)
 

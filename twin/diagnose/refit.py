@@ -49,7 +49,7 @@ class Fitted:
     cost: float
     misfit: float
     information: FloatArray
-    data: int
+    data: float
     converged: bool
 
     def evidence(self, scale: float = 1.0) -> float:

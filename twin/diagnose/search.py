@@ -167,7 +167,9 @@ def _round(
     promises = screen(setting, suspects, progress("screen", len(suspects)))
     if hypothesis is NONE:
         search.promises = promises
-    least = max(SLIGHT * lines.repeat, RACE * promises[0].gain)  # fewer lines promise as many times the noise
+    least = max(
+        SLIGHT * lines.repeat / sample.repeat, RACE * promises[0].gain
+    )  # fewer lines promise as many times the noise
     if error > 0:
         starts = _halve(setting, _varied(promises, CANDIDATES), progress)
     else:

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from twin.diagnose.noise import pooled_variance
+from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.errors import InputError
 from twin.identify.elastic import Recorded, base_name, prepare
 from twin.measure.campaign import Campaign, frf_variance
@@ -25,12 +25,14 @@ class Triage:
         held_out: names of postures (without force level) kept aside.
         checks: what was looked at; ``warnings`` what failed.
         nonlinear: force levels disagree by more than their noise.
+        shared: lines that carry the noise of one independent line.
     """
 
     recordings: dict[str, Recorded]
     held_out: tuple[str, ...]
     checks: tuple[Check, ...]
     nonlinear: bool
+    shared: float = 1.0
 
     @property
     def used(self) -> list[Recorded]:
@@ -64,7 +66,7 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
     checks: list[Check] = []
     for posture in campaign.postures.values():
         checks += [*driving_points(campaign, posture), *reciprocity(campaign, posture)]
-    levels = _linear(campaign, recordings)
+    levels, shared = _linear(campaign, recordings), shared_lines(list(campaign.postures.values()))
     if hold_out is None:
         held: list[str] = _spared(names, recordings)
     else:
@@ -74,7 +76,7 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
         held = [groups.get(name, name) for name in hold_out]
         if set(held) >= set(names):
             raise InputError("--hold-out", ", ".join(hold_out), "nothing is left to fit to")
-    return Triage(recordings, tuple(held), (*checks, *levels), any(not check.passed for check in levels))
+    return Triage(recordings, tuple(held), (*checks, *levels), any(not check.passed for check in levels), shared)
 
 
 def _linear(campaign: Campaign, recordings: dict[str, Recorded]) -> list[Check]:
