@@ -1,7 +1,9 @@
 """The trial itself: its mix, its seals and its scorer, on answers written by hand."""
 
 import json
+import re
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +15,9 @@ from tools.trials import ask, make, real, score, store
 from tools.trials.baselines import metadata
 from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campaign, _candidates, case, plan
 from tools.trials.naive import best_correlated
+from tools.trials.report import _reading
 from tools.trials.score import Rate, Scored
-from tools.trials.visible import hammer_signal, overlap, scaled
+from tools.trials.visible import SEEN, hammer_signal, level_signal, multiple_of_visible, overlap, scaled
 from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
 from tools.truth.recording import Posture
@@ -255,7 +258,7 @@ def test_two_cases_from_recording_to_page(tmp_path: Path, monkeypatch: pytest.Mo
     store.write(tmp_path / "manifest.json", {"format": "twin-trials", "version": 2, "cases": lines})
     assert not ask.ask(tmp_path, "00", [], deadline=0.0)  # no time left
     assert all(ask.ask(tmp_path, line["id"], line["without"]) for line in lines)
-    trials._score(tmp_path, tmp_path / "proof.md", None)
+    trials._score(tmp_path, tmp_path / "proof.md", "")
     text = (tmp_path / "proof.md").read_text()
     assert "| false alarms | 0/2" in text
     assert "| failed | 0/2" in text
@@ -292,6 +295,97 @@ def test_measured_recordings_are_told_without_their_paths(tmp_path: Path) -> Non
     text = real.section(said)
     assert "payload@flange 90%" in text
     assert "| with the answer | 0.1 | 0.11 |" in text
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (None, "expected a list of recordings"),
+        ("- {name: [", "not valid YAML"),
+        ("name: A log", "expected a list of items"),
+        ("- {name: A log}", r"\[0\]"),
+        ("- {name: A log, recordings: log.csv}", r"\[0\].recordings"),
+        ("- {name: A log, recordings: [log.csv], robots: x}", r"\[0\].robots"),
+    ],
+)
+def test_a_list_that_is_none_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, told: str
+) -> None:
+    listed = tmp_path / "list.yaml"
+    if content is not None:
+        listed.write_text(content)
+    with pytest.raises(SystemExit) as stopped:
+        trials.main(["real", str(listed), "--out", str(tmp_path / "real.json")])
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert said.count("\n") == 1
+    assert "list.yaml" in said
+    assert re.search(told, said)
+    assert not (tmp_path / "real.json").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["make", "--cases", "-3"], ["run", "--limit", "0"], ["run", "--processes", "x"], ["real"], ["run", "list"]],
+)
+def test_options_out_of_range_are_refused_by_the_parser(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        trials.main(words)
+    assert stopped.value.code == 2
+    assert "expected" in capsys.readouterr().err
+
+
+def test_out_of_memory_is_an_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A case that wants more than it may have has failed, with a reason, and the next one is asked."""
+    (tmp_path / "recordings" / "00").mkdir(parents=True)
+    monkeypatch.setattr(ask, "MEMORY_BYTES", 2**27)
+    assert ask.ask(tmp_path, "00", [])
+    said = store.read(tmp_path / "results" / "00.json")
+    assert said["code"] != 0
+    found = one(answer("none"), said)
+    assert found.verdict == "failed"
+    assert found.complaint
+
+
+def test_results_of_another_engine_are_asked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store.write(tmp_path / "manifest.json", {"cases": [{"id": f"0{k}", "without": [], "files": {}} for k in range(3)]})
+    store.write(tmp_path / "results" / "00.json", {"engine": store.engine_hash()})
+    store.write(tmp_path / "results" / "01.json", {"engine": "older"})
+    asked: list[str] = []
+    monkeypatch.setattr(ask, "ask", lambda split, name, *_: asked.append(name) or True)
+    with ThreadPoolExecutor(1) as pool:
+        trials._run(tmp_path, 1.0, None, pool)
+    assert sorted(asked) == ["01", "02"]
+
+
+def test_the_error_left_is_told_over_the_noise_floor() -> None:
+    found = score.headline([one(answer("single", PAYLOAD), result("named", [("payload", "flange", 0.9)]))])
+    assert found["held-out error over its noise floor, median"] == pytest.approx(1.1)
+    assert str(found["held-out error ≤ 1.25 × its noise floor"]).startswith("1/1")
+
+
+def test_what_was_written_by_hand_stays_and_tells_its_engine(tmp_path: Path) -> None:
+    path = tmp_path / "reading.md"
+    assert _reading(path, ["a" * 16]) == []
+    path.write_text(f"<!-- engine {'a' * 16}, commit abc -->\nNulls are noisy.\n")
+    same, older = ("\n".join(_reading(path, [engine * 16])) for engine in "ab")
+    assert same.startswith(f"## Reading of the failures: engine {'a' * 16}, commit abc\n\nNulls are noisy.")
+    assert "another engine" in older
+    assert "Nulls are noisy." in older
+
+
+def test_play_that_gravity_presses_to_one_side_has_no_size() -> None:
+    """Such a case is drawn again; play in a joint about the vertical shows, and twice the smallest shows more."""
+    campaign, _ = _campaign("levels", 5, [], np.random.default_rng([5, 2]), False)
+    postures = campaign.postures[:1]
+    test = replace(campaign.test, lines=20, spacing_hz=1.0, levels_n=(100.0, 600.0))
+    signal, truth = level_signal(postures, test, campaign.points[:3]), campaign.truth
+    shut, loose = (Effect("backlash", f"joint{i}.z", {"gap": 5e-5}) for i in (2, 1))
+    with pytest.raises(ValueError, match="some size"):
+        multiple_of_visible(shut, truth, signal, 2.0, project=False)
+    seen = multiple_of_visible(loose, truth, signal, 1.0, project=False)
+    energy = 0.5 * float(np.sum(signal(replace(truth, effects=(seen,))) ** 2))
+    assert SEEN <= energy < 1.5 * SEEN
 
 
 def test_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

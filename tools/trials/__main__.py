@@ -5,7 +5,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from tools.trials import ask, make, real, score, store
 from tools.trials.report import page
+from twin.errors import InputError
 
 DEVELOPMENT_SEED = 20
 EXAMPLES = """
@@ -76,6 +77,21 @@ def every(title: str, pool: Executor, function: Any, jobs: list[tuple[Any, ...]]
     return found
 
 
+def _positive(kind: type[int] | type[float]) -> Callable[[str], float]:
+    """A number above zero, for the parser."""
+
+    def parse(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = kind()
+        if not 0 < value < float("inf"):
+            raise argparse.ArgumentTypeError(f"expected a number above 0, found {text!r}")
+        return value
+
+    return parse
+
+
 def main(arguments: list[str] | None = None) -> None:
     shape = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
@@ -85,21 +101,27 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("recordings", nargs="?", type=Path, help="list of measured recordings, for `real`")
     parser.add_argument("--out", type=Path, help="folder of the splits (default out/trials), file of `real`")
     parser.add_argument("--split", default="development", help="development, or any name for a sealed one")
-    parser.add_argument("--cases", type=int, default=240)
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--cases", type=_positive(int), default=240)
+    parser.add_argument("--processes", type=_positive(int), default=os.cpu_count() or 1)
     parser.add_argument("--scheduler", help="address of a Dask scheduler that sees the same folder")
-    parser.add_argument("--minutes", type=float, help="begin no diagnosis later than this after the start")
-    parser.add_argument("--limit", type=float, default=ask.LIMIT_S, help="seconds per case (default %(default)g)")
+    parser.add_argument("--minutes", type=_positive(float), help="begin no diagnosis later than this after the start")
+    parser.add_argument(
+        "--limit", type=_positive(float), default=ask.LIMIT_S, help="seconds per case (default %(default)g)"
+    )
     parser.add_argument("--page", type=Path, help="Markdown page to write (default: in the split's folder)")
     parser.add_argument("--real", type=Path, help="file of `real`, for the page")
     options = parser.parse_args(arguments)
-    if options.step == "real":
-        if options.recordings is None:
-            parser.error("real: expected a list of recordings")
-        target = options.out or Path("real.json")
-        store.write(target, real.asked(options.recordings, options.limit))
-        print(f"wrote {target}")
-        return
+    if (options.step == "real") != (options.recordings is not None):
+        parser.error("expected a list of recordings after `real`, and after nothing else")
+    try:
+        if options.step == "real":
+            target = options.out or Path("real.json")
+            store.write(target, real.asked(options.recordings, options.limit))
+            print(f"wrote {target}")
+            return
+        measured = real.section(real.read(options.real)) if options.real else ""
+    except InputError as error:
+        parser.exit(2, f"{error}\n")
     deadline = None if options.minutes is None else time.time() + 60 * options.minutes
     split = ((options.out or Path("out/trials")) / options.split).resolve()
     if options.step in ("make", "run", "prove"):
@@ -109,13 +131,18 @@ def main(arguments: list[str] | None = None) -> None:
             if options.step != "make":
                 _run(split, options.limit, deadline, pool)
     if options.step in ("score", "prove"):
-        _score(split, options.page or split / "proof.md", options.real)
+        _score(split, options.page or split / "proof.md", measured)
 
 
 def _make(split: Path, count: int, seed: int | None, pool: Executor) -> None:
     if not (split / "answers" / "plan.json").exists():
         store.entered(split, f"{count} cases drawn")
     jobs = [(split, *case) for case in make.prepare(split, count, seed)]
+    if len(jobs) != count:
+        print(
+            f"{split}: {len(jobs)} cases were drawn before and stay; another --split for another number",
+            file=sys.stderr,
+        )
     lines = every("record", pool, make.record, jobs)
     store.write(split / "manifest.json", {"format": "twin-trials", "version": 2, "cases": lines})
 
@@ -138,12 +165,15 @@ def _run(split: Path, limit_s: float, deadline: float | None, pool: Executor) ->
         print(f"time is up: {sum(not a for a in asked)} cases not asked; the same command goes on", file=sys.stderr)
 
 
-def _score(split: Path, target: Path, measured: Path | None) -> None:
+def _score(split: Path, target: Path, measured: str) -> None:
     if not (split / "manifest.json").exists():
         sys.exit(f"{split}: no cases yet; make first")
     manifest = store.read(split / "manifest.json")["cases"]
     results = {c["id"]: store.read(split / "results" / f"{c['id']}.json") for c in manifest
                if (split / "results" / f"{c['id']}.json").exists()}  # fmt: skip
+    engine = store.engine_hash()
+    if any(r["engine"] == engine for r in results.values()):  # what an older one said is not this one's
+        results = {name: r for name, r in results.items() if r["engine"] == engine}
     if not results:
         sys.exit(f"{split}: no results yet; run first")
     for c in manifest:
@@ -160,8 +190,7 @@ def _score(split: Path, target: Path, measured: Path | None) -> None:
     ]
     without = {c["id"]: c["without"] for c in manifest}
     target.parent.mkdir(parents=True, exist_ok=True)
-    told = real.section(store.read(measured)) if measured else ""
-    page(target, f"Proof: {split.name} split", cases, results, split, without, ledger, len(manifest), told)
+    page(target, f"Proof: {split.name} split", cases, results, split, without, ledger, len(manifest), measured)
     for name, value in score.headline(cases).items():
         print(f"{name:40s} {value:.3g}" if isinstance(value, float) else f"{name:40s} {value}")
     store.write(split / "scores.json", json.loads(json.dumps(score.headline(cases), default=str)))

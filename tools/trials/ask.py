@@ -69,6 +69,8 @@ def run(arguments: list[str], limit_s: float) -> tuple[int, str, str]:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         raise
+    if process.returncode < 0:  # as the system does where memory runs out
+        complaint += f"\nkilled by signal {-process.returncode}"
     return process.returncode, said, complaint
 
 

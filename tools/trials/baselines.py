@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from tools.trials.naive import best_correlated
-from tools.trials.score import Rate, Scored, numbers
+from tools.trials.score import Rate, Scored, over_floor
 
 
 def chance(cases: Sequence[Scored]) -> Rate:
@@ -64,11 +64,10 @@ def freed(cases: Sequence[Scored]) -> dict[str, float]:
     """Median held-out error over its noise floor: as described, all parameters of the base model freed, diagnosed."""
     found: dict[str, list[float]] = {"as_given": [], "before": [], "after": []}
     for c in cases:
-        floor = numbers(c.error.get("noise_floor"))
-        rows = {key: numbers((c.error.get(key) or {}).get("held_out")) for key in found}
-        if floor and all(len(row) == len(floor) for row in rows.values()):
-            for key, row in rows.items():
-                found[key].append(max(e / f for e, f in zip(row, floor, strict=True)))
+        ratios = {stage: over_floor(c, stage) for stage in found}
+        for stage, ratio in ratios.items():
+            if ratio is not None and None not in ratios.values():
+                found[stage].append(ratio)
     return {key: float(np.median(values)) if values else float("nan") for key, values in found.items()}
 
 

@@ -18,7 +18,7 @@ from tools.truth.recording import plain, streams, write_campaign
 
 BAD_CHANNELS = 0.15  # share of hammer tests with one blow point whose FRFs are noise
 LINK_COUNTS, LINK_NOISE_RAD = 2**22, 5e-6  # of a second encoder: per turn, white
-ATTEMPTS = 5
+ATTEMPTS = 20
 EDIT = Effect("payload", "flange", {"mass": 15.0, "com": [1.615, -0.041, 0.0]})
 """What is hung on robot and model in the edit test."""
 

@@ -15,14 +15,52 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from tools.trials import ask
 from tools.trials.store import commit, engine_hash
+from twin.errors import InputError
+
+FORMAT = "twin-trials-real"
+KEYS = {"name": str, "recordings": list, "options": list, "known": str, "note": str}
+
+
+def listed(path: Path) -> list[dict[str, Any]]:
+    """The list of recordings.
+
+    Raises:
+        InputError: the file is missing, is not YAML, or is not such a list.
+    """
+    try:
+        rows = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            path, "", f"expected a list of recordings ({error.strerror}); see tools/trials/real.py"
+        ) from None
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise InputError(
+            path, "", f"not valid YAML: {getattr(error, 'problem', None) or 'not text in UTF-8'}"
+        ) from None
+    if not isinstance(rows, list) or not rows:
+        raise InputError(path, "", "expected a list of items, each with `name` and `recordings`")
+    for k, item in enumerate(rows):
+        if not isinstance(item, dict) or not {"name", "recordings"} <= item.keys() or not item["recordings"]:
+            raise InputError(path, f"[{k}]", "expected a `name` and a list of `recordings`")
+        for key, value in item.items():
+            if key not in KEYS:
+                raise InputError(path, f"[{k}].{key}", f"expected one of {', '.join(KEYS)}")
+            if not isinstance(value, KEYS[key]):
+                what = "a list, as in [log.csv]" if KEYS[key] is list else "text"
+                raise InputError(path, f"[{k}].{key}", f"expected {what}, found {value!r}")
+    return rows
 
 
 def asked(path: Path, limit_s: float) -> dict[str, Any]:
-    """What the command says of every recording listed in `path`."""
-    listed = YAML(typ="safe", pure=True).load(path)
+    """What the command says of every recording listed in `path`.
+
+    Raises:
+        InputError: of :func:`listed`.
+    """
     here = path.resolve().parent
 
     def found(word: str) -> str:
@@ -30,7 +68,7 @@ def asked(path: Path, limit_s: float) -> dict[str, Any]:
         return str(beside) if not word.startswith("-") and beside.exists() else word
 
     rows = []
-    for item in listed:
+    for item in listed(path):
         with TemporaryDirectory() as scratch:
             words = [found(str(w)) for w in [*item["recordings"], *item.get("options", [])]]
             code, said, complaint = ask.run(["diagnose", *words, "--json", "--out", f"{scratch}/out"], limit_s)
@@ -40,11 +78,30 @@ def asked(path: Path, limit_s: float) -> dict[str, Any]:
             "diagnosis": _kept(json.loads(said)) if code == 0 else None,
             "complaint": "" if code == 0 else (lines[-1].replace(str(here), "") if lines else f"exit code {code}"),
         })  # fmt: skip
-    return {"format": "twin-trials-real", "version": 1, "engine": engine_hash(), "commit": commit(), "rows": rows}
+    return {"format": FORMAT, "version": 1, "engine": engine_hash(), "commit": commit(), "rows": rows}
 
 
 def _kept(diagnosis: dict[str, Any]) -> dict[str, Any]:
     return {key: diagnosis.get(key) for key in ("verdict", "effects", "probabilities", "error", "next_test")}
+
+
+def read(path: Path) -> dict[str, Any]:
+    """What :func:`asked` found, as kept in a file.
+
+    Raises:
+        InputError: it is not such a file.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            path, "", f"cannot be read ({error.strerror}); `python -m tools.trials real` writes it"
+        ) from None
+    except ValueError:
+        content = None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(path, "format", f"expected {FORMAT}, as `python -m tools.trials real` writes it")
+    return content
 
 
 def section(content: dict[str, Any]) -> str:

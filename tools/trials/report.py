@@ -1,5 +1,6 @@
 """The proof as people read it: a Markdown page with tables, and its figures."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +25,7 @@ WANTED: dict[str, tuple[str, float]] = {  # sign: at most, at least
     "wrong name on unknown physics": ("≤", 0.15),
     "90 % intervals hold the truth": ("≥", 0.85),
     "held-out gain over the true model's": ("≥", 0.9),
+    "held-out error over its noise floor, median": ("≤", score.HELD_ROOM),
 }
 FAULTS = (
     "false alarm",
@@ -60,6 +62,8 @@ def page(
 ) -> None:  # fmt: skip
     """Write `path` (Markdown) and figures beside it in a folder of the same name.
 
+    `reading.md` in that folder, written by hand, is taken in: its first line tells the engine that it is about.
+
     `drawn`: number of cases of the split, of which `cases` have a result; `real`: section on measured recordings.
     """
     figures = path.with_suffix("")
@@ -78,6 +82,7 @@ def page(
         f"{'' if len(engines) == 1 else ' — **more than one**'}; the answers have been opened {len(openings)} time(s).",
         "", EXPLAINED, "", "Run it again: `make proof`, or `python -m tools.trials --help`.", "",
         "## Scores", "", *_scores(cases), "",
+        *_reading(figures / "reading.md", engines),
         "## Where it is weak", "", *_weak(cases), "",
         "## By kind of recording", "", *_by_recording(cases), "",
         "## Power", "", f"![Share found and share named rightly against size]({name}/power.png)", "",
@@ -95,6 +100,20 @@ def page(
         "## Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
     ]  # fmt: skip
     path.write_text("\n".join(parts), encoding="utf-8")
+
+
+def _reading(path: Path, engines: Sequence[str]) -> list[str]:
+    """What somebody made of the failures; of those of another engine, if so."""
+    if not path.exists():
+        return []
+    first, *rest = path.read_text(encoding="utf-8").strip().splitlines()
+    about = re.search(r"\b[0-9a-f]{16}\b", first)
+    stated = first.strip("<!-> \n") if about else "engine not stated"
+    same = about is not None and [about[0]] == list(engines)
+    lines = [f"## Reading of the failures: {stated}", ""]
+    if not same:
+        lines += [f"**About another engine than this page** ({', '.join(engines)}): cases and numbers differ.", ""]
+    return [*lines, *(rest if about else [first, *rest]), ""]
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:

@@ -15,6 +15,7 @@ Z95 = 1.959964
 LEVEL = 0.9  # of the credible set
 VISIBLE = 2.0  # multiples of the smallest visible size from which rates are asked for
 HIDING = -0.2  # cosine between a pair's signatures below which they hide each other
+HELD_ROOM = 1.25  # times the held-out error of the true model, for which the noise floor stands
 EDIT_ROOM = 1.5  # times the held-out error: allowed on the robot that carries another load
 
 
@@ -225,6 +226,7 @@ def headline(cases: Sequence[Scored]) -> dict[str, Any]:
     alike = [c for c in clear if len(c.aliases(c.truth[0])) > 1]
     sure = judged(cases)
     held = [g for c in clear if (g := _gain(c)) is not None]
+    over = [r for c in clear if (r := over_floor(c, "after")) is not None]
     edited = [c for c in cases if c.edit_error is not None and numbers(c.error.get("after", {}).get("held_out"))]
     inside = [low <= c.true_values[key] <= high for c in [*clear, *pairs] for key, (low, high) in c.intervals.items()]
     return {
@@ -256,6 +258,8 @@ def headline(cases: Sequence[Scored]) -> dict[str, Any]:
         "Brier score": float(np.mean([brier(c) for c in sure])) if sure else np.nan,
         "log score": float(np.mean([log_score(c) for c in sure])) if sure else np.nan,
         "held-out gain over the true model's": float(np.median(held)) if held else np.nan,
+        "held-out error over its noise floor, median": float(np.median(over)) if over else np.nan,
+        f"held-out error ≤ {HELD_ROOM:g} × its noise floor": _rate([r <= HELD_ROOM for r in over]),
         "edit test passed": rate(
             edited, lambda c: c.edit_error <= EDIT_ROOM * max(numbers(c.error["after"]["held_out"]))
         ),
@@ -317,6 +321,15 @@ def _gain(c: Scored) -> float | None:
         return None
     gains = [(b - a) / (b - floor) for b, a, floor in zip(*rows, strict=True) if b > 1.1 * floor]
     return float(np.clip(np.mean(gains), -1, 1.2)) if gains else None
+
+
+def over_floor(c: Scored, stage: str) -> float | None:
+    """Held-out error over its noise floor, of the worse of two recordings.
+
+    The true model refitted ends near the floor, and above it: the ratio is no smaller than that to the true model's.
+    """
+    floor, row = numbers(c.error.get("noise_floor")), numbers((c.error.get(stage) or {}).get("held_out"))
+    return max(e / f for e, f in zip(row, floor, strict=True)) if floor and len(row) == len(floor) else None
 
 
 def calibration(claims: Sequence[tuple[bool, float]], bins: int = 10) -> tuple[float, list[tuple[float, Rate]]]:

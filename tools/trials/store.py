@@ -16,7 +16,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-ENGINE = ("twin/diagnose", "twin/identify", "twin/physics", "twin/model", "twin/robot", "twin/measure")
+ENGINE = (
+    "twin/diagnose", "twin/identify", "twin/physics", "twin/model", "twin/robot", "twin/measure", "twin/commands",
+    "mjcf",
+)  # fmt: skip
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -37,7 +40,7 @@ def sha256(path: Path) -> str:
 
 
 def engine_hash() -> str:
-    """One hash of all that decides: code and calibration."""
+    """One hash of all that decides: code, calibration and robot descriptions."""
     digest = hashlib.sha256()
     for room in ENGINE:
         for file in sorted((ROOT / room).rglob("*")):

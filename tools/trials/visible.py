@@ -24,6 +24,7 @@ HIGHEST_HZ = 10.0  # of a torque: above, the low-pass of any identification has 
 TRANSMISSION_RAD = 2e-5  # RMS: what a gear's own error leaves of the difference between two encoders
 REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
 EVERY = 5  # samples of a motion log, of which one is taken
+SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which the smallest visible one is sought
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
 
 Signal = Callable[[Truth], Array]
@@ -49,14 +50,21 @@ def scaled(effect: Effect, factor: float) -> Effect:
 
 
 def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: float, project: bool = True) -> Effect:
-    """The effect at so many times its smallest visible size on the recording of `truth`, which is without it."""
+    """The effect at so many times its smallest visible size on the recording of `truth`, which is without it.
+
+    Raises:
+        ValueError: the recording shows no size of it, or less of that multiple than of the smallest.
+    """
     base = signal(truth)
 
     def changed(factor: float) -> Array:
         return signal(_with(truth, scaled(effect, factor))) - base
 
     if not project:
-        return scaled(effect, _visible_factor(changed) * multiple)
+        smallest = _visible_factor(changed)
+        if 0.5 * float(np.sum(changed(smallest * multiple) ** 2)) < SEEN:
+            raise ValueError(f"{effect.kind}@{effect.site}: expected more of it to show more")
+        return scaled(effect, smallest * multiple)
     tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
     J = np.array(
         [(signal(change(truth, STEP)) - signal(change(truth, -STEP))) / (2 * STEP) for change in _nuisances(truth)]
@@ -82,16 +90,29 @@ def _with(truth: Truth, effect: Effect) -> Truth:
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:
-    """Where a signature that nothing else makes, and that is no multiple of the size, is just seen."""
-    low, high, factor = 1e-3, 1e3, 1.0
-    for _ in range(12):  # its energy grows about as the square of the size
-        found = 0.5 * float(np.sum(changed(factor) ** 2))
-        low, high = (factor, high) if found < SEEN else (low, factor)
-        if abs(np.log(max(found, 1e-300) / SEEN)) < 0.2:
-            break
-        step = factor * np.sqrt(SEEN / max(found, 1e-12))
-        factor = float(step if low < step < high else np.sqrt(low * high))
-    return factor
+    """The smallest size at which a signature that nothing else makes, and that is no multiple of the size, is seen.
+
+    Walked up from where nothing shows: a spring that hardens until it is rigid, or slip that never yields, differ from
+    level to level less again.
+
+    Raises:
+        ValueError: no size shows, as play in a joint that gravity presses to one side.
+    """
+
+    def energy(factor: float) -> float:
+        return 0.5 * float(np.sum(changed(factor) ** 2))
+
+    low = SMALLEST_FACTOR
+    while (faint := energy(low)) >= SEEN:
+        low /= 10
+    while low < LARGEST_FACTOR:
+        factor = low * float(np.clip(np.sqrt(SEEN / max(faint, 1e-12)), 1.5, 4.0))
+        found = energy(factor)
+        if found >= SEEN:
+            share = np.log(SEEN / max(faint, 1e-12)) / np.log(found / max(faint, 1e-12))
+            return float(low * (factor / low) ** share)
+        low, faint = factor, found
+    raise ValueError("expected an effect of which some size shows in this recording")
 
 
 def _nuisances(truth: Truth) -> Iterator[Callable[[Truth, float], Truth]]:
@@ -198,7 +219,7 @@ def level_signal(postures: tuple[Posture, ...], test: HammerTest, points: Sequen
 
     def signal(truth: Truth) -> Array:
         parts = []
-        for frf in accelerance(truth, postures[:2], coarse):
+        for frf in accelerance(truth, postures, coarse):
             low, high = frf[0, 0][:, :, list(points)], frf[1, 0][:, :, list(points)]
             pairs = zip((low, high), coarse.peaks, strict=True)
             noise = [_deviation(f, replace(test, peak_n=p), test.frequency) for f, p in pairs]
