@@ -11,7 +11,7 @@ from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import Base, base_fit, stops_of, system_of
-from twin.diagnose.torque_laws import entry_torque, log_suspects, with_values
+from twin.diagnose.torque_laws import add, log_suspects, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
@@ -117,7 +117,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     first = search.steps[0].decision
     _, other = search.other
     missing: list[Missing] = []
-    settled = base_fit(search.system)
+    settled = _inflated(base_fit(search.system))
     for step in search.found:
         (found,) = missing_of(step.decision, step.base)
         if step.trial is not None:  # its numbers as they are with everything else in the model
@@ -136,6 +136,13 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         return "adequate" if first.none >= 0.5 else word_of(first), [], first.none, first.other
     word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"
     return word, missing, first.none, max(first.other, other)
+
+
+def _inflated(fit: Fitted) -> Fitted:
+    """The fit with its data's variance multiplied by what they are missed by (Birge's ratio); priors stay as wide."""
+    eye = np.eye(len(fit.z))
+    scale = max(1.0, fit.misfit)
+    return replace(fit, information=(fit.information - eye) / scale + eye, misfit=min(fit.misfit, 1.0))
 
 
 def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[LogRecord], dict[str, Any]]:
@@ -182,7 +189,7 @@ def _predicted(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], vali
     known[: base.lasting] = z[: base.lasting]
     state = base.state(k, known)
     for entry in entries:
-        state.torque[...] += entry_torque(run, state, entry, entry.values)
+        add(run, state, entry)
     rest = (run.torque - state.torque)[valid]
     weight = base.offset**2 * len(rest)
     level = np.var(rest, axis=0)

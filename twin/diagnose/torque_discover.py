@@ -47,8 +47,11 @@ def library(axes: int, joint: int, speed: float, revolute: Sequence[bool]) -> li
     return list(dict.fromkeys(terms))
 
 
-def discover(system: System, joint: int) -> Trial | None:
-    """A law for what the model misses at a joint, ``None`` where no term is worth its place."""
+def discover(system: System, joint: int, most: int = MOST_TERMS) -> tuple[Trial, int] | None:
+    """A law of ``most`` terms for what the model misses at a joint, and the number of terms it was chosen from.
+
+    ``None`` where no term is worth its place.
+    """
     robot = system.base.regressor.robot
     runs = system.base.runs
     terms = library(robot.axis_count, joint, span_of(runs, joint)[2], [a.type == "revolute" for a in robot.axes])
@@ -65,7 +68,7 @@ def discover(system: System, joint: int) -> Trial | None:
             widths.append(scale / rms)
             kept.append(term)
     whitened = system.whiten([np.stack(rows, -1) for rows in zip(*units, strict=True)])
-    chosen = _match(system, whitened)
+    chosen = _match(system, whitened, most)
     if not chosen:
         return None
     formula = " + ".join(f"c{k + 1}*{kept[c]}" for k, c in enumerate(chosen))
@@ -78,7 +81,7 @@ def discover(system: System, joint: int) -> Trial | None:
     hypothesis = Hypothesis("discovered", site, (entry,), own)
     sizes = tuple(range(len(own)))
     suspect = Suspect(hypothesis, np.zeros((1, len(own))), sizes, np.zeros(len(own), bool))
-    return settle(system, start(system, suspect))
+    return settle(system, start(system, suspect)), len(kept)
 
 
 def _entry(site: str, formula: str, coefficients: list[float]) -> Entry:
@@ -86,12 +89,12 @@ def _entry(site: str, formula: str, coefficients: list[float]) -> Entry:
     return Entry.model_validate(data)
 
 
-def _match(system: System, whitened: Columns) -> list[int]:
+def _match(system: System, whitened: Columns, most: int) -> list[int]:
     """Indices of the columns that explain the residual, most first."""
     G, pull = system.projected(whitened)
     chosen: list[int] = []
     before = 0.0
-    while len(chosen) < MOST_TERMS:
+    while len(chosen) < most:
         gains = np.array([_evidence(G, pull, [*chosen, k]) if k not in chosen else -np.inf for k in range(len(pull))])
         best = int(np.argmax(gains))
         if gains[best] - before < max(WORTH, ENOUGH * before):

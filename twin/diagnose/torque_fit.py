@@ -25,6 +25,8 @@ from twin.diagnose.torque_laws import (
     USUAL,
     State,
     Suspect,
+    add,
+    canonical,
     entry_torque,
     on_dense,
     presliding_columns,
@@ -44,6 +46,7 @@ from twin.robot.frames import inertia_matrix, inertia_six
 FARTHEST = 3.0  # prior deviations of a shape (a speed, an order, a travel)
 ORDER = 30  # of the autoregression, less where runs are short
 LARGEST_KEPT = 20_000_000  # numbers of a suspect's columns kept from one search to the next
+MOST_FITTED = 0.4  # share of a log's rows that the richest model may fit: what is left of a short log tells its noise
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit may have explained away
 RIDGE = 1e-4  # of the noise's power: white noise added to the autoregression, so that stop bands are not amplified
 ROTOR, COMPENSATOR = 0.1 * TOLERANCE_DEVIATION, 0.1 * TOLERANCE_DEVIATION  # relative: described to ±10 %
@@ -62,7 +65,7 @@ TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
 PRESLIDING, UNLIKE = 0.5, 0.004  # share of dry friction that does, per travel: common to all joints, and of one alone
 HELD = 0.1  # of dry friction that presliding holds through a standstill: doubt, how the axis crept to its rest
-UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero
+UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero; a rotor's may be all of it
 
 
 @dataclass(frozen=True)
@@ -179,7 +182,8 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
         rms = np.sqrt(
             np.mean(np.concatenate([m[r.valid][:, :, k] for m, r in zip(matrices, runs, strict=True)]) ** 2, axis=0)
         )
-        unknown = UNKNOWN * float(np.max(scale / np.maximum(rms, 1e-300), where=rms > 0, initial=0.0))
+        share = 1.0 if other.group == "rotor" else UNKNOWN
+        unknown = share * float(np.max(scale / np.maximum(rms, 1e-300), where=rms > 0, initial=0.0))
         deviation = _deviation(robot, columns, k) or unknown or 1.0
         width.append(deviation)
         others.append(Parameter(other.name, other.unit, "entry", False, other.value, deviation, "description"))
@@ -252,8 +256,7 @@ def _deviation(robot: Robot, columns: Sequence[Column], k: int) -> float:
     column = columns[k]
     if column.group == "rotor":
         drive = robot.drives[k - 10 * robot.axis_count]
-        unknown = max(link.inertial[2].max() for link in robot.links) / drive.gear_ratio**2
-        return float(ROTOR * drive.rotor_inertia or unknown)
+        return ROTOR * drive.rotor_inertia
     effect = column.name.partition("@")[0]
     if effect == "gravity_compensator":
         key = column.name.rpartition(".")[0]
@@ -563,8 +566,8 @@ def refer(system: System, z: FloatArray) -> None:
     """Let laws that act on other torques see the model at z."""
     system.state = [system.base.state(k, system.plain(z)) for k in range(len(system.base.runs))]
     for entry in system.entries(z):
-        for state, extra in zip(system.state, system.torque([entry]), strict=True):
-            state.torque[...] += extra
+        for run, state in zip(system.base.runs, system.state, strict=True):
+            add(run, state, entry)
 
 
 def extended(system: System, trial: "Trial", settled: bool = True) -> System:
@@ -746,8 +749,9 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
         Q = B @ (turn[:, keep] / np.sqrt(size[keep]))
         size, along = size[keep], Q.T @ y
         variance = 1e-2 * float(np.mean(y**2))
+        least = _ridge(size, MOST_FITTED * float(valid.sum()))
         for _ in range(6):  # of the noise, and how far the data hold each direction against its prior
-            share = size / (size + variance)
+            share = size / (size + max(variance, least))
             e = y - Q @ (share * along)
             variance = max(float(e @ e) / max(valid.sum() - float(share.sum()), 0.1 * valid.sum()), 1e-300)
         Q = Q * np.sqrt(1 - (1 - share) ** 2)
@@ -758,6 +762,17 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
         level[j] = float(white @ white) / left
         noise[j] = np.sqrt(correlation[0])
     return out, level, noise
+
+
+def _ridge(size: FloatArray, most: float) -> float:
+    """The variance from which columns of such squared sizes take no more than ``most`` rows out of the noise."""
+    if len(size) <= most:
+        return 0.0
+    low, high = np.log(size[size > 0].min()) - 10.0, np.log(size.max()) + 10.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.sum(size / (size + np.exp(middle))) > most else (low, middle)
+    return float(np.exp(high))
 
 
 def _shapes(system: System, suspect: Suspect) -> list[list[FloatArray]]:
@@ -920,6 +935,10 @@ def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
 def settle(system: System, trial: Trial) -> Trial:
     """Refined; an entry that acts on other torques again, once these are what they are with it in the model."""
     trial = refine(system, trial)
+    own = trial.suspect.hypothesis.own
+    values = own_values(own, trial.u)
+    if np.any((same := canonical(trial.suspect.hypothesis, values)) != values):
+        trial = refine(system, evaluate(system, trial.suspect, own_prior(own, same)))
     for _ in range(2 if trial.suspect.hypothesis.effect in REFERRING else 0):
         again = copy(system)
         refer(again, eliminated(system, trial))

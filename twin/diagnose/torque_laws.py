@@ -73,6 +73,20 @@ class Suspect:
         return " ".join([self.hypothesis.key, *words])
 
 
+def add(run: Run, state: State, entry: Entry) -> None:
+    """Let laws that act on other torques see an entry as part of the model."""
+    extra = entry_torque(run, state, entry, entry.values)
+    effect = CATALOGUE[entry.effect]
+    if entry.effect == "payload":
+        state.load[...] += on_dense(run, extra)
+    elif effect.role != "drive":
+        part = state.load if effect.role == "load" else state.friction
+        motion = replace(run.dense, load=state.load, friction=state.friction)
+        for axis, torque in effect.torque(motion, entry.site, entry.values).items():
+            part[:, axis] += torque
+    state.torque[...] += extra
+
+
 def entry_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatArray:
     """What an entry adds to the recorded torque (m, n), low-passed."""
     out = np.zeros_like(run.torque)
@@ -100,6 +114,15 @@ def delayed(torque: FloatArray, run: Run, delay: float) -> FloatArray:
     """A low-passed torque (m, n) as a channel shows it that is late by ``delay`` s."""
     dense = lowpass(torque, run.rate_hz, 0.45 * run.rate_hz, 0.5 * run.rate_hz, upsample=8)
     return np.asarray(advance(dense, 8 * run.rate_hz, -delay)[::8])
+
+
+def canonical(hypothesis: Hypothesis, values: FloatArray) -> FloatArray:
+    """Values (m,) that mean the same with a wave's amplitude above zero and its phase within half a turn of zero."""
+    if hypothesis.effect != "torque_ripple":
+        return values
+    amplitude, order, phase = values
+    phase = (phase + (np.pi if amplitude < 0 else 0.0) + np.pi) % (2 * np.pi) - np.pi
+    return np.array([abs(amplitude), order, phase])
 
 
 def with_values(hypothesis: Hypothesis, values: FloatArray) -> list[Entry]:
@@ -166,13 +189,16 @@ class _Setting:
         return USUAL * self.torque() / max(_rms(parts), 1e-300)
 
     def suspect(
-        self, values: Values, own: list[Parameter], starts: Sequence[Sequence[float]], sizes: tuple[int, ...] = (0,)
-    ) -> list[Suspect]:
+        self, values: Values, own: list[Parameter], starts: Sequence[Sequence[float]],
+        sizes: tuple[int, ...] = (0,), passive: bool = False,
+    ) -> list[Suspect]:  # fmt: skip
+        """``passive``: the first size, below zero, would be friction that drives."""
         entry = Entry(effect=self.effect, site=self.site, **values)
         named = tuple(replace(p, name=f"{self.effect}@{self.site}.{p.name}") for p in own)
         hypothesis = Hypothesis(self.effect, self.site, (entry,), named)
         known = {p.name: p for p in CATALOGUE[self.effect].parameters}
         least = np.array([known[p.name.partition("[")[0]].log for p in own])
+        least[0] |= passive
         widths = np.array([p.deviation for p in own])
         if not (np.isfinite(widths) & (widths > 0) & (widths < 1e12)).all():  # it would never be felt
             return []
@@ -200,9 +226,9 @@ def on_dense(run: Run, rows: FloatArray) -> FloatArray:
     return lowpass(rows, run.rate_hz, 0.4 * run.rate_hz, 0.5 * run.rate_hz, upsample=step)
 
 
-def _one(name: str):  # type: ignore[no-untyped-def]
+def _one(name: str, passive: bool = False):  # type: ignore[no-untyped-def]
     def build(s: _Setting) -> list[Suspect]:
-        return s.suspect({name: 0.0}, [s.normal(name, s.size({name: 1.0}))], [[0.0]])
+        return s.suspect({name: 0.0}, [s.normal(name, s.size({name: 1.0}))], [[0.0]], passive=passive)
 
     return build
 
@@ -218,7 +244,7 @@ def _stribeck(s: _Setting) -> list[Suspect]:
     middle = 0.1 * s.speed()
     own = [s.normal("static_excess", USUAL * s.torque()), s.scale("velocity", middle, 3.0)]
     starts = [[0.0, factor * middle] for factor in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)]
-    return s.suspect({"static_excess": 0.0, "velocity": middle}, own, starts)
+    return s.suspect({"static_excess": 0.0, "velocity": middle}, own, starts, passive=True)
 
 
 def _drift(s: _Setting) -> list[Suspect]:
@@ -309,11 +335,11 @@ def _delay(s: _Setting) -> list[Suspect]:
 _BUILDERS = {
     "payload": _payload,
     "hysteresis": _hysteresis,
-    "viscous_friction": _one("coefficient"),
+    "viscous_friction": _one("coefficient", passive=True),
     "coulomb_friction": _one("torque"),
     "asymmetric_friction": _asymmetric,
     "stribeck_friction": _stribeck,
-    "load_dependent_friction": _one("coefficient"),
+    "load_dependent_friction": _one("coefficient", passive=True),
     "friction_drift": _drift,
     "gravity_compensator": _compensator,
     "cable_stiffness": _cable,

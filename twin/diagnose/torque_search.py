@@ -22,6 +22,7 @@ from twin.diagnose.torque_fit import (
     Trial,
     base_fit,
     base_of,
+    eliminated,
     evaluate,
     extended,
     fitted,
@@ -34,7 +35,7 @@ from twin.diagnose.torque_fit import (
     start,
     with_wider,
 )
-from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns, with_values
+from twin.diagnose.torque_laws import USUAL, Suspect, add, smooth_columns, with_values
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.physics import CATALOGUE
@@ -52,6 +53,8 @@ FURTHER = 25.0  # ln evidence that a second thing must gain: it was looked for a
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
 HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
+UNLIKE_OTHERS = 10.0  # factor on how far presliding of a joint with a slip of its own may be from the others'
+LEAST_OTHER = 0.01  # probability that something has no name here, at least
 REFINED = frozenset({"hysteresis", "stribeck_friction"})
 """Laws that are Coulomb friction in a limit: where there is none, it comes first if it does most of what they do."""
 
@@ -105,6 +108,16 @@ class Step:
         return self.trial.column.joints if self.trial else ()
 
     @property
+    def misfit(self) -> float:
+        """χ² per datum that the first leaves on the joints it acts on: above one, where no law here is exact."""
+        if self.trial is None:
+            return self.first.misfit
+        system = self.system
+        rest = system.y - system.full(self.trial.column)[:, 0] - system.A @ eliminated(system, self.trial)
+        energy = sum(float(np.sum(rest[system.rows(j)] ** 2)) for j in self.joints)
+        return energy / (system.count * float(system.level[list(self.joints)].sum()))
+
+    @property
     def gain(self) -> float:
         """Evidence of the first over the model before it."""
         return self.first.evidence() - self.base.evidence()
@@ -118,7 +131,8 @@ class Search:
         steps: in order; the last was not accepted, or was the last allowed.
         system: with all that was accepted; ``after`` its fit.
         free, left: per joint, evidence gained by a free function of its state, before and after.
-        law: what was discovered where names do not reach, with the joint it is at.
+        other: the joint where something without a name is likeliest, and the probability that it is there.
+        law: what was discovered there, with the joint it is at.
         aside: the base model's columns on the rows kept aside, where there are any.
     """
 
@@ -127,6 +141,7 @@ class Search:
     after: Fitted
     free: FloatArray
     left: FloatArray
+    other: tuple[int, float] = (0, LEAST_OTHER)
     law: tuple[int, Trial, Fitted] | None = None
     aside: Base | None = None
 
@@ -146,14 +161,13 @@ class Search:
         named = sum(step.gain for step in self.found if step.trial is None or joint in step.trial.column.joints)
         return float(named / max(named + max(self.left[joint], 0.0), 1e-9))
 
-    @property
-    def other(self) -> tuple[int, float]:
+    def unreached(self) -> tuple[int, float]:
         """The joint where names explain least of what is missing, and the probability that it has no name here."""
-        worst, most = 0, 0.01
+        worst, most = 0, LEAST_OTHER
         least = max(SEEN, SLIGHT * sum(step.gain for step in self.found))
         for joint, left in enumerate(self.left):
             if left > least:
-                p = float(np.clip(1 / (1 + np.exp(-(REACH - 0.1 - self.reached(joint)) / 0.03)), 0.01, 0.99))
+                p = float(np.clip(1 / (1 + np.exp(-(REACH - 0.1 - self.reached(joint)) / 0.03)), LEAST_OTHER, 0.99))
                 if p > most:
                     worst, most = joint, p
         return worst, most
@@ -191,10 +205,38 @@ def explain(
         system = _grown(steps, step, system, judge)
     left = np.array([free_gain(system, j) for j in axes])
     search = Search(steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
+    search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:
         _locate(search, joint, judge)
     return search
+
+
+def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
+    """Joints where a law that has no name explains more than what was named there, with no more numbers.
+
+    With the probability that it is the truth: names and laws are alike likely, and so are all terms of the library.
+    The names there lose that much of theirs.
+    """
+    found = [(0, LEAST_OTHER)]
+    alone = [step for step in search.found if len(step.joints) == 1]
+    for joint in sorted({step.joints[0] for step in alone}):
+        names = [step for step in alone if step.joints == (joint,)]
+        rest = _rebuilt(search.steps[0].system, [s for s in search.found if s not in names])
+        discovered = discover(rest, joint, sum(len(s.first.hypothesis.own) for s in names))
+        if discovered is None:
+            continue
+        law, count = discovered
+        fit = fitted(rest, law)
+        if judge is not None and judge.energy(rest, fit) > judge.energy(search.system, search.after):
+            continue
+        lead = (fit.evidence() - search.after.evidence()) / calibration()["temperature"]
+        odds = lead - len(fit.hypothesis.own) * np.log(count)
+        other = float(np.clip(1 / (1 + np.exp(-odds)), LEAST_OTHER, 0.99))
+        found.append((joint, other))
+        for step in names:
+            step.decision = replace(step.decision, probability=[(1 - other) * p for p in step.decision.probability])
+    return found
 
 
 def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bool:
@@ -202,7 +244,7 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     if not step.decision.ranked or step.decision.probability[0] < step.decision.none:
         return False
     gained = sum(other.gain for other in earlier)
-    enough = step.gain > max(EXACT * gained, FURTHER if earlier else FIRST)
+    enough = step.gain > max(EXACT * gained, (FURTHER if earlier else FIRST) * max(1.0, step.misfit))
     if enough and judge is not None:
         step.held, enough = judge.gain(step.system, step.first, step.trial)
     if not enough:
@@ -232,8 +274,15 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
 
 
 def accepted(system: System, step: Step, settled: bool = True) -> System:
-    """The model with a step's first answer in it."""
-    return with_wider(system, step.first.hypothesis) if step.trial is None else extended(system, step.trial, settled)
+    """The model with a step's first answer in it; where friction slips otherwise, it is like no other joint's."""
+    if step.trial is None:
+        return with_wider(system, step.first.hypothesis)
+    system = extended(system, step.trial, settled)
+    if step.first.hypothesis.effect == "hysteresis":
+        own = tuple(f"ordinary_presliding@joint{j + 1}." for j in step.joints)
+        numbers = [(n, UNLIKE_OTHERS) for n in system.base.parameters.names if n.startswith(own)]
+        system = with_wider(system, Hypothesis("parameter", step.first.hypothesis.site, scale=tuple(numbers)))
+    return system
 
 
 def _rebuilt(system: System, steps: Iterable[Step]) -> System:
@@ -257,13 +306,13 @@ def _grown(steps: Sequence[Step], step: Step, system: System, judge: "Judge | No
         before, after = (fitted(others, t) for t in (trial, more))
         if after.evidence() - before.evidence() < max(FURTHER, EXACT * step.gain):
             break
-        if judge is not None and judge.fall(others, before, after) < 0:
+        if judge is not None and judge.energy(others, after) > judge.energy(others, before):
             break
         trial = more
     if trial.suspect is step.trial.suspect:  # type: ignore[union-attr]
         return system
     step.trials[step.key] = trial
-    return extended(others, trial)
+    return accepted(others, step)
 
 
 def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
@@ -310,9 +359,10 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
         elif step.accepted:
             system = accepted(system, step)
     search.system, search.after = system, base_fit(system)
-    trial = discover(system, joint)
-    if trial is None:
+    discovered = discover(system, joint)
+    if discovered is None:
         return
+    trial, _ = discovered
     fit = fitted(system, trial)
     if judge is None or judge.gain(system, fit, trial)[1]:
         search.law = joint, trial, fit
@@ -465,8 +515,8 @@ class Judge:
         for entry in entries:
             column = self.system.full(self.system.whiten(self.system.torque([entry])))
             residual = residual - column[:, 0]
-            for state, extra in zip(self.system.state, self.system.torque([entry]), strict=True):
-                state.torque[...] += extra
+            for run, state in zip(self.base.runs, self.system.state, strict=True):
+                add(run, state, entry)
         offsets = self.system.A[:, self.size :]
         own = np.linalg.solve(offsets.T @ offsets + np.eye(offsets.shape[1]), residual @ offsets)
         return np.asarray(residual - offsets @ own)
@@ -492,13 +542,11 @@ class Judge:
             return float(fall.sum()), bool(fall.sum() > -HARM - 0.01 * power.sum())
         return float(fall.sum()), bool(fall.sum() > SHARE * expected and (fall / power).max() > LEAST)
 
-    def fall(self, system: System, before: Fitted, after: Fitted) -> float:
-        """Fall of ½ χ² from one fit of entries on a system to another."""
-        rests = []
-        for fit in (before, after):
-            entries = [*system.entries(fit.z), *with_values(fit.hypothesis, fit.values[fit.own])]
-            rests.append(self.rest(system.plain(fit.z), entries))
-        return float(0.5 * (rests[0] @ rests[0] - rests[1] @ rests[1]))
+    def energy(self, system: System, fit: Fitted) -> float:
+        """½ χ² of a fit of entries on a system."""
+        entries = [*system.entries(fit.z), *with_values(fit.hypothesis, fit.values[fit.own])]
+        rest = self.rest(system.plain(fit.z), entries)
+        return float(0.5 * (rest @ rest))
 
 
 def smallest_visible(system: System, suspects: Sequence[Suspect]) -> list[dict[str, Any]]:
