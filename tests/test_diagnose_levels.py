@@ -10,14 +10,16 @@ from tools.truth.__main__ import main as truth
 from twin.diagnose.blow import RATE_HZ, Strike, pulse, torques, transform
 from twin.diagnose.joint_laws import Cubic, Gap, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
-from twin.diagnose.levels import decide_levels, explain_levels
+from twin.diagnose.levels import Levels, decide_levels, explain_levels
 from twin.diagnose.levels_finding import check_blows
+from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.objective import Sample
+from twin.diagnose.refit import NONE, descend
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import estimates_of
 from twin.identify.elastic import prepare, without_limits
-from twin.identify.parameters import free_parameters, independent
+from twin.identify.parameters import Parameter, free_parameters, independent
 from twin.identify.sensitivity import Observed
 from twin.measure.campaign import Campaign, read_campaign
 from twin.robot.description import Entry, Robot
@@ -57,6 +59,29 @@ def test_stepped_blows_are_the_truth_codes(
     )
     for r, H in zip(recordings, stepped.predicted(np.zeros(0)), strict=True):
         assert np.linalg.norm(H - r.frf) < tolerance * np.linalg.norm(r.frf)
+
+
+@pytest.mark.parametrize(("law", "sizes"), [(Cubic(), [1e13]), (Gap(), [5e-5]), (SLIP, [1e5] * 5)])
+def test_harder_blows_on_a_law_as_much_larger_give_the_same_frfs(
+    kr90: Robot, tmp_path: Path, law: Law, sizes: list[float]
+) -> None:
+    """Deflections are in proportion to momentum: only weight tells a pulse nobody recorded from a law's size."""
+    campaign = recorded(tmp_path, "", "--nominal", "--no-sag", "--noise", "0", "--scatter", "0", "--postures", "1")
+    robot, sample, blow = without_limits(kr90), Sample(tuple(prepare(campaign, kr90).values())), blows(campaign)
+    assert blow is not None
+    own = [Parameter(f"x.{n}", "", "entry", True, value, 1.0) for n, value in zip(law.names, sizes, strict=True)]
+    pulse = Parameter("x.pulse", "s", "entry", True, 0.010, 0.2)
+    usual = Stepped(robot, independent([*own, pulse]), sample, law=law, site="joint2.z", blow=blow)
+    entry = law.entry(*usual.own(np.zeros(len(sizes) + 1)))
+    harder = {name: replace(b, peak_n=1.25 * b.peak_n) for name, b in blow.items()}
+    if isinstance(law, Slip):
+        larger: Law = Slip(tuple(np.divide(entry["yield_torque"], entry["stiffness"])))
+        fixed = np.array(entry["stiffness"])
+    else:
+        larger, fixed = law, np.array([entry[law.names[0]]])
+    other = Stepped(robot, independent([]), sample, law=larger, site="joint2.z", blow=harder, fixed=fixed)
+    for one, two in zip(usual.predicted(np.zeros(len(sizes) + 1)), other.predicted(np.zeros(0)), strict=True):
+        assert np.linalg.norm(one - two) < 1e-9 * np.linalg.norm(one)
 
 
 def oscillator(omega: float, zeta: float) -> Observed:
@@ -103,8 +128,8 @@ def test_transform_is_that_of_the_broken_line() -> None:
     assert transform(s, 9000) @ np.exp(-5 * t) - 0.5 / RATE_HZ == pytest.approx(1 / (s + 5), rel=0.03)
 
 
-def found_in(campaign: Campaign, robot: Robot) -> tuple[list[str], dict[str, dict[str, object]]]:
-    """Names in the order of probability, with the first one's parameters."""
+def found_in(campaign: Campaign, robot: Robot) -> tuple[list[str], dict[str, dict[str, object]], Levels, Sample]:
+    """Names in the order of probability, the first one's parameters, and what they were chosen from."""
     base = without_limits(robot)
     checked = triage(campaign, base, "test", None)
     sample = Sample(tuple(checked.used))
@@ -115,15 +140,38 @@ def found_in(campaign: Campaign, robot: Robot) -> tuple[list[str], dict[str, dic
     assert levels is not None
     decision = decide_levels(levels)
     assert decision.none + decision.other + sum(decision.probability) == pytest.approx(1.0)
-    return [fit.hypothesis.key for fit in decision.ranked], estimates_of(decision.ranked[0], decision.ranked[0].own)
+    first = decision.ranked[0]
+    return [fit.hypothesis.key for fit in decision.ranked], estimates_of(first, first.own), levels, sample
 
 
 def test_hardening_is_found_with_its_size(kr90: Robot, tmp_path: Path) -> None:
     """A cubic spring at joint 1 of a robot with all tolerances is named, and its interval is about its true value."""
-    campaign = recorded(tmp_path, "hardening_stiffness@joint1.z:cubic=2e13", "--seed", "5", "--postures", "3")
-    names, sizes = found_in(campaign, kr90)
+    brief = ["--postures", "3", "--spacing-hz", "0.25", "--lines", "90"]
+    campaign = recorded(tmp_path, "hardening_stiffness@joint1.z:cubic=2e13", "--seed", "5", *brief)
+    names, sizes, levels, sample = found_in(campaign, kr90)
     assert names[0] == "hardening_stiffness@joint1.z"
     assert sizes["cubic"]["value"] == pytest.approx(2e13, rel=0.03)
+    test = next_blows(kr90, levels, levels.fits[0], None, sample, blows(campaign) or {})
+    assert test is not None
+    assert test["separates"] == ["hardening_stiffness@joint1.z", "none"]
+    assert test["expected_ln_bayes_factor"] > 8
+
+
+def test_what_would_just_have_been_seen_is_where_levels_begin_to_disagree(kr90: Robot, tmp_path: Path) -> None:
+    """Half the smallest visible cubic spring passes the triage, twice as much fails it; a gap shut by weight never."""
+    options = ["--nominal", "--no-sag", "--postures", "1"]
+    campaign = recorded(tmp_path, "", *options)
+    base = without_limits(kr90)
+    sample = Sample(tuple(prepare(campaign, base).values()))
+    free = free_parameters(base, tolerances=False)
+    fit = descend(base, NONE, free, sample, np.zeros(len(free)), tempered=0, linear=2)
+    seen = {(v["effect"], v["site"]): v for v in smallest_visible_laws(base, fit, sample, blows(campaign) or {})}
+    assert ("backlash", "joint2.z") not in seen
+    assert ("backlash", "joint1.z") in seen
+    smallest = seen["hardening_stiffness", "joint1.z"]["value"]
+    for factor, flagged in ((0.5, False), (2.0, True)):
+        changed = recorded(tmp_path, f"hardening_stiffness@joint1.z:cubic={factor * smallest:g}", *options)
+        assert triage(changed, base, "test", None).nonlinear is flagged
 
 
 def test_mujoco_steps_the_same_blows(kr90: Robot, tmp_path: Path) -> None:

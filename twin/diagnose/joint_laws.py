@@ -23,10 +23,12 @@ class Law:
 
     Attributes:
         effect: as in the vocabulary; ``names`` of its parameters in the order of the sizes.
+        power: of the deflection, to which sizes that act alike are in proportion.
     """
 
     effect: str
     names: tuple[str, ...]
+    power: float
 
     def parameters(self, key: str, k: float) -> tuple[Parameter, ...]:
         """Log-normal priors about the usual sizes at a joint of stiffness k; ``key`` is ``EFFECT@SITE``."""
@@ -41,9 +43,9 @@ class Law:
         """Sizes (m,) in the centre of the prior, for a joint of stiffness k."""
         raise NotImplementedError
 
-    def entry(self, sizes: FloatArray) -> dict[str, float | list[float]]:
-        """The parameters of an entry."""
-        return {self.names[0]: float(sizes[0])}
+    def entry(self, sizes: FloatArray, larger: float = 1.0) -> dict[str, float | list[float]]:
+        """The parameters of an entry that acts on deflections so many times larger as the sizes do on these."""
+        return {self.names[0]: float(sizes[0] * larger**self.power)}
 
     def rest(self, k: FloatArray, load: FloatArray, sizes: FloatArray) -> FloatArray:
         """φ (c,) at which spring (c,) and law (m, c) carry a load (c,)."""
@@ -71,7 +73,7 @@ class Law:
 class Cubic(Law):
     """k₃ φ³."""
 
-    effect, names, units = "hardening_stiffness", ("cubic",), ("N·m/rad³",)
+    effect, names, units, power = "hardening_stiffness", ("cubic",), ("N·m/rad³",), -2.0
 
     def rest(self, k: FloatArray, load: FloatArray, sizes: FloatArray) -> FloatArray:
         """Newton's method from the linear deflection, which lies beyond the root."""
@@ -95,7 +97,7 @@ class Cubic(Law):
 class Gap(Law):
     """−k · clip(φ, ±gap/2)."""
 
-    effect, names, units = "backlash", ("gap",), ("rad",)
+    effect, names, units, power = "backlash", ("gap",), ("rad",), 1.0
 
     def rest(self, k: FloatArray, load: FloatArray, sizes: FloatArray) -> FloatArray:
         side = np.where(np.abs(load) > NO_LOAD, np.sign(load), 0.0)
@@ -111,7 +113,7 @@ class Gap(Law):
         return np.array([USUAL_DEFLECTION])
 
     def sizes(self, k: float, amplitude: float) -> FloatArray:
-        return (amplitude * np.geomspace(0.03, 3.0, 9))[:, None]
+        return (amplitude * np.geomspace(1e-3, 3.0, 14))[:, None]
 
 
 @dataclass(frozen=True)
@@ -130,13 +132,15 @@ class Slip(Law):
     effect = "hysteresis"
     names = tuple(f"stiffness[{i}]" for i in range(ELEMENTS))
     units = ("N·m/rad",) * ELEMENTS
+    power = 0.0
 
     def at(self, amplitude: float) -> "Slip":
         return Slip(tuple(amplitude * np.geomspace(0.01, 1.0, ELEMENTS)))
 
-    def entry(self, sizes: FloatArray) -> dict[str, float | list[float]]:
+    def entry(self, sizes: FloatArray, larger: float = 1.0) -> dict[str, float | list[float]]:
         values = [float(v) for v in sizes]
-        return {"stiffness": values, "yield_torque": [k * x for k, x in zip(values, self.reach, strict=True)]}
+        yields = [k * x * larger for k, x in zip(values, self.reach, strict=True)]
+        return {"stiffness": values, "yield_torque": yields}
 
     def state(self, blows: int) -> FloatArray:
         """Torque of every element, then the deflection they were reached at."""

@@ -17,7 +17,7 @@ from twin.identify.sensitivity import Observed, contract, frf, frf_slopes, obser
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
 from twin.robot.description import Robot
 
-PULSE_S = 0.008  # a rubber tip, where no raw hits tell
+PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of its logarithm, where no raw hits tell
 FADED = 7.0  # e-foldings after which a windowed decay is not stepped any further
 OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
 SETTLING = 6  # iterations of a blow's own stiffness
@@ -117,11 +117,15 @@ def minimise(
 
 @dataclass(frozen=True)
 class Blow:
-    """How one group of a campaign was hit: peak N, length of the half sine s, samples of the decay."""
+    """How one group of a campaign was hit: peak N, length of the half sine s, samples of the decay.
+
+    ``known``: raw hits tell the length.
+    """
 
     peak_n: float
     pulse_s: float
     samples: int
+    known: bool = False
 
 
 def blows(campaign: Campaign) -> dict[str, Blow] | None:
@@ -133,7 +137,9 @@ def blows(campaign: Campaign) -> dict[str, Blow] | None:
         length = 1 / float(np.median(np.diff(posture.frequency)))
         if posture.exponential_window_rate > 0:
             length = min(length, FADED / posture.exponential_window_rate)
-        found[name] = Blow(posture.peak_force_n, _pulse_length(posture), round(length * RATE_HZ))
+        found[name] = Blow(
+            posture.peak_force_n, _pulse_length(posture), round(length * RATE_HZ), posture.hits is not None
+        )
     return found
 
 
@@ -302,7 +308,7 @@ class BlowByBlow(Cost):
             matrix = np.einsum("pfre,qfre->pqe", rate.conj(), rate).real + np.eye(2)[:, :, None]
             damped = matrix + damping * np.eye(2)[:, :, None] * matrix[[0, 1], [0, 1]].max(axis=0)
             step = -np.einsum("pqe,qe->pe", inverse2(damped), gradient)
-            step *= np.minimum(1.0, 1.0 / np.abs(step).max(axis=0))
+            step /= np.maximum(1.0, np.abs(step).max(axis=0))
             trial, _, _ = look(u + step)
             better = trial < parts
             u = np.where(better, u + step, u)
@@ -336,9 +342,13 @@ def inverse2(matrix: FloatArray) -> FloatArray:
 class Stepped(Cost):
     """Cost of a base model with a law at one joint; ``robot`` lacks its entry, ``parameters`` end with the law's own.
 
-    With ``fixed`` sizes (m,) they hold none. Derivatives: of what the law is sensitive to (its sizes, the joint's
-    spring and damper) by differences of stepped blows; of everything else with the law as the complex stiffness that
-    each blow saw.
+    Last of these, where no raw hits tell it, is the length of the blows: the momentum of a blow of known peak, and with
+    it the deflection, are in proportion. Blows twice as strong on a law with twice the gap give the same FRFs but for
+    the weight on the joint, which counts half as much: that is how it comes in, and sizes are those that go with blows
+    of the usual length until they are written into an entry. With ``fixed`` sizes (m,) the parameters hold none.
+
+    Derivatives: of what the law is sensitive to (its own numbers, the joint's spring and damper) by differences of
+    stepped blows; of everything else with the law as the complex stiffness that each blow saw.
     """
 
     law: Law = LAWS[0]
@@ -348,11 +358,16 @@ class Stepped(Cost):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        own = len(self.law.names) if self.fixed is None else 0
+        own = 0
+        if self.fixed is None:
+            own = len(self.law.names) + self.parameters.names[-1].endswith(".pulse")
         self.base = self.parameters.select(range(len(self.parameters) - own))
 
-    def _sizes(self, z: FloatArray) -> FloatArray:
-        return self.parameters.values(z)[len(self.base) :] if self.fixed is None else self.fixed
+    def own(self, z: FloatArray) -> tuple[FloatArray, float]:
+        """Sizes (m,) of the law, and the length of the blows over ``PULSE_S``."""
+        values = self.parameters.values(z)[len(self.base) :] if self.fixed is None else self.fixed
+        sizes, pulse_s = np.split(values, [len(self.law.names)])
+        return sizes, float(pulse_s[0]) / PULSE_S if len(pulse_s) else 1.0
 
     def predicted(self, z: FloatArray) -> list[ComplexArray]:
         """FRFs (nf, nr, ne) per recording."""
@@ -421,18 +436,20 @@ class Stepped(Cost):
     def _samples(self) -> int:
         return max(self.blow[r.group].samples for r in self.sample.recordings)
 
-    def _strikes(self, postures: _Postures, sizes: FloatArray) -> list[Strike]:
+    def _strikes(self, postures: _Postures, sizes: FloatArray, longer: float = 1.0) -> list[Strike]:
+        """Blows, ``longer`` times as long as usual, beside which the weight counts less."""
         strikes = []
         for r in self.sample.recordings:
             joint, blow = postures.of(r), self.blow[r.group]
-            strikes.append(Strike(joint.seen, joint.index, joint.k, joint.load, blow.peak_n, blow.pulse_s, sizes))
+            load = joint.load / longer
+            strikes.append(Strike(joint.seen, joint.index, joint.k, load, blow.peak_n, blow.pulse_s, sizes))
         return strikes
 
     def _stepped(self, points: Sequence[FloatArray]) -> tuple[list[_Postures], list[list[ComplexArray]]]:
         """Models and reactions at several z, stepped side by side."""
         n = len(self.base)
         postures = [_Postures(self.robot, self.base, self.site, z[:n], False) for z in points]
-        strikes = [self._strikes(some, self._sizes(z)) for some, z in zip(postures, points, strict=True)]
+        strikes = [self._strikes(some, *self.own(z)) for some, z in zip(postures, points, strict=True)]
         stepped = iter(torques([strike for some in strikes for strike in some], self.law, self._samples))
         reactions = [
             [_reaction(r, strike, next(stepped)[0]) for r, strike in zip(self.sample.recordings, some, strict=True)]

@@ -18,6 +18,8 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_laws import LAWS, Law
 from twin.diagnose.joint_reaction import (
     FADED,
+    PULSE_S,
+    PULSE_SPREAD,
     Blow,
     BlowByBlow,
     Stepped,
@@ -28,7 +30,7 @@ from twin.diagnose.joint_reaction import (
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import Fitted, descend
 from twin.identify.elastic import Recorded
-from twin.identify.parameters import Parameters
+from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import frf, observe
 from twin.measure.campaign import Campaign, FloatArray
 from twin.robot.description import Entry, Robot
@@ -40,7 +42,7 @@ WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
 ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
-LOCATING, ROUGH, RACING, LAST = 8, 10, 4, 8  # iterations
+LOCATING, ROUGH, RACING, LAST = 8, 10, 4, 15  # iterations
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,10 @@ class Located:
     z: FloatArray
     own: list[FloatArray]
     certainty: list[FloatArray]
+
+
+Trial = tuple[Stepped, Hypothesis, FloatArray]
+"""A law at a joint, and where its fit is."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +97,7 @@ class View:
         """The excitations whose blows tell most about the joint, and their indices."""
         told = sum(matrix[0, 0] for matrix in place.certainty)
         index = sorted(np.argsort(-np.asarray(told))[:count].tolist())
-        return Sample(tuple(_excited(r, index) for r in self.sample.recordings), self.sample.repeat), index
+        return Sample(tuple(excited(r, index) for r in self.sample.recordings), self.sample.repeat), index
 
 
 def view(robot: Robot, base: Parameters, z: FloatArray, sample: Sample, blow: dict[str, Blow], window: float) -> View:
@@ -153,12 +159,17 @@ def explain_levels(
     seen = view(robot, base.parameters, robust, sample, blow, window)
     if window:
         trials, temper = _rough_race(robot, base, places, seen, starts[1:], tick)
+        few = View(0.0, sample.thin(LINES), blow).telling(_at(trials, places), FEW_BLOWS)[0]
+        whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
+        whole, left = _race(whole, TEMPERS[1:-1], tick)
+        if left == TEMPERS[-2]:  # a law that holds to the ends of the decays tells more there
+            trials, temper, window, seen = whole, 0.0, 0.0, View(0.0, sample.thin(FINAL_LINES), blow)
     else:
-        few = replace(seen, sample=sample.thin(LINES))
+        short = replace(seen, sample=sample.thin(LINES))
         near = [place for place in places if place.cost < SITE_REACH * places[0].cost][:SITES]
-        trials, temper = _race([trial for place in near for trial in _starts(robot, base, place, few)], TEMPERS, tick)
+        trials, temper = _race([trial for place in near for trial in _starts(robot, base, place, short)], TEMPERS, tick)
         seen, temper = replace(seen, sample=sample.thin(FINAL_LINES)), 0.0  # what a law leaves unexplained must show
-    best = next(place for place in places if place.site == trials[0][1].site)
+    best = _at(trials, places)
     data = _tempered(seen.telling(best, BLOWS)[0], temper)
     objectives = [replace(objective, sample=data) for objective, _, _ in trials]
     fits = [fit_law(objective, *trial[1:], LAST) for objective, trial in zip(objectives, trials, strict=True)]
@@ -171,6 +182,11 @@ def explain_levels(
         key=lambda fit: fit.cost,
     )  # fmt: skip
     return Levels(places, [fits[k] for k in order], again, window, temper, [objectives[k] for k in order])
+
+
+def _at(trials: Sequence[Trial], places: Sequence[Located]) -> Located:
+    """The joint of the best trial."""
+    return next(place for place in places if place.site == trials[0][1].site)
 
 
 def decide_levels(levels: Levels) -> Decision:
@@ -213,9 +229,6 @@ def locate(
     return found, reached
 
 
-Trial = tuple[Stepped, Hypothesis, FloatArray]
-
-
 def _starts(robot: Robot, base: Fitted, place: Located, shown: View) -> list[Trial]:
     """Every law at a joint, with the sizes whose equivalent stiffnesses are most like those seen."""
     some, index = shown.telling(place, FEW_BLOWS)
@@ -226,7 +239,7 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View) -> list[Tri
     certainty = [matrix[:, :, index] for matrix in place.certainty]
     trials = []
     for law in LAWS:
-        objective, hypothesis = _stepped(robot, base, law, place.site, some, shown.blow)
+        objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
         amplitude = objective.deflection(place.z)
         objective = replace(objective, law=law.at(amplitude))
         sizes = law.sizes(k, amplitude)
@@ -237,8 +250,14 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View) -> list[Tri
         _, shift, size = min(scored, key=lambda item: item[0])
         start = values.copy()
         start[row], start[damper] = max(k + shift[0], 0.2 * k), max(c + shift[1], 0.1 * c)
-        trials.append((objective, hypothesis, objective.parameters.coordinates(np.concatenate([start, size]))))
+        trials.append((objective, hypothesis, point(objective, start, size)))
     return trials
+
+
+def point(objective: Stepped, values: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Coordinates of a base model's values with a law of given sizes, blows of usual length."""
+    rest = len(objective.parameters) - len(values) - len(sizes)
+    return objective.parameters.coordinates(np.concatenate([values, sizes, [PULSE_S] * rest]))
 
 
 def _rough_race(
@@ -254,15 +273,13 @@ def _rough_race(
     for place in places:
         some, _ = shown.telling(place, FEW_BLOWS)
         for law in LAWS:
-            objective, hypothesis = _stepped(robot, base, law, place.site, some, shown.blow)
+            objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
             for z in starts:
                 amplitude = objective.deflection(z)
                 rough = replace(objective, law=law.at(amplitude), logarithmic=True)
                 values = base.parameters.values(z)
                 k = values[base.parameters.names.index(f"{place.site}.stiffness")]
-                points = [
-                    objective.parameters.coordinates(np.concatenate([values, size])) for size in law.sizes(k, amplitude)
-                ]
+                points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
                 end, cost, _, _ = minimise(rough, points[int(np.argmin(rough.costs(points)))], ROUGH, 0.3)
                 ends.append((cost, (rough, hypothesis, end)))
             tick(1)
@@ -278,12 +295,17 @@ def _rough_race(
     return trials, min(temper, ROUGH_TEMPERS[0])
 
 
-def _stepped(
+def with_law(
     robot: Robot, base: Fitted, law: Law, site: str, sample: Sample, blow: dict[str, Blow]
 ) -> tuple[Stepped, Hypothesis]:
+    """A base model with a law at a joint, and what that says is missing."""
     described = float(robot.axes[int(site[5:-2]) - 1].stiffness or 0.0)
     entry = Entry(effect=law.effect, site=site, **law.entry(law.usual(described)))
-    hypothesis = Hypothesis(law.effect, site, (entry,), law.parameters(f"{law.effect}@{site}", described))
+    key = f"{law.effect}@{site}"
+    own = law.parameters(key, described)
+    if not all(b.known for b in blow.values()):
+        own += (Parameter(f"{key}.pulse", "s", "entry", True, PULSE_S, PULSE_SPREAD, "a rubber tip"),)
+    hypothesis = Hypothesis(law.effect, site, (entry,), own)
     parameters = hypothesis.parameters(base.parameters)
     return Stepped(robot, parameters, sample, law=law, site=site, blow=blow), hypothesis
 
@@ -310,7 +332,7 @@ def _race(trials: list[Trial], tempers: Sequence[float], tick: Callable[[int], N
     return trials, reached
 
 
-def _excited(r: Recorded, index: Sequence[int]) -> Recorded:
+def excited(r: Recorded, index: Sequence[int]) -> Recorded:
     """The recording of some excitations."""
     channels = r.setup.excitation
     keep = replace(
@@ -337,7 +359,7 @@ def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray, iteration
     z, cost, information, converged = minimise(objective, z, iterations, 0.3)
     parameters, n = objective.parameters, len(objective.base)
     values, data = parameters.values(z), objective.data
-    entry = Entry(effect=hypothesis.effect, site=hypothesis.site, **objective.law.entry(values[n:]))
+    entry = Entry(effect=hypothesis.effect, site=hypothesis.site, **objective.law.entry(*objective.own(z)))
     robot = objective.base.apply(objective.robot, values[:n])
     robot = robot.model_copy(update={"physics": [*robot.physics, entry]})
     return Fitted(

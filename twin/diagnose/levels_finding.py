@@ -7,20 +7,23 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.decide import finalists
 from twin.diagnose.evidence import sentence
 from twin.diagnose.joint_laws import LAWS, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows, minimise
 from twin.diagnose.levels import Levels, decide_levels, explain_levels
+from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, frf_records
 from twin.diagnose.refit import Fitted, noise_floor
 from twin.diagnose.search import Search
 from twin.diagnose.triage import Triage
-from twin.diagnose.verdict import Finding, judge, missing_of
+from twin.diagnose.verdict import Finding, judge, missing_of, rival_of
 from twin.identify.elastic import Recorded, without_limits
 from twin.identify.elastic_compare import recording_set, relative_error
 from twin.identify.parameters import independent
+from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
@@ -63,27 +66,30 @@ def levels_finding(
         return None
     answered = word in ("named", "ambiguous")
     best = decision.ranked[0] if answered else search.base
+    how = blows(campaign) or {}
     records, errors = frf_records(without_limits(given), search.base, search.base, found.used, found.kept)
     if answered:
-        records, errors["after"] = _stepped_records(
-            records, levels, best, found.used, found.kept, blows(campaign) or {}
-        )
+        records, errors["after"] = _stepped_records(records, levels, best, found.used, found.kept, how)
     errors["noise_floor"] = noise_floor(sample.recordings)
     sites = {place.site: levels.places[-1].cost - place.cost for place in levels.places}
     missing = missing_of(decision, levels.base) if answered else []
     finding = Finding(
         source, "frf-campaign", word, missing, decision.none, decision.other, given,
         _limited(search.base.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
-        _location(source, records, levels.places[0].site), sites, warnings=found.warnings,
+        _location(source, records, levels.places[0].site), sites,
+        smallest_visible_laws(base, search.base, sample, how), warnings=found.warnings,
+        finalists=finalists(levels.base, levels.fits),
     )  # fmt: skip
     finding.missing = [
         replace(
-            item, first=replace(item.first, parameters=_with_yields(item.first.parameters, best)),
+            item, first=replace(item.first, parameters=_as_entered(item.first.parameters, levels, best)),
             evidence=f"{levels_sentence(levels)} "
             + sentence(item.first.title, records, errors, finding.held_out),
         )
         for item in missing
     ]  # fmt: skip
+    if word == "ambiguous":
+        finding.next_test = next_blows(given, levels, best, rival_of(decision), sample, how)
     return finding
 
 
@@ -102,14 +108,28 @@ def levels_sentence(levels: Levels) -> str:
     )
 
 
-def _with_yields(parameters: dict[str, Any], fit: Fitted) -> dict[str, Any]:
-    """Slip's yield torques beside its stiffnesses, to which they are in proportion."""
-    values = (fit.robot.physics[-1].model_extra or {}).get("yield_torque")
-    if values is None or "stiffness" not in parameters:
+def _as_entered(parameters: dict[str, Any], levels: Levels, fit: Fitted) -> dict[str, Any]:
+    """The law's own numbers for blows as long as these were, their uncertainty included, and not the blows'; slip's
+    yield torques beside its stiffnesses, to which they are in proportion."""
+    objective = levels.objectives[levels.fits.index(fit)]
+    entry: dict[str, Any] = objective.law.entry(*objective.own(fit.z))
+    if "yield_torque" in entry:
+        item = parameters["stiffness"]
+        ratio = np.divide(entry["yield_torque"], entry["stiffness"])
+        yields = [[end * r for end in pair] for pair, r in zip(item["interval90"], ratio, strict=True)]
+        return {
+            "stiffness": item,
+            "yield_torque": {"value": entry["yield_torque"], "unit": "N·m", "interval90": yields},
+        }
+    (name, value), *_ = entry.items()
+    if "pulse" not in parameters:
         return parameters
-    ratio = [torque / k for torque, k in zip(values, parameters["stiffness"]["value"], strict=True)]
-    ends = [[end * r for end in pair] for pair, r in zip(parameters["stiffness"]["interval90"], ratio, strict=True)]
-    return {**parameters, "yield_torque": {"value": list(values), "unit": "N·m", "interval90": ends}}
+    # logarithms add up: of the size at usual blows and, by its power, of the blows' length
+    covariance = np.linalg.inv(fit.information)[np.ix_(fit.own, fit.own)] * max(1.0, fit.misfit)
+    weight = np.array([1.0, objective.law.power]) * [fit.parameters[k].deviation for k in fit.own]
+    spread = NINETY * float(np.sqrt(weight @ covariance @ weight))
+    ends = [value * float(np.exp(side * spread)) for side in (-1, 1)]
+    return {name: {**parameters[name], "value": value, "interval90": ends}}
 
 
 def _limited(robot: Robot, given: Robot) -> Robot:
@@ -160,7 +180,10 @@ def _stepped_records(
     are estimated again, nothing else."""
     law, sizes, robot = law_of(fit.robot)
     site = fit.hypothesis.site
-    own = levels.objectives[levels.fits.index(fit)].base
+    objective = levels.objectives[levels.fits.index(fit)]
+    own = objective.base
+    longer = objective.own(fit.z)[1]
+    blow = {group: replace(b, pulse_s=b.pulse_s * longer) for group, b in blow.items()}
     belongs = [k for k, p in enumerate(own) if p.kind in ("posture", "sag", "gain")]
     predicted = Stepped(
         robot, independent([own[k] for k in belongs]), Sample(tuple(used)), law=law, site=site, blow=blow, fixed=sizes
@@ -168,12 +191,12 @@ def _stepped_records(
     error: dict[str, float | None] = {"train": relative_error(used, predicted), "held_out": None}
     if kept:
         free = recording_set(robot, kept)
-        objective = Stepped(robot, free, Sample(tuple(kept)), law=law, site=site, blow=blow, fixed=sizes)
+        judged = Stepped(robot, free, Sample(tuple(kept)), law=law, site=site, blow=blow, fixed=sizes)
         z = np.zeros(len(free))
         few = Sample(tuple(kept)).thin(JUDGED_LINES)
-        for temper in (0.1, 0.02):
-            z, *_ = minimise(replace(objective, sample=few, temper=temper), z, AGAIN)
-        rest = objective.predicted(z)
+        for temper in (0.1, 0.02, 0.0):
+            z, *_ = minimise(replace(judged, sample=few, temper=temper), z, AGAIN)
+        rest = judged.predicted(z)
         error["held_out"] = relative_error(kept, rest)
         predicted = [*predicted, *rest]
     shown = [replace(r, predicted={**r.predicted, "after": H}) for r, H in zip(records, predicted, strict=True)]
