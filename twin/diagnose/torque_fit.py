@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
+from twin.diagnose.torque_design import Design
 from twin.diagnose.torque_laws import (
     REFERRING,
     USUAL,
@@ -114,17 +115,29 @@ class Base:
         """Parameters (p,) of the regressor."""
         return np.asarray(self.described + self.spread @ z[: self.spread.shape[1]])
 
-    def design(self, k: int) -> FloatArray:
-        """Torque of run k per unit z, (m, n, z + offsets)."""
-        n = self.regressor.robot.axis_count
-        rows = self.matrix[k] @ self.spread
-        orders, travels = self.ripple[k].shape[2], self.presliding[k].shape[2]
-        own = np.zeros((*rows.shape[:2], n * (orders + travels + len(self.runs))))
-        for j in range(n):
-            own[:, j, j * orders : (j + 1) * orders] = self.ripple[k][:, j]
-            own[:, j, n * orders + j * travels : n * orders + (j + 1) * travels] = UNLIKE * self.presliding[k][:, j]
-            own[:, j, n * (orders + travels) + k * n + j] = self.offset[j]
-        return np.concatenate([rows, PRESLIDING * self.presliding[k], own], axis=2)
+    def acting(self, joint: int) -> np.ndarray:
+        """Which of the free numbers can act on a joint: those of the robot, then its own."""
+        n, shared = self.regressor.robot.axis_count, self.spread.shape[1]
+        orders, travels = self.ripple[0].shape[2], self.presliding[0].shape[2]
+        first = shared + travels
+        return np.concatenate(
+            [
+                np.arange(first),
+                first + joint * orders + np.arange(orders),
+                first + n * orders + joint * travels + np.arange(travels),
+                first + n * (orders + travels) + np.arange(len(self.runs)) * n + joint,
+            ]
+        )
+
+    def design(self, k: int, joint: int) -> FloatArray:
+        """Torque (m, a) of a joint in run k per unit of the numbers that can act on it."""
+        presliding = self.presliding[k][:, joint]
+        offsets = np.zeros((len(presliding), len(self.runs)))
+        offsets[:, k] = self.offset[joint]
+        rows = self.matrix[k][:, joint] @ self.spread
+        return np.concatenate(
+            [rows, PRESLIDING * presliding, self.ripple[k][:, joint], UNLIKE * presliding, offsets], axis=1
+        )
 
     @property
     def lasting(self) -> int:
@@ -319,7 +332,7 @@ class System:
     Attributes:
         whitening: (n, order + 1) prediction-error filter per joint over the noise's deviation.
         parameters: the base model's numbers; ``found`` entries that belong to it, beyond the description's.
-        A: (N, z) whitened design; ``y`` (N,) whitened torque less the description's.
+        A: whitened design, as (N, z); ``y`` (N,) whitened torque less the description's.
         state: per run, what laws that act on other torques see.
         level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
         noise: (n,) RMS of the noise at the rows, N·m (N).
@@ -332,7 +345,7 @@ class System:
     whitening: FloatArray
     parameters: Parameters
     found: tuple[Suspect, ...] = ()
-    A: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    A: Design = field(default_factory=lambda: Design(0, (), (), np.zeros(0)))
     y: FloatArray = field(default_factory=lambda: np.zeros(0))
     state: list[State] = field(default_factory=list)
     level: FloatArray = field(default_factory=lambda: np.ones(0))
@@ -367,20 +380,22 @@ class System:
     def whiten(self, parts: Sequence[FloatArray]) -> Columns:
         """Torque (m, n) or (m, n, k) of every run, whitened."""
         joints = tuple(j for j in range(len(self.whitening)) if any(part[:, j].any() for part in parts))
-        out = []
-        for j in joints:
-            filtered = [
-                lfilter(self.whitening[j], [1.0], part[:, j], axis=0)[mask]
-                for part, mask in zip(parts, self.masks, strict=True)
-            ]
-            rows = np.concatenate(filtered)
-            rows = rows.reshape(len(rows), -1)
-            for stop in self.stops[j] if self.stops else ():
-                part = rows[stop.span]
-                part -= stop.directions @ (stop.share[:, None] * (stop.directions.T @ part))
-            out.append(rows)
+        out = [self.whitened(j, [part[:, j] for part in parts]) for j in joints]
         size = int(np.prod(parts[0].shape[2:], dtype=int))
         return Columns(joints, np.concatenate(out) if out else np.zeros((0, size)))
+
+    def whitened(self, joint: int, parts: Sequence[FloatArray]) -> FloatArray:
+        """Torque (m,) or (m, k) of a joint in every run, whitened (count, k)."""
+        filtered = [
+            lfilter(self.whitening[joint], [1.0], part, axis=0)[mask]
+            for part, mask in zip(parts, self.masks, strict=True)
+        ]
+        rows = np.concatenate(filtered)
+        rows = rows.reshape(len(rows), -1)
+        for stop in self.stops[joint] if self.stops else ():
+            part = rows[stop.span]
+            part -= stop.directions @ (stop.share[:, None] * (stop.directions.T @ part))
+        return rows
 
     def full(self, columns: Columns) -> FloatArray:
         """Columns on all rows (N, k)."""
@@ -400,13 +415,16 @@ class System:
         """Whiten design and data."""
         base = self.base
         self.stops = _stops(self)
-        self.A = self.full(self.whiten([base.design(k) for k in range(len(base.runs))]))
+        axes, runs = range(len(self.whitening)), range(len(base.runs))
+        blocks = tuple(self.whitened(j, [base.design(k, j) for k in runs]) for j in axes)
+        acting = tuple(base.acting(j) for j in axes)
+        self.A = Design(self.count, acting, blocks, np.ones(len(base.parameters)))
         self.y = self.full(self.whiten(base.rest))[:, 0]
 
     @cached_property
     def information(self) -> FloatArray:
         """Gauss–Newton matrix (z, z), prior included."""
-        return np.asarray(self.A.T @ self.A + np.eye(self.A.shape[1]))
+        return self.A.gram + np.eye(self.A.width)
 
     @cached_property
     def inverse(self) -> FloatArray:
@@ -416,12 +434,12 @@ class System:
     @cached_property
     def z(self) -> FloatArray:
         """The base model's optimum."""
-        return np.asarray(self.inverse @ (self.y @ self.A))
+        return np.asarray(self.inverse @ self.A.transposed(self.y))
 
     @cached_property
     def residual(self) -> FloatArray:
         """y − A z (N,)."""
-        return np.asarray(self.y - self.A @ self.z)
+        return self.y - self.A.times(self.z)
 
     def plain(self, z: FloatArray) -> FloatArray:
         """z in the deviations of the description."""
@@ -457,7 +475,7 @@ class System:
 
     def across(self, columns: Columns) -> FloatArray:
         """CᵀA (k, z)."""
-        return np.asarray(np.ascontiguousarray(columns.rows.T) @ self.on(self.A, columns))
+        return self.A.across(columns.joints, columns.rows)
 
     def projected(self, columns: Columns) -> tuple[FloatArray, FloatArray]:
         """CᵀPC (k, k) and CᵀPy (k,), the base model's numbers eliminated."""
@@ -575,12 +593,13 @@ def extended(system: System, trial: "Trial", settled: bool = True) -> System:
 
     Laws that act on other torques see it there only if ``settled``, or after :func:`refer`.
     """
-    slopes = system.full(trial.slopes)
     bigger = replace(
-        system, found=(*system.found, trial.suspect),
+        system,
+        found=(*system.found, trial.suspect),
         parameters=join(system.parameters, independent(trial.suspect.hypothesis.own)),
-        A=np.column_stack([system.A, slopes]), y=system.y - system.full(trial.column)[:, 0] + slopes @ trial.u,
-    )  # fmt: skip
+        A=system.A.beside(trial.slopes.joints, trial.slopes.rows),
+        y=system.y - system.full(trial.column)[:, 0] + system.full(trial.slopes) @ trial.u,
+    )
     if settled:
         refer(bigger, bigger.z)
     return bigger
@@ -590,12 +609,12 @@ def with_wider(system: System, hypothesis: Hypothesis) -> System:
     """The same rows with some numbers of the base model free beyond what the description allows."""
     names = system.parameters.names
     factors = {names.index(name): factor for name, factor in hypothesis.scale}
-    A = system.A.copy()
-    for k, factor in factors.items():
-        A[:, k] *= factor
     return replace(
-        system, A=A, widened={**system.widened, **factors}, parameters=hypothesis.parameters(system.parameters)
-    )  # fmt: skip
+        system,
+        A=system.A.scaled(factors),
+        parameters=hypothesis.parameters(system.parameters),
+        widened={**system.widened, **factors},
+    )
 
 
 def base_fit(system: System, hypothesis: Hypothesis = NONE) -> Fitted:
@@ -686,26 +705,32 @@ def _order(runs: Sequence[Run]) -> int:
 def _plain_fit(system: System) -> FloatArray:
     """z by least squares with white noise at the level of the residual."""
     base = system.base
-    D = np.concatenate([base.design(k)[r.valid] for k, r in enumerate(base.runs)])
     y = np.concatenate([rest[r.valid] for rest, r in zip(base.rest, base.runs, strict=True)])
     noise = 0.05 * np.sqrt(np.mean(y**2, axis=0)) + 1e-9
+    blocks = tuple(_rows(base, j)[np.concatenate([r.valid for r in base.runs])] for j in range(y.shape[1]))
     for _ in range(3):
-        W = (D / noise[None, :, None]).reshape(-1, D.shape[2])
-        z = np.linalg.solve(W.T @ W + np.eye(W.shape[1]), (y / noise).ravel() @ W)
-        noise = np.maximum(np.sqrt(np.mean((y - D @ z) ** 2, axis=0)), 1e-9 * np.abs(y).max(axis=0) + 1e-300)
-    return np.asarray(z)
+        scaled = tuple(block / level for block, level in zip(blocks, noise, strict=True))
+        W = Design(len(y), tuple(base.acting(j) for j in range(len(blocks))), scaled, np.ones(len(base.parameters)))
+        z = np.asarray(np.linalg.solve(W.gram + np.eye(W.width), W.transposed((y / noise).T.ravel())), float)
+        rest = y - noise * W.times(z).reshape(y.shape[1], -1).T
+        noise = np.maximum(np.sqrt(np.mean(rest**2, axis=0)), 1e-9 * np.abs(y).max(axis=0) + 1e-300)
+    return z
+
+
+def _rows(base: Base, joint: int) -> FloatArray:
+    """Torque of a joint per unit of the numbers that can act on it, runs together."""
+    return np.concatenate([base.design(k, joint) for k in range(len(base.runs))])
 
 
 def _dry_friction(base: Base) -> FloatArray:
     """A joint's dry friction (n,), N·m (N), as least squares find it, also where none is described."""
     found = np.zeros_like(base.friction)
     valid = np.concatenate([r.valid for r in base.runs])
-    designs = np.concatenate([base.design(k) for k in range(len(base.runs))])[valid]
     rest = np.concatenate(base.rest)[valid]
     for j, scale in enumerate(base.friction):
         described = [k for k, p in enumerate(base.parameters) if p.name == f"coulomb_friction@joint{j + 1}.torque"]
         sign = np.concatenate([r.filtered(r.dense.sign(r.dense.velocity[:, j])) for r in base.runs])[valid]
-        columns = np.column_stack([scale * sign, designs[:, j]])
+        columns = np.column_stack([scale * sign, _rows(base, j)[valid]])
         ridge = 0.05**2 * np.mean(rest[:, j] ** 2) * np.eye(columns.shape[1])
         x = np.linalg.solve(columns.T @ columns + ridge, columns.T @ rest[:, j])
         found[j] = scale * x[0] + sum(
@@ -727,7 +752,6 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
     out, level, noise = np.zeros((n, order + 1)), np.ones(n), np.ones(n)
     valid = np.concatenate([r.valid for r in base.runs])
     ends = np.cumsum([len(r.time) for r in base.runs])[:-1]
-    designs = np.concatenate([base.design(k) for k in range(len(base.runs))])
     data = np.concatenate(base.rest)
     for j in range(n):
         free = np.concatenate([smooth_columns(r, j, *span_of(base.runs, j)) for r in base.runs])
@@ -743,7 +767,7 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
         )
         B = np.column_stack([free, *extra[j], *stops]) * valid[:, None]
         scale = np.sqrt(np.mean(B**2, axis=0))
-        B = np.column_stack([designs[:, j] * valid[:, None], usual * (B / np.where(scale > 0, scale, 1))])
+        B = np.column_stack([_rows(base, j) * valid[:, None], usual * (B / np.where(scale > 0, scale, 1))])
         size, turn = np.linalg.eigh(B.T @ B)
         keep = size > 1e-9 * size[-1]
         Q = B @ (turn[:, keep] / np.sqrt(size[keep]))
@@ -891,7 +915,7 @@ def _gain(system: System, column: Columns, u: FloatArray) -> float:
 
 
 def start(system: System, suspect: Suspect) -> Trial:
-    """The best of a suspect's starts, sizes solved for."""
+    """The best of a suspect's starts, sizes solved for; without slopes, to be settled."""
     own, sizes = suspect.hypothesis.own, list(suspect.sizes)
     width = 1 + len(sizes)
     whitened = system.screened.get(suspect.name)
@@ -921,7 +945,7 @@ def start(system: System, suspect: Suspect) -> Trial:
         if best is None or gain > best[0]:
             best = gain, u
     assert best is not None
-    return evaluate(system, suspect, best[1])
+    return evaluate(system, suspect, best[1], slopes=False)
 
 
 def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
@@ -934,7 +958,7 @@ def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
 
 def settle(system: System, trial: Trial) -> Trial:
     """Refined; an entry that acts on other torques again, once these are what they are with it in the model."""
-    trial = refine(system, trial)
+    trial = refine(system, evaluate(system, trial.suspect, trial.u))
     own = trial.suspect.hypothesis.own
     values = own_values(own, trial.u)
     if np.any((same := canonical(trial.suspect.hypothesis, values)) != values):
@@ -948,7 +972,7 @@ def settle(system: System, trial: Trial) -> Trial:
 
 def eliminated(system: System, trial: Trial) -> FloatArray:
     """The base model's numbers (z,) beside a trial."""
-    return np.asarray(system.inverse @ ((system.y - system.full(trial.column)[:, 0]) @ system.A))
+    return np.asarray(system.inverse @ system.A.transposed(system.y - system.full(trial.column)[:, 0]))
 
 
 def refine(system: System, trial: Trial, iterations: int = 8) -> Trial:
@@ -983,7 +1007,7 @@ def fitted(system: System, trial: Trial) -> Fitted:
     parameters = join(system.parameters, independent(own))
     column = system.full(trial.column)[:, 0]
     z = eliminated(system, trial)
-    residual = system.y - column - system.A @ z
+    residual = system.y - column - system.A.times(z)
     across = system.across(trial.slopes)
     within = trial.slopes.rows.T @ trial.slopes.rows + np.eye(len(own))
     information = np.block([[system.information, across.T], [across, within]])

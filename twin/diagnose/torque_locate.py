@@ -79,12 +79,13 @@ def disturbances(log: MotionLog, search: Search, source: str) -> list[dict[str, 
         base = base_of(regressor, [run_of(regressor, joint_run(regressor.robot, short), bands)], system.base.sliding)
         known = np.zeros(len(base.parameters))
         known[: base.lasting] = z[: base.lasting]
-        state, wide, design = base.state(0, known), base.runs[0], base.design(0)
+        state, wide = base.state(0, known), base.runs[0]
         found = [entry_torque(wide, state, entry, entry.values) for entry in entries]
         rest = (wide.torque - state.torque)[wide.valid]
         for joint in range(rest.shape[1]):  # sizes again: the band is wider than that they were found in
-            columns = np.column_stack([design[:, joint], *(torque[:, joint] for torque in found)])[wide.valid]
-            ridge = np.diag([*np.full(design.shape[2], 0.1 * np.var(rest[:, joint])), *np.zeros(len(found))])
+            design = base.design(0, joint)
+            columns = np.column_stack([design, *(torque[:, joint] for torque in found)])[wide.valid]
+            ridge = np.diag([*np.full(design.shape[1], 0.1 * np.var(rest[:, joint])), *np.zeros(len(found))])
             ridge += 1e-9 * np.trace(columns.T @ columns) * np.eye(len(ridge))
             rest[:, joint] -= columns @ np.linalg.solve(columns.T @ columns + ridge, columns.T @ rest[:, joint])
         spectrum = np.abs(np.fft.rfft((rest - rest.mean(axis=0)) * np.hanning(len(rest))[:, None], axis=0)) ** 2

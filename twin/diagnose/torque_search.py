@@ -113,7 +113,7 @@ class Step:
         if self.trial is None:
             return self.first.misfit
         system = self.system
-        rest = system.y - system.full(self.trial.column)[:, 0] - system.A @ eliminated(system, self.trial)
+        rest = system.y - system.full(self.trial.column)[:, 0] - system.A.times(eliminated(system, self.trial))
         energy = sum(float(np.sum(rest[system.rows(j)] ** 2)) for j in self.joints)
         return energy / (system.count * float(system.level[list(self.joints)].sum()))
 
@@ -230,8 +230,9 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
         fit = fitted(rest, law)
         if judge is not None and judge.energy(rest, fit) > judge.energy(search.system, search.after):
             continue
-        lead = (fit.evidence() - search.after.evidence()) / calibration()["temperature"]
-        odds = lead - len(fit.hypothesis.own) * np.log(count)
+        named = search.after.evidence() - base_fit(rest).evidence()
+        lead = fit.evidence() - search.after.evidence() - EXACT * named
+        odds = lead / calibration()["temperature"] - len(fit.hypothesis.own) * np.log(count)
         other = float(np.clip(1 / (1 + np.exp(-odds)), LEAST_OTHER, 0.99))
         found.append((joint, other))
         for step in names:
@@ -308,6 +309,9 @@ def _grown(steps: Sequence[Step], step: Step, system: System, judge: "Judge | No
             break
         if judge is not None and judge.energy(others, after) > judge.energy(others, before):
             break
+        longer = replace(step, trials={step.key: more})
+        if not possible(accepted(others, longer), longer):
+            break
         trial = more
     if trial.suspect is step.trial.suspect:  # type: ignore[union-attr]
         return system
@@ -348,6 +352,15 @@ def _pruned(steps: Sequence[Step], system: System) -> System:
         if lost < FURTHER:
             old.accepted, system = False, shorter
     return system
+
+
+def possible(system: System, step: Step) -> bool:
+    """Whether the numbers of something found are what they can be, beside all else in the model."""
+    if step.trial is None:
+        return True
+    suspect = step.trial.suspect
+    values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)])
+    return bool((values[suspect.nonnegative] >= 0).all())
 
 
 def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
@@ -511,15 +524,18 @@ class Judge:
         known = np.zeros(len(self.base.parameters))
         known[: self.size] = z[: self.size]  # in the deviations of the description
         refer(self.system, known)
-        residual = self.system.y - self.system.A @ known
+        residual = self.system.y - self.system.A.times(known)
         for entry in entries:
             column = self.system.full(self.system.whiten(self.system.torque([entry])))
             residual = residual - column[:, 0]
             for run, state in zip(self.base.runs, self.system.state, strict=True):
                 add(run, state, entry)
-        offsets = self.system.A[:, self.size :]
-        own = np.linalg.solve(offsets.T @ offsets + np.eye(offsets.shape[1]), residual @ offsets)
-        return np.asarray(residual - offsets @ own)
+        A = self.system.A
+        offsets = np.arange(self.size, A.width)
+        G, pull = A.gram[np.ix_(offsets, offsets)], A.transposed(residual)[offsets]
+        own = np.zeros(A.width)
+        own[offsets] = np.linalg.solve(G + np.eye(len(offsets)), pull)
+        return residual - A.times(own)
 
     def gain(self, system: System, fit: Fitted, trial: Trial | None) -> tuple[float, bool]:
         """Fall of ½ χ², and whether it is enough to believe the fit."""
@@ -563,11 +579,11 @@ def smallest_visible(system: System, suspects: Sequence[Suspect]) -> list[dict[s
         values = suspect.starts[len(suspect.starts) // 2].copy()
         u = own_prior(own, values)
         u[list(suspect.sizes)] += 0.3
-        trial = evaluate(system, suspect, u)
         first = suspect.sizes[0] if suspect.sizes else 0
+        others = [k for k in range(len(own)) if k != first and k not in suspect.sizes]
+        trial = evaluate(system, suspect, u, slopes=bool(others))
         information, _ = system.projected(trial.column)
         energy = max(float(information[0, 0]), 1e-300)  # of the entry as it is
-        others = [k for k in range(len(own)) if k != first and k not in suspect.sizes]
         if others:
             joint = Columns(trial.slopes.joints, np.column_stack([trial.column.rows, trial.slopes.rows[:, others]]))
             whole, _ = system.projected(joint)

@@ -25,7 +25,7 @@ from twin.physics.motion import Motion
 from twin.robot.description import Robot
 
 LARGEST_BAND_HZ = 10.0
-LONG_S, LEAST_BAND_HZ = 600.0, 6.0  # a longer log has motion enough at lower frequencies, down to
+LONG_S, LEAST_BAND_HZ = 600.0, 1.5  # a longer log has motion enough at lower frequencies, down to
 ROWS = 2.5  # per second and hertz of the low-pass
 SMOOTH, DENSE = 2, 8  # instants per row of smooth laws, and at least of laws that step
 RECORDED = 1e-5  # of its largest density: torque was low-passed in recording where its spectrum falls below
