@@ -239,7 +239,8 @@ def diagnose_campaign(
     looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
-    decision = decide(fits, settled, looked_at, kept=kept)
+    unseen = Sample(tuple(kept), sample.repeat) if kept else None
+    decision = decide(fits, settled, looked_at, kept=unseen)
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     missing = missing_of(decision, settled) if answered else []

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.refit import Fitted, noise_floor, recorded_error
-from twin.identify.elastic import Recorded
+from twin.diagnose.objective import Sample
+from twin.diagnose.refit import Fitted, predictive_misfit
 from twin.yamlfile import read_yaml
 
 
@@ -54,7 +54,7 @@ def decide(
     handicap: Sequence[float] | None = None,
     other: float | None = None,
     scale: float | None = None,
-    kept: Sequence[Recorded] = (),
+    kept: Sample | None = None,
 ) -> Decision:
     """Probabilities of hypotheses fitted to the same lines as the base model.
 
@@ -82,16 +82,17 @@ def decide(
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
     order = np.argsort(-weights[:-1])
+    noise = numbers["noise_misfit"] + 2 * float(np.sqrt(2 / max(base.data, 1)))
     if other is None:
-        left = _left(base.misfit, best_misfit, numbers["noise_misfit"])
+        left = _left(base.misfit, best_misfit, noise)
         if kept and len(order) and weights[-1] < 0.5:
-            before, after = (held_misfit(fit, kept) for fit in (base, fits[order[0]]))
+            before, after = (predictive_misfit(fit, kept) for fit in (base, fits[order[0]]))
             left = max(left, _left(before, after, numbers["held_out_misfit"]))
         other = _other(left, numbers)
     share = (1 - other) * weights
     none = float(share[-1])
     if none > 0.5 and (
-        base.misfit > 2 * numbers["noise_misfit"] or (kept and held_misfit(base, kept) > numbers["held_out_adequate"])
+        base.misfit > 2 * noise or (kept and predictive_misfit(base, kept) > numbers["held_out_adequate"])
     ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
     return Decision([fits[k] for k in order], [float(share[k]) for k in order], none, float(other))
@@ -110,11 +111,6 @@ def finalists(base: Fitted, fits: Sequence[Fitted]) -> tuple[dict[str, Any], ...
         }
         for fit in (base, *fits)
     )  # fmt: skip
-
-
-def held_misfit(fit: Fitted, kept: Sequence[Recorded]) -> float:
-    """χ² per datum on recordings not used, after re-estimating what belongs to them alone."""
-    return (recorded_error(fit.robot, kept) / noise_floor(kept)) ** 2
 
 
 def _left(before: float, after: float, noise: float) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin.diagnose.blow import RATE_HZ, Strike, pulse, torques, transform
-from twin.diagnose.joint_laws import LAWS, Law
+from twin.diagnose.joint_laws import LAWS, NO_LOAD, Law
 from twin.diagnose.objective import Sample
 from twin.identify.elastic import LOG_SPREAD, Recorded
 from twin.identify.parameters import Parameters
@@ -22,6 +22,7 @@ FADED = 7.0  # e-foldings after which a windowed decay is not stepped any furthe
 OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
 SETTLING = 6  # iterations of a blow's own stiffness
 DIFFERENCE = 0.02  # prior deviations, of differences of stepped blows
+HEAVIER, WEIGHED = 0.01, 0.1  # share of a joint's load, and prior deviations, of differences that tell what load does
 LARGEST_STEP = 2.0  # prior deviations
 
 
@@ -227,16 +228,34 @@ class _Postures:
     """Joint models by posture: levels of one posture share them."""
 
     def __init__(self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, rates: bool) -> None:
-        self.values = parameters.values(z)
+        self.z, self.values = z, parameters.values(z)
         self.robot = parameters.apply(robot, self.values)
         self.parameters, self.site, self.rates = parameters, site, rates
         self.known: dict[tuple[str, bytes, int], _Joint] = {}
+        self.loads: dict[str, tuple[list[int], FloatArray]] = {}
 
     def of(self, r: Recorded) -> _Joint:
         key = r.setup.name, r.s.tobytes(), r.power
         if key not in self.known:
             self.known[key] = _joint(self.robot, self.parameters, self.values, r, self.site, self.rates)
         return self.known[key]
+
+    def load_slopes(self, r: Recorded) -> tuple[list[int], FloatArray]:
+        """Which parameters the weight on the joint depends on, and its derivatives (m,) with respect to their z."""
+        if r.setup.name not in self.loads:
+            index = self.of(r).index
+            loaded = [
+                k
+                for k, p in enumerate(self.parameters)
+                if (p.kind == "link" and ".inertia." not in p.name) or p.name.startswith(f"posture.{r.setup.name}.")
+            ]
+            rates = []
+            for k in loaded:
+                values = self.parameters.values(self.z + WEIGHED * np.eye(len(self.z))[k])
+                _, model = observe(self.parameters.apply(self.robot, values), r.setup, self.parameters, values)
+                rates.append((float(model.load[index]) - self.of(r).load) / WEIGHED)
+            self.loads[r.setup.name] = loaded, np.array(rates)
+        return self.loads[r.setup.name]
 
 
 @dataclass
@@ -347,8 +366,8 @@ class Stepped(Cost):
     the weight on the joint, which counts half as much: that is how it comes in, and sizes are those that go with blows
     of the usual length until they are written into an entry. With ``fixed`` sizes (m,) the parameters hold none.
 
-    Derivatives: of what the law is sensitive to (its own numbers, the joint's spring and damper) by differences of
-    stepped blows; of everything else with the law as the complex stiffness that each blow saw.
+    Derivatives: of what the law is sensitive to (its own numbers, the joint's spring and damper, the load on it) by
+    differences of stepped blows; of everything else with the law as the complex stiffness that each blow saw.
     """
 
     law: Law = LAWS[0]
@@ -378,7 +397,7 @@ class Stepped(Cost):
         sensitive = [names.index(f"{self.site}.{q}") for q in ("stiffness", "damping") if f"{self.site}.{q}" in names]
         sensitive += range(n, len(z))
         moved = [z + DIFFERENCE * np.eye(len(z))[k] for k in sensitive]
-        postures, reactions = self._stepped([z, *moved])
+        postures, reactions = self._stepped([z, *moved, z], heavier=HEAVIER)
         joints = _Postures(self.robot, self.base, self.site, z[:n], True)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         for k, (r, w) in enumerate(zip(self.sample.recordings, self.weight, strict=True)):
@@ -387,8 +406,12 @@ class Stepped(Cost):
             u = _equivalent(joint, r.s, R)
             dH = np.zeros((len(z), *H.shape), complex)
             dH[:n] = _coupled_slopes(joint, u[0] + r.s[:, None] * u[1])
-            for place, at, other in zip(sensitive, postures[1:], reactions[1:], strict=True):
+            for place, at, other in zip(sensitive, postures[1:-1], reactions[1:-1], strict=True):
                 dH[place] = (_reacting(at.of(r), other[k]) - H) / DIFFERENCE
+            if abs(joint.load) > NO_LOAD:
+                loaded, rate = joints.load_slopes(r)
+                by_load = (_reacting(joint, reactions[-1][k]) - H) / (HEAVIER * joint.load)
+                dH[loaded] += rate[:, None, None, None] * by_load
             e, pull, factor = self._error(r, H, w)
             cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
             J = (dH * factor).reshape(len(z), -1).view(float)
@@ -437,19 +460,22 @@ class Stepped(Cost):
         return max(self.blow[r.group].samples for r in self.sample.recordings)
 
     def _strikes(self, postures: _Postures, sizes: FloatArray, longer: float = 1.0) -> list[Strike]:
-        """Blows, ``longer`` times as long as usual, beside which the weight counts less."""
+        """Blows ``longer`` times as long as usual: their momentum scaled back, the weight counts less beside them."""
         strikes = []
         for r in self.sample.recordings:
             joint, blow = postures.of(r), self.blow[r.group]
-            load = joint.load / longer
-            strikes.append(Strike(joint.seen, joint.index, joint.k, load, blow.peak_n, blow.pulse_s, sizes))
+            load, peak, length = joint.load / longer, blow.peak_n / longer, blow.pulse_s * longer
+            strikes.append(Strike(joint.seen, joint.index, joint.k, load, peak, length, sizes))
         return strikes
 
-    def _stepped(self, points: Sequence[FloatArray]) -> tuple[list[_Postures], list[list[ComplexArray]]]:
-        """Models and reactions at several z, stepped side by side."""
+    def _stepped(
+        self, points: Sequence[FloatArray], heavier: float = 0.0
+    ) -> tuple[list[_Postures], list[list[ComplexArray]]]:
+        """Models and reactions at several z, stepped side by side; at the last one with a ``heavier`` load."""
         n = len(self.base)
         postures = [_Postures(self.robot, self.base, self.site, z[:n], False) for z in points]
         strikes = [self._strikes(some, *self.own(z)) for some, z in zip(postures, points, strict=True)]
+        strikes[-1] = [replace(strike, load=(1 + heavier) * strike.load) for strike in strikes[-1]]
         stepped = iter(torques([strike for some in strikes for strike in some], self.law, self._samples))
         reactions = [
             [_reaction(r, strike, next(stepped)[0]) for r, strike in zip(self.sample.recordings, some, strict=True)]

@@ -23,13 +23,15 @@ USUAL = 0.01  # of |H|, where nothing tells how blows differ
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
 ROUGH, SMOOTH = 3, 5  # order of differences over lines: noise and no more; noise even where it is smooth
 QUIETEST = 0.1  # quantile of channels whose roughness is noise
+TIED = 1.2  # lines that share noise, from where on coherence is smooth though it was estimated
 LIGHT = 0.03  # σT of a window that ties no lines together
 
 
-def pooled_variance(posture: PostureFRF) -> FloatArray:
+def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     """Variance (nf, nr, ne) of real and imaginary part in the unit of ``frf`` squared; infinite on dead channels.
 
-    Where the recording holds no coherence over two averages or more, from its own roughness.
+    Where the recording holds no coherence over two averages or more, from its own roughness. ``shared`` is how many
+    lines carry the noise of one (:func:`shared_lines`): pooling needs as many times more.
     """
     if frf_variance(posture) is None or posture.coherence is None or posture.averages is None:
         return _roughness(posture)
@@ -38,7 +40,7 @@ def pooled_variance(posture: PostureFRF) -> FloatArray:
     power = np.abs(accelerance) ** 2
     coherence = np.clip(posture.coherence, 1e-6, 1.0)
     noise = (1 - coherence) / (n * coherence)  # of the mean's power
-    scattered = _scattered(power * noise, power)
+    scattered = shared > TIED or _scattered(power * noise, power)
     if scattered:
         single = 0.5 * power * noise * n / (n - 1)  # a variance about the mean of its own n hits
     # Where noise rules, |H|² is noise itself: a line that happens to come out small is not known better for it.
@@ -52,7 +54,7 @@ def pooled_variance(posture: PostureFRF) -> FloatArray:
     floor = (SENSOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
     b = np.median(single / np.maximum(power, 1e-300), axis=(0, 1))
     a = np.broadcast_to(np.median(single, axis=0), single.shape)
-    kernel = min(NEIGHBOURS, len(single))
+    kernel = min(round(NEIGHBOURS * shared), len(single))
     # Likelihood of gamma-distributed variances, by multiplicative steps that keep both parts positive (Févotte and
     # Idier 2011, Itakura–Saito divergence): one part is not explained away by the other's error. a is a running mean.
     weight = a / kernel

@@ -7,14 +7,14 @@ described is known least of all: its prior has heavy tails.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.hypotheses import Hypothesis, Sprung
 from twin.diagnose.objective import Objective, Sample
 from twin.identify.elastic import Recorded
-from twin.identify.parameters import Parameters, recording_parameters
+from twin.identify.parameters import Parameters, independent, join, recording_parameters
 from twin.measure.campaign import FloatArray
 from twin.robot.description import Robot
 
@@ -212,6 +212,31 @@ def recorded_error(robot: Robot, recordings: Sequence[Recorded], *, again: bool 
     residual = objective.residual(z)
     data = sum(float(np.sum(np.abs(r.frf * w) ** 2)) for r, w in zip(recordings, objective.weight, strict=True))
     return float(np.sqrt(residual @ residual / data))
+
+
+def predictive_misfit(fit: Fitted, kept: Sample) -> float:
+    """χ² per datum of recordings a fit has not seen, what it does not know of its parameters beside their noise.
+
+    That is rᵀ(Σ + J C Jᵀ)⁻¹r with the fit's posterior covariance C: the least of ½ χ² + ½ zᵀz with the posterior as
+    prior. Angles of the postures are their own.
+    """
+    stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
+    root = fit.parameters.root
+    covariance = root @ np.linalg.inv(fit.information) @ root.T * max(1.0, fit.misfit)
+    own = recording_parameters(fit.robot, dict.fromkeys(r.setup.name for r in kept.recordings), ())
+    own = [p for p in own if p.kind == "posture"]
+
+    def after(parameters: Parameters) -> Parameters:
+        items = [replace(parameters[k], mean=fit.values[k], deviation=np.sqrt(covariance[k, k])) for k in stay]
+        return join(Parameters(tuple(items), covariance[np.ix_(stay, stay)]), independent(own))
+
+    known = after(fit.parameters)
+    if isinstance(fit.parameters, Sprung):
+        known = Sprung(known.items, known.covariance, after(fit.parameters.written))
+    z = np.zeros(len(known))
+    for sample in (kept.thin(50), kept):
+        z, cost, _, _ = minimise(Objective(fit.robot, known, sample), z, 8, 0.1)
+    return 2 * cost / Objective(fit.robot, known, kept).data
 
 
 def noise_floor(recordings: Sequence[Recorded]) -> float:

@@ -56,9 +56,9 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
     Raises:
         InputError: the recording does not fit the robot, or names to hold out are not there.
     """
-    recordings = {}
+    recordings, shared = {}, shared_lines(list(campaign.postures.values()))
     for name, recorded in prepare(campaign, robot, source).items():
-        variance = pooled_variance(campaign.postures[name])
+        variance = pooled_variance(campaign.postures[name], shared)
         lines = np.isin(campaign.postures[name].frequency, recorded.frequency)
         recordings[name] = replace(recorded, variance=variance[lines])
     names = list(dict.fromkeys(r.setup.name for r in recordings.values()))
@@ -66,7 +66,7 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
     checks: list[Check] = []
     for posture in campaign.postures.values():
         checks += [*driving_points(campaign, posture), *reciprocity(campaign, posture)]
-    levels, shared = _linear(campaign, recordings), shared_lines(list(campaign.postures.values()))
+    levels = _linear(campaign, recordings)
     if hold_out is None:
         held: list[str] = _spared(names, recordings)
     else:
