@@ -161,7 +161,7 @@ def explain_levels(
         trials, temper = _rough_race(robot, base, places, seen, starts[1:], tick)
         few = View(0.0, sample.thin(LINES), blow).telling(_at(trials, places), FEW_BLOWS)[0]
         whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
-        whole, left = _race(whole, TEMPERS[1:-1], tick)
+        whole, left = _race(whole, TEMPERS[1:-1], tick, 2 * RACING)
         if left == TEMPERS[-2]:  # a law that holds to the ends of the decays tells more there
             trials, temper, window, seen = whole, 0.0, 0.0, View(0.0, sample.thin(FINAL_LINES), blow)
     else:
@@ -310,7 +310,9 @@ def with_law(
     return Stepped(robot, parameters, sample, law=law, site=site, blow=blow), hypothesis
 
 
-def _race(trials: list[Trial], tempers: Sequence[float], tick: Callable[[int], None]) -> tuple[list[Trial], float]:
+def _race(
+    trials: list[Trial], tempers: Sequence[float], tick: Callable[[int], None], iterations: int = RACING
+) -> tuple[list[Trial], float]:
     """The laws that stay in reach of the best while the model error allowed falls, best first; and the least error at
     which one of them explains the recordings (1 where none does)."""
     reached = 1.0
@@ -319,7 +321,7 @@ def _race(trials: list[Trial], tempers: Sequence[float], tick: Callable[[int], N
         for objective, hypothesis, z in trials:
             allowed = replace(objective, sample=_tempered(objective.sample, temper))
             if np.isfinite(allowed.cost(z)):
-                z, cost, _, _ = minimise(allowed, z, RACING, 0.3)
+                z, cost, _, _ = minimise(allowed, z, iterations, 0.3)
                 ends.append((cost, (objective, hypothesis, z)))
             tick(1)
         ends.sort(key=lambda item: item[0])
