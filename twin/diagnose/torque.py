@@ -15,7 +15,7 @@ from twin.diagnose.torque_laws import add, log_suspects, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
-from twin.diagnose.torque_search import Progress, Search, explain, smallest_visible
+from twin.diagnose.torque_search import Progress, Search, explain, possible, smallest_visible
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
@@ -119,6 +119,8 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     missing: list[Missing] = []
     settled = _inflated(base_fit(search.system))
     for step in search.found:
+        if not possible(search.system, step):  # a correction to a law beside it, and no effect of that name
+            continue
         (found,) = missing_of(step.decision, step.base)
         if step.trial is not None:  # its numbers as they are with everything else in the model
             numbers = estimates_of(settled, search.system.own(step.trial.suspect))

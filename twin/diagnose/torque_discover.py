@@ -47,6 +47,16 @@ def library(axes: int, joint: int, speed: float, revolute: Sequence[bool]) -> li
     return list(dict.fromkeys(terms))
 
 
+def unnamed(law: Trial) -> bool:
+    """Whether a law has a term that none of the vocabulary's effects at its joint is by itself."""
+    (entry,) = law.suspect.hypothesis.entries
+    own = entry.site.removeprefix("joint")
+    v = f"v{own}"
+    named = {v, f"sign({v})", f"q{own}", f"a{own}", f"abs(load{own})*sign({v})"}
+    terms = [term.partition("*")[2] for term in entry.values["formula"].split(" + ")]
+    return any(term not in named and not term.startswith(f"sign({v})*exp(") for term in terms)
+
+
 def discover(system: System, joint: int, most: int = MOST_TERMS) -> tuple[Trial, int] | None:
     """A law of ``most`` terms for what the model misses at a joint, and the number of terms it was chosen from.
 

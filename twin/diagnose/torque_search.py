@@ -14,7 +14,7 @@ import numpy as np
 from twin.diagnose.decide import Decision, calibration, decide, finalists
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_discover import discover
+from twin.diagnose.torque_discover import discover, unnamed
 from twin.diagnose.torque_fit import (
     Base,
     Columns,
@@ -159,6 +159,7 @@ class Search:
     def reached(self, joint: int) -> float:
         """Share of what a free function would gain at a joint that names reach."""
         named = sum(step.gain for step in self.found if step.trial is None or joint in step.trial.column.joints)
+        named = max(named, self.free[joint] - self.left[joint])  # of what a later find made needless, the gain remains
         return float(named / max(named + max(self.left[joint], 0.0), 1e-9))
 
     def unreached(self) -> tuple[int, float]:
@@ -227,6 +228,8 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
         if discovered is None:
             continue
         law, count = discovered
+        if not unnamed(law):
+            continue
         fit = fitted(rest, law)
         if judge is not None and judge.energy(rest, fit) > judge.energy(search.system, search.after):
             continue
@@ -345,12 +348,16 @@ def _pruned(steps: Sequence[Step], system: System) -> System:
             continue
         kept = [s for s in steps if s.accepted and s is not old and s not in later]
         shorter = _rebuilt(steps[0].system, kept)
+        renewed: list[Step] = []
         for step in later:
-            again = settle(shorter, step.trial) if step.trial else None
-            shorter = accepted(shorter, replace(step, trials={**step.trials, step.key: again} if again else {}))
+            again = {step.key: settle(shorter, step.trial)} if step.trial else {}
+            renewed.append(replace(step, trials={**step.trials, **again}))
+            shorter = accepted(shorter, renewed[-1])
         lost = base_fit(system).evidence() - base_fit(shorter).evidence()
         if lost < FURTHER:
             old.accepted, system = False, shorter
+            for step, new in zip(later, renewed, strict=True):
+                step.trials = new.trials
     return system
 
 
