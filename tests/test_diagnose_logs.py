@@ -10,6 +10,7 @@ from test_identify_real import emps, needs, tx40
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.torque import diagnose_log
+from twin.diagnose.torque_design import Design
 from twin.diagnose.torque_fit import _correlation, prediction_filter
 from twin.diagnose.torque_locate import around_reversals, state_map
 from twin.diagnose.torque_signal import prepare, thinned
@@ -96,6 +97,23 @@ def test_low_pass_and_thinning_in_one_step_are_those_in_two(rows: int, step: int
     signal = np.cumsum(np.random.default_rng(0).normal(size=((rows - 1) * step + 1, 2)), axis=0)
     expected = lowpass(signal, 25.0 * step, 8.0, 10.0)[::step]
     np.testing.assert_allclose(thinned(signal, 25.0, step, 8.0, 10.0), expected, atol=1e-9)
+
+
+def test_a_design_kept_by_joint_is_the_dense_matrix() -> None:
+    rng = np.random.default_rng(0)
+    acting = (np.array([0, 1, 3]), np.array([0, 2, 4]))
+    blocks = tuple(rng.normal(size=(7, 3)) for _ in acting)
+    dense = np.zeros((14, 5))
+    for joint, (at, block) in enumerate(zip(acting, blocks, strict=True)):
+        dense[7 * joint : 7 * joint + 7, at] = block
+    more = rng.normal(size=(7, 2))
+    design = Design(7, acting, blocks, np.ones(5)).scaled({3: 5.0, 0: 0.1}).beside((1,), more)
+    dense = np.column_stack([dense * [0.1, 1, 1, 5, 1], np.vstack([np.zeros((7, 2)), more])])
+    z, y, columns = rng.normal(size=7), rng.normal(size=14), rng.normal(size=(7, 3))
+    np.testing.assert_allclose(design.times(z), dense @ z)
+    np.testing.assert_allclose(design.transposed(y), dense.T @ y)
+    np.testing.assert_allclose(design.gram, dense.T @ dense)
+    np.testing.assert_allclose(design.across((1,), columns), columns.T @ dense[7:])
 
 
 def test_a_law_outside_the_vocabulary_is_located_and_not_named(tmp_path: Path, kr90: Robot) -> None:

@@ -38,7 +38,7 @@ SITES: dict[str, tuple[str, ...]] = {effect: JOINTS for effect in VISIBLE} | {
     "time_delay": ("log",),
 }
 LARGEST = {"joint_coupling": 0.3, "torque_constant": 0.15, "payload": 120.0, "rotor_inertia": 3000.0}
-FIRST_SEED = {"development": 20_000, "evaluation": 700_000}
+FIRST_SEED = {"development": 20_000, "evaluation": 700_000, "last": 910_000}
 SAME = [{("payload", "flange"), ("payload", "link3"), ("parameter", "link3.mass")}]
 
 Case = tuple[int, str, str]

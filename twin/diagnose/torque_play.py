@@ -5,9 +5,10 @@ sign. Loads come from the fitted model, the gear's compliance and smooth departu
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from twin.diagnose.decide import calibration
@@ -21,6 +22,8 @@ from twin.robot.description import Entry, Robot
 
 USUAL_GAP = 5e-4  # rad at the gear output (m): a few minutes of arc
 DOUBT = (0.003, 0.01, 0.03, 0.06, 0.12)  # of a joint's RMS load: over which the gap is crossed
+INEXACT = 0.005  # of a gap: what the law of its crossing is off by
+STEP = 0.05  # of the logarithm of that load, for differences
 ORDER = 10  # of the noise's autoregression
 FIRST = 13.0  # ln evidence below which nothing is named, as for torques
 LEAST = 0.1  # of its gain on the rows used, per row, that rows not used must show
@@ -72,9 +75,28 @@ def plays(system: System, kept: Sequence[Run], kept_states: Sequence[State]) -> 
         return []
     found = []
     for joint in range(used[0][0].torque.shape[1]):
-        best = max((_play(used, aside, joint, share) for share in DOUBT), key=lambda play: play.gain)
-        found.append(best)
+        found.append(_widest(used, aside, joint))
     return found
+
+
+def _widest(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: int) -> Play:
+    """The gap at a joint, the load over which it is crossed found with it; its deviation is of both together."""
+
+    def at(log_share: float) -> Play:
+        return _play(used, aside, joint, float(np.exp(log_share)))
+
+    grid = np.log(DOUBT)
+    coarse = [at(x) for x in grid]
+    k = int(np.argmax([play.gain for play in coarse]))
+    if coarse[k].gain <= FIRST:
+        return coarse[k]
+    ends = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+    x = float(minimize_scalar(lambda x: -at(x).gain, bounds=ends, method="bounded", options={"xatol": 0.01}).x)
+    low, here, high = at(x - STEP), at(x), at(x + STEP)
+    bend = max(2 * here.gain - low.gain - high.gain, 0.0) / STEP**2
+    turn = (high.gap - low.gap) / (2 * STEP)
+    parts = here.deviation, turn / np.sqrt(max(bend, 1.0)), INEXACT * here.gap
+    return replace(here, deviation=float(np.linalg.norm(parts)))
 
 
 def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: int, share: float) -> Play:
@@ -104,7 +126,8 @@ def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: 
         column2, data2 = (white2[:, k] - basis2 @ (basis2.T @ white2[:, k]) for k in (-2, -1))
         expected = 0.5 * gap * pull * len(white2) / max(len(white), 1)
         seen = float(gap * (column2 @ data2) - 0.5 * gap**2 * (column2 @ column2))
-        held = seen - LEAST * min(expected, 0.5 * gap**2 * float(column2 @ column2))
+        if 0.5 * gap**2 * float(column2 @ column2) > 1.0:  # a load that keeps its sign there says nothing
+            held = seen - LEAST * min(expected, 0.5 * gap**2 * float(column2 @ column2))
     deviation = 1 / np.sqrt(information + 1 / USUAL_GAP**2)
     needed = max(FIRST, calibration()["temperature"] * np.log(60.0)) + occam
     return Play(
