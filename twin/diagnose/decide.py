@@ -5,7 +5,7 @@ the many channels of the measurement chain do not win by their number. Evidence 
 development cases. What the best entry leaves of the misfit tells whether the truth is among the names at all.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +17,8 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import Fitted, predictive_misfit
 from twin.yamlfile import read_yaml
+
+LINEAR = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
 
 
 @lru_cache
@@ -55,6 +57,7 @@ def decide(
     other: float | None = None,
     scale: float | None = None,
     kept: Sample | None = None,
+    unnamed: Callable[[Fitted], Mapping[str, float]] | None = None,
 ) -> Decision:
     """Probabilities of hypotheses fitted to the same lines as the base model.
 
@@ -66,6 +69,7 @@ def decide(
         other: probability that something unnamed is missing, where the engine has a better measure than the misfit.
         scale: factor on the data's variance (Birge's ratio); what the best fit leaves, by default.
         kept: hammer tests that were not used; a name must hold there too.
+        unnamed: what a law without a name would gain beside a fit, site by site, in ln evidence.
     """
     numbers = calibration()
     sites: dict[str, int] = {}
@@ -78,24 +82,50 @@ def decide(
         pieces = fit.hypothesis.pieces or (fit.hypothesis,)
         prior = sum(np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(p.effect, 10)) for p in pieces)
         logs.append((fit.evidence(scale) - base.evidence(scale) - less) / numbers["temperature"] + prior)
-    weights = np.array([*logs, np.log(numbers["none"])])
+    lawless = _lawless(fits, base, logs, unnamed, len(sites), numbers) if unnamed else -np.inf
+    weights = np.array([*logs, np.log(numbers["none"]), lawless])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
-    order = np.argsort(-weights[:-1])
+    names, nothing, nameless = weights[:-2], weights[-2], float(weights[-1])
+    order = np.argsort(-names)
     noise = numbers["noise_misfit"] + 2 * float(np.sqrt(2 / max(base.data, 1)))
     if other is None:
         left = _left(base.misfit, best_misfit, noise)
-        if kept and len(order) and weights[-1] < 0.5:
+        if kept and len(order) and nothing < 0.5:
             before, after = (predictive_misfit(fit, kept) for fit in (base, fits[order[0]]))
             left = max(left, _left(before, after, numbers["held_out_misfit"]))
         other = _other(left, numbers)
-    share = (1 - other) * weights
-    none = float(share[-1])
+    none, known = (1 - other) * float(nothing), (1 - other) * names
+    other += (1 - other) * nameless
     if none > 0.5 and (
         base.misfit > 2 * noise or (kept and predictive_misfit(base, kept) > numbers["held_out_adequate"])
     ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
-    return Decision([fits[k] for k in order], [float(share[k]) for k in order], none, float(other))
+    return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other))
+
+
+def _lawless(
+    fits: Sequence[Fitted],
+    base: Fitted,
+    logs: Sequence[float],
+    unnamed: Callable[[Fitted], Mapping[str, float]],
+    effects: int,
+    numbers: Mapping[str, float],
+) -> float:
+    """Logarithm of the weight of a law without a name, alone or beside the best answer: one effect more, at any site.
+
+    Alone it is known to first order only, which holds near the truth.
+    """
+    models = [(0.0, base)] if base.misfit < LINEAR else []
+    if len(logs):
+        best = int(np.argmax(logs))
+        models.append((logs[best], fits[best]))
+    found = []
+    for log, fit in models:
+        gains = np.array(list(unnamed(fit).values()))
+        if len(gains):
+            found.append(log + np.logaddexp.reduce(gains / numbers["temperature"]) - np.log(len(gains)))
+    return float(np.logaddexp.reduce(found) + np.log((1 - numbers["none"]) / (effects + 1))) if found else -np.inf
 
 
 def finalists(base: Fitted, fits: Sequence[Fitted]) -> tuple[dict[str, Any], ...]:

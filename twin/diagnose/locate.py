@@ -9,6 +9,8 @@ from twin.diagnose.refit import Fitted
 from twin.measure.campaign import FloatArray
 
 BANDS = 8
+SCALES = (0.3, 0.1, 0.03, 0.01, 0.003)
+"""Of a stiffness: by how much a law may change it."""
 
 
 @dataclass(frozen=True)
@@ -20,8 +22,7 @@ class Mismatch:
         edges_hz: (nb + 1,) of the bands.
         channels: (nc,) pairs, as ``21Z+/4Y+``.
         energy: (np, nb, nc) Σ |residual|²/σ².
-        sites: site → expected fall of the cost if its stiffness and damping were free in every posture, or in every
-            band (whichever brings more): a complex stiffness that knows no law.
+        sites: site → what :func:`free_laws` would gain there; 0 where it gains nothing.
     """
 
     postures: tuple[str, ...]
@@ -53,33 +54,64 @@ class Mismatch:
 def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
     """Where a fitted model misses a recording."""
     objective = Objective(fit.robot, fit.parameters, sample)
-    residual, J = objective.jacobian(fit.z)
+    residual = objective.residual(fit.z)
     first = sample.recordings[0]
     edges = np.geomspace(max(first.frequency[0], 1e-3), first.frequency[-1] * 1.0001, BANDS + 1)
     labels = first.setup
     channels = tuple(f"{r}/{e}" for r in labels.response.label for e in labels.excitation.label)
     energy = np.zeros((len(sample.recordings), BANDS, len(channels)))
-    at, cells = 0, []
+    at = 0
     for k, r in enumerate(sample.recordings):
         size = r.frf.size
         part = residual[2 * at : 2 * (at + size)].view(complex).reshape(len(r.s), -1)
         at += size
         band = np.clip(np.searchsorted(edges, r.frequency, side="right") - 1, 0, BANDS - 1)
-        cells.append(np.repeat(np.stack([np.full(len(band), k), band]), 2 * size // len(band), axis=1))
         for b in range(BANDS):
             energy[k, b] = np.sum(np.abs(part[band == b]) ** 2, axis=0)
-    inverse = np.linalg.inv(J @ J.T + np.eye(len(J)))
-    pull = J @ residual
-    sites: dict[str, float] = {}
-    for site in dict.fromkeys(p.site for p in fit.parameters if p.kind == "spring"):
-        rows = [k for k, p in enumerate(fit.parameters) if p.kind == "spring" and p.site == site]
-        gains = []
-        for cell in np.concatenate(cells, axis=1):  # the posture, then the band, of every datum
-            S = np.array([J[row] * (cell == part) for part in np.unique(cell) for row in rows])
-            across = J @ S.T
-            information = S @ S.T - across.T @ inverse @ across + np.eye(len(S))
-            gradient = S @ residual - across.T @ inverse @ pull
-            gains.append(float(0.5 * gradient @ np.linalg.solve(information, gradient)))
-        sites[site] = max(gains)
     names = tuple(r.group for r in sample.recordings)
-    return Mismatch(names, edges, channels, energy, dict(sorted(sites.items(), key=lambda item: -item[1])))
+    sites = {site: max(gain, 0.0) for site, gain in free_laws(fit, sample).items()}
+    return Mismatch(names, edges, channels, energy, sites)
+
+
+def free_laws(fit: Fitted, sample: Sample) -> dict[str, float]:
+    """What ln evidence would gain if a spring had a law without a name, site by site, most first.
+
+    The law is a stiffness of its own in every posture, or one that is complex and bends over frequency, the better of
+    the two: to first order about the fit, everything that is free there making room. A share x of the stiffness has the
+    prior N(0, s²), all scales s of ``SCALES`` alike.
+    """
+    objective = Objective(fit.robot, fit.parameters, sample)
+    residual, J = objective.jacobian(fit.z)
+    n = len(fit.z)
+    Q = np.linalg.qr(np.vstack([J.T, np.eye(n)]))[0]
+    rho = np.concatenate([residual, -fit.z])
+    rho = rho - Q @ (Q.T @ rho)
+    by_value = np.linalg.solve(fit.parameters.transform(fit.values).T, J)
+    ends = np.cumsum([0, *(2 * w.size for w in objective.weight)])
+    found: dict[str, float] = {}
+    for k, parameter in enumerate(fit.parameters):
+        slope = by_value[k] * fit.values[k]
+        if parameter.kind != "spring" or parameter.quantity != "stiffness" or not slope.any():
+            continue
+        postures = np.zeros((len(sample.recordings), len(slope)))
+        bends = np.zeros((4, len(slope)))
+        for p, r in enumerate(sample.recordings):
+            own = slice(ends[p], ends[p + 1])
+            postures[p, own] = slope[own]
+            octaves = np.repeat(np.log(r.frequency / np.sqrt(r.frequency[0] * r.frequency[-1])), r.frf[0].size)
+            law = np.array([1j + 0 * octaves, octaves, 1j * octaves, octaves**2])
+            bends[:, own] = (law * slope[own].view(complex)).view(float)
+        found[parameter.site] = max(_evidence(Q, rho, columns) for columns in (postures, bends))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _evidence(Q: FloatArray, rho: FloatArray, columns: FloatArray) -> float:
+    """ln evidence that columns (m, data) gain in explaining what is left, ρ (data + n,), their scale unknown."""
+    D = np.concatenate([columns.T, np.zeros((len(Q) - columns.shape[1], len(columns)))])
+    D -= Q @ (Q.T @ D)
+    information, pull = D.T @ D, D.T @ rho
+    logs = []
+    for scale in SCALES:
+        posterior = scale**2 * information + np.eye(len(pull))
+        logs.append(0.5 * scale**2 * pull @ np.linalg.solve(posterior, pull) - 0.5 * np.linalg.slogdet(posterior)[1])
+    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))

@@ -164,7 +164,7 @@ def screen(
             chosen = scan.best(variants)
         best = [max(_promises(setting, h, before), key=lambda promise: promise.gain) for h in chosen]
         most = max(promise.gain for promise in best)
-        found += [promise for promise in best if promise.gain >= NEARLY * most]
+        found += [promise for promise in best if promise.gain >= most - (1 - NEARLY) * abs(most)]
     return sorted(found, key=lambda promise: -promise.gain)
 
 

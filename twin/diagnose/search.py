@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis, companions, together
+from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.diagnose.screen import FAR, Promise, Setting, inflation, screen
@@ -39,7 +40,6 @@ class Search:
         base: the base model's optimum; ``others`` its other starts, best first.
         robust: (n,) the base model's optimum of the logarithmic residual.
         error: relative error of the base model beyond noise.
-        promises: of the first round, most promising first.
         fits: every hypothesis fitted to all lines, by what it says is missing.
     """
 
@@ -47,7 +47,6 @@ class Search:
     others: list[Fitted]
     robust: FloatArray
     error: float
-    promises: list[Promise] = field(default_factory=list)
     fits: dict[frozenset[str], Fitted] = field(default_factory=dict)
 
     @property
@@ -99,7 +98,32 @@ def explain(
         best = found[0]
         if number:
             best = _reconsider(robot, search, best, sample, suspects, progress)
+    _where_it_is(robot, search, best, sample, suspects, progress)
     return search
+
+
+def _where_it_is(
+    robot: Robot,
+    search: Search,
+    best: Fitted,
+    sample: Sample,
+    suspects: Sequence[Sequence[Hypothesis]],
+    progress: Progress,
+) -> None:
+    """What acts at the joint where a law without a name would still gain much: screening may have passed it over, or
+    a bent valley have held it up, which the robust logarithmic residual leaves."""
+    site, gain = next(iter(free_laws(best, sample).items()), ("", 0.0))
+    joint = site.partition(".")[0]
+    there = [variants for variants in suspects if variants[0].site.partition(".")[0] == joint]
+    if gain <= WORTH or not there:
+        return
+    for fit in _round(robot, search, search.base, sample, there, progress, every=True):
+        if not fit.converged and len(fit.hypothesis.pieces) == 1:
+            few = sample.thin(REFIT_LINES)
+            z = descend(robot, fit.hypothesis, fit.parameters, few, fit.z, logarithmic=10, tempered=0, linear=15).z
+            again = descend(robot, fit.hypothesis, fit.parameters, sample, z, tempered=0, tolerance=0.02)
+            if again.cost < fit.cost:
+                search.fits[fit.hypothesis.identity] = again
 
 
 def _worth(simpler: Fitted, richer: Fitted) -> bool:
@@ -153,8 +177,9 @@ def _round(
     sample: Sample,
     suspects: Sequence[Sequence[Hypothesis]],
     progress: Progress,
+    every: bool = False,
 ) -> list[Fitted]:
-    """Current hypothesis and one thing more, most evidence first."""
+    """Current hypothesis and one thing more, most evidence first; ``every``: whatever little it promises."""
     free, hypothesis = search.base.parameters, current.hypothesis
     error = search.error if hypothesis is NONE else inflation(current, robot, sample.thin(REFIT_LINES))
     far = error > FAR
@@ -165,22 +190,19 @@ def _round(
         z, *_ = minimise(setting.objective(hypothesis), z, 8, 0.05)
         setting = replace(setting, z=z)
     promises = screen(setting, suspects, progress("screen", len(suspects)))
-    if hypothesis is NONE:
-        search.promises = promises
-    least = max(
-        SLIGHT * lines.repeat / sample.repeat, RACE * promises[0].gain
-    )  # fewer lines promise as many times the noise
+    thinned = lines.repeat / sample.repeat  # fewer lines promise as many times the noise
+    least = max(SLIGHT * thinned, RACE * promises[0].gain)
     if error > 0:
         starts = _halve(setting, _varied(promises, CANDIDATES), progress)
     else:
         likely = _varied(promises, FINALISTS)
-        kept = [p for k, p in enumerate(likely) if k == 0 or p.gain > least]
+        kept = [p for k, p in enumerate(likely) if every or k == 0 or p.gain > least]
         starts = [(p, [p.start, p.fallback]) for p in kept]
     found: list[Fitted] = []
     tick = progress("refit", len(starts))
     for number, (promise, places) in enumerate(starts):
         gained = max((current.cost - fit.cost for fit in found), default=0.0)
-        if number >= FEWEST and promise.gain < SHORT * gained:
+        if number >= FEWEST and promise.gain < SHORT * gained and not every:
             continue
         worth = current.cost - SLIGHT  # less cannot pay for a further thing
         found.append(_refit(robot, search, promise.hypothesis, promise.parameters, places, sample, far, worth))
