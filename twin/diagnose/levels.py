@@ -42,7 +42,7 @@ WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
 ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
-WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01, 0.003), 0.01  # of whole decays; the model error at which a law holds there
+WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
 LOCATING, ROUGH, RACING, LAST = 8, 10, 4, 15  # iterations
 
 
@@ -160,7 +160,7 @@ def explain_levels(
     seen = view(robot, base.parameters, robust, sample, blow, window)
     if window:
         trials, temper = _rough_race(robot, base, places, seen, starts[1:], tick)
-        few = View(0.0, sample.thin(LINES), blow).telling(_at(trials, places), FEW_BLOWS)[0]
+        few = View(0.0, sample.thin(LINES), blow).telling(_at(trials, places), BLOWS)[0]
         whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
         whole, left = _race(whole, WHOLE_TEMPERS, tick, LAST)
         if left <= HOLDS:  # a law that holds to the ends of the decays tells more there
