@@ -87,9 +87,9 @@ def minimise(
     """Levenberg's method: z, cost, Gauss–Newton matrix, and whether the expected gain fell below ``tolerance``.
 
     Derivatives of a stepped law are approximate, so that only steps that lower the cost are taken and nothing is
-    concluded from the bend of the way.
+    concluded from the bend of the way. Masses, angles and gains stop where they become implausible.
     """
-    damping = 1.0
+    damping, bound = 1.0, objective.parameters.bound
     log = np.array([p.log for p in objective.parameters]) * np.diag(objective.parameters.root)
     cost, gradient, information = objective(z)
     for _ in range(iterations):
@@ -99,6 +99,7 @@ def minimise(
             bent = np.diag(damping + np.maximum(log * (gradient - z), 0))
             step = -np.linalg.solve(information + bent, gradient)
             step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
+            step = np.clip(z + step, -bound, bound) - z
             trial = objective.cost(z + step)
             if np.isfinite(trial) and trial < cost:
                 break
