@@ -9,10 +9,10 @@ import pytest
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import entry_hypothesis, suspects, together
-from twin.diagnose.locate import mismatch
-from twin.diagnose.noise import pooled_variance
+from twin.diagnose.locate import free_laws, mismatch
+from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, minimise
+from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.diagnose.screen import Setting, _Scan
 from twin.diagnose.search import Search, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
@@ -54,7 +54,8 @@ def diagnosed(case: Case, *effects: str) -> tuple[Decision, Fitted, Search]:
     search = converge(case.base, case.free, case.sample)
     among = looked_at(case, *effects)
     *fits, base = settle(case.base, explain(case.base, search, case.sample, among), case.sample)
-    return decide(fits, base, among, kept=case.found.kept), base, search
+    kept = Sample(tuple(case.found.kept)) if case.found.kept else None
+    return decide(fits, base, among, kept=kept, unnamed=lambda fit: free_laws(fit, case.sample)), base, search
 
 
 def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> None:
@@ -90,11 +91,39 @@ def test_two_things_are_found_together(tmp_path: Path) -> None:
     assert keys == {"base_compliance@base.y", "sensor_gain@sensor:21Z+"}
 
 
-def test_a_stiffness_that_depends_on_posture_is_located_at_its_joint(tmp_path: Path) -> None:
+def test_a_stiffness_that_depends_on_posture_is_located_at_its_joint_and_not_named(tmp_path: Path) -> None:
     effect = "posture_stiffness@joint2.z:amplitude=0.1,phase=0.5"
     case = recorded(tmp_path, "--seed", "16", "--postures", "5", "--effect", effect, hold_out=[])
     search = converge(case.base, case.free, case.sample)
     assert next(iter(mismatch(search.base, case.sample).sites)) == "joint2.z"
+    (hypothesis,) = (h for h, *_ in looked_at(case, "structural_damping") if h.site == "joint2.z")
+    parameters = hypothesis.parameters(case.free)
+    start = np.concatenate([search.base.z, np.zeros(len(hypothesis.own))])
+    wrong = descend(case.base, hypothesis, parameters, case.sample, start, tempered=0)
+    assert wrong.evidence() > search.base.evidence() + 100  # it explains much, as rivals do
+    among = looked_at(case, "structural_damping")
+    assert decide([wrong], search.base, among, unnamed=lambda fit: free_laws(fit, case.sample)).other > 0.9
+
+
+@pytest.mark.parametrize("decay", [1.0, 10.0])
+def test_lines_under_an_exponential_window_tell_less_than_their_number(decay: float) -> None:
+    """The mean of n lines of sensor noise has the variance of one over n/shared."""
+    rng = np.random.default_rng(3)
+    n, averages, f = 400, 5, np.arange(5.0, 25.0, 0.25)
+    window = np.exp(-decay * np.arange(n) / n)
+    noise = np.fft.fft(rng.normal(size=(averages, n, 3, 20)) * window[:, None, None], axis=1)[:, : len(f)]
+    seen = 100.0 + noise
+    coherence = np.abs(seen.mean(axis=0)) ** 2 / np.mean(np.abs(seen) ** 2, axis=0)
+    H = seen.mean(axis=0)
+    posture = PostureFRF(
+        "a", np.zeros(3), "on", f, H, "accelerance", coherence, averages, exponential_window_rate=0.25 * decay
+    )
+    of_mean, of_line = np.mean(np.abs((H - 100.0).mean(axis=0)) ** 2), np.mean(np.abs(H - 100.0) ** 2)
+    assert shared_lines([posture]) == pytest.approx(len(f) * of_mean / of_line, rel=0.25)
+    if decay < 2:
+        return  # hardly tied: nobody can tell, nor needs to
+    alone = replace(posture, frf=100.0 + rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape))
+    assert shared_lines([replace(alone, coherence=np.full(H.shape, 1 - 2 / 100.0**2 * averages))]) == 1.0
 
 
 def test_variance_of_faint_channels_is_that_of_their_noise(tmp_path: Path) -> None:
