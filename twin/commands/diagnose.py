@@ -18,7 +18,9 @@ from twin.diagnose.edit import check_linear, check_replayed, check_xml, is_nonli
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import Hypothesis, Sprung, entry_hypothesis, suspects, widened
 from twin.diagnose.joint import Knowledge, pooled, predicted_by, settled_with, shared, together
+from twin.diagnose.joint_reaction import blows
 from twin.diagnose.levels_finding import check_blows, levels_finding
+from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.modal_table import diagnose_table
 from twin.diagnose.next_test import next_test, smallest_visible
@@ -254,11 +256,13 @@ def diagnose_campaign(
     where = mismatch(settled, sample.thin(REFIT_LINES))
     site = best.hypothesis.site or next(iter(where.sites), "")
     few = sample.thin(SCREEN_LINES)
+    blow = blows(campaign)
+    amplitude_laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
     finding = Finding(
         source, "frf-campaign", word, missing, decision.none, decision.other,
         given, _limited(before.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
-        smallest_visible(settled.robot, settled, few, looked_at), warnings=found.warnings,
+        [*smallest_visible(settled.robot, settled, few, looked_at), *amplitude_laws], warnings=found.warnings,
         finalists=finalists(search.base, fits),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
