@@ -56,7 +56,7 @@ def levels_finding(
     Returns:
         ``None`` where no law is better than none: the other hypotheses then have the word.
     """
-    sample = Sample(tuple(found.used))
+    sample = Sample(tuple(found.used), 1 / found.shared)
     levels = explain_levels(campaign, base, search.base, sample, search.robust, progress)
     if levels is None:
         return None

@@ -103,7 +103,7 @@ class Finding:
         held_out: names of postures or runs not used.
         records: the recording beside the three models.
         location: where the base model misses, as in diagnosis.json.
-        sites: site → what freeing it alone would take off the misfit (drop of ½ χ²).
+        sites: site → what freeing it alone would gain, in ln likelihood or evidence.
         smallest_visible: per effect and site, the size this recording would have shown.
         warnings: of the triage, one line each.
         fit: of ``robot``, where another recording can build on it.
@@ -236,6 +236,11 @@ class Verdict:
         for finding in self.findings:
             if len(self.findings) > 1:
                 lines.append(f"  {finding.recording}: {finding.word}")
+            if finding.word == "unexplained" and any(finding.sites.values()):
+                where = ", ".join(
+                    f"{site} {gain:.0f}" for site, gain in sorted(finding.sites.items(), key=lambda item: -item[1])[:3]
+                )
+                lines.append(f"  a law without a name would gain most at (ln evidence): {where}")
             for stage in STAGES:
                 item = finding.error[stage]
                 held = "" if item["held_out"] is None else f", held out {item['held_out']:.2%}"

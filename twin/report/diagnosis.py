@@ -27,7 +27,7 @@ _INK, _GRID = "#222222", "#e3e6ea"
 RIM = 2.5  # points by which before is larger, to be seen where after is the same
 _BANDS = 48
 FREED = {
-    "frf-campaign": "expected fall of ½χ² with this spring and damper free in every posture",
+    "frf-campaign": "evidence gained by a law without a name of this spring, ln",
     "motion-log": "evidence gained by a free function of this joint's position and velocity, ln",
     "modal-table": "expected fall of ½χ² with this site free",
 }
