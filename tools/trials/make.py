@@ -40,9 +40,7 @@ def record(split: Path, name: str, kind: str, recording: str, seed: int, number:
     """Write one case unless it is there, and return its line of the manifest."""
     answer, room, edit = split / "answers" / f"{name}.json", split / "recordings" / name, split / "edit" / name
     if not answer.exists():
-        found = _drawn(kind, recording, seed, number)
-        write_case(found, room)
-        write_case(_edited(found), edit)
+        found = _recorded(kind, recording, seed, number, room, edit)
         write(
             answer,
             {
@@ -60,12 +58,16 @@ def record(split: Path, name: str, kind: str, recording: str, seed: int, number:
     return {"id": name, "without": read(answer)["without"], "files": files, "answer": sha256(answer)}
 
 
-def _drawn(kind: str, recording: str, seed: int, number: int) -> Case:
-    """The case of the seed, or of the next where an effect drawn shows nowhere in what was to be recorded."""
+def _recorded(kind: str, recording: str, seed: int, number: int, room: Path, edit: Path) -> Case:
+    """The case of the seed, written, or of the next seed where an effect drawn shows nowhere in what was to be
+    recorded, or the truth code refuses the robot."""
     for later in range(ATTEMPTS):
         try:
-            return case(kind, recording, seed + later, number)  # type: ignore[arg-type]
-        except ValueError:  # of which the truth code's own is one
+            found = case(kind, recording, seed + later, number)  # type: ignore[arg-type]
+            write_case(found, room)
+            write_case(_edited(found), edit)
+            return found
+        except ValueError:  # of which the truth code's own is one, and NumPy's for a singular matrix
             if later == ATTEMPTS - 1:
                 raise
     raise AssertionError
