@@ -107,9 +107,9 @@ def free_laws(fit: Fitted, sample: Sample) -> dict[str, float]:
 
 def _evidence(Q: FloatArray, rho: FloatArray, columns: FloatArray) -> float:
     """ln evidence that columns (m, data) gain in explaining what is left, ρ (data + n,), their scale unknown."""
-    D = np.concatenate([columns.T, np.zeros((len(Q) - columns.shape[1], len(columns)))])
-    D -= Q @ (Q.T @ D)
-    information, pull = D.T @ D, D.T @ rho
+    data = columns.shape[1]
+    inside = columns @ Q[:data]
+    information, pull = columns @ columns.T - inside @ inside.T, columns @ rho[:data]
     logs = []
     for scale in SCALES:
         posterior = scale**2 * information + np.eye(len(pull))

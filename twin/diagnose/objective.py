@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.diagnose.held_law import respond, respond_slopes
 from twin.diagnose.hypotheses import Sprung
 from twin.identify.elastic import LOG_SPREAD, Recorded
 from twin.identify.parameters import SIX, Parameters
@@ -16,10 +17,8 @@ from twin.identify.sensitivity import (
     Setup,
     Structure,
     contract,
-    frf,
-    frf_slopes,
     moving,
-    observe,
+    observe_all,
     slopes,
     spatial_inertia,
 )
@@ -111,7 +110,13 @@ class Objective:
         """FRFs (nf, nr, ne) per recording."""
         values = self.parameters.values(self.whole(z))
         robot = self.parameters.apply(self.robot, values)
-        return [frf(observe(robot, r.setup, self.parameters, values)[0], r.s, r.power) for r in self.sample.recordings]
+        return [
+            respond(seen, model, r)
+            for r, (seen, model) in zip(self.sample.recordings, self._observed(robot, values), strict=True)
+        ]
+
+    def _observed(self, robot: Robot, values: FloatArray) -> list[tuple[Observed, Structure]]:
+        return observe_all(robot, [r.setup for r in self.sample.recordings], self.parameters, values)
 
     def residual(self, z: FloatArray) -> FloatArray:
         """Weighted linear residual (2 Σ nf nr ne,), measured minus predicted."""
@@ -188,14 +193,13 @@ class Objective:
         if self.among is not None:
             transform, own = transform[np.ix_(self.among, self.among)], values[list(self.among)]
         changes: Changes = {}
-        for r in self.sample.recordings:
-            seen, model = observe(robot, r.setup, self.parameters, values)
-            rate = contract(_rates(robot, r.setup, free, own, seen, model, changes), transform)
+        for r, (seen, model) in zip(self.sample.recordings, self._observed(robot, values), strict=True):
+            rate = contract(rates(robot, r.setup, free, own, seen, model, changes), transform)
             moves = moving(rate)
-            yield *frf_slopes(seen, Observed.of(array[moves] for array in rate.arrays()), r.s, r.power), moves
+            yield *respond_slopes(seen, model, Observed.of(array[moves] for array in rate.arrays()), r), moves
 
 
-def _rates(
+def rates(
     robot: Robot,
     setup: Setup,
     parameters: Parameters,

@@ -35,6 +35,7 @@ YIELDING = 5  # iterations in which springs make room for an entry
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
+SCANNED_AT_ONCE = 16
 SCANNED_MASSES = (1.0, 0.01)  # of the usual one: a heavy one loads the robot, a light one shows at its own frequency
 SMALL = 1e-6  # of the usual size, where the derivative with respect to it is taken
 LEAST = 1e-4  # of the usual size: less is nothing
@@ -326,14 +327,17 @@ class _Scan:
     def best(self, variants: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The most promising variants, one for every word (an axis) among the parameters."""
         scores: dict[str, tuple[float, Hypothesis]] = {}
-        rho = self.linear.target(self.linear.residual)
-        for hypothesis in variants:
-            across = self.linear.left(np.array([self._secant(hypothesis, share) for share in SCANNED_MASSES]).T)
-            along = rho @ across
-            gain = float(np.max(along * np.abs(along) / np.maximum(np.sum(across**2, axis=0), 1e-300)))
-            words = "".join(str(v) for v in hypothesis.entries[0].values.values() if isinstance(v, str))
-            if words not in scores or gain > scores[words][0]:
-                scores[words] = gain, hypothesis
+        left = self.linear.left(self.linear.target(self.linear.residual))[: len(self.linear.residual)]
+        for start in range(0, len(variants), SCANNED_AT_ONCE):
+            some = variants[start : start + SCANNED_AT_ONCE]
+            secants = np.array([self._secant(hypothesis, share) for hypothesis in some for share in SCANNED_MASSES])
+            along = secants @ left
+            across = np.sum(secants**2, axis=1) - np.sum((secants @ self.linear.Q[: len(left)]) ** 2, axis=1)
+            gains = along * np.abs(along) / np.maximum(across, 1e-300)
+            for hypothesis, gain in zip(some, gains.reshape(len(some), -1).max(axis=1), strict=True):
+                words = "".join(str(v) for v in hypothesis.entries[0].values.values() if isinstance(v, str))
+                if words not in scores or gain > scores[words][0]:
+                    scores[words] = float(gain), hypothesis
         ranked = sorted(scores.values(), key=lambda item: -item[0])
         return [hypothesis for _, hypothesis in ranked[:SCANNED_KEPT]]
 

@@ -25,7 +25,7 @@ from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect
 from twin.robot.description import Robot
 from twin.robot.frames import matrix_of
-from twin.robot.mechanism import Mechanism, assemble
+from twin.robot.mechanism import Joint, Mechanism, assemble, assemble_all
 from twin.robot.mjcf import FOOT_INERTIA
 
 
@@ -75,27 +75,23 @@ class Structure:
 
     def rows(self, channels: Channels, direction: FloatArray) -> FloatArray:
         """Displacement of points per unit of the coordinates, (n, nv), along directions (n, 3) in the links' frames."""
-        wrench, body = self._wrenches(channels, direction)
-        return wrench @ self.screw.T * self.path[body]
+        return _rows([self], channels, direction)[0]
 
     def row_slopes(self, channels: Channels, direction: FloatArray) -> FloatArray:
         """Derivative of :meth:`rows` with respect to every commanded position, (n_axes, n, nv)."""
-        wrench, body = self._wrenches(channels, direction)
+        body, local = self.carried_points(channels)
+        wrench = _wrench(self.rotation[body], self.origin[body], local, direction)
         slopes = [
             (wrench @ self._turned(i).T) * self.path[body] * self.moved[i, body][:, None]
             for i in range(len(self.command))
         ]
         return np.array(slopes).reshape(len(self.command), len(body), len(self.coordinates))
 
-    def _wrenches(self, channels: Channels, direction: FloatArray) -> tuple[FloatArray, list[int]]:
-        """Unit force at every point as a wrench (moment about the world's origin, force) (n, 6), and its body."""
+    def carried_points(self, channels: Channels) -> tuple[list[int], FloatArray]:
+        """The body that carries every point, and where it lies in that body's own frame (n, 3)."""
         carriers = [self.mechanism.carrier(*pair) for pair in zip(channels.body, channels.position, strict=True)]
-        body = [self.bodies[carrier] for carrier in carriers]
         offset = np.array([self.mechanism.offset(carrier) for carrier in carriers]).reshape(-1, 3)
-        turn = self.rotation[body]
-        point = self.origin[body] + (turn @ (channels.position - offset)[:, :, None])[:, :, 0]
-        force = (turn @ direction[:, :, None])[:, :, 0]
-        return np.hstack([_cross(point, force), force]), body
+        return [self.bodies[carrier] for carrier in carriers], channels.position - offset
 
     def _turned(self, axis: int) -> FloatArray:
         """Rate (nv, 6) of the screws inboard of a commanded position, seen from what it moves."""
@@ -133,7 +129,7 @@ class Structure:
 def _hessian(omega: FloatArray, momentum: FloatArray, gravity: FloatArray, inboard: FloatArray) -> FloatArray:
     """Gravity stiffness (…, nv, nv), from its inboard half; ``momentum`` (…, 3, nv) holds W_k in its columns."""
     half = -(_cross(gravity, omega) @ momentum) * inboard
-    return half + half.swapaxes(-1, -2) - half * np.eye(len(omega))
+    return half + half.swapaxes(-1, -2) - half * np.eye(omega.shape[-2])
 
 
 def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = None) -> Structure:
@@ -143,57 +139,56 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
         mechanism: from :func:`twin.robot.mechanism.assemble`.
         deflection: rest deflections by joint, rad (m): where the springs sag; zero by default.
     """
-    rest = deflection or {}
-    bodies: dict[str, int] = {}
-    names: list[str] = []
+    return structures([mechanism], None if deflection is None else [deflection])[0]
+
+
+def structures(
+    mechanisms: Sequence[Mechanism], deflections: Sequence[Mapping[str, float]] | None = None
+) -> list[Structure]:
+    """The models of one robot in several postures: see :func:`structure`. Arrays carry the postures on a first axis.
+
+    Args:
+        mechanisms: from :func:`twin.robot.mechanism.assemble_all`, alike but for where the motors stand.
+    """
+    mechanism = mechanisms[0]
+    layout = _layout(mechanism)
+    eye = np.broadcast_to(np.eye(3), (len(mechanisms), 3, 3))
+    turns, places = [eye], [np.zeros((len(mechanisms), 3))]  # the world, then the bodies
     axes: list[FloatArray] = []
-    places: list[FloatArray] = []
-    paths: list[tuple[int, ...]] = []
-    rotations: list[FloatArray] = []
-    origins: list[FloatArray] = []
-    inboard: list[tuple[int, ...]] = []
-    joints = []
+    points: list[FloatArray] = []
     commands: list[tuple[FloatArray, FloatArray]] = []
     for body in mechanism.bodies.values():
-        if body.parent:
-            parent = bodies[body.parent]
-            turn, place, path = rotations[parent], origins[parent], paths[parent]
-        else:
-            turn, place, path = np.eye(3), np.zeros(3), ()
-        place = place + turn @ body.position
-        turn = turn @ matrix_of(body.quaternion)
-        if body.kind == "motor":
-            commands.append((turn[:, 2], place))
+        parent = 1 + layout.bodies[body.parent] if body.parent else 0
+        turn, place = turns[parent], places[parent]
+        moves = body.kind == "motor"
+        position = np.array([m.bodies[body.name].position for m in mechanisms]) if moves else body.position
+        place = place + (turn @ position[..., None])[..., 0]
+        if moves:
+            turn = turn @ matrix_of(np.array([m.bodies[body.name].quaternion for m in mechanisms]))
+            commands.append((turn[..., 2], place))
+        elif body.quaternion[0] != 1:
+            turn = turn @ matrix_of(body.quaternion)
         for joint in body.joints:
             axis = turn @ np.asarray(joint.axis)
             axes.append(axis)
-            places.append(place)
-            path = (*path, len(names))
-            inboard.append(path)
-            names.append(joint.name)
-            joints.append(joint)
-            amount = rest.get(joint.name, 0.0)
-            if joint.kind == "slide":
-                place = place + amount * axis
-            elif amount:
-                turn = _rodrigues(axis, amount) @ turn
-        bodies[body.name] = len(rotations)
-        rotations.append(turn)
-        origins.append(place)
-        paths.append(path)
-    nb, nv, n = len(bodies), len(names), len(commands)
-    rotation, origin = np.array(rotations), np.array(origins)
-    screw = _screws(axes, places, [joint.kind == "slide" for joint in joints])
+            points.append(place)
+            if deflections is not None:
+                amount = np.array([rest.get(joint.name, 0.0) for rest in deflections])
+                if joint.kind == "slide":
+                    place = place + amount[:, None] * axis
+                elif amount.any():
+                    turn = _rodrigues(axis, amount) @ turn
+        turns.append(turn)
+        places.append(place)
+    n = len(commands)
+    rotation, origin = np.stack(turns[1:], axis=1), np.stack(places[1:], axis=1)
+    screw = _screws(axes, points, [joint.kind == "slide" for joint in layout.joints], len(mechanisms))
     command = _screws(
         [z for z, _ in commands],
         [place for _, place in commands],
         [mechanism.axis_kind(i) == "slide" for i in range(n)],
+        len(mechanisms),
     )
-    on_path, inboard_mask = np.zeros((nb, nv)), np.zeros((nv, nv))
-    for row, path in zip(on_path, paths, strict=True):
-        row[list(path)] = 1
-    for k, path in enumerate(inboard):
-        inboard_mask[list(path), k] = 1
     inertia = np.array([body.inertia for body in mechanism.bodies.values()])
     for index, body in enumerate(mechanism.bodies.values()):
         if body.kind == "base" and body.joints and not body.inertia.any():
@@ -201,36 +196,74 @@ def structure(mechanism: Mechanism, deflection: Mapping[str, float] | None = Non
     X = _to_body(rotation, origin)
     mass = np.array([body.mass for body in mechanism.bodies.values()])
     com = np.array([body.com for body in mechanism.bodies.values()])
-    spatial = X.swapaxes(1, 2) @ spatial_inertia(mass, com, inertia) @ X
-    moved = np.zeros((n, nb))
-    carried = np.zeros((n, nv))
+    spatial = X.swapaxes(-1, -2) @ spatial_inertia(mass, com, inertia) @ X
+    gravity = np.array(mechanism.robot.gravity)
+    S = screw[:, None] * layout.path[:, :, None]
+    inertial = spatial @ S.swapaxes(-1, -2)
+    momentum = inertial[..., 3:, :].sum(axis=1)
+    load = gravity @ momentum
+    strain = np.array([joint.stiffness[0] for joint in layout.joints])
+    M = (S @ inertial).sum(axis=1) + _diagonal(joint.armature for joint in layout.joints)
+    C = _diagonal(joint.damping[0] for joint in layout.joints)
+    K = _hessian(screw[..., :3], momentum, gravity, layout.inboard)
+    for k, joint in enumerate(layout.joints):
+        K[:, k, k] += [_tangent(joint.stiffness, force) for force in load[:, k]]
+    for tendon in mechanism.tendons:
+        pull = np.array([tendon.joints.get(joint.name, 0.0) for joint in layout.joints])
+        M = M + tendon.armature * np.outer(pull, pull)
+        C = C + tendon.damping * np.outer(pull, pull)
+        K = K + tendon.stiffness * np.outer(pull, pull)
+    loss = _diagonal(joint.loss_factor * joint.stiffness[0] for joint in layout.joints)
+    names = tuple(joint.name for joint in layout.joints)
+    return [
+        Structure(
+            names, layout.bodies, screw[p], layout.inboard, layout.path, rotation[p], origin[p], spatial[p], command[p],
+            layout.moved, layout.carried, gravity, load[p], M[p], C, K[p], loss, strain, posed,
+        )
+        for p, posed in enumerate(mechanisms)
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What of a structure no posture changes; its fields are those of :class:`Structure`."""
+
+    bodies: dict[str, int]
+    joints: list[Joint]
+    path: FloatArray
+    inboard: FloatArray
+    moved: FloatArray
+    carried: FloatArray
+
+
+def _layout(mechanism: Mechanism) -> _Layout:
+    bodies: dict[str, int] = {}
+    paths: list[list[int]] = []
+    joints: list[Joint] = []
+    inboard: list[list[int]] = []
+    for body in mechanism.bodies.values():
+        path = list(paths[bodies[body.parent]]) if body.parent else []
+        for joint in body.joints:
+            path = [*path, len(joints)]
+            inboard.append(path)
+            joints.append(joint)
+        bodies[body.name] = len(paths)
+        paths.append(path)
+    nb, nv, n = len(bodies), len(joints), mechanism.robot.axis_count
+    on_path, mask, moved, carried = np.zeros((nb, nv)), np.zeros((nv, nv)), np.zeros((n, nb)), np.zeros((n, nv))
+    for row, path in zip(on_path, paths, strict=True):
+        row[path] = 1
+    for k, path in enumerate(inboard):
+        mask[path, k] = 1
+    index = {joint.name: k for k, joint in enumerate(joints)}
     for i in range(n):
         outboard = {f"motor{i + 1}"}
         for body in mechanism.bodies.values():
             if body.name in outboard or body.parent in outboard:
                 outboard.add(body.name)
                 moved[i, bodies[body.name]] = 1
-                carried[i, [names.index(joint.name) for joint in body.joints]] = 1
-    gravity = np.array(mechanism.robot.gravity)
-    S = screw * on_path[:, :, None]
-    inertial = spatial @ S.swapaxes(1, 2)
-    momentum = inertial[:, 3:].sum(axis=0)
-    load = gravity @ momentum
-    strain = np.array([joint.stiffness[0] for joint in joints])
-    tangent = np.array([_tangent(joint.stiffness, force) for joint, force in zip(joints, load, strict=True)])
-    M = (S @ inertial).sum(axis=0) + _diagonal(joint.armature for joint in joints)
-    C = _diagonal(joint.damping[0] for joint in joints)
-    K = _hessian(screw[:, :3], momentum, gravity, inboard_mask) + _diagonal(tangent)
-    for tendon in mechanism.tendons:
-        pull = np.array([tendon.joints.get(name, 0.0) for name in names])
-        M = M + tendon.armature * np.outer(pull, pull)
-        C = C + tendon.damping * np.outer(pull, pull)
-        K = K + tendon.stiffness * np.outer(pull, pull)
-    loss = _diagonal(joint.loss_factor * joint.stiffness[0] for joint in joints)
-    return Structure(
-        tuple(names), bodies, screw, inboard_mask, on_path, rotation, origin, spatial, command, moved, carried,
-        gravity, load, M, C, K, loss, strain, mechanism,
-    )  # fmt: skip
+                carried[i, [index[joint.name] for joint in body.joints]] = 1
+    return _Layout(bodies, joints, on_path, mask, moved, carried)
 
 
 def _diagonal(values: Iterable[float]) -> FloatArray:
@@ -262,12 +295,16 @@ def _tangent(stiffness: Sequence[float], load: float) -> float:
     return float(k1 + 2 * k2 * x + 3 * k3 * x**2)
 
 
-def _screws(axes: Sequence[FloatArray], points: Sequence[FloatArray], slides: Sequence[bool]) -> FloatArray:
-    """Twists (n, 6) of joints, (ω, v) at the world's origin."""
+def _screws(
+    axes: Sequence[FloatArray], points: Sequence[FloatArray], slides: Sequence[bool], postures: int
+) -> FloatArray:
+    """Twists (np, n, 6) of joints, (ω, v) at the world's origin, from n axes and points (np, 3)."""
     if not slides:
-        return np.zeros((0, 6))
-    axis, slide = np.array(axes), np.array(slides)[:, None]
-    return np.hstack([np.where(slide, 0.0, axis), np.where(slide, axis, _cross(np.array(points), axis))])
+        return np.zeros((postures, 0, 6))
+    axis, slide = np.stack(axes, axis=1), np.array(slides)[:, None]
+    return np.concatenate(
+        [np.where(slide, 0.0, axis), np.where(slide, axis, _cross(np.stack(points, axis=1), axis))], axis=-1
+    )
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -285,8 +322,9 @@ def _skew(v: FloatArray) -> FloatArray:
     return out - out.swapaxes(-1, -2)
 
 
-def _rodrigues(axis: FloatArray, angle: float) -> FloatArray:
-    cross = _skew(axis)
+def _rodrigues(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3) about axes (n, 3) by angles (n,), rad."""
+    cross, angle = _skew(axis), angle[:, None, None]
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
@@ -358,24 +396,67 @@ def observe(
 
     Without ``sagging``, as if the springs did not give way under the weight: what a difference of two models needs.
     """
-    q = setup.q + parameters.posture_error(setup.name, values, len(setup.q))
-    model = structure(assemble(robot, q, brakes=setup.brakes or "off"))
-    chain = recording_chain(robot, setup.response, setup.excitation)
-    gain = chain.response_gain * parameters.gains(setup.response.label, values)
-    seen = _seen(model, setup, chain, gain)
+    return observe_all(robot, [setup], parameters, values, sagging=sagging)[0]
+
+
+def observe_all(
+    robot: Robot, setups: Sequence[Setup], parameters: Parameters, values: FloatArray, *, sagging: bool = True
+) -> list[tuple[Observed, Structure]]:
+    """:func:`observe` for several postures; those with the same brakes and channels in one go."""
+    alike: dict[tuple[Any, ...], list[int]] = {}
+    for k, setup in enumerate(setups):
+        alike.setdefault((setup.brakes or "off", id(setup.response), id(setup.excitation)), []).append(k)
+    found: dict[int, tuple[Observed, Structure]] = {}
+    for (brakes, *_), group in alike.items():
+        seen = _observe_alike(robot, [setups[k] for k in group], brakes, parameters, values, sagging)
+        found |= zip(group, seen, strict=True)
+    return [found[k] for k in range(len(setups))]
+
+
+def _observe_alike(
+    robot: Robot, setups: Sequence[Setup], brakes: Brakes, parameters: Parameters, values: FloatArray, sagging: bool
+) -> list[tuple[Observed, Structure]]:
+    postures = [s.q + parameters.posture_error(s.name, values, len(s.q)) for s in setups]
+    models = structures(assemble_all(robot, postures, brakes=brakes))
+    first = setups[0]
+    chain = recording_chain(robot, first.response, first.excitation)
+    gain = chain.response_gain * parameters.gains(first.response.label, values)
+    seen = _seen(models, first, chain, gain)
     share = parameters.sag(values) if sagging else None
     if share is None:
-        return seen, model
-    low = structure(model.mechanism, model.sag())  # deflections are below 1e-3 rad: what they change is linear in them
-    sag = Observed.of(a - b for a, b in zip(_seen(low, setup, chain, gain).arrays(), seen.arrays(), strict=True))
-    blended = (a + share * b for a, b in zip(seen.arrays(), sag.arrays(), strict=True))
-    return Observed.of(blended, sag), model
+        return list(zip(seen, models, strict=True))
+    # deflections are below 1e-3 rad: what they change is linear in them
+    low = _seen(structures([m.mechanism for m in models], [m.sag() for m in models]), first, chain, gain)
+    found = []
+    for plain, sunk, model in zip(seen, low, models, strict=True):
+        sag = Observed.of(a - b for a, b in zip(sunk.arrays(), plain.arrays(), strict=True))
+        blended = (a + share * b for a, b in zip(plain.arrays(), sag.arrays(), strict=True))
+        found.append((Observed.of(blended, sag), model))
+    return found
 
 
-def _seen(model: Structure, setup: Setup, chain: MeasurementChain, gain: FloatArray) -> Observed:
-    J_r = model.rows(setup.response, chain.response_direction)
-    J_e = model.rows(setup.excitation, chain.excitation_direction)
-    return Observed(model.M, model.C, model.K, model.loss, J_r, J_e, gain, chain.response_delay)
+def _seen(models: Sequence[Structure], setup: Setup, chain: MeasurementChain, gain: FloatArray) -> list[Observed]:
+    J_r = _rows(models, setup.response, chain.response_direction)
+    J_e = _rows(models, setup.excitation, chain.excitation_direction)
+    return [
+        Observed(m.M, m.C, m.K, m.loss, r, e, gain, chain.response_delay)
+        for m, r, e in zip(models, J_r, J_e, strict=True)
+    ]
+
+
+def _rows(models: Sequence[Structure], channels: Channels, direction: FloatArray) -> FloatArray:
+    """:meth:`Structure.rows` (np, n, nv) of models alike but for their posture."""
+    first = models[0]
+    body, local = first.carried_points(channels)
+    turn, origin, screw = (np.stack([getattr(m, name) for m in models]) for name in ("rotation", "origin", "screw"))
+    return _wrench(turn[:, body], origin[:, body], local, direction) @ screw.swapaxes(-1, -2) * first.path[body]
+
+
+def _wrench(turn: FloatArray, origin: FloatArray, local: FloatArray, direction: FloatArray) -> FloatArray:
+    """Unit forces at points of bodies as wrenches (moment about the world's origin, force) (…, n, 6)."""
+    point = origin + (turn @ local[:, :, None])[..., 0]
+    force = (turn @ direction[:, :, None])[..., 0]
+    return np.concatenate([_cross(point, force), force], axis=-1)
 
 
 def recording_chain(robot: Robot, response: Channels, excitation: Channels) -> MeasurementChain:

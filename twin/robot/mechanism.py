@@ -4,8 +4,8 @@
 the ``write`` of its effect. Nothing here knows MuJoCo's API.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import erfc, sqrt
 from typing import Any, Literal
 
@@ -380,6 +380,25 @@ def assemble(
             )
         )
     return mechanism
+
+
+def assemble_all(
+    robot: Robot, postures: Sequence[np.ndarray], *, brakes: Literal["on", "off"] = "on"
+) -> list[Mechanism]:
+    """The robot with held rotors in several postures: only where its motors stand differs, the rest is shared."""
+    if any(axis.type == "prismatic" for axis in robot.axes):
+        return [assemble(robot, q, brakes=brakes) for q in postures]
+    first = assemble(robot, postures[0], brakes=brakes)
+    found = [first]
+    for q in postures[1:]:
+        q, bodies = robot.check_posture(q), dict(first.bodies)
+        for i, axis in enumerate(robot.axes):
+            quaternion = axis_placement(axis, q[i])[1]
+            if i == 0:
+                quaternion = _product(np.array(robot.base.quaternion), quaternion)
+            bodies[f"motor{i + 1}"] = replace(bodies[f"motor{i + 1}"], quaternion=quaternion)
+        found.append(replace(first, q=q, bodies=bodies))
+    return found
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
