@@ -1,0 +1,117 @@
+"""A joint's law of amplitude, held as what it was to every blow: how linear models are fitted to a nonlinear robot.
+
+After a blow F the law adds a torque T at joint j of a robot that is linear otherwise (:mod:`twin.diagnose.blow`):
+
+    H = H_lin − G_j T/F,    T/F = κ φ/F + rest,
+
+φ the joint's rotation, κ = k + s c the complex stiffness that comes closest to what the law did after that blow, and
+the rest what is left of its torque. With κ and the rest held at what stepping gave, H is a closed form of the linear
+model, law included, and T follows the rotation as the model changes.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from twin.identify.elastic import Recorded
+from twin.identify.sensitivity import Observed, Structure, frf, frf_slopes
+from twin.measure.campaign import ComplexArray
+
+
+@dataclass(frozen=True)
+class UnderLaw(Recorded):
+    """A recording of a robot with a law at one joint.
+
+    Attributes:
+        site: ``joint2.z``.
+        kappa, rest: (nf, ne) of the law's torque over the blow.
+    """
+
+    site: str
+    kappa: ComplexArray
+    rest: ComplexArray
+
+    @classmethod
+    def of(cls, r: Recorded, site: str, kappa: ComplexArray, rest: ComplexArray) -> "UnderLaw":
+        """A recording with a law held."""
+        return cls(**{f.name: getattr(r, f.name) for f in fields(Recorded)}, site=site, kappa=kappa, rest=rest)
+
+    def every(self, step: int) -> "UnderLaw":
+        """Every ``step``-th line."""
+        keep = slice(step // 2, None, step)
+        thin = Recorded(**{f.name: getattr(self, f.name) for f in fields(Recorded)}).every(step)
+        return UnderLaw.of(thin, self.site, self.kappa[keep], self.rest[keep])
+
+
+@dataclass
+class Receptances:
+    """A linear model seen from one joint: receptances between channels and a torque (rotation) there.
+
+    Attributes:
+        H: (nf, nr, ne) as recorded, without the law; ``out`` (nf, nr) its response to a torque at the joint, ``into``
+            (nf, ne) the joint's rotation per force, ``own`` (nf,) per torque.
+        rates: derivatives of the same with respect to the parameters, first axis n.
+    """
+
+    H: ComplexArray
+    out: ComplexArray
+    into: ComplexArray
+    own: ComplexArray
+    rates: tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray] | None = None
+
+    def reaction(self, kappa: ComplexArray, rest: ComplexArray | float = 0.0) -> ComplexArray:
+        """T/F (nf, ne), by the rank-one update of the inverse."""
+        return np.asarray((kappa * self.into + rest) / (1 + kappa * self.own[:, None]))
+
+    def reacting(self, reaction: ComplexArray) -> ComplexArray:
+        """FRFs (nf, nr, ne) with that torque at the joint."""
+        return np.asarray(self.H - self.out[:, :, None] * reaction[:, None, :])
+
+    def slopes(self, kappa: ComplexArray, reaction: ComplexArray) -> ComplexArray:
+        """Derivatives (n, nf, nr, ne) of :meth:`reacting` with κ and the rest held."""
+        assert self.rates is not None
+        dH, dout, dinto, down = self.rates
+        found = dH - dout[:, :, :, None] * reaction[:, None, :]
+        share = kappa / (1 + kappa * self.own[:, None])
+        found -= (share * dinto)[:, :, None, :] * self.out[:, :, None]
+        found += down[:, :, None, None] * (share * reaction)[:, None, :] * self.out[:, :, None]
+        return found
+
+
+def receptances(seen: Observed, index: int, s: ComplexArray, power: int, rate: Observed | None = None) -> Receptances:
+    """A model seen from coordinate ``index``; with the derivatives ``rate`` of :class:`Observed` also theirs."""
+    unit = np.eye(len(seen.M))[index][None]
+    wide = replace(
+        seen, J_r=np.vstack([seen.J_r, unit]), J_e=np.vstack([seen.J_e, unit]),
+        gain=np.append(seen.gain, 1.0), delay=np.append(seen.delay, 0.0), sag=None,
+    )  # fmt: skip
+    back = s[:, None] ** -power
+    if rate is None:
+        H, rates = frf(wide, s, power), None
+    else:
+        n, nv = len(rate.M), len(seen.M)
+        row, one = np.zeros((n, 1, nv)), np.zeros((n, 1))
+        rate = replace(
+            rate, J_r=np.concatenate([rate.J_r, row], axis=1), J_e=np.concatenate([rate.J_e, row], axis=1),
+            gain=np.hstack([rate.gain, one]), delay=np.hstack([rate.delay, one]),
+        )  # fmt: skip
+        H, dH = frf_slopes(wide, rate, s, power)
+        rates = dH[:, :, :-1, :-1], dH[:, :, :-1, -1], dH[:, :, -1, :-1] * back, dH[:, :, -1, -1] * back[:, 0]
+    return Receptances(H[:, :-1, :-1], H[:, :-1, -1], H[:, -1, :-1] * back, H[:, -1, -1] * back[:, 0], rates)
+
+
+def respond(seen: Observed, model: Structure, r: Recorded) -> ComplexArray:
+    """FRFs (nf, nr, ne) of a model where and as they were recorded, a held law included."""
+    if not isinstance(r, UnderLaw):
+        return frf(seen, r.s, r.power)
+    joint = receptances(seen, model.coordinates.index(r.site), r.s, r.power)
+    return joint.reacting(joint.reaction(r.kappa, r.rest))
+
+
+def respond_slopes(seen: Observed, model: Structure, rate: Observed, r: Recorded) -> tuple[ComplexArray, ComplexArray]:
+    """The same and its derivatives (n, nf, nr, ne)."""
+    if not isinstance(r, UnderLaw):
+        return frf_slopes(seen, rate, r.s, r.power)
+    joint = receptances(seen, model.coordinates.index(r.site), r.s, r.power, rate)
+    reaction = joint.reaction(r.kappa, r.rest)
+    return joint.reacting(reaction), joint.slopes(r.kappa, reaction)
