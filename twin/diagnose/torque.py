@@ -11,7 +11,7 @@ from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import Base, base_fit, stops_of, system_of
-from twin.diagnose.torque_laws import add, log_suspects, with_values
+from twin.diagnose.torque_laws import log_suspects, model_torque, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
@@ -190,12 +190,12 @@ def _predicted(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], vali
     known = np.zeros(len(base.parameters))
     known[: base.lasting] = z[: base.lasting]
     state = base.state(k, known)
-    for entry in entries:
-        add(run, state, entry)
-    rest = (run.torque - state.torque)[valid]
+    model_torque(run, state, entries)
+    predicted = state.recorded(run)
+    rest = (run.torque - predicted)[valid]
     weight = base.offset**2 * len(rest)
     level = np.var(rest, axis=0)
-    return np.asarray(state.torque + rest.mean(axis=0) * weight / (weight + level))
+    return np.asarray(predicted + rest.mean(axis=0) * weight / (weight + level))
 
 
 def _settled(run: Run) -> np.ndarray:

@@ -71,6 +71,25 @@ class Design:
         other.__dict__["gram"] = factor[:, None] * self.gram * factor
         return other
 
+    def first(self, count: int) -> "Design":
+        """Only the first of the z columns."""
+        keep = [int(np.count_nonzero(at < count)) for at in self.columns]  # they are in order, what was added is last
+        columns = tuple(at[:k] for at, k in zip(self.columns, keep, strict=True))
+        blocks = tuple(block[:, :k] for block, k in zip(self.blocks, keep, strict=True))
+        other = Design(self.count, columns, blocks, self.scale[:count])
+        other.__dict__["gram"] = self.gram[:count, :count]
+        return other
+
+    def without(self, left_out: Sequence[int]) -> "Design":
+        """All but some of the z columns, the others numbered anew."""
+        kept = np.setdiff1d(np.arange(self.width), left_out)
+        inside = [np.isin(at, kept) for at in self.columns]
+        columns = tuple(np.searchsorted(kept, at[use]) for at, use in zip(self.columns, inside, strict=True))
+        blocks = tuple(block[:, use] for block, use in zip(self.blocks, inside, strict=True))
+        other = Design(self.count, columns, blocks, self.scale[kept])
+        other.__dict__["gram"] = self.gram[np.ix_(kept, kept)]
+        return other
+
     def beside(self, joints: Sequence[int], rows: FloatArray) -> "Design":
         """With more columns (len(joints) · count, k) on some joints, last."""
         columns, blocks = list(self.columns), list(self.blocks)

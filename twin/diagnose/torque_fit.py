@@ -26,9 +26,9 @@ from twin.diagnose.torque_laws import (
     USUAL,
     State,
     Suspect,
-    add,
     canonical,
     entry_torque,
+    model_torque,
     on_dense,
     presliding_columns,
     smooth_columns,
@@ -55,6 +55,7 @@ FRICTION = 0.5  # relative prior deviation of described friction
 RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: what any gear and motor adds
 SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
 SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three
+CONVERGED, EXACT = 0.02, 1e-5  # of ½ χ², and its share: less is no gain
 STEP = 0.02  # of a prior deviation, for differences
 OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
 CREEP_S = 0.16  # about a stop: the encoder hardly counts, the axis may creep
@@ -163,7 +164,7 @@ class Base:
                 load[:, axis] += values[column] * law
             elif roles[column] == "friction":
                 friction[:, axis] += values[column] * law
-        return State(torque, load, friction)
+        return State(torque, load, friction, np.ones(n))
 
 
 def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | None = None) -> Base:
@@ -332,7 +333,8 @@ class System:
     Attributes:
         whitening: (n, order + 1) prediction-error filter per joint over the noise's deviation.
         parameters: the base model's numbers; ``found`` entries that belong to it, beyond the description's.
-        A: whitened design, as (N, z); ``y`` (N,) whitened torque less the description's.
+        A: whitened design, as (N, z); ``data`` (N,) whitened torque less the description's, ``y`` (N,) the same less
+            what was found, but for what is linear in its numbers.
         state: per run, what laws that act on other torques see.
         level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
         noise: (n,) RMS of the noise at the rows, N·m (N).
@@ -346,6 +348,7 @@ class System:
     parameters: Parameters
     found: tuple[Suspect, ...] = ()
     A: Design = field(default_factory=lambda: Design(0, (), (), np.zeros(0)))
+    data: FloatArray = field(default_factory=lambda: np.zeros(0))
     y: FloatArray = field(default_factory=lambda: np.zeros(0))
     state: list[State] = field(default_factory=list)
     level: FloatArray = field(default_factory=lambda: np.ones(0))
@@ -419,7 +422,7 @@ class System:
         blocks = tuple(self.whitened(j, [base.design(k, j) for k in runs]) for j in axes)
         acting = tuple(base.acting(j) for j in axes)
         self.A = Design(self.count, acting, blocks, np.ones(len(base.parameters)))
-        self.y = self.full(self.whiten(base.rest))[:, 0]
+        self.data = self.y = self.full(self.whiten(base.rest))[:, 0]
 
     @cached_property
     def information(self) -> FloatArray:
@@ -448,12 +451,13 @@ class System:
             out[k] *= factor
         return out
 
-    def entries(self, z: FloatArray) -> list[Entry]:
+    def entries(self, z: FloatArray, without: Suspect | None = None) -> list[Entry]:
         """What was found so far, at z."""
         at, out = len(self.base.parameters), []
         for suspect in self.found:
             own = suspect.hypothesis.own
-            out += with_values(suspect.hypothesis, own_values(own, z[at : at + len(own)]))
+            if suspect is not without:
+                out += with_values(suspect.hypothesis, own_values(own, z[at : at + len(own)]))
             at += len(own)
         return out
 
@@ -580,29 +584,99 @@ def stops_of(run: Run, joint: int) -> list[int]:
     return found
 
 
-def refer(system: System, z: FloatArray) -> None:
-    """Let laws that act on other torques see the model at z."""
-    system.state = [system.base.state(k, system.plain(z)) for k in range(len(system.base.runs))]
-    for entry in system.entries(z):
-        for run, state in zip(system.base.runs, system.state, strict=True):
-            add(run, state, entry)
+def refer(system: System, z: FloatArray) -> list[FloatArray]:
+    """Let laws that act on other torques see the model at z: what was found adds (m, n) to the recorded torque."""
+    before = [(state.delay, *state.gain) for state in system.state]
+    added = _refer(system, z, system.entries(z))
+    if before and before != [(state.delay, *state.gain) for state in system.state]:
+        system.screened = {}
+    return added
 
 
-def extended(system: System, trial: "Trial", settled: bool = True) -> System:
+def _refer(system: System, z: FloatArray, entries: Sequence[Entry]) -> list[FloatArray]:
+    runs = system.base.runs
+    system.state = [system.base.state(k, system.plain(z)) for k in range(len(runs))]
+    return [model_torque(run, state, entries) for run, state in zip(runs, system.state, strict=True)]
+
+
+def extended(system: System, trial: "Trial") -> System:
     """The same rows with an entry in the base model: its numbers are nuisances from now on.
 
-    Laws that act on other torques see it there only if ``settled``, or after :func:`refer`.
+    It is linear as the trial has it until it is :func:`relinearised`.
     """
-    bigger = replace(
+    return replace(
         system,
         found=(*system.found, trial.suspect),
         parameters=join(system.parameters, independent(trial.suspect.hypothesis.own)),
         A=system.A.beside(trial.slopes.joints, trial.slopes.rows),
         y=system.y - system.full(trial.column)[:, 0] + system.full(trial.slopes) @ trial.u,
     )
-    if settled:
-        refer(bigger, bigger.z)
-    return bigger
+
+
+def worth(system: System, suspect: Suspect) -> float:
+    """Evidence lost when something found is left out and all else is refitted, at once: no less than that after."""
+    at = system.own(suspect)
+    column, slopes = _whitened(system, suspect, system.z[at])
+    shorter = replace(
+        system,
+        found=tuple(s for s in system.found if s is not suspect),
+        parameters=system.parameters.select(k for k in range(len(system.parameters)) if k not in at),
+        A=system.A.without(at),
+        y=system.y + system.full(column)[:, 0] - system.full(slopes) @ system.z[at],
+    )
+    return base_fit(system).evidence() - base_fit(shorter).evidence()
+
+
+def relinearised(system: System, iterations: int = 8) -> System:
+    """The same rows with all that was found linearised at its numbers as they are beside all else.
+
+    Gauss–Newton on all numbers at once: each was linearised where it was found, before the others were. What a
+    recording's gain and delay make of a change of the base model is left out of the slopes, not of the torque.
+    """
+    z = system.z
+    here, cost = linearised(system, z)
+    for _ in range(iterations):
+        step = _bounded(system, here.z) - z
+        for share in (1.0, 0.5, 0.2, 0.05):
+            ahead, reached = linearised(system, z + share * step)
+            if reached < cost:
+                break
+        gained = cost - reached
+        if gained <= 0:
+            break
+        z, here, cost = z + share * step, ahead, reached
+        if gained < CONVERGED + EXACT * cost:
+            break
+    return here
+
+
+def linearised(system: System, z: FloatArray) -> tuple[System, float]:
+    """The system with what was found linearised at z, and ½ χ² + ½ zᵀz there."""
+    size = len(system.base.parameters)
+    here = replace(system, A=system.A.first(size), screened=dict(system.screened))
+    added = here.full(here.whiten(refer(here, z)))[:, 0]
+    rest = here.data - added - here.A.times(z[:size])
+    here.y = here.data - added
+    for suspect in here.found:
+        at = here.own(suspect)
+        aside = here
+        if suspect.hypothesis.effect in REFERRING:
+            aside = copy(here)
+            _refer(aside, z, here.entries(z, without=suspect))
+        slopes = _whitened(aside, suspect, z[at])[1]
+        here.y = here.y + here.full(slopes) @ z[at]
+        here.A = here.A.beside(slopes.joints, slopes.rows)
+    return here, 0.5 * float(rest @ rest) + 0.5 * float(z @ z)
+
+
+def _bounded(system: System, z: FloatArray) -> FloatArray:
+    """z with shapes where they are looked for."""
+    out = z.copy()
+    for suspect in system.found:
+        at = system.own(suspect)
+        log = np.array([p.log for p in suspect.hypothesis.own])
+        out[at] = np.where(log, np.clip(z[at], -FARTHEST, FARTHEST), z[at])
+    return out
 
 
 def with_wider(system: System, hypothesis: Hypothesis) -> System:
@@ -893,6 +967,12 @@ class Trial:
 
 def evaluate(system: System, suspect: Suspect, u: FloatArray, slopes: bool = True) -> Trial:
     """The suspect's torque at own numbers u, the base model refitted beside it."""
+    column, along = _whitened(system, suspect, u, slopes)
+    return Trial(suspect, u, _gain(system, column, u), column, along)
+
+
+def _whitened(system: System, suspect: Suspect, u: FloatArray, slopes: bool = True) -> tuple[Columns, Columns]:
+    """The suspect's torque at own numbers u, and its slopes."""
     own = suspect.hypothesis.own
 
     def torque(at: FloatArray) -> list[FloatArray]:
@@ -905,8 +985,7 @@ def evaluate(system: System, suspect: Suspect, u: FloatArray, slopes: bool = Tru
         moved[k] += STEP
         parts.append([(a - b) / STEP for a, b in zip(torque(moved), here, strict=True)])
     together = system.whiten([np.stack(rows, -1) for rows in zip(*parts, strict=True)])
-    column = Columns(together.joints, together.rows[:, :1])
-    return Trial(suspect, u, _gain(system, column, u), column, Columns(together.joints, together.rows[:, 1:]))
+    return Columns(together.joints, together.rows[:, :1]), Columns(together.joints, together.rows[:, 1:])
 
 
 def _gain(system: System, column: Columns, u: FloatArray) -> float:
@@ -922,7 +1001,7 @@ def start(system: System, suspect: Suspect) -> Trial:
     if whitened is None:
         columns = [column for values in suspect.starts for column in _start_columns(system, suspect, values)]
         whitened = system.whiten([np.stack(rows, -1) for rows in zip(*columns, strict=True)])
-        if whitened.rows.size < LARGEST_KEPT:
+        if whitened.rows.size < LARGEST_KEPT and suspect.hypothesis.effect not in REFERRING:
             system.screened[suspect.name] = whitened
     across = system.across(whitened)
     pulls = whitened.rows.T @ system.on(system.residual, whitened)
@@ -996,7 +1075,7 @@ def refine(system: System, trial: Trial, iterations: int = 8) -> Trial:
             return trial
         trial = evaluate(system, trial.suspect, ahead.u)
         damping = max(damping / 8, 1e-6)
-        if gained < 0.02:
+        if gained < CONVERGED:
             return trial
     return trial
 

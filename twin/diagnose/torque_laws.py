@@ -6,7 +6,7 @@ from where a search starts. A size that can have either sign, or vanish, has a n
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +16,7 @@ from twin.diagnose.torque_signal import Run
 from twin.identify.parameters import Parameter
 from twin.identify.regressor import inertial_vector
 from twin.measure.campaign import FloatArray
-from twin.measure.signals import advance, lowpass
+from twin.measure.signals import lowpass
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Values, axis_of
@@ -36,18 +36,30 @@ REFERRING = frozenset({"load_dependent_friction", "friction_drift", "torque_cons
 """Effects whose torque is made of the other torques."""
 
 
-@dataclass(frozen=True)
+RECORDING = frozenset({"time_delay", "torque_constant"})
+"""Of these, what acts on the recorded torque as a whole, whichever laws it is the sum of."""
+
+
+@dataclass
 class State:
     """What laws that act on other torques need of one run, as the model has it.
 
     Attributes:
-        torque: (m, n) predicted at the rows.
+        torque: (m, n) of the joints at the rows, before it is recorded.
         load, friction: (nt, n) on the dense clock.
+        gain, delay: (n,) and s, of the recording.
     """
 
     torque: FloatArray
     load: FloatArray
     friction: FloatArray
+    gain: FloatArray = field(default_factory=lambda: np.ones(1))
+    delay: float = 0.0
+
+    def recorded(self, run: Run, torque: FloatArray | None = None) -> FloatArray:
+        """The torque (m, n), or another, as it is recorded."""
+        torque = self.torque if torque is None else torque
+        return np.asarray(self.gain * (delayed(torque, run, self.delay) if self.delay else torque))
 
 
 @dataclass(frozen=True)
@@ -74,9 +86,12 @@ class Suspect:
 
 
 def add(run: Run, state: State, entry: Entry) -> None:
-    """Let laws that act on other torques see an entry as part of the model."""
-    extra = entry_torque(run, state, entry, entry.values)
+    """Let laws that act on other torques, and the recording, see an entry as part of the model."""
     effect = CATALOGUE[entry.effect]
+    if entry.effect in RECORDING:
+        state.gain, state.delay = _recording(state, entry, entry.values)
+        return
+    extra = _law_torque(run, state, entry, entry.values)
     if entry.effect == "payload":
         state.load[...] += on_dense(run, extra)
     elif effect.role != "drive":
@@ -87,8 +102,37 @@ def add(run: Run, state: State, entry: Entry) -> None:
     state.torque[...] += extra
 
 
+def model_torque(run: Run, state: State, entries: Sequence[Entry]) -> FloatArray:
+    """What entries add to the recorded torque (m, n) together; the state has them afterwards."""
+    before = state.recorded(run)
+    for entry in sorted(entries, key=_depth):
+        add(run, state, entry)
+    return state.recorded(run) - before
+
+
+def _depth(entry: Entry) -> int:
+    """Laws that are made of others come after them."""
+    return ("load", "drive", "friction").index(CATALOGUE[entry.effect].role) + 2 * (entry.effect in REFERRING)
+
+
 def entry_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatArray:
-    """What an entry adds to the recorded torque (m, n), low-passed."""
+    """What one more entry adds to the recorded torque (m, n), low-passed."""
+    if entry.effect in RECORDING:
+        gain, delay = _recording(state, entry, values)
+        return replace(state, gain=gain, delay=delay).recorded(run) - state.recorded(run)
+    return state.recorded(run, _law_torque(run, state, entry, values))
+
+
+def _recording(state: State, entry: Entry, values: Values) -> tuple[FloatArray, float]:
+    """Gain (n,) and delay of the recording, s, with one more entry."""
+    n = state.torque.shape[1]
+    chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(n))
+    CATALOGUE[entry.effect].record(chain, entry.site, values)
+    return state.gain * chain.torque_gain, state.delay + chain.torque_delay
+
+
+def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatArray:
+    """Torque (m, n) of an entry's law at the joints, low-passed."""
     out = np.zeros_like(run.torque)
     n = out.shape[1]
     if entry.effect == "payload":
@@ -96,24 +140,17 @@ def entry_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatA
         six = [*(values["inertia"] or []), *[0.0] * 6][:6]
         vector = inertial_vector(values["mass"], np.array(values["com"], float), inertia_matrix(six))
         return np.asarray(run.bodies[:, :, 10 * link : 10 * link + 10] @ vector)
-    effect = CATALOGUE[entry.effect]
-    chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(n))
-    effect.record(chain, entry.site, values)
-    if chain.torque_delay:
-        out += delayed(state.torque, run, chain.torque_delay) - state.torque
-    out += (chain.torque_gain - 1) * state.torque
     motion = run.smooth
     if entry.effect in STEPPING:
         motion = replace(run.dense, load=state.load, friction=state.friction)
-    for axis, torque in effect.torque(motion, entry.site, values).items():
+    for axis, torque in CATALOGUE[entry.effect].torque(motion, entry.site, values).items():
         out[:, axis] += run.filtered(torque)
     return out
 
 
 def delayed(torque: FloatArray, run: Run, delay: float) -> FloatArray:
     """A low-passed torque (m, n) as a channel shows it that is late by ``delay`` s."""
-    dense = lowpass(torque, run.rate_hz, 0.45 * run.rate_hz, 0.5 * run.rate_hz, upsample=8)
-    return np.asarray(advance(dense, 8 * run.rate_hz, -delay)[::8])
+    return lowpass(torque, run.rate_hz, 0.45 * run.rate_hz, 0.5 * run.rate_hz, delay_s=delay)
 
 
 def canonical(hypothesis: Hypothesis, values: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.torque_fit import base_of
-from twin.diagnose.torque_laws import entry_torque
+from twin.diagnose.torque_laws import RECORDING, entry_torque
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_signal import run_of
 from twin.identify.rigid import Bands, joint_run
@@ -20,7 +20,6 @@ BANDS = 6
 WIDE_HZ = 40.0  # how far above the fit's band a disturbance is looked for
 WIDE_S = 60.0  # of every run
 WIDE_BANDS = 8
-RECORDING = frozenset({"time_delay", "torque_constant"})
 EXCESS = 3.0  # times the quietest run's power in a band is a disturbance
 
 

@@ -5,7 +5,7 @@ joint's state gains, and gives way to a simpler one within reach: no law is exac
 better.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,16 +26,19 @@ from twin.diagnose.torque_fit import (
     evaluate,
     extended,
     fitted,
+    linearised,
     own_prior,
     own_values,
     refer,
     refine,
+    relinearised,
     settle,
     span_of,
     start,
     with_wider,
+    worth,
 )
-from twin.diagnose.torque_laws import USUAL, Suspect, add, smooth_columns, with_values
+from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.physics import CATALOGUE
@@ -50,6 +53,7 @@ SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches 
 ROUNDS = 5  # of looking for more with what was found in the model
 FIRST = 13.0  # ln evidence below which nothing is named: the largest of nulls
 FURTHER = 25.0  # ln evidence that a second thing must gain: it was looked for among more
+DOUBTFUL = 10.0  # times that: less lost at once, and what was found is tried without again
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
 HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
@@ -76,7 +80,7 @@ class Step:
         system: the base model then; ``base`` its fit.
         decision: who explains what it misses.
         trials: of the ranked hypotheses, by key; a number of the base model has none.
-        held: fall of ½ χ² on the rows kept aside, with the first of the ranked.
+        held: rise of the ln predictive density of the rows kept aside, with the first of the ranked.
         accepted: it goes into the model.
     """
 
@@ -223,7 +227,7 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
     alone = [step for step in search.found if len(step.joints) == 1]
     for joint in sorted({step.joints[0] for step in alone}):
         names = [step for step in alone if step.joints == (joint,)]
-        rest = _rebuilt(search.steps[0].system, [s for s in search.found if s not in names])
+        rest = accepted(search.steps[0].system, *(s for s in search.found if s not in names))
         discovered = discover(rest, joint, sum(len(s.first.hypothesis.own) for s in names))
         if discovered is None:
             continue
@@ -231,7 +235,7 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
         if not unnamed(law):
             continue
         fit = fitted(rest, law)
-        if judge is not None and judge.energy(rest, fit) > judge.energy(search.system, search.after):
+        if judge is not None and (judge.density(extended(rest, law), fit) < judge.density(search.system, search.after)):
             continue
         named = search.after.evidence() - base_fit(rest).evidence()
         lead = fit.evidence() - search.after.evidence() - EXACT * named
@@ -248,9 +252,11 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     if not step.decision.ranked or step.decision.probability[0] < step.decision.none:
         return False
     gained = sum(other.gain for other in earlier)
-    enough = step.gain > max(EXACT * gained, (FURTHER if earlier else FIRST) * max(1.0, step.misfit))
-    if enough and judge is not None:
+    needed = max(EXACT * gained, (FURTHER if earlier else FIRST) * max(1.0, step.misfit))
+    enough = step.gain > (min(needed, FIRST) if judge is not None else needed)
+    if enough and judge is not None:  # what runs not used say counts as what those used do
         step.held, enough = judge.gain(step.system, step.first, step.trial)
+        enough = enough and step.gain + max(step.held, 0.0) > needed
     if not enough:
         step.decision = _nothing(step.decision)
     step.accepted = enough
@@ -277,11 +283,18 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
             system = accepted(system, found)
 
 
-def accepted(system: System, step: Step, settled: bool = True) -> System:
-    """The model with a step's first answer in it; where friction slips otherwise, it is like no other joint's."""
+def accepted(system: System, *steps: Step) -> System:
+    """The model with the first answers of steps in it, all fitted together."""
+    for step in steps:
+        system = _with(system, step)
+    return relinearised(system)
+
+
+def _with(system: System, step: Step) -> System:
+    """The model with a step's first answer; where friction slips otherwise, it is like no other joint's."""
     if step.trial is None:
         return with_wider(system, step.first.hypothesis)
-    system = extended(system, step.trial, settled)
+    system = extended(system, step.trial)
     if step.first.hypothesis.effect == "hysteresis":
         own = tuple(f"ordinary_presliding@joint{j + 1}." for j in step.joints)
         numbers = [(n, UNLIKE_OTHERS) for n in system.base.parameters.names if n.startswith(own)]
@@ -289,17 +302,9 @@ def accepted(system: System, step: Step, settled: bool = True) -> System:
     return system
 
 
-def _rebuilt(system: System, steps: Iterable[Step]) -> System:
-    """A base model with what several steps found."""
-    for step in steps:
-        system = accepted(system, step, settled=False)
-    refer(system, system.z)
-    return system
-
-
 def _grown(steps: Sequence[Step], step: Step, system: System, judge: "Judge | None") -> System:
     """The model with as many slip elements at a joint as the rows bear: one stands for a first guess only."""
-    others = _rebuilt(steps[0].system, [s for s in steps if s.accepted and s is not step])
+    others = accepted(steps[0].system, *(s for s in steps if s.accepted and s is not step))
     trial = step.trial
     assert trial is not None
     trial = evaluate(others, trial.suspect, trial.u)
@@ -310,7 +315,7 @@ def _grown(steps: Sequence[Step], step: Step, system: System, judge: "Judge | No
         before, after = (fitted(others, t) for t in (trial, more))
         if after.evidence() - before.evidence() < max(FURTHER, EXACT * step.gain):
             break
-        if judge is not None and judge.energy(others, after) > judge.energy(others, before):
+        if judge is not None and judge.gain(others, after, more)[0] < judge.gain(others, before, trial)[0]:
             break
         longer = replace(step, trials={step.key: more})
         if not possible(accepted(others, longer), longer):
@@ -341,24 +346,22 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
 
 
 def _pruned(steps: Sequence[Step], system: System) -> System:
-    """The model without what later finds at the same joint have made needless; such a step is accepted no more."""
-    for number, old in enumerate(steps):
-        later = [s for s in steps[number + 1 :] if s.accepted and s.joints == old.joints]
-        if not (old.accepted and old.joints and later):
-            continue
-        kept = [s for s in steps if s.accepted and s is not old and s not in later]
-        shorter = _rebuilt(steps[0].system, kept)
-        renewed: list[Step] = []
-        for step in later:
-            again = {step.key: settle(shorter, step.trial)} if step.trial else {}
-            renewed.append(replace(step, trials={**step.trials, **again}))
-            shorter = accepted(shorter, renewed[-1])
-        lost = base_fit(system).evidence() - base_fit(shorter).evidence()
-        if lost < FURTHER:
-            old.accepted, system = False, shorter
-            for step, new in zip(later, renewed, strict=True):
-                step.trials = new.trials
-    return system
+    """The model without what later finds have made needless, least needed first; it is accepted no more."""
+    while True:
+        found = [s for s in steps if s.accepted]
+        shorter = {
+            k: accepted(steps[0].system, *found[:k], *found[k + 1 :])
+            for k, step in enumerate(found[:-1])
+            if step.trial is None
+            or set(step.joints) & set(found[-1].joints)
+            or worth(system, step.trial.suspect) < DOUBTFUL * FURTHER
+        }
+        if not shorter:
+            return system
+        needless = max(shorter, key=lambda k: base_fit(shorter[k]).evidence())
+        if base_fit(system).evidence() - base_fit(shorter[needless]).evidence() > FURTHER:
+            return system
+        found[needless].accepted, system = False, shorter[needless]
 
 
 def possible(system: System, step: Step) -> bool:
@@ -372,12 +375,10 @@ def possible(system: System, step: Step) -> bool:
 
 def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
     """Take names off a joint that they do not explain, and look for a law there."""
-    system = search.steps[0].system
-    for step in search.steps:
-        if step.accepted and step.trial is not None and joint in step.trial.column.joints:
+    for step in search.found:
+        if joint in step.joints:
             step.accepted = False
-        elif step.accepted:
-            system = accepted(system, step)
+    system = accepted(search.steps[0].system, *search.found)
     search.system, search.after = system, base_fit(system)
     discovered = discover(system, joint)
     if discovered is None:
@@ -517,59 +518,65 @@ def widened_fits(system: System) -> list[Fitted]:
 
 
 class Judge:
-    """Rows kept aside, whitened as those used; the offsets of their runs are their own."""
+    """Rows kept aside, whitened as those used; the offsets of their runs are their own.
+
+    A fit is judged by how likely it made them (the posterior predictive): what it does not know of its numbers is no
+    merit and no fault.
+    """
 
     def __init__(self, system: System, kept: Sequence[Run]) -> None:
         self.base: Base = base_of(system.base.regressor, kept, system.base.sliding)
         self.system = System(self.base, system.whitening, self.base.parameters, level=system.level, noise=system.noise)
         refer(self.system, np.zeros(len(self.base.parameters)))
         self.system.assemble()
-        self.size = self.base.lasting
 
-    def rest(self, z: FloatArray, entries: Sequence[Entry]) -> FloatArray:
-        """Whitened residual (N,) of a model fitted elsewhere, offsets re-estimated."""
-        known = np.zeros(len(self.base.parameters))
-        known[: self.size] = z[: self.size]  # in the deviations of the description
-        refer(self.system, known)
-        residual = self.system.y - self.system.A.times(known)
-        for entry in entries:
-            column = self.system.full(self.system.whiten(self.system.torque([entry])))
-            residual = residual - column[:, 0]
-            for run, state in zip(self.base.runs, self.system.state, strict=True):
-                add(run, state, entry)
-        A = self.system.A
-        offsets = np.arange(self.size, A.width)
-        G, pull = A.gram[np.ix_(offsets, offsets)], A.transposed(residual)[offsets]
-        own = np.zeros(A.width)
-        own[offsets] = np.linalg.solve(G + np.eye(len(offsets)), pull)
-        return residual - A.times(own)
+    def rest(self, system: System, fit: Fitted) -> tuple[FloatArray, float]:
+        """Whitened residual (N,) of a fit of a system's numbers, its own offsets estimated, and ln predictive density.
+
+        Without what is common to all models.
+        """
+        shared, width = self.base.lasting, len(self.base.parameters)
+        own = len(fit.z) - len(system.base.parameters)
+        lasting = np.r_[:shared, len(fit.z) - own : len(fit.z)]
+        here = replace(
+            self.system, found=system.found, parameters=system.parameters, widened=system.widened,
+            A=self.system.A.scaled(system.widened),
+        )  # fmt: skip
+        z = np.concatenate([fit.z[:shared], np.zeros(width - shared), fit.z[len(fit.z) - own :]])
+        here, _ = linearised(here, z)
+        residual = here.y - here.A.times(z)
+        prior = np.eye(len(z))
+        at = np.r_[:shared, width : len(z)]
+        prior[np.ix_(at, at)] = np.linalg.inv(np.linalg.inv(fit.information)[np.ix_(lasting, lasting)])
+        posterior = prior + here.A.gram
+        pull = here.A.transposed(residual)
+        energy = float(residual @ residual - pull @ np.linalg.solve(posterior, pull))
+        density = -0.5 * (energy + np.linalg.slogdet(posterior)[1] - np.linalg.slogdet(prior)[1])
+        offsets = np.arange(shared, width)
+        moved = np.zeros(len(z))
+        moved[offsets] = np.linalg.solve(posterior[np.ix_(offsets, offsets)], pull[offsets])
+        return residual - here.A.times(moved), float(density)
 
     def gain(self, system: System, fit: Fitted, trial: Trial | None) -> tuple[float, bool]:
-        """Fall of ½ χ², and whether it is enough to believe the fit."""
-        before = self.rest(system.plain(system.z), system.entries(system.z))
-        entries = system.entries(fit.z)
-        if trial is not None:
-            entries = [*entries, *with_values(fit.hypothesis, fit.values[fit.own])]
+        """Rise of the ln predictive density over Birge's ratio, and whether it is enough to believe the fit."""
+        base = base_fit(system)
         wide = with_wider(system, fit.hypothesis) if fit.hypothesis.scale else system
-        after = self.rest(wide.plain(fit.z), entries)
+        before, density = self.rest(system, base)
+        after, reached = self.rest(wide if trial is None else extended(system, trial), fit)
+        data = self.system.count * float(self.system.level.sum())
+        rise, scale = reached - density, max(1.0, float(after @ after) / data)
         joints = trial.column.joints if trial is not None else tuple(range(len(system.whitening)))
-
-        def energy(residual: FloatArray) -> FloatArray:
-            return np.array([0.5 * float(np.sum(residual[self.system.rows(j)] ** 2)) for j in joints])
-
-        fall, power = energy(before) - energy(after), energy(before)
+        power = sum(0.5 * float(np.sum(before[self.system.rows(j)] ** 2)) for j in joints)
         trained = 0.5 * (float(system.residual @ system.residual) - fit.misfit * fit.data)
         expected = trained * self.system.count / max(system.count, 1)
         # What only relieves the tension of numbers against their priors cannot show here: it must do no harm.
-        if trained < RELIEF * (fit.evidence() - base_fit(system).evidence()):
-            return float(fall.sum()), bool(fall.sum() > -HARM - 0.01 * power.sum())
-        return float(fall.sum()), bool(fall.sum() > SHARE * expected and (fall / power).max() > LEAST)
+        if trained < RELIEF * (fit.evidence() - base.evidence()):
+            return rise / scale, bool(rise > -HARM * scale - 0.01 * power)
+        return rise / scale, bool(rise > max(SHARE * expected, LEAST * power))
 
-    def energy(self, system: System, fit: Fitted) -> float:
-        """½ χ² of a fit of entries on a system."""
-        entries = [*system.entries(fit.z), *with_values(fit.hypothesis, fit.values[fit.own])]
-        rest = self.rest(system.plain(fit.z), entries)
-        return float(0.5 * (rest @ rest))
+    def density(self, system: System, fit: Fitted) -> float:
+        """ln predictive density of a fit of all numbers of a system."""
+        return self.rest(system, fit)[1]
 
 
 def smallest_visible(system: System, suspects: Sequence[Suspect]) -> list[dict[str, Any]]:

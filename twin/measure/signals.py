@@ -8,8 +8,9 @@ from twin.measure.campaign import FloatArray
 
 
 def lowpass(
-    signal: FloatArray, sample_rate_hz: float, pass_hz: float, stop_hz: float, derivative: int = 0, upsample: int = 1
-) -> FloatArray:
+    signal: FloatArray, sample_rate_hz: float, pass_hz: float, stop_hz: float, derivative: int = 0, upsample: int = 1,
+    delay_s: float = 0.0,
+) -> FloatArray:  # fmt: skip
     """Low-pass with a cosine taper from ``pass_hz`` to ``stop_hz``, zero phase, and differentiate in the same step.
 
     The record is extended at both ends by its point reflection (removed again), so that neither its level nor its
@@ -21,6 +22,7 @@ def lowpass(
         pass_hz, stop_hz: gain one below, zero above.
         derivative: 0, 1 or 2 times by time.
         upsample: samples returned per sample given; every ``upsample``-th is at the time of one given.
+        delay_s: by which what is returned is late.
 
     Returns:
         (nt, …), or (``upsample`` (nt − 1) + 1, …).
@@ -43,12 +45,14 @@ def lowpass(
     frequency = np.fft.rfftfreq(circle, 1 / sample_rate_hz)
     phase = np.clip((frequency - pass_hz) / (stop_hz - pass_hz), 0, 1)
     gain = 0.5 * (1 + np.cos(np.pi * phase)) * (2j * np.pi * frequency) ** derivative
+    if delay_s:
+        gain = gain * np.exp(-2j * np.pi * frequency * delay_s)
     filtered = scipy.fft.irfft(spectrum * gain.reshape(-1, *[1] * (signal.ndim - 1)), circle * upsample, axis=0)
     middle = upsample * filtered[memory * upsample : (memory + count - 1) * upsample + 1]
     if derivative == 1:
         middle += slope
     elif derivative == 0:
-        time = (memory + np.arange(len(middle)) / upsample) / sample_rate_hz
+        time = (memory + np.arange(len(middle)) / upsample) / sample_rate_hz - delay_s
         middle += start + slope * time.reshape(-1, *[1] * (signal.ndim - 1))
     return middle
 
