@@ -13,6 +13,7 @@ central differences of these small matrices. ``twin.model.linear`` gives the sam
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -81,11 +82,7 @@ class Structure:
         """Derivative of :meth:`rows` with respect to every commanded position, (n_axes, n, nv)."""
         body, local = self.carried_points(channels)
         wrench = _wrench(self.rotation[body], self.origin[body], local, direction)
-        slopes = [
-            (wrench @ self._turned(i).T) * self.path[body] * self.moved[i, body][:, None]
-            for i in range(len(self.command))
-        ]
-        return np.array(slopes).reshape(len(self.command), len(body), len(self.coordinates))
+        return np.asarray(wrench @ self.turned.swapaxes(1, 2) * self.path[body] * self.moved[:, body][:, :, None])
 
     def carried_points(self, channels: Channels) -> tuple[list[int], FloatArray]:
         """The body that carries every point, and where it lies in that body's own frame (n, 3)."""
@@ -93,22 +90,23 @@ class Structure:
         offset = np.array([self.mechanism.offset(carrier) for carrier in carriers]).reshape(-1, 3)
         return [self.bodies[carrier] for carrier in carriers], channels.position - offset
 
-    def _turned(self, axis: int) -> FloatArray:
-        """Rate (nv, 6) of the screws inboard of a commanded position, seen from what it moves."""
-        twist = self.command[axis]
-        omega = _cross(twist[:3], self.screw[:, :3])
-        v = _cross(twist[:3], self.screw[:, 3:]) + _cross(twist[3:], self.screw[:, :3])
-        return -np.hstack([omega, v]) * (1 - self.carried[axis])[:, None]
+    @cached_property
+    def turned(self) -> FloatArray:
+        """Rates (n, nv, 6) of the screws inboard of every commanded position, seen from what it moves."""
+        omega_q, v_q = self.command[:, None, :3], self.command[:, None, 3:]
+        omega = _cross(omega_q, self.screw[:, :3])
+        v = _cross(omega_q, self.screw[:, 3:]) + _cross(v_q, self.screw[:, :3])
+        return -np.concatenate([omega, v], axis=-1) * (1 - self.carried)[:, :, None]
 
     def command_slopes(self, axis: int) -> tuple[FloatArray, FloatArray]:
         """∂M/∂q and ∂K/∂q (nv, nv) for a commanded position, zero-based axis."""
         weight = (self.path * self.moved[axis][:, None])[:, :, None]
-        S, dS = self.screw * weight, self._turned(axis) * weight
+        S, dS = self.screw * weight, self.turned[axis] * weight
         inertial = self.spatial @ S.swapaxes(1, 2)
         dM = (dS @ inertial).sum(axis=0)
         momentum = inertial[:, 3:].sum(axis=0)
         momentum_rate = (self.spatial[:, 3:] @ dS.swapaxes(1, 2)).sum(axis=0)
-        omega, omega_rate = self.screw[:, :3], self._turned(axis)[:, :3]
+        omega, omega_rate = self.screw[:, :3], self.turned[axis][:, :3]
         turned_gravity = -_cross(self.command[axis][:3], self.gravity)
         dK = (
             _hessian(omega, momentum, turned_gravity, self.inboard)
@@ -502,8 +500,7 @@ def slopes(
         own = [p for p, parameter in enumerate(parameters) if parameter.kind == "link" and not differenced[p]]
         own = [p for p in own if parameters[p].name.startswith(f"{body}.")]
         if own:
-            inertial = link.inertial
-            local = np.array([_link_slope(inertial, parameters[p].name) for p in own])
+            local = np.array([_link_slope(link.inertial, parameters[p].name) for p in own])
             out.M[own], out.K[own] = model.inertial_slopes(body, local)
     for p, parameter in enumerate(parameters):
         site, _, what = parameter.name.rpartition(".")
@@ -708,26 +705,49 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
     X_r, X_e = np.ascontiguousarray(X[:, :, :nr].swapaxes(1, 2)), np.ascontiguousarray(X[:, :, nr:])
     record = _record(seen, s, power)
     H = record * (seen.J_r @ X_e)
-    flat = X_r.reshape(nf * nr, nv)
-    left = np.zeros((nf, nr, n, nv), complex)
-    lines = np.repeat(s, nr)[:, None]
-    for matrix, factor in ((rate.M, lines**2), (rate.C, lines), (rate.K, None), (rate.loss, np.array(1j))):
-        some = np.flatnonzero(matrix.any(axis=(1, 2)))
-        if some.size:
-            columns = matrix[some].transpose(1, 0, 2).reshape(nv, -1)
-            product = flat @ columns
-            left[:, :, some] -= (product if factor is None else factor * product).reshape(nf, nr, some.size, nv)
-    left += rate.J_r.transpose(1, 0, 2)
-    left *= record[..., None]
-    slope = (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne)
+    slope = np.zeros((n, nf, nr, ne), complex)
+    pull = -record * X_r
+    coordinate, alone = _one_spring(rate)
+    if alone.size:
+        own = coordinate[alone]
+        M, C, K, loss = (m[alone, own, own] for m in (rate.M, rate.C, rate.K, rate.loss))
+        through = pull[:, :, own] * (s[:, None] ** 2 * M + s[:, None] * C + (K + 1j * loss))[:, None]
+        for k, p in enumerate(alone):
+            np.multiply(through[:, :, k, None], X_e[:, None, own[k]], out=slope[p])
+    dense = np.setdiff1d(np.flatnonzero(_moves(rate)), alone)
+    if dense.size:
+        parts = [(m[dense], k) for k, m in enumerate((rate.M, rate.C, rate.K, rate.loss)) if m[dense].any()]
+        factor = np.array([s**2, s, np.ones(nf), np.full(nf, 1j)])[:, :, None, None]
+        columns = [m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts]
+        flat = np.concatenate([factor[k] * pull for _, k in parts] or [np.zeros((nf, nr, 0))], axis=2)
+        left = flat.reshape(nf * nr, -1) @ np.concatenate(columns or [np.zeros((0, dense.size * nv))])
+        left = left.reshape(nf, nr, dense.size, nv)
+        for k, J_r in enumerate(rate.J_r[dense]):
+            if J_r.any():
+                left[:, :, k] += record * J_r
+        slope[dense] = (left.reshape(nf, nr * dense.size, nv) @ X_e).reshape(nf, nr, -1, ne).transpose(2, 0, 1, 3)
     some = np.flatnonzero(rate.J_e.any(axis=(1, 2)))
     if some.size:
-        turned = (flat @ rate.J_e[some].transpose(2, 0, 1).reshape(nv, -1)).reshape(nf, nr, some.size, ne)
-        slope[:, :, some] += turned * record[..., None]
-    slope = slope.transpose(2, 0, 1, 3)
+        turned = pull.reshape(nf * nr, nv) @ rate.J_e[some].transpose(2, 0, 1).reshape(nv, -1)
+        slope[some] -= turned.reshape(nf, nr, some.size, ne).transpose(2, 0, 1, 3)
     for p in np.flatnonzero(rate.gain.any(axis=1) | rate.delay.any(axis=1)):
         slope[p] += H * (rate.gain[p] / seen.gain - s[:, None] * rate.delay[p])[:, :, None]
     return H, slope
+
+
+def _moves(rate: Observed) -> NDArray[np.bool_]:
+    """(n,) which parameters change M, C, K, loss or the responses' rows."""
+    arrays = (rate.M, rate.C, rate.K, rate.loss, rate.J_r)
+    return np.asarray(np.any([array.any(axis=(1, 2)) for array in arrays], axis=0))
+
+
+def _one_spring(rate: Observed) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Parameters of one coordinate's spring or damper alone: coordinate (n,) of each, and which they are."""
+    size = np.abs(rate.M) + np.abs(rate.C) + np.abs(rate.K) + np.abs(rate.loss)
+    diagonal = np.diagonal(size, axis1=1, axis2=2)
+    alone = (np.count_nonzero(size, axis=(1, 2)) == 1) & (np.count_nonzero(diagonal, axis=1) == 1)
+    alone &= ~rate.J_r.any(axis=(1, 2))
+    return np.argmax(diagonal, axis=1), np.flatnonzero(alone)
 
 
 def _dynamic(seen: Observed, s: ComplexArray) -> ComplexArray:
