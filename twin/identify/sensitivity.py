@@ -718,10 +718,11 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
     if dense.size:
         parts = [(m[dense], k) for k, m in enumerate((rate.M, rate.C, rate.K, rate.loss)) if m[dense].any()]
         factor = np.array([s**2, s, np.ones(nf), np.full(nf, 1j)])[:, :, None, None]
-        columns = [m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts]
-        flat = np.concatenate([factor[k] * pull for _, k in parts] or [np.zeros((nf, nr, 0))], axis=2)
-        left = flat.reshape(nf * nr, -1) @ np.concatenate(columns or [np.zeros((0, dense.size * nv))])
-        left = left.reshape(nf, nr, dense.size, nv)
+        left = np.zeros((nf, nr, dense.size, nv), complex)
+        if parts:
+            columns = np.concatenate([m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts])
+            flat = np.concatenate([factor[k] * pull for _, k in parts], axis=2)
+            left = (flat.reshape(nf * nr, -1) @ columns).reshape(left.shape)
         for k, J_r in enumerate(rate.J_r[dense]):
             if J_r.any():
                 left[:, :, k] += record * J_r
