@@ -56,7 +56,7 @@ def diagnose_log(
     system = system_of(prepared, suspects)
     search = explain(system, prepared.kept, suspects, progress)
     word, missing, none, other = _answer(search)
-    base = search.steps[0].base
+    base = search.first.base
     records, errors = log_records(prepared, base, search)
     after = search.law[2] if search.law else search.after
     robot_after = after.robot
@@ -114,7 +114,7 @@ def _visible(found: Sequence[Play]) -> list[dict[str, Any]]:
 
 def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     """Verdict, what is missing, and the probabilities that nothing or something unnamed is."""
-    first = search.steps[0].decision
+    first = search.first.decision
     _, other = search.other
     missing: list[Missing] = []
     settled = _inflated(base_fit(search.system))
@@ -149,7 +149,7 @@ def _inflated(fit: Fitted) -> Fitted:
 
 def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[LogRecord], dict[str, Any]]:
     """Every run beside the three models, and the errors of a diagnosis; offsets of held-out runs are re-estimated."""
-    first, last = search.steps[0].system, search.system
+    first, last = search.plain, search.system
     noise = first.noise
     units = tuple("N·m" if axis.type == "revolute" else "N" for axis in prepared.regressor.robot.axes)
     after = search.law[2] if search.law else search.after

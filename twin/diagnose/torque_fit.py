@@ -55,6 +55,7 @@ FRICTION = 0.5  # relative prior deviation of described friction
 RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: what any gear and motor adds
 SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
 SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three
+NEAR = 0.01  # prior deviations: so far from where they were taken, slopes are what they were
 CONVERGED, EXACT = 0.02, 1e-5  # of ½ χ², and its share: less is no gain
 STEP = 0.02  # of a prior deviation, for differences
 OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
@@ -339,6 +340,7 @@ class System:
         level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
         noise: (n,) RMS of the noise at the rows, N·m (N).
         widened: number in z → factor on the prior deviation its description gives it.
+        slopes: of what was found, by name: numbers in prior deviations, and whitened slopes there.
         screened: whitened columns of the suspects' starts, which stay the same when something is found.
         stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
     """
@@ -356,6 +358,7 @@ class System:
     stops: list[list[Stop]] = field(default_factory=list)
     screened: dict[str, Columns] = field(default_factory=dict)
     widened: dict[int, float] = field(default_factory=dict)
+    slopes: dict[str, tuple[FloatArray, Columns]] = field(default_factory=dict)
 
     @property
     def order(self) -> int:
@@ -589,7 +592,7 @@ def refer(system: System, z: FloatArray) -> list[FloatArray]:
     before = [(state.delay, *state.gain) for state in system.state]
     added = _refer(system, z, system.entries(z))
     if before and before != [(state.delay, *state.gain) for state in system.state]:
-        system.screened = {}
+        system.screened, system.slopes = {}, {}
     return added
 
 
@@ -610,6 +613,7 @@ def extended(system: System, trial: "Trial") -> System:
         parameters=join(system.parameters, independent(trial.suspect.hypothesis.own)),
         A=system.A.beside(trial.slopes.joints, trial.slopes.rows),
         y=system.y - system.full(trial.column)[:, 0] + system.full(trial.slopes) @ trial.u,
+        slopes={**system.slopes, trial.suspect.name: (trial.u, trial.slopes)},
     )
 
 
@@ -653,20 +657,29 @@ def relinearised(system: System, iterations: int = 8) -> System:
 def linearised(system: System, z: FloatArray) -> tuple[System, float]:
     """The system with what was found linearised at z, and ½ χ² + ½ zᵀz there."""
     size = len(system.base.parameters)
-    here = replace(system, A=system.A.first(size), screened=dict(system.screened))
+    here = replace(system, A=system.A.first(size), slopes=dict(system.slopes))
     added = here.full(here.whiten(refer(here, z)))[:, 0]
     rest = here.data - added - here.A.times(z[:size])
     here.y = here.data - added
     for suspect in here.found:
         at = here.own(suspect)
-        aside = here
-        if suspect.hypothesis.effect in REFERRING:
-            aside = copy(here)
-            _refer(aside, z, here.entries(z, without=suspect))
-        slopes = _whitened(aside, suspect, z[at])[1]
+        referring = suspect.hypothesis.effect in REFERRING
+        u, slopes = here.slopes.get(suspect.name, (z[at], None))
+        if slopes is None or referring or np.any(np.abs(z[at] - u) > NEAR * (1 + np.abs(u))):
+            slopes = _slopes(here, suspect, z)
+            here.slopes[suspect.name] = z[at], slopes
         here.y = here.y + here.full(slopes) @ z[at]
         here.A = here.A.beside(slopes.joints, slopes.rows)
     return here, 0.5 * float(rest @ rest) + 0.5 * float(z @ z)
+
+
+def _slopes(system: System, suspect: Suspect, z: FloatArray) -> Columns:
+    """Of something found, beside all else at z."""
+    aside = system
+    if suspect.hypothesis.effect in REFERRING:
+        aside = copy(system)
+        _refer(aside, z, system.entries(z, without=suspect))
+    return _whitened(aside, suspect, z[system.own(suspect)])[1]
 
 
 def _bounded(system: System, z: FloatArray) -> FloatArray:

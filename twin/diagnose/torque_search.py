@@ -53,6 +53,7 @@ SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches 
 ROUNDS = 5  # of looking for more with what was found in the model
 FIRST = 13.0  # ln evidence below which nothing is named: the largest of nulls
 FURTHER = 25.0  # ln evidence that a second thing must gain: it was looked for among more
+SWITCH = 2.0  # ln evidence by which another must explain everything better to take the place of what was found
 DOUBTFUL = 10.0  # times that: less lost at once, and what was found is tried without again
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
@@ -132,6 +133,7 @@ class Search:
     """What was found.
 
     Attributes:
+        plain: the base model; ``first`` what was looked for first.
         steps: in order; the last was not accepted, or was the last allowed.
         system: with all that was accepted; ``after`` its fit.
         free, left: per joint, evidence gained by a free function of its state, before and after.
@@ -140,6 +142,8 @@ class Search:
         aside: the base model's columns on the rows kept aside, where there are any.
     """
 
+    plain: System
+    first: Step
     steps: list[Step]
     system: System
     after: Fitted
@@ -152,8 +156,7 @@ class Search:
     @property
     def finalists(self) -> tuple[dict[str, Any], ...]:
         """What the first selection was made from."""
-        step = self.steps[0]
-        return finalists(step.base, step.decision.ranked)
+        return finalists(self.first.base, self.first.decision.ranked)
 
     @property
     def found(self) -> list[Step]:
@@ -188,6 +191,7 @@ def explain(
         kept: runs (or blocks) not used.
         suspects: all that could be missing.
     """
+    plain = system
     progress = progress or (lambda description, total: lambda count: None)
     judge = Judge(system, kept) if kept else None
     axes = range(len(system.whitening))
@@ -205,11 +209,13 @@ def explain(
             if _borne_out(beside, steps, judge):
                 steps.append(beside)
                 system = accepted(system, beside)
-        system = _pruned(steps, system)
+        system = _pruned(plain, steps, system)
+    first = steps[0]
+    system = _pruned(plain, steps, _revised(plain, steps, system, suspects, judge))
     for step in [s for s in steps if s.accepted and s.first.hypothesis.effect == "hysteresis"]:
-        system = _grown(steps, step, system, judge)
+        system = _grown(plain, steps, step, system, judge)
     left = np.array([free_gain(system, j) for j in axes])
-    search = Search(steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
+    search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:
@@ -227,7 +233,7 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
     alone = [step for step in search.found if len(step.joints) == 1]
     for joint in sorted({step.joints[0] for step in alone}):
         names = [step for step in alone if step.joints == (joint,)]
-        rest = accepted(search.steps[0].system, *(s for s in search.found if s not in names))
+        rest = accepted(search.plain, *(s for s in search.found if s not in names))
         discovered = discover(rest, joint, sum(len(s.first.hypothesis.own) for s in names))
         if discovered is None:
             continue
@@ -283,6 +289,39 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
             system = accepted(system, found)
 
 
+def _revised(
+    plain: System, steps: list[Step], system: System, suspects: Sequence[Suspect], judge: "Judge | None"
+) -> System:
+    """The model with each find put to its rivals once more, all other finds beside it.
+
+    What was found first was the best of all without the others; where another now makes all rows, those kept aside
+    among them, more likely, it takes its place.
+    """
+    if sum(step.accepted for step in steps) < 2:
+        return system
+
+    def likely(model: System) -> float:
+        fit = base_fit(model)
+        return fit.evidence() + (judge.density(model, fit) if judge is not None else 0.0)
+
+    for number, step in enumerate(steps):
+        gains = {fit.hypothesis.key: fit.evidence() - step.base.evidence() for fit in step.decision.ranked}
+        rivals = [trial for key, trial in step.trials.items() if gains.get(key, 0.0) > MOST * step.gain]
+        if not step.accepted or step.trial is None or len(rivals) < 2:
+            continue
+        others = accepted(plain, *(s for s in steps if s.accepted and s is not step))
+        trials = {t.suspect.hypothesis.key: settle(others, t) for t in rivals}
+        fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others)]
+        again = _decided(others, trials, fits, suspects)
+        if again.key == step.key or again.trial is None:
+            continue
+        other = accepted(others, again)
+        if likely(other) > likely(system) + SWITCH and possible(other, again):
+            again.accepted, again.held = True, step.held
+            steps[number], system = again, other
+    return system
+
+
 def accepted(system: System, *steps: Step) -> System:
     """The model with the first answers of steps in it, all fitted together."""
     for step in steps:
@@ -302,9 +341,9 @@ def _with(system: System, step: Step) -> System:
     return system
 
 
-def _grown(steps: Sequence[Step], step: Step, system: System, judge: "Judge | None") -> System:
+def _grown(plain: System, steps: Sequence[Step], step: Step, system: System, judge: "Judge | None") -> System:
     """The model with as many slip elements at a joint as the rows bear: one stands for a first guess only."""
-    others = accepted(steps[0].system, *(s for s in steps if s.accepted and s is not step))
+    others = accepted(plain, *(s for s in steps if s.accepted and s is not step))
     trial = step.trial
     assert trial is not None
     trial = evaluate(others, trial.suspect, trial.u)
@@ -345,12 +384,12 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
     return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
 
-def _pruned(steps: Sequence[Step], system: System) -> System:
+def _pruned(plain: System, steps: Sequence[Step], system: System) -> System:
     """The model without what later finds have made needless, least needed first; it is accepted no more."""
     while True:
         found = [s for s in steps if s.accepted]
         shorter = {
-            k: accepted(steps[0].system, *found[:k], *found[k + 1 :])
+            k: accepted(plain, *found[:k], *found[k + 1 :])
             for k, step in enumerate(found[:-1])
             if step.trial is None
             or set(step.joints) & set(found[-1].joints)
@@ -378,7 +417,7 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
     for step in search.found:
         if joint in step.joints:
             step.accepted = False
-    system = accepted(search.steps[0].system, *search.found)
+    system = accepted(search.plain, *search.found)
     search.system, search.after = system, base_fit(system)
     discovered = discover(system, joint)
     if discovered is None:
