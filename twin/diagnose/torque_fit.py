@@ -156,7 +156,8 @@ class Base:
                                       [travels, travels + n * orders])  # fmt: skip
         torque += np.einsum("mjo,jo->mj", self.ripple[k], own.reshape(n, orders))
         shares = PRESLIDING * common + UNLIKE * alone.reshape(n, travels)
-        torque += np.einsum("mjt,jt->mj", self.presliding[k], shares)
+        turning = np.einsum("mjt,jt->mj", self.presliding[k], shares)
+        torque += turning
         load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
         friction = np.zeros_like(load)
         roles = [CATALOGUE[c.name.partition("@")[0]].role if c.group == "entry" else "" for c in self.regressor.columns]
@@ -165,7 +166,7 @@ class Base:
                 load[:, axis] += values[column] * law
             elif roles[column] == "friction":
                 friction[:, axis] += values[column] * law
-        return State(torque, load, friction, np.ones(n))
+        return State(torque, load, friction, turning, np.ones(n))
 
 
 def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | None = None) -> Base:

@@ -47,19 +47,21 @@ class State:
     Attributes:
         torque: (m, n) of the joints at the rows, before it is recorded.
         load, friction: (nt, n) on the dense clock.
+        turning: (m, n) of the torque, how ordinary friction turns round; in proportion to friction as it was recorded.
         gain, delay: (n,) and s, of the recording.
     """
 
     torque: FloatArray
     load: FloatArray
     friction: FloatArray
+    turning: FloatArray = field(default_factory=lambda: np.zeros(1))
     gain: FloatArray = field(default_factory=lambda: np.ones(1))
     delay: float = 0.0
 
     def recorded(self, run: Run, torque: FloatArray | None = None) -> FloatArray:
         """The torque (m, n), or another, as it is recorded."""
-        torque = self.torque if torque is None else torque
-        return np.asarray(self.gain * (delayed(torque, run, self.delay) if self.delay else torque))
+        torque = self.gain * (self.torque - self.turning) + self.turning if torque is None else self.gain * torque
+        return np.asarray(delayed(torque, run, self.delay) if self.delay else torque)
 
 
 @dataclass(frozen=True)

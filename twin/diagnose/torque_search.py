@@ -311,7 +311,7 @@ def _revised(
             continue
         others = accepted(plain, *(s for s in steps if s.accepted and s is not step))
         trials = {t.suspect.hypothesis.key: settle(others, t) for t in rivals}
-        fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others)]
+        fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others, suspects)]
         again = _decided(others, trials, fits, suspects)
         if again.key == step.key or again.trial is None:
             continue
@@ -442,7 +442,7 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
         key = fit.hypothesis.key
         if key not in best_of or fit.evidence() > best_of[key].evidence():
             best_of[key], trials[key] = fit, trial
-    return _decided(system, trials, [*best_of.values(), *widened_fits(system)], suspects)
+    return _decided(system, trials, [*best_of.values(), *widened_fits(system, suspects)], suspects)
 
 
 def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], suspects: Sequence[Suspect]) -> Step:
@@ -536,12 +536,20 @@ def free_gain(system: System, joint: int) -> float:
     return float(0.5 * pull @ np.linalg.solve(inside, pull) - 0.5 * np.linalg.slogdet(inside)[1])
 
 
-def widened_fits(system: System) -> list[Fitted]:
-    """Numbers of the base model that may be off beyond what the description allows, each in turn."""
+def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
+    """Numbers of the base model that may be off beyond what the description allows, each in turn.
+
+    A rotor's inertia is one thing with two names: where its effect is a suspect, it is that.
+    """
     names = system.parameters.names
+    turning = {s.hypothesis.site[5:] for s in suspects if s.hypothesis.effect == "rotor_inertia"}
+    drives = system.base.regressor.robot.drives
+    turning = {number for number in turning if not drives[int(number) - 1].coupling}
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(names):
-        if (name.startswith("link") and name.endswith(".mass")) or name.endswith(".rotor_inertia"):
+        owner, _, quantity = name.partition(".")
+        link, rotor = owner.startswith("link"), owner.removeprefix("drive")
+        if (link and quantity == "mass") or (quantity == "rotor_inertia" and rotor not in turning):
             groups[name] = [k]
         elif name.startswith("gravity_compensator@"):
             groups.setdefault(name.partition("[")[0], []).append(k)
