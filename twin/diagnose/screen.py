@@ -31,6 +31,9 @@ from twin.robot.mechanism import fuse
 
 SIZES = (-0.5, 1.0)
 """Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""
+FAR_SIZES = (-2.5, -1.0, 1.0)
+"""The same far from the truth: a soft servo lies beyond a ridge, where its peaks pass others; ``FAR_STARTS`` are kept."""
+FAR_STARTS = 2
 YIELDING = 5  # iterations in which springs make room for an entry
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
@@ -175,18 +178,19 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     objective = setting.objective(hypothesis)
     size = next((k for k, p in enumerate(suspect.own) if p.log), None)
     found = []
-    for deviation in SIZES if size is not None else (0.0,):
+    starts: list[tuple[float, FloatArray]] = []
+    sizes = (0.0,) if size is None else FAR_SIZES if setting.error > 0 else SIZES
+    for deviation in sizes:
         own = np.zeros(len(suspect.own))
         if size is not None:
             own[size] = deviation if CATALOGUE[suspect.effect].sprung else -deviation
         z = np.concatenate([setting.z, own])
-        if size is None and not setting.logarithmic:
-            found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
-        elif setting.error > 0:
-            z = _yielding(setting, objective, z)
-            found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
+        if setting.error > 0 and (setting.logarithmic or size is not None):
+            starts.append(_yielding(setting, objective, z))
         else:
             found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
+    for _, z in sorted(starts, key=lambda start: start[0])[:FAR_STARTS]:
+        found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
     if size is not None and not setting.logarithmic:
         found += _part_promise(setting, hypothesis, suspect, objective.parameters) or _tangent_promise(
             setting, hypothesis, suspect, objective
@@ -197,15 +201,16 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     return found
 
 
-def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> FloatArray:
-    """z after the springs have made room for an entry, its size held: a servo shares its joint with the gear.
+def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[float, FloatArray]:
+    """Cost and z after the springs have made room for an entry, its size held: a servo shares its joint with the gear.
 
     The robust logarithmic residual of few lines serves from any distance.
     """
     robust = replace(objective, sample=setting.few, temper=0.0, logarithmic=True, weight=[])
     springs = [k for k, p in enumerate(setting.free) if p.kind == "spring"]
     inner = robust.within(z, springs)
-    return inner.whole(minimise(inner, z[springs], YIELDING, 0.5)[0])
+    end, cost, _, _ = minimise(inner, z[springs], YIELDING, 0.5)
+    return cost, inner.whole(end)
 
 
 def _tangent_promise(
