@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tools.truth.__main__ import main as truth
-from twin.diagnose.blow import RATE_HZ, Strike, pulse, torques, transform
+from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.diagnose.joint_laws import Cubic, Gap, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels
@@ -95,7 +95,7 @@ def test_duffings_frequency_rises_with_the_square_of_amplitude() -> None:
     omega, amplitude = 2 * np.pi * 10, 1e-4
     k3 = 0.04 * omega**2 / amplitude**2
     strike = Strike(oscillator(omega, 0.0), 0, omega**2, 0.0, 1.0, 0.002, np.array([k3]))
-    momentum = pulse(0.002).sum() / RATE_HZ
+    momentum = pulse_transform(np.zeros(1, complex), 0.002)[0].real
     # the blow gives a velocity v; energy fixes the amplitude it leads to
     speed = np.sqrt(omega**2 * amplitude**2 + 0.5 * k3 * amplitude**4)
     strike = replace(strike, peak_n=speed / momentum)

@@ -232,10 +232,9 @@ def diagnose_campaign(
     if told_by and told_by.fit:
         free = Knowledge.of(told_by.fit).on(free, base)
     search = converge(base, free, sample, seed=seed)
-    if found.nonlinear and not told_by:
-        tick = progress("force levels", 40) if progress else None
-        if answer := levels_finding(campaign, given, base, source, found, search, tick):
-            return answer
+    law = found.nonlinear and not told_by
+    if law and (answer := levels_finding(campaign, given, base, source, found, search, progress, seed)):
+        return answer
     band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
     brakes = [r.setup.brakes for r in found.recordings.values()]
     looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)

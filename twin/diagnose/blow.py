@@ -4,9 +4,9 @@ The robot is linear but for one torque g(φ) at joint coordinate j, so that its 
 
     H(s) = H_lin(s) − G_j(s) T(s)/F(s),    T the transform of g along the decay,
 
-with G_j the linear response to a torque at j: only g needs stepping. Between samples g is taken as linear in time and
-the modes of the linear part are propagated exactly; φ at the end of a step depends on g there, which two fixed-point
-iterations settle (g changes φ within a step by ω²h²/6 of itself at most).
+with G_j the linear response to a torque at j: only g needs stepping. Between samples g is taken as linear in time; what
+the modes of the linear part make of it, and of the force's half sine, is exact; φ at the end of a step depends on g
+there, which two fixed-point iterations settle (g changes φ within a step by ω²h²/6 of itself at most).
 """
 
 from collections.abc import Sequence
@@ -43,11 +43,24 @@ class Strike:
     sizes: FloatArray
 
 
-def pulse(pulse_s: float) -> FloatArray:
-    """Half sine of height 1 and length ``pulse_s`` at ``RATE_HZ``, its momentum kept."""
-    t = np.arange(int(np.ceil(pulse_s * RATE_HZ)) + 1) / RATE_HZ
-    wave = np.where(t < pulse_s, np.sin(np.pi * t / pulse_s), 0.0)
-    return np.asarray(wave * (2 * pulse_s / np.pi) / (wave.sum() / RATE_HZ))
+def pulse_transform(s: ComplexArray, pulse_s: float) -> ComplexArray:
+    """Laplace transform (nf,) of a half sine of height 1 and length ``pulse_s``."""
+    omega = np.pi / pulse_s
+    s = s + 1e-6 * omega  # off the removable pole
+    return np.asarray(omega * (1 + np.exp(-s * pulse_s)) / (s**2 + omega**2))
+
+
+def _drive(pole: ComplexArray, pulse_s: float) -> ComplexArray:
+    """What a half sine of height 1 adds to modes over each step of its length, (steps, m): ∫ e^{λ(h−t)} sin πt/T dt."""
+    omega = np.pi / pulse_s
+    start = np.arange(int(np.ceil(pulse_s * RATE_HZ)))[:, None] / RATE_HZ
+    end = start + 1 / RATE_HZ
+
+    def primitive(t: FloatArray) -> ComplexArray:
+        wave = pole * np.sin(omega * t) + omega * np.cos(omega * t)
+        return np.asarray(-np.exp(pole * (end - t)) * wave / (pole**2 + omega**2))
+
+    return primitive(np.minimum(end, pulse_s)) - primitive(start)
 
 
 def transform(s: ComplexArray, samples: int) -> ComplexArray:
@@ -79,20 +92,19 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int) -> list[tuple[Fl
     modes = max(len(part.fade) for part in parts)
     total = sum(blows)
     fade, read, kick = (np.zeros((modes, total), complex) for _ in range(3))
-    push = [np.zeros((modes, total), complex) for _ in range(2)]
     own, k, load = np.empty(total), np.empty(total), np.empty(total)
     sizes = np.empty((len(law.names), total))
-    waves = [strike.peak_n * pulse(strike.pulse_s) for strike in strikes]
-    force = np.zeros((max(map(len, waves)) + 1, total))
+    driven = max(int(np.ceil(strike.pulse_s * RATE_HZ)) for strike in strikes)
+    push = np.zeros((driven, modes, total), complex)
     at = 0
-    for strike, part, count, wave in zip(strikes, parts, blows, waves, strict=True):
+    for strike, part, count in zip(strikes, parts, blows, strict=True):
         span, m = slice(at, at + count), len(part.fade)
         fade[:m, span], read[:m, span] = part.fade[:, None], part.read[:, None]
         kick[:m, span] = (part.fade * part.late_g + part.early_g)[:, None]
-        push[0][:m, span], push[1][:m, span] = part.early_f, part.late_f
+        drive = strike.peak_n * _drive(part.pole, strike.pulse_s)
+        push[: len(drive), :m, span] = drive[:, :, None] * part.into
         own[span] = float((part.read * part.late_g).sum().real)
         k[span], load[span], sizes[:, span] = strike.k, strike.load, strike.sizes[:, None]
-        force[: len(wave), span] = wave[:, None]
         at += count
     rest = law.rest(k, load, sizes)
     state = law.state(total)
@@ -104,8 +116,8 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int) -> list[tuple[Fl
     for step in range(1, samples):
         z *= fade
         z += kick * g
-        if step < len(force):
-            z += push[0] * force[step - 1] + push[1] * force[step]
+        if step <= driven:
+            z += push[step - 1]
         free = np.einsum("mc,mc->c", read, z).real
         g = law.torque(rest + _bounded(free + own * g), k, sizes, state)[0] - offset
         x = _bounded(free + own * g)
@@ -124,14 +136,15 @@ def _bounded(x: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Modal:
-    """Propagation of the modes over one step (m,): decay, input of torque and force at its start and end, reading φ."""
+    """Propagation of the modes over one step (m,): poles, decay, reading of φ, input of a torque at its start and end;
+    input of the blows (m, ne)."""
 
+    pole: ComplexArray
     fade: ComplexArray
     read: ComplexArray
     early_g: ComplexArray
     late_g: ComplexArray
-    early_f: ComplexArray
-    late_f: ComplexArray
+    into: ComplexArray
 
 
 def _modal(strikes: Sequence[Strike]) -> list[_Modal]:
@@ -145,22 +158,17 @@ def _modal(strikes: Sequence[Strike]) -> list[_Modal]:
 
 def _modes(seen: Observed, joint: int) -> _Modal:
     nv = len(seen.M)
+    lossy = bool(seen.loss.any())  # of conjugate poles only the one above the real axis is then the robot's
+    K = seen.K + 1j * seen.loss if lossy else seen.K
     into = np.linalg.solve(seen.M, np.column_stack([-np.eye(nv)[joint], seen.J_e.T]))
-    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(seen.M, np.hstack([seen.K, seen.C]))]])
+    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(seen.M, np.hstack([K, seen.C]))]])
     pole, vector = np.linalg.eig(A)
     inputs = np.linalg.solve(vector, np.vstack([np.zeros_like(into), into]).astype(complex))
-    keep = np.flatnonzero(pole.imag >= 0)  # the conjugates give twice the real part
+    keep = np.flatnonzero(pole.imag > 0 if lossy else pole.imag >= 0)  # the conjugates give twice the real part
     pole, inputs = pole[keep], inputs[keep]
     read = vector[joint, keep] * np.where(pole.imag > 0, 2.0, 1.0)
     w = pole / RATE_HZ
     fade = np.exp(w)
     late = (fade - 1 - w) / (w * pole)  # ∫ e^{λ(h−t)} t/h dt
     early = (fade - 1) / pole - late
-    return _Modal(
-        fade,
-        read,
-        early * inputs[:, 0],
-        late * inputs[:, 0],
-        early[:, None] * inputs[:, 1:],
-        late[:, None] * inputs[:, 1:],
-    )
+    return _Modal(pole, fade, read, early * inputs[:, 0], late * inputs[:, 0], inputs[:, 1:])

@@ -100,6 +100,15 @@ def receptances(seen: Observed, index: int, s: ComplexArray, power: int, rate: O
     return Receptances(H[:, :-1, :-1], H[:, :-1, -1], H[:, -1, :-1] * back, H[:, -1, -1] * back[:, 0], rates)
 
 
+def with_blows(r: Recorded, count: int) -> Recorded:
+    """What receptance is asked for with ``count`` more excitations, the law to them what it is to blows on average."""
+    if not isinstance(r, UnderLaw):
+        return replace(r, power=0)
+    mean = np.tile(r.kappa.mean(axis=1, keepdims=True), count)
+    rest = np.zeros((len(r.s), count))
+    return replace(r, power=0, kappa=np.hstack([r.kappa, mean]), rest=np.hstack([r.rest, rest]))
+
+
 def respond(seen: Observed, model: Structure, r: Recorded) -> ComplexArray:
     """FRFs (nf, nr, ne) of a model where and as they were recorded, a held law included."""
     if not isinstance(r, UnderLaw):

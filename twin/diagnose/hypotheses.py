@@ -32,6 +32,12 @@ class Sprung(Parameters):
 
     written: Parameters
 
+    def select(self, keep: Iterable[int]) -> "Sprung":
+        """The parameters at some indices."""
+        keep = list(keep)
+        some = super().select(keep)
+        return Sprung(some.items, some.covariance, self.written.select(keep))
+
     def apply(self, robot: Robot, values: FloatArray) -> Robot:
         """The robot with the values that belong to it."""
         return self.written.apply(robot, values)

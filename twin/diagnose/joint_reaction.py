@@ -8,12 +8,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose.blow import RATE_HZ, Strike, pulse, torques, transform
+from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
+from twin.diagnose.held_law import Receptances, UnderLaw, receptances
 from twin.diagnose.joint_laws import LAWS, NO_LOAD, Law
-from twin.diagnose.objective import Sample
+from twin.diagnose.objective import Changes, Sample, rates
+from twin.diagnose.refit import SLACK
 from twin.identify.elastic import LOG_SPREAD, Recorded
 from twin.identify.parameters import Parameters
-from twin.identify.sensitivity import Observed, contract, frf, frf_slopes, observe, slopes
+from twin.identify.sensitivity import Observed, contract, observe
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
 from twin.robot.description import Robot
 
@@ -21,7 +23,7 @@ PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of
 FADED = 7.0  # e-foldings after which a windowed decay is not stepped any further
 OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
 SETTLING = 6  # iterations of a blow's own stiffness
-DIFFERENCE = 0.02  # prior deviations, of differences of stepped blows
+DIFFERENCE, TOLD = 0.02, 0.3  # differences of stepped blows: prior deviations at most, RMS change in units of noise
 HEAVIER, WEIGHED = 0.01, 0.1  # share of a joint's load, and prior deviations, of differences that tell what load does
 LARGEST_STEP = 2.0  # prior deviations
 
@@ -84,7 +86,8 @@ class Cost:
 def minimise(
     objective: Cost, z: FloatArray, iterations: int, tolerance: float = 0.3
 ) -> tuple[FloatArray, float, FloatArray, bool]:
-    """Levenberg's method: z, cost, Gauss–Newton matrix, and whether the expected gain fell below ``tolerance``.
+    """Levenberg's method: z, cost, Gauss–Newton matrix, and whether the expected gain fell below ``tolerance``, or
+    below a share of the misfit beyond noise: where that is large the model lacks something.
 
     Derivatives of a stepped law are approximate, so that only steps that lower the cost are taken and nothing is
     concluded from the bend of the way. Masses, angles and gains stop where they become implausible.
@@ -93,7 +96,8 @@ def minimise(
     log = np.array([p.log for p in objective.parameters]) * np.diag(objective.parameters.root)
     cost, gradient, information = objective(z)
     for _ in range(iterations):
-        if 0.5 * float(gradient @ np.linalg.solve(information, gradient)) < tolerance:
+        expected = 0.5 * float(gradient @ np.linalg.solve(information, gradient))
+        if expected < max(tolerance, SLACK * (cost - 0.55 * objective.data)):
             return z, cost, information, True
         while True:
             bent = np.diag(damping + np.maximum(log * (gradient - z), 0))
@@ -161,85 +165,40 @@ def _pulse_length(posture: PostureFRF) -> float:
 
 @dataclass
 class _Joint:
-    """A posture's model seen from one joint: receptances between channels and a torque (rotation) there.
-
-    Attributes:
-        H: (nf, nr, ne) as recorded, without the joint's extra torque; ``out`` (nf, nr) its response to a torque at the
-            joint, ``into`` (nf, ne) the joint's rotation per force, ``own`` (nf,) per torque.
-        rates: derivatives of the same with respect to the parameters, first axis n.
-    """
+    """A posture's model, the joint's coordinate in it, its spring and the load on it, and what is seen from there."""
 
     seen: Observed
     index: int
     k: float
     load: float
-    H: ComplexArray
-    out: ComplexArray
-    into: ComplexArray
-    own: ComplexArray
-    rates: tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray] | None = None
-
-
-def _joint(robot: Robot, parameters: Parameters, values: FloatArray, r: Recorded, site: str, rates: bool) -> _Joint:
-    seen, model = observe(robot, r.setup, parameters, values)
-    index = model.coordinates.index(site)
-    unit = np.eye(len(seen.M))[index][None]
-    wide = replace(
-        seen, J_r=np.vstack([seen.J_r, unit]), J_e=np.vstack([seen.J_e, unit]),
-        gain=np.append(seen.gain, 1.0), delay=np.append(seen.delay, 0.0), sag=None,
-    )  # fmt: skip
-    back = r.s[:, None] ** -r.power
-    if not rates:
-        H, split = frf(wide, r.s, r.power), None
-    else:
-        rate = contract(slopes(robot, r.setup, parameters, values, seen, model), parameters.transform(values))
-        n, nv = len(parameters), len(seen.M)
-        rate = replace(
-            rate, J_r=np.concatenate([rate.J_r, np.zeros((n, 1, nv))], axis=1),
-            J_e=np.concatenate([rate.J_e, np.zeros((n, 1, nv))], axis=1),
-            gain=np.hstack([rate.gain, np.zeros((n, 1))]), delay=np.hstack([rate.delay, np.zeros((n, 1))]),
-        )  # fmt: skip
-        H, dH = frf_slopes(wide, rate, r.s, r.power)
-        split = dH[:, :, :-1, :-1], dH[:, :, :-1, -1], dH[:, :, -1, :-1] * back, dH[:, :, -1, -1] * back[:, 0]
-    return _Joint(
-        seen, index, float(model.strain[index]), float(model.load[index]),
-        H[:, :-1, :-1], H[:, :-1, -1], H[:, -1, :-1] * back, H[:, -1, -1] * back[:, 0], split,
-    )  # fmt: skip
-
-
-def _coupled(joint: _Joint, kappa: ComplexArray) -> ComplexArray:
-    """FRFs with a stiffness of its own (nf, ne) at the joint for every blow, by the rank-one update of the inverse."""
-    turn = joint.into / (1 + kappa * joint.own[:, None])
-    return np.asarray(joint.H - joint.out[:, :, None] * (kappa * turn)[:, None, :])
-
-
-def _coupled_slopes(joint: _Joint, kappa: ComplexArray) -> ComplexArray:
-    """Derivatives (n, nf, nr, ne) of :func:`_coupled` with respect to the parameters, κ held."""
-    assert joint.rates is not None
-    dH, dout, dinto, down = joint.rates
-    beta = kappa / (1 + kappa * joint.own[:, None])
-    turned = (beta * joint.into)[:, None, :]
-    out = dH - dout[:, :, :, None] * turned
-    out -= (beta * dinto)[:, :, None, :] * joint.out[:, :, None]
-    out += down[:, :, None, None] * (beta * turned[:, 0])[:, None, :] * joint.out[:, :, None]
-    return out
+    view: Receptances
 
 
 class _Postures:
     """Joint models by posture: levels of one posture share them."""
 
-    def __init__(self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, rates: bool) -> None:
+    def __init__(self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, slopes: bool) -> None:
         self.z, self.values = z, parameters.values(z)
         self.robot = parameters.apply(robot, self.values)
-        self.parameters, self.site, self.rates = parameters, site, rates
+        self.parameters, self.site, self.slopes = parameters, site, slopes
         self.known: dict[tuple[str, bytes, int], _Joint] = {}
+        self.changes: Changes = {}
         self.loads: dict[str, tuple[list[int], FloatArray]] = {}
 
     def of(self, r: Recorded) -> _Joint:
         key = r.setup.name, r.s.tobytes(), r.power
         if key not in self.known:
-            self.known[key] = _joint(self.robot, self.parameters, self.values, r, self.site, self.rates)
+            self.known[key] = self._joint(r)
         return self.known[key]
+
+    def _joint(self, r: Recorded) -> _Joint:
+        seen, model = observe(self.robot, r.setup, self.parameters, self.values)
+        index, rate = model.coordinates.index(self.site), None
+        if self.slopes:
+            rate = rates(self.robot, r.setup, self.parameters, self.values, seen, model, self.changes)
+            rate = contract(rate, self.parameters.transform(self.values))
+        view = receptances(seen, index, r.s, r.power, rate)
+        return _Joint(seen, index, float(model.strain[index]), float(model.load[index]), view)
 
     def load_slopes(self, r: Recorded) -> tuple[list[int], FloatArray]:
         """Which parameters the weight on the joint depends on, and its derivatives (m,) with respect to their z."""
@@ -250,12 +209,12 @@ class _Postures:
                 for k, p in enumerate(self.parameters)
                 if (p.kind == "link" and ".inertia." not in p.name) or p.name.startswith(f"posture.{r.setup.name}.")
             ]
-            rates = []
+            changes = []
             for k in loaded:
                 values = self.parameters.values(self.z + WEIGHED * np.eye(len(self.z))[k])
                 _, model = observe(self.parameters.apply(self.robot, values), r.setup, self.parameters, values)
-                rates.append((float(model.load[index]) - self.of(r).load) / WEIGHED)
-            self.loads[r.setup.name] = loaded, np.array(rates)
+                changes.append((float(model.load[index]) - self.of(r).load) / WEIGHED)
+            self.loads[r.setup.name] = loaded, np.array(changes)
         return self.loads[r.setup.name]
 
 
@@ -294,7 +253,7 @@ class BlowByBlow(Cost):
             self.certainty[k] = matrix
             cost += part
             kappa = self.own[k][0] + r.s[:, None] * self.own[k][1]
-            J = -_coupled_slopes(joint, kappa) * self.weight[k]
+            J = -joint.view.slopes(kappa, joint.view.reaction(kappa)) * self.weight[k]
             n = len(z)
             G = J.reshape(n, -1).view(float)
             gradient += G @ e.reshape(-1).view(float)
@@ -316,7 +275,7 @@ class BlowByBlow(Cost):
 
         def look(u: FloatArray) -> tuple[FloatArray, ComplexArray, ComplexArray]:
             kappa = np.tensordot(line.T, u, 1)
-            e = np.asarray((r.frf - _coupled(joint, kappa)) * w, complex)
+            e = np.asarray((r.frf - joint.view.reacting(joint.view.reaction(kappa))) * w, complex)
             parts = 0.5 * np.sum(np.abs(e) ** 2, axis=(0, 1)) + 0.5 * np.sum(u**2, axis=0)
             return parts, e, kappa
 
@@ -345,8 +304,8 @@ class BlowByBlow(Cost):
     @staticmethod
     def _own_rate(joint: _Joint, kappa: ComplexArray, w: FloatArray, line: ComplexArray) -> ComplexArray:
         """∂ residual / ∂ (the blow's own coordinates), (2, nf, nr, ne)."""
-        slope = joint.into / (1 + kappa * joint.own[:, None]) ** 2
-        return np.asarray(line[:, :, None, None] * (joint.out[:, :, None] * slope[:, None, :] * w))
+        slope = joint.view.into / (1 + kappa * joint.view.own[:, None]) ** 2
+        return np.asarray(line[:, :, None, None] * (joint.view.out[:, :, None] * slope[:, None, :] * w))
 
 
 def inverse2(matrix: FloatArray) -> FloatArray:
@@ -367,17 +326,21 @@ class Stepped(Cost):
     the weight on the joint, which counts half as much: that is how it comes in, and sizes are those that go with blows
     of the usual length until they are written into an entry. With ``fixed`` sizes (m,) the parameters hold none.
 
-    Derivatives: of what the law is sensitive to (its own numbers, the joint's spring and damper, the load on it) by
-    differences of stepped blows; of everything else with the law as the complex stiffness that each blow saw.
+    Derivatives are those with the law held (:mod:`twin.diagnose.held_law`) and, for what it is sensitive to, what
+    differences of stepped blows say beside them: for its own numbers, the joint's spring and damper, the load on it;
+    if ``thorough``, for all springs and entries.
     """
 
     law: Law = LAWS[0]
     site: str = ""
     blow: dict[str, Blow] = field(default_factory=dict)
     fixed: FloatArray | None = None
+    thorough: bool = False
+    step: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.step = np.full(len(self.parameters), DIFFERENCE)
         own = 0
         if self.fixed is None:
             own = len(self.law.names) + self.parameters.names[-1].endswith(".pulse")
@@ -394,31 +357,48 @@ class Stepped(Cost):
         return self.predicted_at([z])[0]
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        n, names = len(self.base), self.parameters.names
-        sensitive = [names.index(f"{self.site}.{q}") for q in ("stiffness", "damping") if f"{self.site}.{q}" in names]
-        sensitive += range(n, len(z))
-        moved = [z + DIFFERENCE * np.eye(len(z))[k] for k in sensitive]
+        n, sensitive = len(self.base), self._stepped_for()
+        moved = [z + self.step[k] * np.eye(len(z))[k] for k in sensitive]
         postures, reactions = self._stepped([z, *moved, z], heavier=HEAVIER)
         joints = _Postures(self.robot, self.base, self.site, z[:n], True)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         for k, (r, w) in enumerate(zip(self.sample.recordings, self.weight, strict=True)):
             joint, R = joints.of(r), reactions[0][k]
-            H = _reacting(joint, R)
-            u = _equivalent(joint, r.s, R)
+            H = joint.view.reacting(R)
+            kappa, rest = _held(joint.view, r.s, R)
             dH = np.zeros((len(z), *H.shape), complex)
-            dH[:n] = _coupled_slopes(joint, u[0] + r.s[:, None] * u[1])
+            dH[:n] = joint.view.slopes(kappa, R)
             for place, at, other in zip(sensitive, postures[1:-1], reactions[1:-1], strict=True):
-                dH[place] = (_reacting(at.of(r), other[k]) - H) / DIFFERENCE
+                there = at.of(r).view
+                beside = other[k] - there.reaction(kappa, rest)
+                dH[place] -= there.out[:, :, None] * beside[:, None, :] / self.step[place]
             if abs(joint.load) > NO_LOAD:
                 loaded, rate = joints.load_slopes(r)
-                by_load = (_reacting(joint, reactions[-1][k]) - H) / (HEAVIER * joint.load)
+                by_load = (joint.view.reacting(reactions[-1][k]) - H) / (HEAVIER * joint.load)
                 dH[loaded] += rate[:, None, None, None] * by_load
             e, pull, factor = self._error(r, H, w)
             cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
             J = (dH * factor).reshape(len(z), -1).view(float)
             gradient += J @ np.ascontiguousarray(pull).reshape(-1).view(float)
             information += J @ J.T
+        self.step = np.minimum(DIFFERENCE, TOLD * np.sqrt(self.data / np.diag(information)))
         return cost, gradient, information
+
+    def _stepped_for(self) -> list[int]:
+        """Coordinates that blows are stepped for."""
+        springs = [
+            k for k, p in enumerate(self.base)
+            if p.site == self.site or (self.thorough and p.kind in ("spring", "entry"))
+        ]  # fmt: skip
+        return springs + list(range(len(self.base), len(self.parameters)))
+
+    def held(self, z: FloatArray) -> list[UnderLaw]:
+        """The recordings with the law held as it is at z."""
+        (postures,), (reactions,) = self._stepped([z])
+        return [
+            UnderLaw.of(r, self.site, *_held(postures.of(r).view, r.s, R))
+            for r, R in zip(self.sample.recordings, reactions, strict=True)
+        ]
 
     def cost(self, z: FloatArray) -> float:
         return self.costs([z])[0]
@@ -450,7 +430,7 @@ class Stepped(Cost):
         stepped = iter(torques(strikes, self.law, self._samples))
         return [
             [
-                _equivalent(postures.of(r), r.s, _reaction(r, strike, next(stepped)[0]))
+                _equivalent(postures.of(r).view, r.s, _reaction(r, strike, next(stepped)[0]))
                 for r, strike in zip(self.sample.recordings, strikes, strict=False)
             ]
             for _ in sizes
@@ -488,26 +468,28 @@ class Stepped(Cost):
         """The same at several z, stepped side by side."""
         postures, reactions = self._stepped(points)
         return [
-            [_reacting(some.of(r), R) for r, R in zip(self.sample.recordings, own, strict=True)]
+            [some.of(r).view.reacting(R) for r, R in zip(self.sample.recordings, own, strict=True)]
             for some, own in zip(postures, reactions, strict=True)
         ]
 
 
 def _reaction(r: Recorded, strike: Strike, g: FloatArray) -> ComplexArray:
     """The law's torque per force of the blow, T/F (nf, ne)."""
-    force = strike.peak_n * pulse(strike.pulse_s)
-    return np.asarray((transform(r.s, len(g)) @ g) / (transform(r.s, len(force)) @ force)[:, None])
+    force = strike.peak_n * pulse_transform(r.s, strike.pulse_s)
+    return np.asarray((transform(r.s, len(g)) @ g) / force[:, None])
 
 
-def _reacting(joint: _Joint, reaction: ComplexArray) -> ComplexArray:
-    """FRFs (nf, nr, ne) with that torque at the joint."""
-    return np.asarray(joint.H - joint.out[:, :, None] * reaction[:, None, :])
-
-
-def _equivalent(joint: _Joint, s: ComplexArray, reaction: ComplexArray) -> FloatArray:
+def _equivalent(view: Receptances, s: ComplexArray, reaction: ComplexArray) -> FloatArray:
     """Stiffness and damping (2, ne) that come closest to a reaction: (k + s c) × rotation ≈ torque, over the lines."""
-    rotation = joint.into - joint.own[:, None] * reaction
+    rotation = view.into - view.own[:, None] * reaction
     columns = np.stack([rotation, s[:, None] * rotation])
     matrix = np.einsum("pfe,qfe->pqe", columns.conj(), columns).real
     right = np.einsum("pfe,fe->pe", columns.conj(), reaction).real
     return np.asarray(np.einsum("pqe,qe->pe", inverse2(matrix), right))
+
+
+def _held(view: Receptances, s: ComplexArray, reaction: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """κ and the rest (nf, ne) that a reaction is, the robot seen like this."""
+    k, c = _equivalent(view, s, reaction)
+    kappa = np.asarray(k + s[:, None] * c)
+    return kappa, np.asarray(reaction * (1 + kappa * view.own[:, None]) - kappa * view.into)

@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.diagnose.blow import RATE_HZ
 from twin.diagnose.decide import Decision, decide
-from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.joint_laws import LAWS, Law
 from twin.diagnose.joint_reaction import (
     FADED,
@@ -28,7 +28,7 @@ from twin.diagnose.joint_reaction import (
     minimise,
 )
 from twin.diagnose.objective import Sample
-from twin.diagnose.refit import Fitted, descend
+from twin.diagnose.refit import NONE, Fitted, descend
 from twin.identify.elastic import Recorded
 from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import frf, observe
@@ -37,13 +37,13 @@ from twin.robot.description import Entry, Robot
 
 LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
 FINAL_LINES, BLOWS = 40, 12  # lines and excitations that finalists are fitted to
-SITES, SITE_REACH, LAW_REACH = 2, 1.3, 4.0  # sites, and laws in a race, in reach of the best by cost
+SITES, SITE_REACH, LAW_REACH, NEAR = 2, 1.3, 4.0, 1.5  # sites, laws racing and at their end, in reach of the best
 WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
 ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST = 8, 10, 4, 15  # iterations
+LOCATING, ROUGH, RACING, LAST, SETTLING = 8, 10, 4, 8, 6  # iterations
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,7 @@ class Levels:
         fits: laws refitted on the same data as ``base``, most evidence first.
         window: 1/s, exponential window put on those data; ``temper`` the relative model error allowed.
         objectives: per fit, what predicts with it.
+        whole: all lines of all blows, as the data were taken from them; ``blow`` how they were hit.
     """
 
     places: list[Located]
@@ -84,6 +85,8 @@ class Levels:
     window: float
     temper: float
     objectives: list[Stepped]
+    whole: Sample
+    blow: dict[str, Blow]
 
 
 @dataclass(frozen=True)
@@ -158,8 +161,9 @@ def explain_levels(
     places, temper = locate(robot, base.parameters, starts, sample.thin(LINES), sprung, tick)
     window = 0.0 if temper <= SMOOTH else WINDOW
     seen = view(robot, base.parameters, robust, sample, blow, window)
+    near = [place for place in places if place.cost < SITE_REACH * places[0].cost][:SITES]
     if window:
-        trials, temper = _rough_race(robot, base, places, seen, starts[1:], tick)
+        trials, temper = _rough_race(robot, base, places if temper == 1 else near, seen, starts[1:], tick)
         few = View(0.0, sample.thin(LINES), blow).telling(_at(trials, places), BLOWS)[0]
         whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
         whole, left = _race(whole, WHOLE_TEMPERS, tick, LAST)
@@ -167,22 +171,30 @@ def explain_levels(
             trials, temper, window, seen = whole, 0.0, 0.0, View(0.0, sample.thin(FINAL_LINES), blow)
     else:
         short = replace(seen, sample=sample.thin(LINES))
-        near = [place for place in places if place.cost < SITE_REACH * places[0].cost][:SITES]
         trials, temper = _race([trial for place in near for trial in _starts(robot, base, place, short)], TEMPERS, tick)
         seen, temper = replace(seen, sample=sample.thin(FINAL_LINES)), 0.0  # what a law leaves unexplained must show
     best = _at(trials, places)
     data = _tempered(seen.telling(best, BLOWS)[0], temper)
     objectives = [replace(objective, sample=data) for objective, _, _ in trials]
     fits = [fit_law(objective, *trial[1:], LAST) for objective, trial in zip(objectives, trials, strict=True)]
+    least = min(fit.cost for fit in fits)
+    fits = [
+        settled(objective, fit) if fit.cost < NEAR * least else fit
+        for objective, fit in zip(objectives, fits, strict=True)
+    ]
     order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
     again = min(
         (
-            descend(robot, base.hypothesis, base.parameters, data, z, tempered=LAST, linear=LAST)
+            descend(robot, base.hypothesis, base.parameters, data, z, tempered=15, linear=15)
             for z in starts[:2]
         ),
         key=lambda fit: fit.cost,
     )  # fmt: skip
-    return Levels(places, [fits[k] for k in order], again, window, temper, [objectives[k] for k in order])
+    everything, how = (seen.sample, seen.blow) if window else (sample, blow)
+    return Levels(
+        places, [fits[k] for k in order], again, window, temper, [objectives[k] for k in order],
+        _tempered(everything, temper), how,
+    )  # fmt: skip
 
 
 def _at(trials: Sequence[Trial], places: Sequence[Located]) -> Located:
@@ -275,7 +287,7 @@ def _rough_race(
         some, _ = shown.telling(place, FEW_BLOWS)
         for law in LAWS:
             objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
-            for z in starts:
+            for z in (*starts, place.z):
                 amplitude = objective.deflection(z)
                 rough = replace(objective, law=law.at(amplitude), logarithmic=True)
                 values = base.parameters.values(z)
@@ -297,18 +309,18 @@ def _rough_race(
 
 
 def with_law(
-    robot: Robot, base: Fitted, law: Law, site: str, sample: Sample, blow: dict[str, Blow]
+    robot: Robot, base: Fitted, law: Law, site: str, sample: Sample, blow: dict[str, Blow], beside: Hypothesis = NONE
 ) -> tuple[Stepped, Hypothesis]:
-    """A base model with a law at a joint, and what that says is missing."""
+    """A base model with a law at a joint, ``beside`` something linear, and what that says is missing."""
     described = float(robot.axes[int(site[5:-2]) - 1].stiffness or 0.0)
     entry = Entry(effect=law.effect, site=site, **law.entry(law.usual(described)))
     key = f"{law.effect}@{site}"
     own = law.parameters(key, described)
     if not all(b.known for b in blow.values()):
         own += (Parameter(f"{key}.pulse", "s", "entry", True, PULSE_S, PULSE_SPREAD, "a rubber tip"),)
-    hypothesis = Hypothesis(law.effect, site, (entry,), own)
+    hypothesis = together(beside, Hypothesis(law.effect, site, (entry,), own))
     parameters = hypothesis.parameters(base.parameters)
-    return Stepped(robot, parameters, sample, law=law, site=site, blow=blow), hypothesis
+    return Stepped(beside.robot(robot), parameters, sample, law=law, site=site, blow=blow), hypothesis
 
 
 def _race(
@@ -362,13 +374,19 @@ def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray, iteration
     z, cost, information, converged = minimise(objective, z, iterations, 0.3)
     parameters, n = objective.parameters, len(objective.base)
     values, data = parameters.values(z), objective.data
-    entry = Entry(effect=hypothesis.effect, site=hypothesis.site, **objective.law.entry(*objective.own(z)))
+    law = hypothesis.pieces[-1]
+    entry = Entry(effect=law.effect, site=law.site, **objective.law.entry(*objective.own(z)))
     robot = objective.base.apply(objective.robot, values[:n])
     robot = robot.model_copy(update={"physics": [*robot.physics, entry]})
     return Fitted(
         hypothesis, parameters, z, values, robot, cost, (2 * cost - float(z @ z)) / max(data, 1), information, data,
         converged,
     )  # fmt: skip
+
+
+def settled(objective: Stepped, fit: Fitted) -> Fitted:
+    """A law fitted to the end, with derivatives by all springs stepped."""
+    return fit_law(replace(objective, thorough=True), fit.hypothesis, fit.z, SETTLING)
 
 
 def _likeness(

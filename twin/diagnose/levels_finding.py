@@ -1,25 +1,28 @@
 """What force levels that disagree say, as a finding: the law at its joint, errors with blows stepped, MuJoCo's word."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import finalists
+from twin.diagnose.decide import Decision, finalists
 from twin.diagnose.evidence import sentence
+from twin.diagnose.hypotheses import suspects
 from twin.diagnose.joint_laws import LAWS, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows, minimise
-from twin.diagnose.levels import Levels, decide_levels, explain_levels
+from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
+from twin.diagnose.levels_beside import Beside, explain_beside
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
+from twin.diagnose.next_test import next_test
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, frf_records
 from twin.diagnose.refit import Fitted, noise_floor
-from twin.diagnose.search import Search
+from twin.diagnose.search import SCREEN_LINES, Progress, Search
 from twin.diagnose.triage import Triage
-from twin.diagnose.verdict import Finding, judge, missing_of, rival_of
+from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of
 from twin.identify.elastic import Recorded, without_limits
 from twin.identify.elastic_compare import recording_set, relative_error
 from twin.identify.parameters import independent
@@ -31,6 +34,10 @@ from twin.robot.description import Axis, Robot
 from twin.robot.mechanism import assemble
 
 JUDGED_LINES, AGAIN = 25, 6  # lines and iterations of what belongs to held-out recordings themselves
+FORM = (
+    0.05  # deviation of the logarithm of a blow's momentum, its peak and spectrum known: a half sine has 1.06 times a
+)
+# haversine's, and 1.2 times a triangle's
 STEPPED = 0.1  # relative difference allowed between MuJoCo's blows and the search's
 
 
@@ -41,7 +48,8 @@ def levels_finding(
     source: str,
     found: Triage,
     search: Search,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
+    seed: int = 0,
 ) -> Finding | None:
     """The finding of a campaign whose force levels disagree.
 
@@ -51,46 +59,121 @@ def levels_finding(
         source: the file.
         found: its triage.
         search: the base model, converged.
-        progress: called with 1 after every fit.
+        progress: makes progress bars.
+        seed: of candidates for a next test.
 
     Returns:
         ``None`` where no law is better than none: the other hypotheses then have the word.
     """
     sample = Sample(tuple(found.used), 1 / found.shared)
-    levels = explain_levels(campaign, base, search.base, sample, search.robust, progress)
+    tick = progress("force levels", 40) if progress else None
+    levels = explain_levels(campaign, base, search.base, sample, search.robust, tick)
     if levels is None:
         return None
     decision = decide_levels(levels)
-    word = judge(decision)
+    word, answer = judge(decision), None
     if word == "adequate":
         return None
-    answered = word in ("named", "ambiguous")
-    best = decision.ranked[0] if answered else search.base
+    if word in ("named", "ambiguous"):
+        answer = _answer(campaign, base, found, search, levels, decision, progress)
+        word = answer.word
+    best, none, other = search.base, decision.none, decision.other
+    if answer:
+        best, none, other = answer.best, answer.none, answer.other
     how = blows(campaign) or {}
     records, errors = frf_records(without_limits(given), search.base, search.base, found.used, found.kept)
-    if answered:
-        records, errors["after"] = _stepped_records(records, levels, best, found.used, found.kept, how)
+    if answer:
+        records, errors["after"] = _stepped_records(records, answer.objective, answer.best, found.used, found.kept, how)
     errors["noise_floor"] = noise_floor(sample.recordings)
     sites = {place.site: levels.places[-1].cost - place.cost for place in levels.places}
-    missing = missing_of(decision, levels.base) if answered else []
     finding = Finding(
-        source, "frf-campaign", word, missing, decision.none, decision.other, given,
+        source, "frf-campaign", word, [], none, other, given,
         _limited(search.base.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
         _location(source, records, levels.places[0].site), sites,
         smallest_visible_laws(base, search.base, sample, how), warnings=found.warnings,
         finalists=finalists(levels.base, levels.fits),
     )  # fmt: skip
-    finding.missing = [
-        replace(
-            item, first=replace(item.first, parameters=_as_entered(item.first.parameters, levels, best)),
-            evidence=f"{levels_sentence(levels)} "
-            + sentence(item.first.title, records, errors, finding.held_out),
-        )
-        for item in missing
-    ]  # fmt: skip
-    if word == "ambiguous":
-        finding.next_test = next_blows(given, levels, best, rival_of(decision), sample, how)
+    for item in answer.missing if answer else ():
+        seen = sentence(item.first.title, records, errors, finding.held_out)
+        law = item.first.effect in {law.effect for law in LAWS}
+        finding.missing.append(replace(item, evidence=f"{levels_sentence(levels)} {seen}" if law else seen))
+    if answer and word == "ambiguous":
+        finding.next_test = _next_test(given, base, levels, decision, answer, sample, how, seed)
     return finding
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """The law and what is missing beside it.
+
+    Attributes:
+        word: about both; ``none``, ``other`` too.
+        best: their fit, the law stepped; ``objective`` predicts with it.
+        beside: the linear search, where it named something.
+    """
+
+    word: Word
+    missing: list[Missing]
+    best: Fitted
+    objective: Stepped
+    none: float
+    other: float
+    beside: Beside | None
+
+
+def _answer(
+    campaign: Campaign,
+    base: Robot,
+    found: Triage,
+    search: Search,
+    levels: Levels,
+    decision: Decision,
+    progress: Progress | None,
+) -> _Answer:
+    word, best = judge(decision), decision.ranked[0]
+    objective = levels.objectives[levels.fits.index(best)]
+    law = missing_of(decision, levels.base)[0]
+    if best is levels.fits[0]:
+        band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
+        brakes = [r.setup.brakes for r in found.recordings.values()]
+        looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)
+        beside = explain_beside(base, search.base, levels, looked_at, progress)
+        if beside and judge(beside.decision) in ("named", "ambiguous"):
+            objective = beside.objectives[0]
+            both = settled(objective, beside.fits[0])
+            also = replace(beside.decision, ranked=[both, *beside.fits[1:]])
+            others = [m for m in missing_of(also, best) if m.first.key != law.first.key]
+            believed = (1 - also.other) / max(1 - decision.other, 1e-9)
+            law = replace(
+                law, probability=min(1.0, believed * law.probability),
+                first=replace(
+                    law.first, robot=both.robot,
+                    parameters=_as_entered(estimates(both, (law.first.effect, law.first.site)), objective, both),
+                ),
+            )  # fmt: skip
+            if judge(beside.decision) == "ambiguous":
+                word = "ambiguous"
+            return _Answer(word, [law, *others], both, objective, decision.none, also.other, beside)
+    law = replace(law, first=replace(law.first, parameters=_as_entered(law.first.parameters, objective, best)))
+    return _Answer(word, [law], best, objective, decision.none, decision.other, None)
+
+
+def _next_test(
+    given: Robot,
+    base: Robot,
+    levels: Levels,
+    decision: Decision,
+    answer: _Answer,
+    sample: Sample,
+    how: dict[str, Blow],
+    seed: int,
+) -> dict[str, Any] | None:
+    """Blows where laws rival, else a posture that separates what rivals beside the law."""
+    if judge(decision) == "ambiguous" or answer.beside is None:
+        return next_blows(given, levels, decision.ranked[0], rival_of(decision), sample, how, seed)
+    rival = rival_of(answer.beside.decision)
+    few = sample.thin(SCREEN_LINES)
+    return next_test(base, answer.beside.decision.ranked[0], rival, few, seed) if rival else None
 
 
 def levels_sentence(levels: Levels) -> str:
@@ -108,28 +191,29 @@ def levels_sentence(levels: Levels) -> str:
     )
 
 
-def _as_entered(parameters: dict[str, Any], levels: Levels, fit: Fitted) -> dict[str, Any]:
-    """The law's own numbers for blows as long as these were, their uncertainty included, and not the blows'; slip's
-    yield torques beside its stiffnesses, to which they are in proportion."""
-    objective = levels.objectives[levels.fits.index(fit)]
+def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> dict[str, Any]:
+    """The law's own numbers for blows as long as these were, and not the blows', with what is not known of their
+    momentum, to a power of which sizes are in proportion; slip's yield torques beside its stiffnesses."""
     entry: dict[str, Any] = objective.law.entry(*objective.own(fit.z))
+    parameters = dict(parameters)
+    covariance = np.linalg.inv(fit.information) * max(1.0, fit.misfit)
+    longer = [len(fit.z) - 1] if parameters.pop("pulse", None) else []  # unless raw hits tell it
+    known = not longer
+
+    def ends(value: float, own: int, power: float) -> list[float]:
+        weight = np.array([1.0, *[power] * len(longer)]) * [fit.parameters[k].deviation for k in (own, *longer)]
+        variance = weight @ covariance[np.ix_([own, *longer], [own, *longer])] @ weight
+        spread = NINETY * float(np.sqrt(variance + (0.0 if known else (power * FORM) ** 2)))
+        return [value * float(np.exp(side * spread)) for side in (-1, 1)]
+
+    first = len(objective.base)
     if "yield_torque" in entry:
-        item = parameters["stiffness"]
-        ratio = np.divide(entry["yield_torque"], entry["stiffness"])
-        yields = [[end * r for end in pair] for pair, r in zip(item["interval90"], ratio, strict=True)]
-        return {
-            "stiffness": item,
-            "yield_torque": {"value": entry["yield_torque"], "unit": "N·m", "interval90": yields},
-        }
-    (name, value), *_ = entry.items()
-    if "pulse" not in parameters:
+        yields = [ends(value, first + k, 1.0) for k, value in enumerate(entry["yield_torque"])]
+        parameters["yield_torque"] = {"value": entry["yield_torque"], "unit": "N·m", "interval90": yields}
         return parameters
-    # logarithms add up: of the size at usual blows and, by its power, of the blows' length
-    covariance = np.linalg.inv(fit.information)[np.ix_(fit.own, fit.own)] * max(1.0, fit.misfit)
-    weight = np.array([1.0, objective.law.power]) * [fit.parameters[k].deviation for k in fit.own]
-    spread = NINETY * float(np.sqrt(weight @ covariance @ weight))
-    ends = [value * float(np.exp(side * spread)) for side in (-1, 1)]
-    return {name: {**parameters[name], "value": value, "interval90": ends}}
+    ((name, value),) = entry.items()
+    parameters[name] = {**parameters[name], "value": value, "interval90": ends(value, first, objective.law.power)}
+    return parameters
 
 
 def _limited(robot: Robot, given: Robot) -> Robot:
@@ -170,7 +254,7 @@ def law_of(robot: Robot) -> tuple[Law, FloatArray, Robot]:
 
 def _stepped_records(
     records: Sequence[FrfRecord],
-    levels: Levels,
+    objective: Stepped,
     fit: Fitted,
     used: Sequence[Recorded],
     kept: Sequence[Recorded],
@@ -179,9 +263,7 @@ def _stepped_records(
     """Records with the law's prediction as ``after``, and its errors; on held-out recordings posture angles and gains
     are estimated again, nothing else."""
     law, sizes, robot = law_of(fit.robot)
-    site = fit.hypothesis.site
-    objective = levels.objectives[levels.fits.index(fit)]
-    own = objective.base
+    site, own = objective.site, objective.base
     longer = objective.own(fit.z)[1]
     blow = {group: replace(b, pulse_s=b.pulse_s * longer) for group, b in blow.items()}
     belongs = [k for k, p in enumerate(own) if p.kind in ("posture", "sag", "gain")]

@@ -18,11 +18,12 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
+from twin.diagnose.held_law import respond, with_blows
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import Fitted, minimise
 from twin.identify.parameters import SIX, Parameters
-from twin.identify.sensitivity import frf, observe
+from twin.identify.sensitivity import observe
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
@@ -376,8 +377,8 @@ class _Scan:
                 r.setup, response=_with_point(r.setup.response, body, place),
                 excitation=_with_point(r.setup.excitation, body, place),
             )  # fmt: skip
-            seen, _ = observe(robot, setup, self.objective.parameters, values)
-            found.append(frf(seen, r.s, 0))
+            seen, model = observe(robot, setup, self.objective.parameters, values)
+            found.append(respond(seen, model, with_blows(r, 3)))
         return found
 
 

@@ -102,6 +102,13 @@ def explain(
     return search
 
 
+def one_more(
+    robot: Robot, search: Search, sample: Sample, suspects: Sequence[Sequence[Hypothesis]], progress: Progress
+) -> list[Fitted]:
+    """The base model and one thing more, most evidence first."""
+    return _round(robot, search, search.base, sample, suspects, progress)
+
+
 def _where_it_is(
     robot: Robot,
     search: Search,
@@ -112,7 +119,7 @@ def _where_it_is(
 ) -> None:
     """What acts at the joint where a law without a name would still gain much: screening may have passed it over, or
     a bent valley have held it up, which the robust logarithmic residual leaves."""
-    site, gain = next(iter(free_laws(best, sample).items()), ("", 0.0))
+    site, gain = next(iter(free_laws(best, sample.thin(NEAR_LINES)).items()), ("", 0.0))
     joint = site.partition(".")[0]
     there = [variants for variants in suspects if variants[0].site.partition(".")[0] == joint]
     if gain <= WORTH or not there:
