@@ -55,6 +55,7 @@ FRICTION = 0.5  # relative prior deviation of described friction
 RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: what any gear and motor adds
 SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
 SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three
+TRIED, KEPT = 3, 0.7  # starts of a suspect that are evaluated, until one keeps so much of the gain it promised
 NEAR = 0.01  # prior deviations: so far from where they were taken, slopes are what they were
 CONVERGED, EXACT = 0.02, 1e-5  # of ½ χ², and its share: less is no gain
 STEP = 0.02  # of a prior deviation, for differences
@@ -888,11 +889,13 @@ def _ridge(size: FloatArray, most: float) -> float:
 
 
 def _shapes(system: System, suspect: Suspect) -> list[list[FloatArray]]:
-    """A few columns that span what a suspect could add, run by run (m, n)."""
+    """A few columns that span what a suspect could add, run by run (m, n); of starts of either sign one."""
     starts = suspect.starts
     if len(starts) > 40:
         return []
-    return [column for start in starts for column in _start_columns(system, suspect, start)]
+    size = np.abs(starts)
+    few = [start for k, start in enumerate(starts) if not any(np.array_equal(size[k], x) for x in size[:k])]
+    return [column for start in few for column in _start_columns(system, suspect, start)]
 
 
 def _start_columns(system: System, suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
@@ -1019,7 +1022,7 @@ def start(system: System, suspect: Suspect) -> Trial:
             system.screened[suspect.name] = whitened
     across = system.across(whitened)
     pulls = whitened.rows.T @ system.on(system.residual, whitened)
-    best: tuple[float, FloatArray] | None = None
+    promised: list[tuple[float, int, FloatArray]] = []
     for number, values in enumerate(suspect.starts):
         part = slice(number * width, (number + 1) * width)
         C = whitened.rows[:, part]
@@ -1035,10 +1038,13 @@ def start(system: System, suspect: Suspect) -> Trial:
             weight = np.clip(pulls[part] / information[0], 0.01, 10.0)
             u = own_prior(own, weight[0] * values)
         gain = float(weight @ pulls[part] - 0.5 * weight @ information @ weight - 0.5 * u @ u)
-        if best is None or gain > best[0]:
-            best = gain, u
-    assert best is not None
-    return evaluate(system, suspect, best[1], slopes=False)
+        promised.append((gain, number, u))
+    found: list[Trial] = []
+    for gain, _, u in sorted(promised, reverse=True)[:TRIED]:
+        found.append(evaluate(system, suspect, u, slopes=False))
+        if found[-1].gain > KEPT * gain:  # a law that is not linear keeps its promise only near where it started
+            break
+    return max(found, key=lambda trial: trial.gain)
 
 
 def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:

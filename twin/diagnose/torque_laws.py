@@ -347,7 +347,8 @@ def _coupling(s: _Setting) -> list[Suspect]:
             s.normal("ratio", 0.5), s.scale("inertia", inertia, 1.5 if values["inertia"] else 6.0),
             s.scale("friction[0]", friction[0], 2.0), s.scale("friction[1]", friction[1], 2.0),
         ]  # fmt: skip
-        starts = [[ratio, inertia, *friction] for ratio in (0.0, -1.0, 1.0)]
+        # dry friction turns round elsewhere already at a small ratio, and elsewhere again at one of the other sign
+        starts = [[sign * ratio, inertia, *friction] for ratio in (0.01, 1.0) for sign in (-1, 1)]
         found += s.suspect(
             {"from": f"joint{j + 1}", "ratio": 0.0, "inertia": inertia, "friction": friction}, own, starts
         )

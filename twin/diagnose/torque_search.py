@@ -64,6 +64,7 @@ REFINED = frozenset({"hysteresis", "stribeck_friction"})
 """Laws that are Coulomb friction in a limit: where there is none, it comes first if it does most of what they do."""
 
 MOST = 0.5  # of their gain
+TRIED = 3  # answers of one look, where runs not used do not bear out the first
 ELEMENTS = 3  # of slip at a joint, at most
 TRAVELS = (0.1, 10.0)  # of a further element over that of the strongest there is
 EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
@@ -201,8 +202,9 @@ def explain(
         known = {s.name for s in system.found}
         open_ = [s for s in suspects if s.name not in known]
         step = _look(system, open_, progress("screen" if not number else "look for more", len(open_)))
+        step = _first_borne_out(step, steps, open_, judge)
         steps.append(step)
-        if not _borne_out(step, steps[:-1], judge):
+        if not step.accepted:
             break
         system = accepted(system, step)
         for beside in _elsewhere(step, system, open_):
@@ -251,6 +253,19 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
         for step in names:
             step.decision = replace(step.decision, probability=[(1 - other) * p for p in step.decision.probability])
     return found
+
+
+def _first_borne_out(step: Step, earlier: Sequence[Step], suspects: Sequence[Suspect], judge: "Judge | None") -> Step:
+    """The step with the first of its answers that goes into the model; as it is where none does."""
+    answer = step
+    for _ in range(TRIED):
+        if _borne_out(answer, earlier, judge):
+            return answer
+        left = [fit for fit in answer.decision.ranked if fit.hypothesis.key != answer.key]
+        if max((fit.evidence() for fit in left), default=-np.inf) - step.base.evidence() < MOST * step.gain:
+            break
+        answer = _decided(step.system, step.trials, left, suspects)
+    return step
 
 
 def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bool:
@@ -326,7 +341,10 @@ def accepted(system: System, *steps: Step) -> System:
     """The model with the first answers of steps in it, all fitted together."""
     for step in steps:
         system = _with(system, step)
-    return relinearised(system)
+    if len(system.found) > 1:
+        return relinearised(system)
+    refer(system, system.z)  # alone, it was settled beside the base model
+    return system
 
 
 def _with(system: System, step: Step) -> System:
