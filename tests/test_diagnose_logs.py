@@ -12,6 +12,7 @@ from tools.truth.__main__ import main as truth
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.torque_design import Design
 from twin.diagnose.torque_fit import _correlation, prediction_filter
+from twin.diagnose.torque_laws import State, entry_torque, model_torque
 from twin.diagnose.torque_locate import around_reversals, state_map
 from twin.diagnose.torque_signal import prepare, thinned
 from twin.diagnose.verdict import Finding
@@ -21,7 +22,7 @@ from twin.measure.signals import lowpass
 from twin.model.replay import inverse_dynamics
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
-from twin.robot.description import Robot, load_robot, parse_robot
+from twin.robot.description import Entry, Robot, load_robot, parse_robot
 
 DATA = Path(__file__).parent / "data"
 
@@ -133,6 +134,50 @@ def test_a_law_outside_the_vocabulary_is_located_and_not_named(tmp_path: Path, k
     assert {"v1", "q1"} <= set(re.findall(r"[qv]\d", law.formula))
     assert found.error["after"]["held_out"] < 0.7 * found.error["before"]["held_out"]
     assert any(entry.effect == "discovered" for entry in found.robot.physics)
+
+
+def test_a_late_channel_is_the_signal_of_a_moment_ago() -> None:
+    time = np.arange(0, 20, 0.04)
+    late = lowpass(np.sin(2 * np.pi * 1.3 * time), 25.0, 9.0, 11.0, delay_s=0.0117)
+    np.testing.assert_allclose(late[50:-50], np.sin(2 * np.pi * 1.3 * (time - 0.0117))[50:-50], atol=1e-6)
+
+
+def test_a_recording_acts_on_the_sum_of_all_laws_whichever_was_found_first(tmp_path: Path, kr90: Robot) -> None:
+    """Late and too large by 20 %: what friction adds to the record is 1.2 times its torque of 4 ms ago."""
+    prepared = prepare(recorded(tmp_path), kr90, "log.h5")
+    run = prepared.used[0]
+    friction = Entry(effect="viscous_friction", site="joint2", coefficient=500.0)
+    chain = [Entry(effect="time_delay", site="log", delay=0.004)]
+    chain.append(Entry(effect="torque_constant", site="joint2", gain=1.2))
+
+    def state() -> State:
+        return State(run.torque.copy(), np.zeros_like(run.dense.position), np.zeros_like(run.dense.position))
+
+    sums = [
+        sum(model_torque(run, here, [entry]) for entry in entries)
+        for here, entries in ((state(), [*chain, friction]), (state(), [friction, *reversed(chain)]))
+    ]
+    np.testing.assert_allclose(sums[0], sums[1], atol=1e-9 * np.abs(run.torque).max())
+    with_chain = state()
+    model_torque(run, with_chain, chain)
+    law = 500.0 * np.interp(run.time - 0.004, run.dense.time, run.dense.velocity[:, 1])
+    added = entry_torque(run, with_chain, friction, friction.values)[:, 1]
+    assert np.sqrt(np.mean((added - 1.2 * law)[50:-50] ** 2)) < 2e-3 * np.sqrt(np.mean(law**2))
+
+
+def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> None:
+    """Torque 4 ms late looks like friction that follows the load at every joint until the delay is in the model."""
+    effects = ("--effect", "load_dependent_friction@joint2:coefficient=0.02", "--effect", "time_delay@log:delay=0.004")
+    found = diagnose_log(recorded(tmp_path, *effects), kr90)
+    assert {m.first.key for m in found.missing} == {"load_dependent_friction@joint2", "time_delay@log"}
+
+
+def test_a_drive_that_hardly_turns_with_another_axis_is_found(tmp_path: Path, kr90: Robot) -> None:
+    """A ratio of −0.016: far from one, and where its dry friction turns round goes with its sign."""
+    found = diagnose_log(recorded(tmp_path, "--effect", "joint_coupling@joint2:from=3,ratio=-0.016"), kr90)
+    (missing,) = found.missing
+    assert missing.first.key == "joint_coupling@joint2"
+    assert missing.first.parameters["ratio"]["value"] == pytest.approx(-0.016, rel=0.15)
 
 
 def test_whitening_makes_coloured_noise_white() -> None:
@@ -256,6 +301,7 @@ def test_emps_from_viscous_only_comes_to_dry_and_direction_dependent_friction() 
     restless = [spot for spot in found.location if spot["band_hz"][0] > 10]
     assert restless[0]["run"] == "pulses"
     assert restless[0]["band_hz"][0] < 19 < 33 < restless[0]["band_hz"][1]
+    assert any("'pulses' is restless at" in warning for warning in found.warnings)
 
 
 @needs("tx40")

@@ -15,7 +15,7 @@ from twin.diagnose.torque_laws import log_suspects, model_torque, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
-from twin.diagnose.torque_search import Progress, Search, explain, possible, smallest_visible
+from twin.diagnose.torque_search import FURTHER, Progress, Search, explain, possible, smallest_visible
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
@@ -66,12 +66,14 @@ def diagnose_log(
             robot_after = with_play(robot_after, play)
             missing.append(missing_play(play, robot_after))
             word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
-    where = spots(records, source, prepared.bands.fit[1]) + disturbances(log, search, source)
+    restless = disturbances(log, search, source)
+    where = spots(records, source, prepared.bands.fit[1]) + restless
     sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
         list(prepared.held_out), records, where, sites, [*smallest_visible(system, suspects), *_visible(found_plays)],
-        warnings=list(prepared.notes), fit=after, finalists=_finalists(search, found_plays),
+        warnings=[*prepared.notes, *map(_restless, restless), *_told_apart(search)],
+        fit=after, finalists=_finalists(search, found_plays),
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
@@ -80,6 +82,38 @@ def diagnose_log(
         for m in missing
     ]
     return finding
+
+
+def _restless(spot: dict[str, Any]) -> str:
+    low, high = spot["band_hz"]
+    return (
+        f"run '{spot['run']}' is restless at {low:.0f}-{high:.0f} Hz on {spot['site']}, where another run is not and "
+        "above the band of the fit: nothing in the model does that, and it is not named"
+    )
+
+
+def _told_apart(search: Search) -> list[str]:
+    """Of what would act on several joints at once and was not found though alone it would explain much."""
+    found = {step.key for step in search.found}
+    alone: dict[str, float] = {}
+    for step in [search.first, *search.steps]:
+        for fit in step.decision.ranked:
+            trial = step.trials.get(fit.hypothesis.key)
+            if trial is not None and len(trial.column.joints) > 1 and fit.hypothesis.key not in found:
+                gain = fit.evidence() - step.base.evidence()
+                alone[fit.hypothesis.key] = max(alone.get(fit.hypothesis.key, 0.0), gain)
+    last, notes = search.steps[-1], []
+    together = search.after.evidence() - base_fit(search.plain).evidence()
+    for key, gain in alone.items():
+        beside = {f.hypothesis.key: f.evidence() - last.base.evidence() for f in last.decision.ranked}.get(key, 0.0)
+        if found and gain > FURTHER and not last.accepted:
+            clear = beside < FURTHER and gain < together - FURTHER
+            names = ", ".join(sorted(found))
+            notes.append(
+                f"{key} alone would gain {gain:.0f} in ln evidence, {names} together {together:.0f}; beside them it gains "
+                f"{max(beside, 0.0):.0f}: the log {'tells' if clear else 'does not tell'} them apart"
+            )
+    return notes
 
 
 def _plays(search: Search) -> list[Play]:
