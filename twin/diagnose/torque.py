@@ -110,8 +110,8 @@ def _told_apart(search: Search) -> list[str]:
             clear = beside < FURTHER and gain < together - FURTHER
             names = ", ".join(sorted(found))
             notes.append(
-                f"{key} alone would gain {gain:.0f} in ln evidence, {names} together {together:.0f}; beside them it gains "
-                f"{max(beside, 0.0):.0f}: the log {'tells' if clear else 'does not tell'} them apart"
+                f"{key} alone would gain {gain:.0f} in ln evidence, {names} together {together:.0f}; beside them it "
+                f"gains {max(beside, 0.0):.0f}: the log {'tells' if clear else 'does not tell'} them apart"
             )
     return notes
 
