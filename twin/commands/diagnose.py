@@ -267,9 +267,8 @@ def diagnose_campaign(
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
     if told_by:
         told_by.missing = [_borne_out(m, finding, best) for m in told_by.missing]
-    rival = rival_of(decision)
-    if rival and word == "ambiguous":
-        finding.next_test = next_test(base, decision.ranked[0], rival, few, seed)
+    if word == "ambiguous":  # where the rival has no name, what shows the first most tells most
+        finding.next_test = next_test(base, decision.ranked[0], rival_of(decision) or settled, few, seed)
     return finding
 
 

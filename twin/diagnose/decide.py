@@ -34,12 +34,14 @@ class Decision:
     Attributes:
         ranked: hypotheses fitted to the end, most probable first; ``probability`` of each.
         none, other: probabilities that nothing, or something unnamed, is missing.
+        nameless: what of ``other`` is a law without a name that was fitted.
     """
 
     ranked: list[Fitted]
     probability: list[float]
     none: float
     other: float
+    nameless: float = 0.0
 
     @property
     def rivals(self) -> list[int]:
@@ -95,13 +97,13 @@ def decide(
             before, after = (predictive_misfit(fit, kept) for fit in (base, fits[order[0]]))
             left = max(left, _left(before, after, numbers["held_out_misfit"]))
         other = _other(left, numbers)
-    none, known = (1 - other) * float(nothing), (1 - other) * names
-    other += (1 - other) * nameless
+    none, known, nameless = (1 - other) * float(nothing), (1 - other) * names, (1 - other) * nameless
+    other += nameless
     if none > 0.5 and (
         base.misfit > 2 * noise or (kept and predictive_misfit(base, kept) > numbers["held_out_adequate"])
     ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
-    return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other))
+    return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other), nameless)
 
 
 def _lawless(

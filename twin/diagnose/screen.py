@@ -33,7 +33,7 @@ from twin.robot.mechanism import fuse
 SIZES = (-0.5, 1.0)
 """Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""
 FAR_SIZES = (-2.5, -1.0, 1.0)
-"""The same far from the truth: a soft servo lies beyond a ridge, where its peaks pass others; ``FAR_STARTS`` are kept."""
+"""The same far from the truth, ``FAR_STARTS`` kept: a soft servo lies beyond a ridge, where its peaks pass others."""
 FAR_STARTS = 2
 YIELDING = 5  # iterations in which springs make room for an entry
 SCANNED = 12  # more variants than this are scanned by their secant alone first

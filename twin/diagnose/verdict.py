@@ -301,7 +301,10 @@ def judge(decision: Decision) -> Word:
         return "adequate"
     if decision.other > top:
         return "unexplained"
-    return "ambiguous" if rival_of(decision) or decision.none >= calibration()["alternative"] else "named"
+    numbers = calibration()
+    if rival_of(decision) or decision.none >= numbers["alternative"] or decision.nameless > numbers["nameless"] * top:
+        return "ambiguous"
+    return "named"
 
 
 def rival_of(decision: Decision) -> Fitted | None:
