@@ -16,6 +16,7 @@ from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.diagnose.screen import Setting, _Scan
 from twin.diagnose.search import Search, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
+from twin.diagnose.verdict import judge
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import Parameter as Free
 from twin.identify.parameters import Parameters, free_parameters, independent
@@ -81,6 +82,25 @@ def test_a_joint_that_also_tilts_is_named_though_the_base_model_is_far_off(tmp_p
     assert base.misfit > 100
     assert decision.ranked[0].hypothesis.key == "transverse_compliance@joint1.x"
     assert decision.ranked[0].misfit < 1.1
+
+
+def test_a_servo_far_softer_than_its_gear_is_named(tmp_path: Path) -> None:
+    """Between a stiff servo and this one lies a ridge: one peak has passed another."""
+    options = ("--effect", "servo_compliance@joint3:stiffness=3.2e6,damping=2.4e3", "--brakes", "off")
+    case = recorded(tmp_path, "--seed", "15", "--postures", "4", *options)
+    decision, _, search = diagnosed(case, "servo_compliance")
+    assert search.error > 0.3
+    assert decision.ranked[0].hypothesis.key == "servo_compliance@joint3"
+    assert decision.ranked[0].misfit < 1.1
+
+
+def test_a_law_without_a_name_near_the_first_makes_it_ambiguous() -> None:
+    robot = load_robot("kr90")
+    values = CATALOGUE["base_compliance"].typical(robot, "base.ry")
+    hypothesis, nothing = entry_hypothesis(robot, "base_compliance", "base.ry", values), np.zeros(0)
+    fit = Fitted(hypothesis, independent([]), nothing, nothing, robot, 0.0, 1.0, np.eye(0), 1.0, True)
+    assert judge(Decision([fit], [0.6], 0.0, 0.4, nameless=0.39)) == "ambiguous"
+    assert judge(Decision([fit], [0.9], 0.0, 0.1, nameless=0.09)) == "named"
 
 
 def test_two_things_are_found_together(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from twin.identify.sensitivity import (
     sag_slopes,
     slopes,
     structure,
+    structures,
 )
 from twin.measure.campaign import Channels
 from twin.model.frf import frf as reference_frf
@@ -30,7 +31,7 @@ from twin.model.frf import measurement_chain
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.robot.description import Robot, load_robot, parse_robot
-from twin.robot.mechanism import assemble
+from twin.robot.mechanism import assemble, assemble_all
 
 Q_DEG = (20.0, 70.0, -100.0)
 S = 2j * np.pi * np.linspace(5.0, 30.0, 60) + 0.3  # an exponential window of 0.3 1/s is still in the FRFs
@@ -84,6 +85,28 @@ def test_matrices_are_those_of_mujoco(full: Robot, deflected: bool) -> None:
     for name in ("M", "C", "K", "loss"):
         reference = getattr(expected, name)
         np.testing.assert_allclose(getattr(found, name), reference, atol=2e-7 * np.abs(reference).max())
+
+
+@pytest.mark.parametrize("urdf", [None, "arm_linear.urdf"])
+def test_postures_laid_out_together_are_those_of_mujoco(
+    full: Robot, urdf: str | None, request: pytest.FixtureRequest
+) -> None:
+    """One assembled and the others turned: every posture is what MuJoCo makes of it alone, sagging springs included."""
+    robot, postures = full, [full.angles(q) for q in (Q_DEG, [40.0, 70.0, -100.0], [-20.0, 20.0, -80.0])]
+    if urdf:
+        robot = load_robot(request.path.parent / "data" / urdf)
+        axes = [axis.model_copy(update={"stiffness": 1e6, "damping": 1e3}) for axis in robot.axes]
+        robot = robot.model_copy(update={"axes": axes})
+        middle = [np.mean(axis.limits.position) if axis.limits and axis.limits.position else 0.3 for axis in axes]
+        postures = [np.array(middle) + shift for shift in (0.0, 0.05)]
+    together = structures(assemble_all(robot, postures, brakes="off"))
+    sunk = structures([model.mechanism for model in together], [model.sag() for model in together])
+    for q, plain, low in zip(postures, together, sunk, strict=True):
+        mechanism = assemble(robot, q, brakes="off")
+        for found, expected in ((plain, linearise(mechanism)), (low, structure(mechanism, plain.sag()))):
+            for name in ("M", "C", "K"):
+                reference = getattr(expected, name)
+                np.testing.assert_allclose(getattr(found, name), reference, atol=2e-7 * np.abs(reference).max())
 
 
 @pytest.mark.parametrize("urdf", ["arm6.urdf", "arm_linear.urdf"])

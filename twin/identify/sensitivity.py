@@ -427,7 +427,8 @@ def _observe_alike(
     low = _seen(structures([m.mechanism for m in models], [m.sag() for m in models]), first, chain, gain)
     found = []
     for plain, sunk, model in zip(seen, low, models, strict=True):
-        sag = Observed.of(a - b for a, b in zip(sunk.arrays(), plain.arrays(), strict=True))
+        with np.errstate(invalid="ignore"):  # no spring left: infinite, which a search steps back from
+            sag = Observed.of(a - b for a, b in zip(sunk.arrays(), plain.arrays(), strict=True))
         blended = (a + share * b for a, b in zip(plain.arrays(), sag.arrays(), strict=True))
         found.append((Observed.of(blended, sag), model))
     return found
