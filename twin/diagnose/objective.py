@@ -141,8 +141,11 @@ class Objective:
         return np.concatenate(rest), np.concatenate(rows, axis=1)
 
     def cost(self, z: FloatArray) -> float:
-        """Prior included."""
-        observed = self._observed(*self._described(z))
+        """Prior included; infinite where a value is."""
+        robot, values = self._described(z)
+        if not np.isfinite(values).all():
+            return np.inf
+        observed = self._observed(robot, values)
 
         def one(k: int) -> float:
             r = self.sample.recordings[k]

@@ -123,7 +123,8 @@ class Parameters:
     def values(self, z: FloatArray) -> FloatArray:
         """Values (n,) in their units."""
         x = self.root @ z
-        return np.array([parameter.value(v) for parameter, v in zip(self.items, x, strict=True)])
+        with np.errstate(over="ignore"):  # a step too far is seen by what it costs
+            return np.array([parameter.value(v) for parameter, v in zip(self.items, x, strict=True)])
 
     def transform(self, values: FloatArray) -> FloatArray:
         """∂ value / ∂ z, (n, n)."""
