@@ -103,7 +103,8 @@ def minimise(
             bent = np.diag(damping + np.maximum(log * (gradient - z), 0))
             step = -np.linalg.solve(information + bent, gradient)
             step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
-            step = np.clip(z + step, -bound, bound) - z
+            reach = np.maximum(bound, np.abs(z))  # what began beyond its bound comes back as the data let it
+            step = np.clip(z + step, -reach, reach) - z
             trial = objective.cost(z + step)
             if np.isfinite(trial) and trial < cost:
                 break

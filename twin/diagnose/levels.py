@@ -43,7 +43,8 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, SETTLING = 8, 10, 4, 8, 6  # iterations
+LOCATING, ROUGH, RACING, LAST, SETTLING, LINEAR = 8, 10, 4, 8, 3, 15  # iterations
+TURNS = 2
 
 
 @dataclass(frozen=True)
@@ -385,8 +386,15 @@ def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray, iteration
 
 
 def settled(objective: Stepped, fit: Fitted) -> Fitted:
-    """A law fitted to the end, with derivatives by all springs stepped."""
-    return fit_law(replace(objective, thorough=True), fit.hypothesis, fit.z, SETTLING)
+    """A law fitted to the end: by turns the linear model with the law held, and all with the law stepped."""
+    n, thorough = len(objective.base), replace(objective, thorough=True)
+    for _ in range(TURNS):
+        held = Sample(tuple(objective.held(fit.z)), objective.sample.repeat)
+        linear = descend(objective.robot, NONE, objective.base, held, fit.z[:n], tempered=0, linear=LINEAR)
+        z = np.concatenate([linear.z, fit.z[n:]])
+        start = z if objective.cost(z) < fit.cost else fit.z
+        fit = fit_law(thorough, fit.hypothesis, start, SETTLING)
+    return fit
 
 
 def _likeness(

@@ -13,7 +13,7 @@ import numpy as np
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_reaction import Stepped
-from twin.diagnose.levels import SETTLING, Levels, fit_law, with_law
+from twin.diagnose.levels import LINEAR, Levels, fit_law, settled, with_law
 from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import NONE, Fitted, descend
@@ -23,7 +23,6 @@ from twin.robot.description import Robot
 
 FINALISTS = 3  # fitted again with the law stepped
 PROMISING = 0.8  # of the best one's gain
-LINEAR = 15  # iterations of the linear model
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,11 @@ def explain_beside(
     search = Search(alone, [], alone.z, inflation(alone, robot, whole.thin(REFIT_LINES)))
     bars = progress or (lambda description, total: lambda count: None)
     found = one_more(robot, search, whole, suspects, bars)
-    found = [fit for fit in found if fit.evidence() > alone.evidence()]
+    tried = {fit.hypothesis.key for fit in found}
+    elsewhere = [v for v in suspects if v[0].effect == found[0].hypothesis.effect and v[0].key not in tried]
+    if elsewhere:  # with the law's own numbers still to move, a site that promised less may be the right one
+        one_more(robot, search, whole, elsewhere, bars)
+    found = [fit for fit in search.finalists if fit.evidence() > alone.evidence()]
     if not found:
         return None
     best = found[0]
@@ -77,8 +80,7 @@ def explain_beside(
         objective, hypothesis = with_law(
             robot, base, stepped.law, stepped.site, stepped.sample, stepped.blow, fit.hypothesis
         )
-        start = np.concatenate([fit.z, law.z[n:]])
-        both = fit_law(replace(objective, thorough=True), hypothesis, start, SETTLING)
+        both = settled(objective, fit_law(objective, hypothesis, np.concatenate([fit.z, law.z[n:]]), 0))
         own = _held(objective, both, levels.whole, levels)
         z = both.z[: len(fit.z)]
         linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR)

@@ -12,7 +12,7 @@ from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
 from twin.diagnose.joint_laws import LAWS, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows, minimise
-from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
+from twin.diagnose.levels import Levels, decide_levels, explain_levels
 from twin.diagnose.levels_beside import Beside, explain_beside
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.next_test import next_test
@@ -139,9 +139,8 @@ def _answer(
         looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)
         beside = explain_beside(base, search.base, levels, looked_at, progress)
         if beside and judge(beside.decision) in ("named", "ambiguous"):
-            objective = beside.objectives[0]
-            both = settled(objective, beside.fits[0])
-            also = replace(beside.decision, ranked=[both, *beside.fits[1:]])
+            both, objective = beside.fits[0], beside.objectives[0]
+            also = replace(beside.decision, ranked=beside.fits)
             others = [m for m in missing_of(also, best) if m.first.key != law.first.key]
             believed = (1 - also.other) / max(1 - decision.other, 1e-9)
             law = replace(
