@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from tools.truth.__main__ import main as truth
-from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
+from twin.diagnose.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
 from twin.diagnose.joint_laws import Cubic, Gap, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels
 from twin.diagnose.levels_finding import check_blows
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
-from twin.diagnose.objective import Sample
+from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, descend
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import estimates_of
 from twin.identify.elastic import prepare, without_limits
-from twin.identify.parameters import Parameter, free_parameters, independent
+from twin.identify.parameters import Parameter, free_parameters, independent, join
 from twin.identify.sensitivity import Observed
 from twin.measure.campaign import Campaign, read_campaign
 from twin.robot.description import Entry, Robot
@@ -82,6 +82,42 @@ def test_longer_blows_on_a_law_as_much_larger_give_the_same_frfs(
     other = Stepped(robot, independent([]), sample, law=larger, site="joint2.z", blow=longer, fixed=fixed)
     for one, two in zip(usual.predicted(np.zeros(len(sizes) + 1)), other.predicted(np.zeros(0)), strict=True):
         assert np.linalg.norm(one - two) < 1e-9 * np.linalg.norm(one)
+
+
+def test_a_held_law_is_the_stepped_one_where_it_was_held(kr90: Robot, tmp_path: Path) -> None:
+    """What a linear model predicts under the held torque is what stepping predicts; its slopes are differences."""
+    campaign = recorded(tmp_path, "", "--nominal", "--no-sag", "--noise", "0", "--scatter", "0", "--postures", "1")
+    robot, recordings = without_limits(kr90), prepare(campaign, kr90)
+    free = free_parameters(robot, tolerances=False)
+    own = (Parameter("hardening_stiffness@joint1.z.cubic", "N·m/rad³", "entry", True, 3e13, 1.0),)
+    stepped = Stepped(
+        robot, join(free, independent(own)), Sample(tuple(r.every(8) for r in recordings.values())),
+        law=Cubic(), site="joint1.z", blow=blows(campaign) or {},
+    )  # fmt: skip
+    z = np.zeros(len(free) + 1)
+    objective = Objective(robot, free, Sample(tuple(stepped.held(z))))
+    for one, two in zip(stepped.predicted(z), objective.predicted(z[:-1]), strict=True):
+        assert np.linalg.norm(one - two) < 1e-9 * np.linalg.norm(one)
+    linear = Objective(robot, free, stepped.sample).predicted(z[:-1])
+    assert np.linalg.norm(linear[1] - one) > 0.05 * np.linalg.norm(one)  # at 600 N the law shows
+    _, slopes = objective.jacobian(z[:-1])
+    k = free.names.index("joint1.z.stiffness")
+    step = 1e-4 * np.eye(len(free))[k]
+    change = (objective.residual(z[:-1] - step) - objective.residual(z[:-1] + step)) / 2e-4
+    assert np.linalg.norm(change - slopes[k]) < 1e-4 * np.linalg.norm(change)
+
+
+def test_a_blow_is_an_exact_half_sine() -> None:
+    """Its transform is the integral, and what it adds to a mode is, whatever share of the last step it lasts."""
+    pulse_s, pole = 0.0087, np.array([-3 + 120j])
+    t = np.linspace(0, pulse_s, 20001)
+    wave = np.sin(np.pi * t / pulse_s)
+    s = 0.6 + 2j * np.pi * np.array([5.0, 20.0])
+    assert pulse_transform(s, pulse_s) == pytest.approx(np.trapezoid(wave * np.exp(-s[:, None] * t), t), rel=1e-5)
+    added = _drive(pole, pulse_s)[:, 0]
+    end = len(added) / RATE_HZ
+    together = np.sum(added * np.exp(pole * (end - np.arange(1, len(added) + 1) / RATE_HZ)))
+    assert together == pytest.approx(np.trapezoid(wave * np.exp(pole * (end - t)), t), rel=1e-6)
 
 
 def oscillator(omega: float, zeta: float) -> Observed:
