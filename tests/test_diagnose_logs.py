@@ -172,6 +172,15 @@ def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> N
     assert {m.first.key for m in found.missing} == {"load_dependent_friction@joint2", "time_delay@log"}
 
 
+def test_a_large_payload_is_not_drawn_towards_a_usual_one(tmp_path: Path, kr90: Robot) -> None:
+    """500 kg on link 2, twenty-five times what is usual: its prior width would make 440 kg of it."""
+    log = recorded(tmp_path, "--nominal", "--effect", "payload@link2:mass=500,com=1.0|0|0")
+    (missing,) = diagnose_log(log, kr90).missing
+    low, high = missing.first.parameters["mass"]["interval90"]
+    assert low < 500 < high
+    assert high - low < 150
+
+
 def test_a_drive_that_hardly_turns_with_another_axis_is_found(tmp_path: Path, kr90: Robot) -> None:
     """A ratio of −0.016: far from one, and where its dry friction turns round goes with its sign."""
     found = diagnose_log(recorded(tmp_path, "--effect", "joint_coupling@joint2:from=3,ratio=-0.016"), kr90)

@@ -10,8 +10,8 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import Base, base_fit, stops_of, system_of
-from twin.diagnose.torque_laws import log_suspects, model_torque, with_values
+from twin.diagnose.torque_fit import Base, System, base_fit, stops_of, system_of
+from twin.diagnose.torque_laws import RECORDING, log_suspects, model_torque, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
@@ -24,6 +24,7 @@ from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.robot.description import Entry, Robot
 
+LASTING = 2  # times the order of the noise's autoregression: lags over which a misfit is like itself
 SETTLING_S = 0.15  # about a stop, where the encoder cannot tell creeping from standing: not counted in errors
 
 
@@ -93,13 +94,14 @@ def _restless(spot: dict[str, Any]) -> str:
 
 
 def _told_apart(search: Search) -> list[str]:
-    """Of what would act on several joints at once and was not found though alone it would explain much."""
+    """Of what would be the recording's, of all joints at once, and was not found though alone it would explain much."""
     found = {step.key for step in search.found}
     alone: dict[str, float] = {}
     for step in [search.first, *search.steps]:
         for fit in step.decision.ranked:
             trial = step.trials.get(fit.hypothesis.key)
-            if trial is not None and len(trial.column.joints) > 1 and fit.hypothesis.key not in found:
+            whole = trial is not None and len(trial.column.joints) > 1 and fit.hypothesis.effect in RECORDING
+            if whole and fit.hypothesis.key not in found:
                 gain = fit.evidence() - step.base.evidence()
                 alone[fit.hypothesis.key] = max(alone.get(fit.hypothesis.key, 0.0), gain)
     last, notes = search.steps[-1], []
@@ -151,7 +153,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     first = search.first.decision
     _, other = search.other
     missing: list[Missing] = []
-    settled = _inflated(base_fit(search.system))
+    settled = _inflated(search.system)
     for step in search.found:
         if not possible(search.system, step):  # a correction to a law beside it, and no effect of that name
             continue
@@ -174,10 +176,21 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     return word, missing, first.none, max(first.other, other)
 
 
-def _inflated(fit: Fitted) -> Fitted:
-    """The fit with its data's variance multiplied by what they are missed by (Birge's ratio); priors stay as wide."""
+def _inflated(system: System) -> Fitted:
+    """The fit with its data's variance multiplied by what they are missed by; priors stay as wide.
+
+    That is Birge's ratio where the misfit is like the noise. What a model lacks lasts longer: the density of the
+    whitened residual at low frequency (Newey, West, Econometrica 55, 1987) says how much less such rows tell.
+    """
+    fit = base_fit(system)
+    density = []
+    for joint in range(len(system.whitening)):
+        e = system.residual[system.rows(joint)]
+        lags = np.arange(1, min(LASTING * system.order, len(e) // 4))
+        correlation = np.array([e[k:] @ e[:-k] for k in lags]) / len(e)
+        density.append(e @ e / len(e) + 2 * float((1 - lags / (lags[-1] + 1)) @ correlation))
+    scale = max(1.0, fit.misfit, float(np.mean(density)))
     eye = np.eye(len(fit.z))
-    scale = max(1.0, fit.misfit)
     return replace(fit, information=(fit.information - eye) / scale + eye, misfit=min(fit.misfit, 1.0))
 
 

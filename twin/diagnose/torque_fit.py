@@ -604,6 +604,19 @@ def _refer(system: System, z: FloatArray, entries: Sequence[Entry]) -> list[Floa
     return [model_torque(run, state, entries) for run, state in zip(runs, system.state, strict=True)]
 
 
+def unshrunk(trial: "Trial") -> "Trial":
+    """The trial with priors on its sizes as wide as these came out: what is not described may have any size.
+
+    How probable it is was decided before; the usual size would only draw the numbers towards it.
+    """
+    hypothesis = trial.suspect.hypothesis
+    scale = np.array([1.0 if p.log else max(1.0, abs(u)) for p, u in zip(hypothesis.own, trial.u, strict=True)])
+    own = tuple(replace(p, deviation=p.deviation * s) for p, s in zip(hypothesis.own, scale, strict=True))
+    slopes = replace(trial.slopes, rows=trial.slopes.rows * scale)
+    suspect = replace(trial.suspect, hypothesis=replace(hypothesis, own=own))
+    return replace(trial, suspect=suspect, u=trial.u / scale, slopes=slopes)
+
+
 def extended(system: System, trial: "Trial") -> System:
     """The same rows with an entry in the base model: its numbers are nuisances from now on.
 

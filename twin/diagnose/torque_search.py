@@ -35,6 +35,7 @@ from twin.diagnose.torque_fit import (
     settle,
     span_of,
     start,
+    unshrunk,
     with_wider,
     worth,
 )
@@ -280,6 +281,8 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
         enough = enough and step.gain + max(step.held, 0.0) > needed
     if not enough:
         step.decision = _nothing(step.decision)
+    elif step.trial is not None:
+        step.trials = {**step.trials, step.key: unshrunk(step.trial)}
     step.accepted = enough
     return enough
 
@@ -325,26 +328,31 @@ def _revised(
         if not step.accepted or step.trial is None or len(rivals) < 2:
             continue
         others = accepted(plain, *(s for s in steps if s.accepted and s is not step))
-        trials = {t.suspect.hypothesis.key: settle(others, t) for t in rivals}
+        trials = {t.suspect.hypothesis.key: settle(others, _as_suspected(t, suspects)) for t in rivals}
         fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others, suspects)]
         again = _decided(others, trials, fits, suspects)
         if again.key == step.key or again.trial is None:
             continue
         other = accepted(others, again)
         if likely(other) > likely(system) + SWITCH and possible(other, again):
+            again.trials[again.key] = unshrunk(again.trial)
             again.accepted, again.held = True, step.held
             steps[number], system = again, other
     return system
+
+
+def _as_suspected(trial: Trial, suspects: Sequence[Suspect]) -> Trial:
+    """A trial with the priors that its suspect had before it was found."""
+    suspect = next(s for s in suspects if s.name == trial.suspect.name)
+    values = own_values(trial.suspect.hypothesis.own, trial.u)
+    return replace(trial, suspect=suspect, u=own_prior(suspect.hypothesis.own, values))
 
 
 def accepted(system: System, *steps: Step) -> System:
     """The model with the first answers of steps in it, all fitted together."""
     for step in steps:
         system = _with(system, step)
-    if len(system.found) > 1:
-        return relinearised(system)
-    refer(system, system.z)  # alone, it was settled beside the base model
-    return system
+    return relinearised(system)
 
 
 def _with(system: System, step: Step) -> System:
@@ -625,14 +633,19 @@ class Judge:
     def gain(self, system: System, fit: Fitted, trial: Trial | None) -> tuple[float, bool]:
         """Rise of the ln predictive density over Birge's ratio, and whether it is enough to believe the fit."""
         base = base_fit(system)
-        wide = with_wider(system, fit.hypothesis) if fit.hypothesis.scale else system
+        wide, settled = with_wider(system, fit.hypothesis) if fit.hypothesis.scale else system, fit
+        if trial is not None:
+            wide = extended(system, trial)
+        if trial is not None and system.found:  # with what was found before where it is beside the new
+            wide = relinearised(wide)
+            settled = base_fit(wide)
         before, density = self.rest(system, base)
-        after, reached = self.rest(wide if trial is None else extended(system, trial), fit)
+        after, reached = self.rest(wide, settled)
         data = self.system.count * float(self.system.level.sum())
         rise, scale = reached - density, max(1.0, float(after @ after) / data)
         joints = trial.column.joints if trial is not None else tuple(range(len(system.whitening)))
         power = sum(0.5 * float(np.sum(before[self.system.rows(j)] ** 2)) for j in joints)
-        trained = 0.5 * (float(system.residual @ system.residual) - fit.misfit * fit.data)
+        trained = 0.5 * (base.misfit * base.data - settled.misfit * settled.data)
         expected = trained * self.system.count / max(system.count, 1)
         # What only relieves the tension of numbers against their priors cannot show here: it must do no harm.
         if trained < RELIEF * (fit.evidence() - base.evidence()):
