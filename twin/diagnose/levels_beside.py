@@ -1,7 +1,7 @@
 """What linear physics is missing beside a law of amplitude: the linear search on a robot whose law is held.
 
 The law's torque after every blow is held as stepping has it (:mod:`twin.diagnose.held_law`), and the search for one
-linear omission runs on all lines as it does on a linear robot. What it finds moves the law's own numbers: the finalists
+linear omission runs as it does on a linear robot. What it finds moves the law's own numbers: the finalists
 are fitted again with the law stepped, their law is held, and the decision is between them.
 """
 
@@ -21,6 +21,7 @@ from twin.diagnose.screen import inflation
 from twin.diagnose.search import REFIT_LINES, Progress, Search, one_more
 from twin.robot.description import Robot
 
+LINES = 100  # of every recording
 FINALISTS = 3  # fitted again with the law stepped
 PROMISING = 0.8  # of the best one's gain
 
@@ -30,7 +31,7 @@ class Beside:
     """What linear physics is missing beside a law.
 
     Attributes:
-        decision: between the law alone and with something beside it, on all lines with the law held.
+        decision: between the law alone and with something beside it, the law held.
         alone: the law alone there.
         fits: per ranked hypothesis, it and the law with the law stepped; ``objectives`` what predicts with them.
     """
@@ -60,7 +61,8 @@ def explain_beside(
     """
     law, stepped = levels.fits[0], levels.objectives[0]
     n = len(base.parameters)
-    whole = _held(stepped, law, levels.whole, levels)
+    lines = levels.whole.thin(LINES)
+    whole = _held(stepped, law, lines, levels)
     alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR)
     search = Search(alone, [], alone.z, inflation(alone, robot, whole.thin(REFIT_LINES)))
     bars = progress or (lambda description, total: lambda count: None)
@@ -81,7 +83,7 @@ def explain_beside(
             robot, base, stepped.law, stepped.site, stepped.sample, stepped.blow, fit.hypothesis
         )
         both = settled(objective, fit_law(objective, hypothesis, np.concatenate([fit.z, law.z[n:]]), 0))
-        own = _held(objective, both, levels.whole, levels)
+        own = _held(objective, both, lines, levels)
         z = both.z[: len(fit.z)]
         linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR)
         again.append((linear, both, objective, own))
