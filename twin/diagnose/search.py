@@ -98,6 +98,7 @@ def explain(
         best = found[0]
         if number:
             best = _reconsider(robot, search, best, sample, suspects, progress)
+    best = _needed(robot, search, best, sample)
     _where_it_is(robot, search, best, sample, suspects, progress)
     return search
 
@@ -162,18 +163,35 @@ def _reconsider(
     for piece in best.hypothesis.pieces[:-1]:
         if piece not in best.hypothesis.pieces:
             continue
-        rest = together(*(p for p in best.hypothesis.pieces if p is not piece))
+        rest, z = _taken_out(search, best, piece)
         current = search.fits.get(rest.identity)
         if current is None:
-            keep = [
-                k for k, p in enumerate(best.parameters) if p.name in set(rest.parameters(search.base.parameters).names)
-            ]
             parameters = rest.parameters(search.base.parameters)
-            n = len(search.base.z)
-            places = [best.z[keep], np.concatenate([search.base.z, best.z[keep][n:]])]
+            places = [z, np.concatenate([search.base.z, z[len(search.base.z) :]])]
             current = _refit(robot, search, rest, parameters, places, sample, False)
         found = _round(robot, search, current, sample, suspects, progress)
         best = max([best, *found], key=lambda fit: fit.evidence())
+    return best
+
+
+def _taken_out(search: Search, fit: Fitted, piece: Hypothesis) -> tuple[Hypothesis, FloatArray]:
+    """The other things of a hypothesis, and where they are in the fit of all."""
+    rest = together(*(p for p in fit.hypothesis.pieces if p is not piece))
+    names = set(rest.parameters(search.base.parameters).names)
+    return rest, fit.z[[k for k, p in enumerate(fit.parameters) if p.name in names]]
+
+
+def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitted:
+    """The hypothesis without what the others can do without: a bent valley may have been followed further beside it."""
+    for piece in best.hypothesis.pieces if len(best.hypothesis.pieces) > 1 else ():
+        rest, z = _taken_out(search, best, piece)
+        known, parameters = search.fits.get(rest.identity), rest.parameters(search.base.parameters)
+        near = best.cost + REACH
+        fit = descend(robot, rest, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=near)
+        if known is None or fit.cost < known.cost:
+            search.fits[rest.identity] = known = fit
+        if not _worth(known, best):
+            return _needed(robot, search, known, sample)
     return best
 
 
