@@ -416,11 +416,12 @@ class Stepped(Cost):
         return found
 
     def deflection(self, z: FloatArray) -> float:
-        """A large deflection of the joint under these blows, rad (m): exceeded by one blow in ten."""
+        """A large deflection of the joint under these blows, rad (m): exceeded by one in ten; NaN if they diverge."""
         n = len(self.base)
         postures = _Postures(self.robot, self.base, self.site, z[:n], False)
         strikes = self._strikes(postures, np.full(len(self.law.names), 1e-9))
-        stepped = torques(strikes, self.law, round(0.5 * RATE_HZ))
+        with np.errstate(over="ignore", invalid="ignore"):
+            stepped = torques(strikes, self.law, round(0.5 * RATE_HZ))
         return float(np.quantile(np.concatenate([largest for _, largest in stepped]), 0.9))
 
     def equivalents(self, z: FloatArray, sizes: Sequence[FloatArray]) -> list[list[FloatArray]]:
