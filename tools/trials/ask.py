@@ -54,7 +54,7 @@ def _put(split: Path, name: str, without: list[str], limit_s: float, out: Path, 
 
 def run(arguments: list[str], limit_s: float) -> tuple[int, str, str]:
     """Exit code, standard output and error of `twin`; 124 past the limit. Time and memory are bounded."""
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
     process = subprocess.Popen(
         [sys.executable, "-m", "twin", *arguments], cwd=ROOT, env=environment, text=True, stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, preexec_fn=_bounded,

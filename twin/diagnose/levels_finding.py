@@ -34,10 +34,9 @@ from twin.robot.description import Axis, Robot
 from twin.robot.mechanism import assemble
 
 JUDGED_LINES, AGAIN = 25, 6  # lines and iterations of what belongs to held-out recordings themselves
-FORM = (
-    0.05  # deviation of the logarithm of a blow's momentum, its peak and spectrum known: a half sine has 1.06 times a
-)
-# haversine's, and 1.2 times a triangle's
+FORM = 0.05
+"""Deviation of the logarithm of a blow's momentum, its peak and spectrum known: a half sine has 1.06 times a
+haversine's, and 1.2 times a triangle's."""
 STEPPED = 0.1  # relative difference allowed between MuJoCo's blows and the search's
 
 

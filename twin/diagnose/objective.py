@@ -1,13 +1,12 @@
 """Posterior cost of a hypothesis on measured FRFs, with its derivatives: what screening and refits evaluate."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.cores import side_by_side
 from twin.diagnose.held_law import respond, respond_slopes
 from twin.diagnose.hypotheses import Sprung
 from twin.identify.elastic import LOG_SPREAD, Recorded
@@ -28,7 +27,6 @@ from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 from twin.robot.mechanism import Inertial, cut
 
-Moves = NDArray[np.intp]
 Changes = dict[tuple[Any, ...], Change | None]
 """What entries change in a mechanism, kept while the values are the same."""
 
@@ -131,48 +129,36 @@ class Objective:
 
     def jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted residual (data,) and derivatives (n, data) of the weighted prediction with respect to z."""
-
-        def one(r: Recorded, w: FloatArray, H: ComplexArray, dH: ComplexArray, moves: Moves) -> tuple[FloatArray, ...]:
+        rows, rest = [], []
+        for r, w, (H, dH, moves) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
             row = np.zeros((len(z), *H.shape), complex)
             row[moves] = dH * w
-            return ((r.frf - H) * w).reshape(-1).view(float), row.reshape(len(z), -1).view(float)
-
-        rest, rows = zip(*self._each_slopes(z, one), strict=True)
+            rows.append(row.reshape(len(z), -1).view(float))
+            rest.append(((r.frf - H) * w).reshape(-1).view(float))
         return np.concatenate(rest), np.concatenate(rows, axis=1)
 
     def cost(self, z: FloatArray) -> float:
         """Prior included; infinite where a value is."""
-        robot, values = self._described(z)
-        if not np.isfinite(values).all():
+        if not np.isfinite(self.parameters.values(self.whole(z))).all():
             return np.inf
-        observed = self._observed(robot, values)
-
-        def one(k: int) -> float:
-            r = self.sample.recordings[k]
-            e = self._error(r, respond(*observed[k], r), self.weight[k])[0]
-            return float(np.sum(e.real**2 + e.imag**2))
-
-        parts = side_by_side(one, range(len(observed)))
-        return 0.5 * float(self.whole(z) @ self.whole(z)) + 0.5 * sum(parts)
+        cost = 0.5 * float(self.whole(z) @ self.whole(z))
+        for r, H, w in zip(self.sample.recordings, self.predicted(z), self.weight, strict=True):
+            e = self._error(r, H, w)[0]
+            cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
+        return cost
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
-        self.rows.clear()
-
-        def one(r: Recorded, w: FloatArray, H: ComplexArray, dH: ComplexArray, moves: Moves) -> tuple[Any, ...]:
-            e, pull, factor = self._error(r, H, w)
-            G = np.multiply(dH, factor, order="C").reshape(len(moves), -1).view(float)
-            gradient = G @ np.ascontiguousarray(pull).reshape(-1).view(float)
-            row = None if self.logarithmic else (np.ascontiguousarray(e).reshape(-1).view(float), G, moves)
-            return float(np.sum(e.real**2 + e.imag**2)), gradient, G @ G.T, moves, row
-
         cost, gradient, information = 0.5 * float(self.whole(z) @ self.whole(z)), z.copy(), np.eye(len(z))
-        for energy, pull, square, moves, row in self._each_slopes(z, one):
-            cost += 0.5 * energy
-            gradient[moves] += pull
-            information[np.ix_(moves, moves)] += square
-            if row is not None:
-                self.rows.append(row)
+        self.rows.clear()
+        for r, w, (H, dH, moves) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
+            e, pull, factor = self._error(r, H, w)
+            cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
+            G = np.multiply(dH, factor, order="C").reshape(len(moves), -1).view(float)
+            gradient[moves] += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
+            information[np.ix_(moves, moves)] += G @ G.T
+            if not self.logarithmic:
+                self.rows.append((np.ascontiguousarray(e).reshape(-1).view(float), G, moves))
         return cost, gradient, information
 
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
@@ -180,16 +166,11 @@ class Objective:
         if not self.rows:
             return None
         h, total = 0.1, np.zeros(len(z))
-        observed = self._observed(*self._described(z + h * step))
-
-        def one(k: int) -> FloatArray:
-            r, (e, G, moves) = self.sample.recordings[k], self.rows[k]
-            error = self._error(r, respond(*observed[k], r), self.weight[k])[0]
-            ahead = np.ascontiguousarray(error).reshape(-1).view(float)
-            return np.asarray(G @ (2 / h * ((ahead - e) / h - step[moves] @ G)))
-
-        for (_, _, moves), part in zip(self.rows, side_by_side(one, range(len(observed))), strict=True):
-            total[moves] += part
+        for r, H, w, (e, G, moves) in zip(
+            self.sample.recordings, self.predicted(z + h * step), self.weight, self.rows, strict=True
+        ):
+            ahead = np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float)
+            total[moves] += G @ (2 / h * ((ahead - e) / h - step[moves] @ G))
         return total
 
     def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -207,24 +188,17 @@ class Objective:
             inverse = np.where(H != 0, -1 / H, 0)
         return e * soft, e * weight, inverse * w * weight
 
-    def _each_slopes(self, z: FloatArray, one: Callable[..., Any]) -> list[Any]:
-        """``one`` (recording, weight, H, ∂H, moves) of every recording: its prediction, the derivatives (m, …) with
-        respect to the m coordinates that move it, and which those are."""
+    def _slopes(self, z: FloatArray) -> Iterator[tuple[ComplexArray, ComplexArray, NDArray[np.intp]]]:
+        """Prediction, its derivatives (m, …) with respect to the m coordinates that move it, and which those are."""
         robot, values = self._described(z)
         transform, free, own = self.parameters.transform(values), self.free, values
         if self.among is not None:
             transform, own = transform[np.ix_(self.among, self.among)], values[list(self.among)]
         changes: Changes = {}
-        observed = self._observed(robot, values)
-
-        def work(k: int) -> Any:
-            r, (seen, model) = self.sample.recordings[k], observed[k]
+        for r, (seen, model) in zip(self.sample.recordings, self._observed(robot, values), strict=True):
             rate = contract(rates(robot, r.setup, free, own, seen, model, changes), transform)
             moves = moving(rate)
-            H, dH = respond_slopes(seen, model, Observed.of(array[moves] for array in rate.arrays()), r)
-            return one(r, self.weight[k], H, dH, moves)
-
-        return side_by_side(work, range(len(observed)))
+            yield *respond_slopes(seen, model, Observed.of(array[moves] for array in rate.arrays()), r), moves
 
 
 def rates(
