@@ -40,7 +40,7 @@ EXTRA = (
     {"effect": "base_compliance", "site": "base.rx", "stiffness": 3e7, "damping": 2e3},
     {"effect": "base_compliance", "site": "base.z", "stiffness": 2e8, "damping": 2e3},
     {"effect": "link_flexibility", "site": "link2.y", "stiffness": 2e7, "damping": 300},
-    {"effect": "servo_compliance", "site": "joint3", "stiffness": 2e7, "damping": 5e3},
+    {"effect": "servo_compliance", "site": "joint3", "stiffness": 2e7, "damping": 5e3, "integral_time": 0.3},
     {"effect": "payload", "site": "flange", "mass": 20, "com": [1.7, 0.0, 0.1]},
     {
         "effect": "attached_resonator", "site": "link3", "mass": 12, "frequency_hz": 17, "damping_ratio": 0.02,
@@ -82,7 +82,7 @@ def test_matrices_are_those_of_mujoco(full: Robot, deflected: bool) -> None:
     mechanism = assemble(full, q, brakes="off")
     expected, found = linearise(mechanism), structure(mechanism)
     assert found.coordinates == expected.coordinates
-    for name in ("M", "C", "K", "loss"):
+    for name in ("M", "C", "K", "loss", "integral"):
         reference = getattr(expected, name)
         np.testing.assert_allclose(getattr(found, name), reference, atol=2e-7 * np.abs(reference).max())
 
@@ -155,6 +155,7 @@ def everything(robot: Robot) -> Parameters:
         "payload@flange.mass", "payload@flange.com[2]", "attached_resonator@link3.mass",
         "sensor_misalignment@sensor:21.angles[1]", "hammer_misalignment@hammer:9Y+.angles[0]",
         "time_delay@sensor:21Y+.delay", "attached_resonator@link3.position[0]",
+        "servo_compliance@joint3.integral_time",
     ]  # fmt: skip
     return join(
         free_parameters(robot, ["milling"], [p.label for p in robot.test_points[-3:]]).only(
@@ -195,13 +196,18 @@ def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot, ha
         )
 
 
-def test_derivatives_of_poles_are_finite_differences(kr90: Robot) -> None:
+@pytest.mark.parametrize("servo", [False, True])
+def test_derivatives_of_poles_are_finite_differences(kr90: Robot, servo: bool) -> None:
+    if servo:
+        data = kr90.model_dump(mode="json")
+        data["physics"] += [entry for entry in EXTRA if entry["effect"] == "servo_compliance"]
+        kr90 = parse_robot(data)
     setup = setup_of(kr90)
-    parameters = free_parameters(kr90, ["milling"]).only("spring", "link", "posture")
+    parameters = free_parameters(kr90, ["milling"]).only("spring", "entry", "link", "posture")
     values = parameters.values(np.zeros(len(parameters)))
     seen, model = observe(kr90, setup, parameters, values)
     pole, shape = poles(seen)
-    np.testing.assert_allclose(pole, modes(linearise(assemble(kr90, setup.q))).pole, rtol=1e-8)
+    np.testing.assert_allclose(pole, modes(linearise(assemble(kr90, setup.q, brakes="off"))).pole, rtol=1e-8)
     rate = contract(slopes(kr90, setup, parameters, values, seen, model), parameters.transform(values))
     found = pole_slopes(seen, rate, pole, shape)
     for k, name in enumerate(parameters.names):

@@ -53,6 +53,7 @@ HAMMER = [
     ("link_flexibility", "link2.z", {"stiffness": 8e6, "damping": 300.0}, 0.1),
     ("link_flexibility", "link3.y", {"stiffness": 5e6, "damping": 300.0}, 0.1),
     ("servo_compliance", "joint2", {"stiffness": 3e7, "damping": 1e4}, 1e-6),
+    ("servo_compliance", "joint3", {"stiffness": 1e7, "damping": 1e4, "integral_time": 0.2}, 1e-6),
     ("payload", "flange", {"mass": 30.0, "com": [1.7, 0.0, 0.1]}, 1e-6),
     (
         "attached_resonator",

@@ -15,7 +15,7 @@ from twin.model.modes import Modes, modes
 from twin.provenance import provenance, write_json
 from twin.robot.description import save_robot
 from twin.robot.mechanism import Mechanism, assemble
-from twin.robot.mjcf import EQUIVALENT_HZ, build_spec, save_mjcf
+from twin.robot.mjcf import build_spec, save_mjcf
 
 FREQUENCY_SHARE = 0.8  # FRFs are kept up to this share of 1/pulse, where a half sine still excites
 
@@ -190,28 +190,31 @@ def _hammer(case: PostureFile, mechanism: Mechanism, linear: LinearModel, seed: 
             frf=posture.frf * _structural_share(case, linear, posture, responses, excitations),
         )
     comment = "simulated by twin simulate" + (
-        "; structural damping, which no time stepping has, put in by the ratio of the linear FRFs with it and with its "
-        "viscous stand-in" if linear.loss.any() else ""
+        "; structural damping and integral action, which no time stepping has, put in by the ratio of the linear FRFs "
+        "with them and with viscous dampers in their stead" if _unstepped(linear) else ""
     )  # fmt: skip
     sides = channels(mechanism, responses), channels(mechanism, excitations)
     return Campaign(*sides, postures, "robot.yaml", comment)
 
 
+def _unstepped(linear: Any) -> bool:
+    return bool(linear.loss.any() or linear.integral.any())
+
+
 def _structural_share(
     case: PostureFile, linear: LinearModel, posture: Any, responses: list[str], excitations: list[str]
 ) -> np.ndarray | float:
-    """What complex stiffnesses make of the FRFs of the viscous dampers that stand for them in MuJoCo."""
-    if not linear.loss.any():
+    """What complex stiffnesses and servos' integral action make of the FRFs that MuJoCo steps."""
+    if not _unstepped(linear):
         return 1.0
     from twin.model.frf import frf, measurement_chain
 
-    viscous = replace(linear, loss=np.zeros_like(linear.loss), C=linear.C + linear.loss / (2 * np.pi * EQUIVALENT_HZ))
     frequency, rate = np.maximum(posture.frequency, posture.frequency[1] / 2), posture.exponential_window_rate
     both = [
         frf(
             model, frequency, measurement_chain(model, case.robot, responses, excitations), exponential_window_rate=rate
         )
-        for model in (linear, viscous)
+        for model in (linear, linear.stepped)
     ]
     return both[0] / both[1]
 

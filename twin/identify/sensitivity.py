@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from twin.identify.parameters import Parameter, Parameters
 from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
+from twin.model.linear import state_matrix
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect
@@ -45,7 +46,7 @@ class Structure:
         command: (n, 6) screws of the commanded positions; ``moved`` (n, nb) and ``carried`` (n, nv) say which bodies
             and coordinates they move.
         load: (nv,) the weight's work per unit of every coordinate: what its spring carries at rest.
-        M, C, K, loss: (nv, nv) as in :class:`twin.model.linear.LinearModel`.
+        M, C, K, loss, integral: (nv, nv) as in :class:`twin.model.linear.LinearModel`.
         strain: (nv,) stiffness of the spring on each coordinate.
     """
 
@@ -66,6 +67,7 @@ class Structure:
     C: FloatArray
     K: FloatArray
     loss: FloatArray
+    integral: FloatArray
     strain: FloatArray
     mechanism: Mechanism
 
@@ -212,11 +214,12 @@ def structures(
         C = C + tendon.damping * np.outer(pull, pull)
         K = K + tendon.stiffness * np.outer(pull, pull)
     loss = _diagonal(joint.loss_factor * joint.stiffness[0] for joint in layout.joints)
+    integral = _diagonal(joint.stiffness[0] / joint.integral_time for joint in layout.joints)
     names = tuple(joint.name for joint in layout.joints)
     return [
         Structure(
             names, layout.bodies, screw[p], layout.inboard, layout.path, rotation[p], origin[p], spatial[p], command[p],
-            layout.moved, layout.carried, gravity, load[p], M[p], C, K[p], loss, strain, posed,
+            layout.moved, layout.carried, gravity, load[p], M[p], C, K[p], loss, integral, strain, posed,
         )
         for p, posed in enumerate(mechanisms)
     ]  # fmt: skip
@@ -370,6 +373,7 @@ class Observed:
     C: FloatArray
     K: FloatArray
     loss: FloatArray
+    integral: FloatArray
     J_r: FloatArray
     J_e: FloatArray
     gain: FloatArray
@@ -378,13 +382,13 @@ class Observed:
 
     @classmethod
     def of(cls, arrays: Iterable[FloatArray], sag: "Observed | None" = None) -> "Observed":
-        """From the eight arrays in the order of the fields."""
-        M, C, K, loss, J_r, J_e, gain, delay = arrays
-        return cls(M, C, K, loss, J_r, J_e, gain, delay, sag)
+        """From the nine arrays in the order of the fields."""
+        M, C, K, loss, integral, J_r, J_e, gain, delay = arrays
+        return cls(M, C, K, loss, integral, J_r, J_e, gain, delay, sag)
 
     def arrays(self) -> tuple[FloatArray, ...]:
-        """The eight arrays in the order of the fields."""
-        return self.M, self.C, self.K, self.loss, self.J_r, self.J_e, self.gain, self.delay
+        """The nine arrays in the order of the fields."""
+        return self.M, self.C, self.K, self.loss, self.integral, self.J_r, self.J_e, self.gain, self.delay
 
 
 def observe(
@@ -438,7 +442,7 @@ def _seen(models: Sequence[Structure], setup: Setup, chain: MeasurementChain, ga
     J_r = _rows(models, setup.response, chain.response_direction)
     J_e = _rows(models, setup.excitation, chain.excitation_direction)
     return [
-        Observed(m.M, m.C, m.K, m.loss, r, e, gain, chain.response_delay)
+        Observed(m.M, m.C, m.K, m.loss, m.integral, r, e, gain, chain.response_delay)
         for m, r, e in zip(models, J_r, J_e, strict=True)
     ]
 
@@ -520,6 +524,7 @@ def slopes(
             if what == "stiffness":
                 out.K[p, k, k] = 1.0
                 out.loss[p, k, k] = model.loss[k, k] / model.strain[k]
+                out.integral[p, k, k] = model.integral[k, k] / model.strain[k]
             else:
                 out.C[p, k, k] = 1.0
         elif parameter.kind == "posture" and site == f"posture.{setup.name}":
@@ -597,7 +602,7 @@ class Change:
 
     Attributes:
         inertial: body → spatial inertia (6, 6) about, and in, its own frame.
-        joints: name → armature, damping, stiffness, loss factor times stiffness.
+        joints: name → armature, damping, stiffness, loss factor times stiffness, stiffness over integral time.
         chain: directions of responses (nr, 3) and excitations (ne, 3), gains (nr,), delays (nr,).
     """
 
@@ -629,7 +634,9 @@ def _change(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArr
             inertial[name] = (b - a) / (2 * step)
         for old, new in zip(one.joints, two.joints, strict=True):
             was, now = (
-                np.array([j.armature, j.damping[0], j.stiffness[0], j.loss_factor * j.stiffness[0]]) for j in (old, new)
+                np.array([j.armature, j.damping[0], k, j.loss_factor * k, k / j.integral_time])
+                for j in (old, new)
+                for k in (j.stiffness[0],)
             )
             if old.axis != new.axis:
                 return None
@@ -651,7 +658,7 @@ def _apply_change(
         out.K[p] += dK[0]
     for name, rates in change.joints.items():
         k = model.coordinates.index(name)
-        for target, rate in zip((out.M, out.C, out.K, out.loss), rates, strict=True):
+        for target, rate in zip((out.M, out.C, out.K, out.loss, out.integral), rates, strict=True):
             target[p, k, k] += rate
     response, excitation, gain, delay = change.chain
     if response.any():
@@ -690,7 +697,7 @@ def contract(slopes_: Observed, transform: FloatArray) -> Observed:
 
 
 def frf(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
-    """H(s) = sᵖ R J_r (s²M + sC + K)⁻¹ J_eᵀ, (nf, nr, ne), R the channels' gains and delays."""
+    """H(s) = sᵖ R J_r Z(s)⁻¹ J_eᵀ, (nf, nr, ne), R the channels' gains and delays."""
     X_e = np.linalg.solve(_dynamic(seen, s), np.broadcast_to(seen.J_e.T, (len(s), *seen.J_e.T.shape)))
     return _record(seen, s, power) * (seen.J_r @ X_e)
 
@@ -698,7 +705,7 @@ def frf(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
 def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> tuple[ComplexArray, ComplexArray]:
     """H (nf, nr, ne) and its derivatives (n, nf, nr, ne).
 
-    ∂H = sᵖR [∂J_r Z⁻¹J_eᵀ + J_r Z⁻¹∂J_eᵀ − J_r Z⁻¹ (s²∂M + s∂C + ∂K) Z⁻¹J_eᵀ] + H ∂R/R.
+    ∂H = sᵖR [∂J_r Z⁻¹J_eᵀ + J_r Z⁻¹∂J_eᵀ − J_r Z⁻¹ ∂Z Z⁻¹J_eᵀ] + H ∂R/R.
     """
     nf, nr, nv, ne, n = len(s), len(seen.J_r), seen.M.shape[0], len(seen.J_e), len(rate.M)
     both = np.concatenate([seen.J_r, seen.J_e]).T
@@ -711,14 +718,14 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
     coordinate, alone = _one_spring(rate)
     if alone.size:
         own = coordinate[alone]
-        M, C, K, loss = (m[alone, own, own] for m in (rate.M, rate.C, rate.K, rate.loss))
-        through = pull[:, :, own] * (s[:, None] ** 2 * M + s[:, None] * C + (K + 1j * loss))[:, None]
+        sprung = (m[alone, own, own] for m in _matrices(rate))
+        through = pull[:, :, own] * sum(_factors(s)[k][:, None] * m for k, m in enumerate(sprung))[:, None]
         for k, p in enumerate(alone):
             np.multiply(through[:, :, k, None], X_e[:, None, own[k]], out=slope[p])
     dense = np.setdiff1d(np.flatnonzero(_moves(rate)), alone)
     if dense.size:
-        parts = [(m[dense], k) for k, m in enumerate((rate.M, rate.C, rate.K, rate.loss)) if m[dense].any()]
-        factor = np.array([s**2, s, np.ones(nf), np.full(nf, 1j)])[:, :, None, None]
+        parts = [(m[dense], k) for k, m in enumerate(_matrices(rate)) if m[dense].any()]
+        factor = _factors(s)[:, :, None, None]
         left = np.zeros((nf, nr, dense.size, nv), complex)
         if parts:
             columns = np.concatenate([m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts])
@@ -739,13 +746,13 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
 
 def _moves(rate: Observed) -> NDArray[np.bool_]:
     """(n,) which parameters change M, C, K, loss or the responses' rows."""
-    arrays = (rate.M, rate.C, rate.K, rate.loss, rate.J_r)
+    arrays = (*_matrices(rate), rate.J_r)
     return np.asarray(np.any([array.any(axis=(1, 2)) for array in arrays], axis=0))
 
 
 def _one_spring(rate: Observed) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Parameters of one coordinate's spring or damper alone: coordinate (n,) of each, and which they are."""
-    size = np.abs(rate.M) + np.abs(rate.C) + np.abs(rate.K) + np.abs(rate.loss)
+    size = sum(np.abs(m) for m in _matrices(rate))
     diagonal = np.diagonal(size, axis1=1, axis2=2)
     alone = (np.count_nonzero(size, axis=(1, 2)) == 1) & (np.count_nonzero(diagonal, axis=1) == 1)
     alone &= ~rate.J_r.any(axis=(1, 2))
@@ -753,8 +760,19 @@ def _one_spring(rate: Observed) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _dynamic(seen: Observed, s: ComplexArray) -> ComplexArray:
+    """Z = s²M + sC + K + i·loss + integral/s, (nf, nv, nv)."""
     line = s[:, None, None]
-    return np.asarray(line**2 * seen.M + line * seen.C + (seen.K + 1j * seen.loss))
+    Z = line**2 * seen.M + line * seen.C + (seen.K + 1j * seen.loss)
+    return np.asarray(Z + seen.integral / line if seen.integral.any() else Z)
+
+
+def _matrices(seen: Observed) -> tuple[FloatArray, ...]:
+    return seen.M, seen.C, seen.K, seen.loss, seen.integral
+
+
+def _factors(s: ComplexArray) -> ComplexArray:
+    """What multiplies each of :func:`_matrices` in the dynamic stiffness, (5, nf)."""
+    return np.array([s**2, s, np.ones(len(s)), np.full(len(s), 1j), 1 / s])
 
 
 def _record(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
@@ -767,18 +785,16 @@ def _record(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
 def poles(seen: Observed) -> tuple[ComplexArray, ComplexArray]:
     """Poles (nm,) rad/s of the oscillating modes, by frequency, and shapes (nv, nm)."""
     nv = len(seen.M)
-    K = seen.K + 1j * seen.loss if seen.loss.any() else seen.K
-    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(seen.M, np.hstack([K, seen.C]))]])
-    pole, vector = np.linalg.eig(A)
+    pole, vector = np.linalg.eig(state_matrix(*_matrices(seen)))
     keep = np.flatnonzero(pole.imag > 1e-6 * np.abs(pole))
     keep = keep[np.argsort(np.abs(pole[keep]))]
     return pole[keep], vector[:nv, keep]
 
 
 def pole_slopes(seen: Observed, rate: Observed, pole: ComplexArray, shape: ComplexArray) -> ComplexArray:
-    """Derivatives (n, nm) of the poles: ∂λ = −φᵀ(λ²∂M + λ∂C + ∂K)φ / φᵀ(2λM + C)φ, Z being symmetric."""
+    """Derivatives (n, nm) of the poles: ∂λ = −φᵀ ∂Z(λ) φ / φᵀ Z'(λ) φ, Z being symmetric."""
     out = np.empty((len(rate.M), len(pole)), complex)
     for k, (value, phi) in enumerate(zip(pole, shape.T, strict=True)):
-        change = value**2 * rate.M + value * rate.C + rate.K + 1j * rate.loss
-        out[:, k] = -(phi @ change @ phi) / (phi @ (2 * value * seen.M + seen.C) @ phi)
+        change = value**2 * rate.M + value * rate.C + rate.K + 1j * rate.loss + rate.integral / value
+        out[:, k] = -(phi @ change @ phi) / (phi @ (2 * value * seen.M + seen.C - seen.integral / value**2) @ phi)
     return out

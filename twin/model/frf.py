@@ -36,7 +36,7 @@ def frf(
     quantity: Quantity = "accelerance",
     exponential_window_rate: float = 0.0,
 ) -> np.ndarray:
-    """Frequency response functions H(ω) = sᵖ J_r (s²M + sC + K)⁻¹ J_eᵀ, e^{+iωt}.
+    """Frequency response functions H(ω) = sᵖ J_r (s²M + sC + K + i·loss + integral/s)⁻¹ J_eᵀ, e^{+iωt}.
 
     Args:
         linear: from :func:`twin.model.linear.linearise`.
@@ -62,6 +62,8 @@ def frf(
     Z = s**2 * linear.M + s * linear.C + linear.K
     if linear.loss.any():
         Z = Z + 1j * linear.loss
+    if linear.integral.any():
+        Z = Z + linear.integral / s
     X = np.linalg.solve(Z, np.broadcast_to(J_e.T, (len(s), *J_e.T.shape)))
     record = chain.response_gain[:, None] * np.exp(-s * chain.response_delay[:, None])
     return s ** _POWER[quantity] * record * (J_r @ X)

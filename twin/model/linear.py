@@ -21,7 +21,7 @@ FD_EPSILON = 1e-6
 
 @dataclass(frozen=True)
 class LinearModel:
-    """M ẍ + C ẋ + (K + i·loss) x = Jᵀ f about an equilibrium, x the nv free coordinates.
+    """M ẍ + C ẋ + (K + i·loss) x + integral ∫x dt = Jᵀ f about an equilibrium, x the nv free coordinates.
 
     Attributes:
         coordinates: (nv,) joint names, as in the MJCF; those of elastic joints are sites of the vocabulary.
@@ -29,6 +29,7 @@ class LinearModel:
         C: (nv, nv) viscous damping.
         K: (nv, nv) stiffness, of springs and gravity.
         loss: (nv, nv) structural damping, the imaginary part of the stiffness for ω > 0.
+        integral: (nv, nv) integral action of servos, N·m/(rad·s).
         spring: (nv,) stiffness of the spring on each coordinate, 0 where there is none.
         points: label → (body, point Jacobian (3, nv) in that body's frame).
         directions: label → unit direction (3,) in the body's frame.
@@ -39,6 +40,7 @@ class LinearModel:
     C: np.ndarray
     K: np.ndarray
     loss: np.ndarray
+    integral: np.ndarray
     spring: np.ndarray
     points: dict[str, tuple[str, np.ndarray]]
     directions: dict[str, np.ndarray]
@@ -57,9 +59,28 @@ class LinearModel:
         return replace(
             self,
             coordinates=tuple(self.coordinates[k] for k in keep),
-            M=self.M[grid], C=self.C[grid], K=self.K[grid], loss=self.loss[grid], spring=self.spring[keep],
+            M=self.M[grid], C=self.C[grid], K=self.K[grid], loss=self.loss[grid], integral=self.integral[grid],
+            spring=self.spring[keep],
             points={label: (body, jacobian[:, keep]) for label, (body, jacobian) in self.points.items()},
         )  # fmt: skip
+
+    @property
+    def stepped(self) -> "LinearModel":
+        """What MuJoCo steps: viscous dampers for structural damping, no integral action."""
+        none = np.zeros_like(self.loss)
+        return replace(self, C=self.C + self.loss / (2 * np.pi * EQUIVALENT_HZ), loss=none, integral=none)
+
+
+def state_matrix(M: np.ndarray, C: np.ndarray, K: np.ndarray, loss: np.ndarray, integral: np.ndarray) -> np.ndarray:
+    """A of ẏ = A y with y = (x, ẋ, ∫x dt of the coordinates under integral action), from matrices (nv, nv)."""
+    nv = len(M)
+    K = K + 1j * loss if loss.any() else K
+    kept = np.flatnonzero(integral.any(axis=0))
+    A = np.zeros((2 * nv + len(kept),) * 2, K.dtype)
+    A[:nv, nv : 2 * nv] = np.eye(nv)
+    A[nv : 2 * nv] = -np.linalg.solve(M, np.hstack([K, C, integral[:, kept]]))
+    A[2 * nv + np.arange(len(kept)), kept] = 1.0
+    return A
 
 
 def transition_matrices(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
@@ -134,6 +155,7 @@ def linearise(mechanism: Mechanism, model: mujoco.MjModel | None = None) -> Line
     else:
         C = K = np.zeros((0, 0))
     loss = np.diag([joint.loss_factor * joint.stiffness[0] for joint in order])
+    integral = np.diag([joint.stiffness[0] / joint.integral_time for joint in order])
     C = C - loss / (2 * np.pi * EQUIVALENT_HZ)  # the viscous stand-in that the MJCF carries
     points = {}
     for point in mechanism.points:
@@ -144,7 +166,7 @@ def linearise(mechanism: Mechanism, model: mujoco.MjModel | None = None) -> Line
         points[point.label] = (point.body, rotation.T @ jacobian)
     return LinearModel(
         coordinates=tuple(joint.name for joint in order),
-        M=M, C=C, K=K, loss=loss,
+        M=M, C=C, K=K, loss=loss, integral=integral,
         spring=_springs(model, data),
         points=points,
         directions={point.label: np.asarray(point.direction) for point in mechanism.points},

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.model.linear import LinearModel
+from twin.model.linear import LinearModel, state_matrix
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,7 @@ def state_matrix_poles(linear: LinearModel) -> np.ndarray:
 
 
 def _state_matrix(linear: LinearModel) -> np.ndarray:
-    nv = len(linear.coordinates)
-    K = linear.K + 1j * linear.loss if linear.loss.any() else linear.K
-    return np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(linear.M, np.hstack([K, linear.C]))]])
+    return state_matrix(linear.M, linear.C, linear.K, linear.loss, linear.integral)
 
 
 def modes(linear: LinearModel) -> Modes:

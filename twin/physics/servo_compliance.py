@@ -1,4 +1,7 @@
-"""A servo that does not hold the rotor: a spring to the previous link, in series with the gear, and the rotor's N²J."""
+"""A servo that does not hold the rotor: a spring to the previous link, in series with the gear, and the rotor's N²J.
+
+A drive's cascade of position and velocity control with integral action is that spring k and damper d and a torque that
+grows with the time integral of the deflection: k + d s + k/(T s), T its integral time."""
 
 from math import inf
 from typing import TYPE_CHECKING, Any
@@ -16,7 +19,8 @@ if TYPE_CHECKING:
 class ServoCompliance(Effect):
     """Natively: a sprung hinge of the motor body with ``armature``; under servo drive, the gains of its actuator.
 
-    Brakes that are on hold the rotor: the entry then has no effect.
+    MuJoCo's spring has no memory: integral action is exact in modes and FRFs and left out of the MJCF. Brakes that are
+    on hold the rotor: the entry then has no effect.
     """
 
     name = "servo_compliance"
@@ -25,6 +29,7 @@ class ServoCompliance(Effect):
         Parameter("stiffness", "N·m/rad", inf, positive=True, spread=1.6),
         Parameter("damping", "N·m·s/rad", nonnegative=True, spread=2.3),
         Parameter("inertia", "kg·m²", nonnegative=True, optional=True, spread=0.1),
+        Parameter("integral_time", "s", inf, positive=True, optional=True, spread=1.5),
     )
     seen_in = frozenset({"hammer"})
     order = 1
@@ -42,6 +47,7 @@ class ServoCompliance(Effect):
         elif mechanism.drives == "held" and mechanism.brakes == "off":
             stiffness, damping, kind = values["stiffness"], values["damping"], mechanism.axis_kind(i)
             rotor = mechanism.spring(f"motor{i + 1}", site, UNIT_VECTORS["z"], stiffness, damping, kind)
+            rotor.integral_time = values["integral_time"]
         if rotor:
             if values["inertia"] <= 0:
                 where = f"drives[{i}].rotor_inertia"
@@ -49,10 +55,11 @@ class ServoCompliance(Effect):
             rotor.armature = values["inertia"]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
-        """Five times the gear's stiffness, 5 % damped on the rotor; only where a rotor has inertia."""
+        """Five times the gear's stiffness, 5 % damped on the rotor, integral time 1 s. Needs a rotor's inertia."""
         drive, axis = robot.drives[axis_of(site)], robot.axes[axis_of(site)]
         rotor = drive.gear_ratio**2 * drive.rotor_inertia
         if rotor == 0 or axis.stiffness is None:
             return None
         stiffness = 5 * axis.stiffness
-        return {"stiffness": stiffness, "damping": 2 * 0.05 * float(np.sqrt(stiffness * rotor)), "inertia": rotor}
+        damping = 2 * 0.05 * float(np.sqrt(stiffness * rotor))
+        return {"stiffness": stiffness, "damping": damping, "inertia": rotor, "integral_time": 1.0}

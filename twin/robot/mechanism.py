@@ -6,7 +6,7 @@ the ``write`` of its effect. Nothing here knows MuJoCo's API.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import erfc, sqrt
+from math import erfc, inf, sqrt
 from typing import Any, Literal
 
 import numpy as np
@@ -31,6 +31,7 @@ class Joint:
             otherwise a motor's coordinate.
         springref: rest position of a motor's spring.
         loss_factor: η of structural damping, k₁(1 + iη); beyond MuJoCo, used in the frequency domain.
+        integral_time: T of integral action, the spring's torque k₁(x + ∫x dt / T), s; in the frequency domain only too.
         dead_zone: total width of a gap in series with the spring, rad.
         range: lower and upper stop, or ``None``.
     """
@@ -45,6 +46,7 @@ class Joint:
     elastic: bool = True
     springref: float = 0.0
     loss_factor: float = 0.0
+    integral_time: float = inf
     dead_zone: float = 0.0
     range: tuple[float, float] | None = None
 
