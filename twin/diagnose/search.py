@@ -336,11 +336,11 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
 
 
 def _varied(promises: Sequence[Promise], count: int) -> list[Promise]:
-    """The most promising, at most a third of them from one effect, variants of one entry counted once."""
+    """The most promising, at most half of them from one effect, variants of one entry counted once."""
     kept: list[Promise] = []
     for promise in promises:
         same = len({other.suspect.site for other in kept if other.suspect.effect == promise.suspect.effect})
-        if same < max(2, count // 3):
+        if same < count // 2:
             kept.append(promise)
         if len(kept) == count:
             break
