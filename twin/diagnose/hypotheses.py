@@ -244,6 +244,10 @@ def companions(
         found += [("parameter", f"joint{site[4]}.{axis}.stiffness") for axis in "yz"]
     present = {(entry.effect, entry.site) for entry in base.physics}
     hypotheses = []
+    if hypothesis.effect == "attached_resonator":  # where it sits decides which of its axes couples to a joint
+        (entry,) = hypothesis.entries
+        for axis in (axis for axis in "xyz" if axis != entry.values["axis"]):
+            hypotheses.append(entry_hypothesis(base, hypothesis.effect, site, {**entry.values, "axis": axis}))
     for effect, where in found:
         if effect == "parameter":
             hypotheses += [h for h in widened(parameters) if h.site == where]

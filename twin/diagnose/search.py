@@ -303,8 +303,9 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
         known, alike = search.fits.get(hypothesis.identity), _alike(companion, last)
         if companion.key in {piece.key for piece in others}:
             continue
-        if known is not None and not (alike and known.cost > best.cost + SLIGHT):  # an alias may have been fitted worse
-            continue
+        turned = companion.key == last.key
+        if known is not None and not turned and not (alike and known.cost > best.cost + SLIGHT):
+            continue  # an alias may have been fitted worse
         parameters = hypothesis.parameters(free)
         n = len(parameters) - len(companion.own)
         if companion.scale:
