@@ -32,9 +32,7 @@ from twin.robot.mechanism import fuse
 
 SIZES = (-0.5, 1.0)
 """Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""
-FAR_SIZES = (-2.5, -1.0, 1.0)
-"""The same far from the truth, ``FAR_STARTS`` kept: a soft servo lies beyond a ridge, where its peaks pass others."""
-FAR_STARTS = 2
+FAR_STARTS = 2  # of an effect's ``sizes`` where the current model is far off
 YIELDING = 5  # iterations in which springs make room for an entry
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
@@ -180,7 +178,7 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     size = next((k for k, p in enumerate(suspect.own) if p.log), None)
     found = []
     starts: list[tuple[float, FloatArray]] = []
-    sizes = (0.0,) if size is None else FAR_SIZES if setting.error > 0 else SIZES
+    sizes = (0.0,) if size is None else CATALOGUE[suspect.effect].sizes if setting.error > 0 else SIZES
     for deviation in sizes:
         own = np.zeros(len(suspect.own))
         if size is not None:

@@ -34,6 +34,7 @@ class ServoCompliance(Effect):
     seen_in = frozenset({"hammer"})
     order = 1
     sprung = True
+    sizes = tuple(np.arange(-3.0, 1.6, 0.5))  # its peaks pass others as it grows soft: a ridge between valleys
 
     def complete(self, robot: "Robot", site: str, given: Values) -> Values:
         drive = robot.drives[axis_of(site)]
