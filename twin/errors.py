@@ -15,3 +15,7 @@ class InputError(ValueError):
     def __init__(self, source: str | Path, field: str, expected: str) -> None:
         self.source, self.field, self.expected = str(source), field, expected
         super().__init__(": ".join(part for part in (self.source, field, expected) if part).replace("\n", " "))
+
+    def __reduce__(self) -> tuple[type, tuple[str, str, str]]:
+        """Made again from its parts: errors cross processes."""
+        return type(self), (self.source, self.field, self.expected)

@@ -28,7 +28,7 @@ from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, noise_floor
-from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
+from twin.diagnose.search import NEAR_LINES, REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import (
@@ -50,6 +50,7 @@ from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import read_motion_log
 from twin.model.linear import linearise
 from twin.model.modes import modes
+from twin.parallel import cores
 from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json
 from twin.robot.description import Axis, Robot, load_robot, save_robot
@@ -94,7 +95,8 @@ def diagnose(
             in_joints(test.content, given)  # axes, units and limits fit
             findings.append(diagnose_log(test.content, told_by.robot if told_by else given, test.source, **options))
         elif test.kind == "frf-campaign":
-            findings.append(diagnose_campaign(test.content, given, test.source, **options, told_by=told_by))
+            options |= {"told_by": told_by, "processes": cores()}
+            findings.append(diagnose_campaign(test.content, given, test.source, **options))
         else:
             findings.append(diagnose_table(test.content, told_by.robot if told_by else given, test.source, **options))
     verdict = _settled(findings, tests, chosen)
@@ -207,6 +209,7 @@ def diagnose_campaign(
     seed: int = 0,
     progress: Progress | None = None,
     told_by: Finding | None = None,
+    processes: int = 1,
 ) -> Finding:
     """What a campaign in memory says.
 
@@ -219,6 +222,7 @@ def diagnose_campaign(
         progress: makes progress bars.
         told_by: what another recording of the same robot said. Its answer is in the model, what it knows of links and
             payloads is their prior, and the probabilities of its answers change by what this campaign says of them.
+        processes: the search is spread over so many; what it finds does not depend on it.
 
     Raises:
         InputError: the robot has no springs, or the campaign does not fit it.
@@ -231,7 +235,7 @@ def diagnose_campaign(
     free = _free(base, found.used)
     if told_by and told_by.fit:
         free = Knowledge.of(told_by.fit).on(free, base)
-    search = converge(base, free, sample, seed=seed)
+    search = converge(base, free, sample, seed=seed, processes=processes)
     law = found.nonlinear and not told_by
     if law and (answer := levels_finding(campaign, given, base, source, found, search, progress, seed)):
         return answer
@@ -241,7 +245,9 @@ def diagnose_campaign(
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
     unseen = Sample(tuple(kept), sample.repeat) if kept else None
-    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: free_laws(fit, sample))
+    decision = decide(
+        fits, settled, looked_at, kept=unseen, unnamed=lambda fit: free_laws(fit, sample.thin(NEAR_LINES))
+    )
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     missing = missing_of(decision, settled) if answered else []

@@ -25,6 +25,7 @@ from twin.diagnose.refit import Fitted, minimise
 from twin.identify.parameters import SIX, Parameters
 from twin.identify.sensitivity import observe
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
+from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
@@ -34,6 +35,7 @@ SIZES = (-0.5, 1.0)
 """Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""
 FAR_STARTS = 2  # of an effect's ``sizes`` where the current model is far off
 YIELDING = 5  # iterations in which springs make room for an entry
+YIELDING_POSTURES = 4
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
@@ -147,27 +149,34 @@ def inflation(fit: Fitted, base: Robot, sample: Sample) -> float:
 
 
 def screen(
-    setting: Setting, suspects: Sequence[Sequence[Hypothesis]], progress: Callable[[int], None] | None = None
+    setting: Setting,
+    suspects: Sequence[Sequence[Hypothesis]],
+    progress: Callable[[int], None] | None = None,
+    processes: int = 1,
 ) -> list[Promise]:
     """The most promising size of every suspect not in the current hypothesis, and of its rival variants, best first."""
     present = {piece.key for piece in setting.current.pieces}
     before = setting.objective(setting.current).cost(setting.z)
     if not setting.error:
         before -= setting.linear.gain
-    scan: _Scan | None = None
+    missing = [variants for variants in suspects if variants[0].key not in present]
+    scan = _Scan(setting) if any(len(variants) > SCANNED for variants in missing) else None
+    if not setting.logarithmic:
+        setting.linear  # noqa: B018 – once, before the work is spread
+
+    def best(number: int) -> list[Promise]:
+        variants = missing[number]
+        if scan and len(variants) > SCANNED:
+            variants = scan.best(variants)
+        found = [max(_promises(setting, h, before), key=lambda promise: promise.gain) for h in variants]
+        most = max(promise.gain for promise in found)
+        return [promise for promise in found if promise.gain >= most - (1 - NEARLY) * abs(most)]
+
     found = []
-    for variants in suspects:
+    for promises in spread(best, len(missing), processes):
+        found += promises
         if progress:
             progress(1)
-        if variants[0].key in present:
-            continue
-        chosen = variants
-        if len(variants) > SCANNED:
-            scan = scan or _Scan(setting)
-            chosen = scan.best(variants)
-        best = [max(_promises(setting, h, before), key=lambda promise: promise.gain) for h in chosen]
-        most = max(promise.gain for promise in best)
-        found += [promise for promise in best if promise.gain >= most - (1 - NEARLY) * abs(most)]
     return sorted(found, key=lambda promise: -promise.gain)
 
 
@@ -203,9 +212,12 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
 def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[float, FloatArray]:
     """Cost and z after the springs have made room for an entry, its size held: a servo shares its joint with the gear.
 
-    The robust logarithmic residual of few lines serves from any distance.
+    The robust logarithmic residual of few lines and postures serves from any distance.
     """
-    robust = replace(objective, sample=setting.few, temper=0.0, logarithmic=True, weight=[])
+    some = replace(
+        setting.few, recordings=setting.few.recordings[:: -(-len(setting.few.recordings) // YIELDING_POSTURES)]
+    )
+    robust = replace(objective, sample=some, temper=0.0, logarithmic=True, weight=[])
     springs = [k for k, p in enumerate(setting.free) if p.kind == "spring"]
     inner = robust.within(z, springs)
     end, cost, _, _ = minimise(inner, z[springs], YIELDING, 0.5)

@@ -17,6 +17,7 @@ from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.diagnose.screen import FAR, Promise, Setting, inflation, screen
 from twin.identify.parameters import Parameters
 from twin.measure.campaign import FloatArray
+from twin.parallel import spread
 from twin.robot.description import Robot
 
 SCREEN_LINES, REFIT_LINES, NEAR_LINES = 25, 50, 100
@@ -41,6 +42,7 @@ class Search:
         robust: (n,) the base model's optimum of the logarithmic residual.
         error: relative error of the base model beyond noise.
         fits: every hypothesis fitted to all lines, by what it says is missing.
+        processes: the work is spread over so many.
     """
 
     base: Fitted
@@ -48,6 +50,7 @@ class Search:
     robust: FloatArray
     error: float
     fits: dict[frozenset[str], Fitted] = field(default_factory=dict)
+    processes: int = 1
 
     @property
     def finalists(self) -> list[Fitted]:
@@ -55,26 +58,27 @@ class Search:
         return sorted(self.fits.values(), key=lambda fit: -fit.evidence())
 
 
-def converge(robot: Robot, parameters: Parameters, sample: Sample, starts: int = 2, seed: int = 0) -> Search:
+def converge(
+    robot: Robot, parameters: Parameters, sample: Sample, starts: int = 2, seed: int = 0, processes: int = 1
+) -> Search:
     """The base model from the description and from springs and dampers drawn from their prior."""
     rng = np.random.default_rng(seed)
     elastic = np.array([p.kind in ("spring", "entry") for p in parameters])
     few, more = sample.thin(SCREEN_LINES), sample.thin(REFIT_LINES)
-    robust, ends = np.zeros(len(parameters)), []
-    best = np.inf
-    for number in range(starts):
-        z = np.zeros(len(parameters))
-        if number:
-            z[elastic] = rng.normal(size=np.count_nonzero(elastic))
-        z, cost, _, _ = minimise(Objective(robot, parameters, few, logarithmic=True), z, 25, 0.5)
-        if cost < best:
-            best, robust = cost, z
-        ends.append(descend(robot, NONE, parameters, more, z, tempered=8, linear=15))
-    ends.sort(key=lambda fit: fit.cost)
+    places = np.zeros((starts, len(parameters)))
+    places[1:, elastic] = rng.normal(size=(starts - 1, np.count_nonzero(elastic)))
+
+    def end(number: int) -> tuple[float, FloatArray, Fitted]:
+        z, cost, _, _ = minimise(Objective(robot, parameters, few, logarithmic=True), places[number], 25, 0.5)
+        return cost, z, descend(robot, NONE, parameters, more, z, tempered=8, linear=15)
+
+    found = list(spread(end, starts, processes))
+    robust = min(found, key=lambda start: start[0])[1]
+    ends = sorted((fit for _, _, fit in found), key=lambda fit: fit.cost)
     error = inflation(ends[0], robot, more)
     steps = 15 if error < FAR else 5  # far off, the last digit of a wrong model says nothing
     base = descend(robot, NONE, parameters, sample, ends[0].z, tempered=0, linear=steps, tolerance=0.02)
-    return Search(base, ends[1:], robust, error)
+    return Search(base, ends[1:], robust, error, processes=processes)
 
 
 def explain(
@@ -214,11 +218,11 @@ def _round(
     if error > 0:
         z, *_ = minimise(setting.objective(hypothesis), z, 8, 0.05)
         setting = replace(setting, z=z)
-    promises = screen(setting, suspects, progress("screen", len(suspects)))
+    promises = screen(setting, suspects, progress("screen", len(suspects)), search.processes)
     thinned = lines.repeat / sample.repeat  # fewer lines promise as many times the noise
     least = max(SLIGHT * thinned, RACE * promises[0].gain)
     if error > 0:
-        starts = _halve(setting, _varied(promises, CANDIDATES), progress)
+        starts = _halve(setting, _varied(promises, CANDIDATES), progress, search.processes)
     else:
         likely = _varied(promises, FINALISTS)
         kept = [p for k, p in enumerate(likely) if every or k == 0 or p.gain > least]
@@ -239,23 +243,28 @@ def _round(
 
 
 def _halve(
-    setting: Setting, candidates: Sequence[Promise], progress: Progress
+    setting: Setting, candidates: Sequence[Promise], progress: Progress, processes: int
 ) -> list[tuple[Promise, list[FloatArray]]]:
     """Candidates at their optimum on the screening's residual, best first: a few steps for all, all for the best."""
     tick = progress("compare", len(candidates))
+
+    def near(number: int) -> tuple[FloatArray, float, FloatArray, bool]:
+        objective = setting.objective(candidates[number].hypothesis)
+        start = min((candidates[number].start, candidates[number].fallback), key=objective.cost)
+        return minimise(objective, start, 8, 0.5)
+
     ends = []
-    for promise in candidates:
-        objective = setting.objective(promise.hypothesis)
-        start = min((promise.start, promise.fallback), key=objective.cost)
-        z, cost, _, _ = minimise(objective, start, 8, 0.5)
+    for promise, (z, cost, _, _) in zip(candidates, spread(near, len(candidates), processes), strict=True):
         ends.append((cost, promise, z))
         tick(1)
     ends.sort(key=lambda end: end[0])
-    converged = []
-    for _, promise, z in ends[:FINALISTS]:
-        z, cost, _, _ = minimise(setting.objective(promise.hypothesis), z, 20, 0.3)
-        converged.append((cost, promise, z))
-    converged.sort(key=lambda end: end[0])
+    ends = ends[:FINALISTS]
+
+    def at(number: int) -> tuple[FloatArray, float, FloatArray, bool]:
+        return minimise(setting.objective(ends[number][1].hypothesis), ends[number][2], 20, 0.3)
+
+    found = zip(ends, spread(at, len(ends), processes), strict=True)
+    converged = sorted(((cost, promise, z) for (_, promise, _), (z, cost, _, _) in found), key=lambda end: end[0])
     best = converged[0][0]
     return [(promise, [z]) for k, (cost, promise, z) in enumerate(converged) if k < 2 or cost - best < REACH]
 
