@@ -9,14 +9,17 @@ from scipy.signal import lfilter
 from test_identify_real import emps, needs, tx40
 
 from tools.truth.__main__ import main as truth
+from twin.commands.compare import compare_log
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.torque_design import Design
-from twin.diagnose.torque_fit import _correlation, prediction_filter
+from twin.diagnose.torque_fit import _correlation, prediction_filter, stop_columns
 from twin.diagnose.torque_laws import State, entry_torque, model_torque
 from twin.diagnose.torque_locate import around_reversals, state_map
-from twin.diagnose.torque_signal import prepare, thinned
-from twin.diagnose.verdict import Finding
+from twin.diagnose.torque_signal import Run, prepare, thinned
+from twin.diagnose.verdict import Finding, Verdict
 from twin.errors import InputError
+from twin.identify.rigid import Bands
+from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.measure.signals import lowpass
 from twin.model.replay import inverse_dynamics
@@ -73,12 +76,42 @@ def test_dry_friction_left_out_is_named_and_its_level_found(tmp_path: Path, kr90
 
 
 def test_bristles_at_every_joint_are_a_complete_model_and_a_slower_gear_is_not(tmp_path: Path, kr90: Robot) -> None:
-    """Presliding over 0.2 mrad alike at all joints is how friction is; slip over 1 mrad at one joint is missing."""
-    found = diagnose_log(recorded(tmp_path, "--friction", "lugre"), kr90)
+    """Presliding over 0.2 mrad alike at all joints is how friction is; slip over 1 mrad at one joint is missing.
+
+    What was fitted is what is written: the new description turns round as the record does, Coulomb's friction does not.
+    """
+    log = recorded(tmp_path, "--friction", "lugre")
+    found = diagnose_log(log, kr90)
     assert found.word == "adequate"
+    assert found.written is not None
+    assert compare_log(log, found.written).error < 1.3 * found.error["noise_floor"]
+    assert compare_log(log, found.robot).error > 3 * found.error["noise_floor"]
+    assert Verdict.of(found).robot is found.written
     slip = "hysteresis@joint3.z:stiffness=80000,yield_torque=80"
     missing = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", slip), kr90).missing
     assert [m.first.key for m in missing] == ["hysteresis@joint3.z"]
+
+
+def test_a_reversal_slower_than_the_encoder_tells_leaves_friction_free_for_as_long() -> None:
+    """An axis of 1 rad/s that turns back at 5 mrad/s²: its sign is in doubt for 0.14 s, several rows of 25 Hz."""
+
+    def doubts(acceleration: float) -> FloatArray:
+        time = np.arange(0, 20, 1 / 200)
+        since = time - 10.0025
+        bend = np.clip(since, -2, 2)
+        speed = acceleration * bend + np.sign(bend) * np.clip(np.abs(since) - 2, 0, None) / 8
+        motion = Motion(time, *(x[:, None] for x in (np.cumsum(speed) / 200, speed, np.gradient(speed, time))))
+        rows = Motion(*(x[::8] for x in (time, motion.position, motion.velocity, motion.acceleration)))
+        none = np.zeros((len(rows.time), 1))
+        valid, bands = np.ones(len(none), bool), Bands((8.0, 10.0), (12.0, 15.0))
+        run = Run("run", rows.time, rows, motion, motion, none, none, None, valid, bands, 25.0, 250.0)
+        (found,) = [columns for _, columns in stop_columns(run, 0)]
+        return found
+
+    assert doubts(0.5).shape[1] == 1
+    slow = doubts(0.005)
+    assert slow.shape[1] >= 6
+    np.testing.assert_allclose(slow.sum(axis=1).max(), 1.0, atol=0.2)
 
 
 def test_play_shows_in_the_difference_of_two_encoders(tmp_path: Path, kr90: Robot) -> None:

@@ -10,7 +10,7 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import Base, System, base_fit, stops_of, system_of
+from twin.diagnose.torque_fit import Base, System, base_fit, stops_of, system_of, with_presliding
 from twin.diagnose.torque_laws import RECORDING, log_suspects, model_torque, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
@@ -73,8 +73,9 @@ def diagnose_log(
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
         list(prepared.held_out), records, where, sites, [*smallest_visible(system, suspects), *_visible(found_plays)],
-        warnings=[*prepared.notes, *map(_restless, restless), *_told_apart(search)],
+        warnings=[*prepared.notes, *map(_restless, restless), *_told_apart(search), *_slips(search)],
         fit=after, finalists=_finalists(search, found_plays),
+        written=with_presliding(search.system, after.z, robot_after),
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
@@ -114,6 +115,30 @@ def _told_apart(search: Search) -> list[str]:
             notes.append(
                 f"{key} alone would gain {gain:.0f} in ln evidence, {names} together {together:.0f}; beside them it "
                 f"gains {max(beside, 0.0):.0f}: the log {'tells' if clear else 'does not tell'} them apart"
+            )
+    return notes
+
+
+def _slips(search: Search) -> list[str]:
+    """Of each joint where friction has a memory, how far low-speed friction would do in its place."""
+    notes = []
+    for step in search.found:
+        if step.first.hypothesis.effect != "hysteresis":
+            continue
+        site = step.first.hypothesis.site.partition(".")[0]
+        gains = {f.hypothesis.key: f.evidence() - step.base.evidence() for f in step.decision.ranked}
+        if (other := gains.get(f"stribeck_friction@{site}")) is not None:
+            tells = "tells" if step.gain - other > FURTHER else "does not tell"
+            notes.append(
+                f"slip with a memory at {site} gains {step.gain:.0f} in ln evidence, low-speed friction in its place "
+                f"{max(other, 0.0):.0f}: the log {tells} them apart"
+            )
+        dry = next((s for s in search.steps if s.key == f"coulomb_friction@{site}" and s.gain > FURTHER), None)
+        if dry is not None and not dry.accepted:
+            notes.append(f"{dry.key} was found first; slip, which is dry friction with a memory, took it in")
+        elif dry is not None and not possible(search.system, dry):
+            notes.append(
+                f"{dry.key} was found first; slip took it in, and holds more at rest than friction is in motion"
             )
     return notes
 

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 import scipy.fft
 import scipy.linalg
+from scipy.optimize import nnls
 from scipy.signal import lfilter
 
 from twin.diagnose.hypotheses import Hypothesis
@@ -56,6 +57,7 @@ RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: wh
 SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
 SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three
 TRIED, KEPT = 3, 0.7  # starts of a suspect that are evaluated, until one keeps so much of the gain it promised
+ALIKE = 1e-3  # of a gain, and rows of a delay: through a recording so much alike, columns are what they were
 NEAR = 0.01  # prior deviations: so far from where they were taken, slopes are what they were
 CONVERGED, EXACT = 0.02, 1e-5  # of ½ χ², and its share: less is no gain
 STEP = 0.02  # of a prior deviation, for differences
@@ -68,6 +70,7 @@ STANDSTILL_S = 0.12  # shorter is a reversal
 TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
 PRESLIDING, UNLIKE = 0.5, 0.004  # share of dry friction that does, per travel: common to all joints, and of one alone
+ELEMENTS, SLIGHT = 10, 1e-3  # of slip that presliding is written as, at most, and the share of dry friction worth one
 HELD = 0.1  # of dry friction that presliding holds through a standstill: doubt, how the axis crept to its rest
 UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero; a rotor's may be all of it
 
@@ -344,6 +347,7 @@ class System:
         widened: number in z → factor on the prior deviation its description gives it.
         slopes: of what was found, by name: numbers in prior deviations, and whitened slopes there.
         screened: whitened columns of the suspects' starts, which stay the same when something is found.
+        recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any.
         stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
     """
 
@@ -361,6 +365,7 @@ class System:
     screened: dict[str, Columns] = field(default_factory=dict)
     widened: dict[int, float] = field(default_factory=dict)
     slopes: dict[str, tuple[FloatArray, Columns]] = field(default_factory=dict)
+    recording: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def order(self) -> int:
@@ -530,8 +535,8 @@ def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, F
 
     About a stop or start boxes, each of a row, that together say nothing of it. At a reversal an impulse: the sign
     changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of their distance, and
-    by what an error of the speed makes of a slow reversal. With ``held``, the share of friction that may be held
-    through a standstill, one more for the time between stop and start.
+    by what an error of the speed makes of a slow reversal; boxes where that is longer than a row. With ``held``, the
+    share of friction that may be held through a standstill, one more for the time between stop and start.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
@@ -555,17 +560,20 @@ def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, F
         middle = sample // step
         end = rests.get(sample, sample)
         near = slice(max(0, middle - reach - RINGING), min(count - 1, end // step + reach + RINGING + ORDER))
-        boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * reach + (sample in rests) if stop else 1))
         here = sample - near.start * step
-        if stop:
-            for k in range(2 * reach):
-                first = here + (k - reach) * step
-                boxes[max(first, 0) : max(first + step, 0), k] = 1.0
-            if sample in rests:
-                boxes[max(here, 0) : end - near.start * step, -1] = held
-        elif 0 <= here < len(boxes):
+        late = CREEP_S
+        if not stop:
             drift = SPEED_ERROR * fastest / max(abs(run.dense.acceleration[sample, joint]), 1e-9)
-            boxes[here, 0] = 2 * dense_hz * np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(drift, CREEP_S))
+            late = float(np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(drift, CREEP_S)))
+        wide = max(1, int(np.ceil(late * run.rate_hz))) if stop or late * run.rate_hz > 1 else 0
+        boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * wide + (sample in rests) if wide else 1))
+        for k in range(2 * wide):
+            first = here + (k - wide) * step
+            boxes[max(first, 0) : max(first + step, 0), k] = 1.0
+        if sample in rests:
+            boxes[max(here, 0) : end - near.start * step, -1] = held
+        elif not wide and 0 <= here < len(boxes):
+            boxes[here, 0] = 2 * dense_hz * late
         columns = lowpass(boxes, dense_hz, *run.bands.fit)[::step]
         found.append((slice(near.start, near.stop + 1), columns))
     return found
@@ -591,10 +599,12 @@ def stops_of(run: Run, joint: int) -> list[int]:
 
 def refer(system: System, z: FloatArray) -> list[FloatArray]:
     """Let laws that act on other torques see the model at z: what was found adds (m, n) to the recorded torque."""
-    before = [(state.delay, *state.gain) for state in system.state]
     added = _refer(system, z, system.entries(z))
-    if before and before != [(state.delay, *state.gain) for state in system.state]:
-        system.screened, system.slopes = {}, {}
+    now = np.array([system.state[0].delay * system.base.runs[0].rate_hz, *system.state[0].gain])
+    if len(system.recording) and np.abs(now - system.recording).max() > ALIKE:
+        system.screened, system.slopes, system.recording = {}, {}, now
+    elif not len(system.recording):
+        system.recording = now
     return added
 
 
@@ -632,18 +642,23 @@ def extended(system: System, trial: "Trial") -> System:
     )
 
 
-def worth(system: System, suspect: Suspect) -> float:
-    """Evidence lost when something found is left out and all else is refitted, at once: no less than that after."""
+def without(system: System, suspect: Suspect) -> System:
+    """The same rows with something found left out, all else linear as it is until it is :func:`relinearised`."""
     at = system.own(suspect)
     column, slopes = _whitened(system, suspect, system.z[at])
-    shorter = replace(
+    return replace(
         system,
-        found=tuple(s for s in system.found if s is not suspect),
+        found=tuple(s for s in system.found if s.name != suspect.name),
         parameters=system.parameters.select(k for k in range(len(system.parameters)) if k not in at),
         A=system.A.without(at),
         y=system.y + system.full(column)[:, 0] - system.full(slopes) @ system.z[at],
+        slopes={name: kept for name, kept in system.slopes.items() if name != suspect.name},
     )
-    return base_fit(system).evidence() - base_fit(shorter).evidence()
+
+
+def worth(system: System, suspect: Suspect) -> float:
+    """Evidence lost when something found is left out and all else is refitted, at once: no less than that after."""
+    return base_fit(system).evidence() - base_fit(without(system, suspect)).evidence()
 
 
 def relinearised(system: System, iterations: int = 8) -> System:
@@ -711,11 +726,12 @@ def with_wider(system: System, hypothesis: Hypothesis) -> System:
     """The same rows with some numbers of the base model free beyond what the description allows."""
     names = system.parameters.names
     factors = {names.index(name): factor for name, factor in hypothesis.scale}
+    widened = {k: system.widened.get(k, 1.0) * factor for k, factor in factors.items()}
     return replace(
         system,
         A=system.A.scaled(factors),
         parameters=hypothesis.parameters(system.parameters),
-        widened={**system.widened, **factors},
+        widened={k: factor for k, factor in {**system.widened, **widened}.items() if abs(factor - 1) > 1e-9},
     )
 
 
@@ -756,6 +772,44 @@ def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Ro
     fitted = base.regressor.robot_with(values)
     added = [_rounded(entry, fitted) for entry in (*system.entries(z), *entries)]
     return fitted.model_copy(update={"physics": [*fitted.physics, *added]})
+
+
+def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
+    """The description at z with the fit's ordinary presliding as slip elements, which its Coulomb friction gives up.
+
+    After a reversal a bristle of travel t has turned round by 1 − exp(−x/t), an element of yield torque Y and
+    stiffness K by min(K x/(2 Y), 1): elements of all travels together turn as the fitted bristles do, in the least
+    squares of a logarithmic grid, none below zero (Masing's rule; Iwan, J. Appl. Mech. 33, 1966).
+    """
+    base = system.base
+    travels, first = base.presliding[0].shape[2], base.spread.shape[1]
+    z = system.plain(z)
+    alone = first + travels + base.regressor.robot.axis_count * base.ripple[0].shape[2]
+    physics = list(robot.physics)
+    for j in np.flatnonzero(base.sliding).tolist():
+        site = f"joint{j + 1}"
+        dry = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("coulomb_friction", site)), None)
+        if dry is None:
+            continue
+        own = z[alone + j * travels : alone + (j + 1) * travels]
+        share = base.sliding[j] * (PRESLIDING * z[first : first + travels] + UNLIKE * own)
+        scale = TRAVELS[base.regressor.robot.axes[j].type]
+        x = np.geomspace(scale[0] / 10, 10 * scale[-1], 80)
+        ends = np.geomspace(scale[0] / 3, 5 * scale[-1], ELEMENTS)
+        torque, _ = nnls(np.minimum(x[:, None] / ends, 1), (1 - np.exp(-x[:, None] / scale)) @ share)
+        coulomb = float(physics[dry].values["torque"])
+        torque *= min(1.0, coulomb / max(float(torque.sum()), 1e-300))
+        some = torque > SLIGHT * coulomb
+        if not some.any():
+            continue
+        left = {"torque": coulomb - float(torque[some].sum())}
+        physics[dry] = Entry.model_validate({"effect": "coulomb_friction", "site": site, **left})
+        slip = {"yield_torque": torque[some].tolist(), "stiffness": (2 * torque / ends)[some].tolist()}
+        at = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("hysteresis", f"{site}.z")), len(physics))
+        if at < len(physics):
+            slip = {name: [*physics[at].values[name], *items] for name, items in slip.items()}
+        physics[at : at + 1] = [Entry.model_validate({"effect": "hysteresis", "site": f"{site}.z", **slip})]
+    return robot.model_copy(update={"physics": physics})
 
 
 def _possible(vector: FloatArray) -> bool:

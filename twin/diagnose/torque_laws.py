@@ -376,7 +376,7 @@ _BUILDERS = {
     "payload": _payload,
     "hysteresis": _hysteresis,
     "viscous_friction": _one("coefficient", passive=True),
-    "coulomb_friction": _one("torque"),
+    "coulomb_friction": _one("torque", passive=True),
     "asymmetric_friction": _asymmetric,
     "stribeck_friction": _stribeck,
     "load_dependent_friction": _one("coefficient", passive=True),

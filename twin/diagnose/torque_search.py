@@ -37,6 +37,7 @@ from twin.diagnose.torque_fit import (
     start,
     unshrunk,
     with_wider,
+    without,
     worth,
 )
 from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns
@@ -58,6 +59,7 @@ SWITCH = 2.0  # ln evidence by which another must explain everything better to t
 DOUBTFUL = 10.0  # times that: less lost at once, and what was found is tried without again
 WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
+STRAINED = 25.0  # square of the description's departures per held direction, in tolerances: it allows too little
 HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
 UNLIKE_OTHERS = 10.0  # factor on how far presliding of a joint with a slip of its own may be from the others'
 LEAST_OTHER = 0.01  # probability that something has no name here, at least
@@ -67,9 +69,11 @@ REFINED = frozenset({"hysteresis", "stribeck_friction"})
 MOST = 0.5  # of their gain
 TRIED = 3  # answers of one look, where runs not used do not bear out the first
 ELEMENTS = 3  # of slip at a joint, at most
+BEYOND = 5.0  # deviations above zero of what an element yields at: other finds shift it, too
 TRAVELS = (0.1, 10.0)  # of a further element over that of the strongest there is
 EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
 SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
+SETTLED = 3  # steps of all numbers beside what is judged, which was refined before
 LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
 
 Progress = Callable[[str, int], Callable[[int], None]]
@@ -85,6 +89,7 @@ class Step:
         trials: of the ranked hypotheses, by key; a number of the base model has none.
         held: rise of the ln predictive density of the rows kept aside, with the first of the ranked.
         accepted: it goes into the model.
+        grown: its slip has as many elements as the rows bear.
     """
 
     system: System
@@ -93,6 +98,7 @@ class Step:
     trials: dict[str, Trial]
     held: float = 0.0
     accepted: bool = False
+    grown: bool = False
 
     @property
     def first(self) -> Fitted:
@@ -128,6 +134,26 @@ class Step:
     def gain(self) -> float:
         """Evidence of the first over the model before it."""
         return self.first.evidence() - self.base.evidence()
+
+    @property
+    def borne(self) -> float:
+        """The same with the description's tolerances as wide as they turn out beside the first.
+
+        Birge's ratio, of priors: where numbers stay far from their description, whatever is missing, it allows too
+        little, and what makes up for numbers held back, or relieves their tension, tells so much less.
+        """
+        described = np.arange(self.system.base.spread.shape[1])
+        held = float(np.sum(1 - np.diag(np.linalg.inv(self.first.information))[described]))
+        tension = float(np.sum(self.first.z[described] ** 2)) / max(held, 1.0)
+        if tension < STRAINED:
+            return self.gain
+        scale = tuple((self.system.parameters.names[k], float(np.sqrt(tension))) for k in described)
+        wide = with_wider(self.system, Hypothesis("parameter", "description", scale=scale))
+        if self.trial is None:
+            fit = base_fit(with_wider(wide, self.first.hypothesis), self.first.hypothesis)
+        else:
+            fit = fitted(wide, refine(wide, evaluate(wide, self.trial.suspect, self.trial.u), SETTLED))
+        return fit.evidence() - base_fit(wide).evidence()
 
 
 @dataclass
@@ -212,11 +238,10 @@ def explain(
             if _borne_out(beside, steps, judge):
                 steps.append(beside)
                 system = accepted(system, beside)
-        system = _pruned(plain, steps, system)
+        system = _all_grown(steps, _pruned(steps, system), judge)
     first = steps[0]
-    system = _pruned(plain, steps, _revised(plain, steps, system, suspects, judge))
-    for step in [s for s in steps if s.accepted and s.first.hypothesis.effect == "hysteresis"]:
-        system = _grown(plain, steps, step, system, judge)
+    system = _pruned(steps, _revised(steps, system, suspects, judge))
+    system = _all_grown(steps, system, judge)
     left = np.array([free_gain(system, j) for j in axes])
     search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
@@ -236,7 +261,7 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
     alone = [step for step in search.found if len(step.joints) == 1]
     for joint in sorted({step.joints[0] for step in alone}):
         names = [step for step in alone if step.joints == (joint,)]
-        rest = accepted(search.plain, *(s for s in search.found if s not in names))
+        rest = left_out(search.system, *names)
         discovered = discover(rest, joint, sum(len(s.first.hypothesis.own) for s in names))
         if discovered is None:
             continue
@@ -275,10 +300,11 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
         return False
     gained = sum(other.gain for other in earlier)
     needed = max(EXACT * gained, (FURTHER if earlier else FIRST) * max(1.0, step.misfit))
-    enough = step.gain > (min(needed, FIRST) if judge is not None else needed)
+    gain = step.borne
+    enough = gain > (min(needed, FIRST) if judge is not None else needed)
     if enough and judge is not None:  # what runs not used say counts as what those used do
         step.held, enough = judge.gain(step.system, step.first, step.trial)
-        enough = enough and step.gain + max(step.held, 0.0) > needed
+        enough = enough and gain + max(step.held, 0.0) > needed
     if not enough:
         step.decision = _nothing(step.decision)
     elif step.trial is not None:
@@ -307,9 +333,7 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
             system = accepted(system, found)
 
 
-def _revised(
-    plain: System, steps: list[Step], system: System, suspects: Sequence[Suspect], judge: "Judge | None"
-) -> System:
+def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judge: "Judge | None") -> System:
     """The model with each find put to its rivals once more, all other finds beside it.
 
     What was found first was the best of all without the others; where another now makes all rows, those kept aside
@@ -327,7 +351,7 @@ def _revised(
         rivals = [trial for key, trial in step.trials.items() if gains.get(key, 0.0) > MOST * step.gain]
         if not step.accepted or step.trial is None or len(rivals) < 2:
             continue
-        others = accepted(plain, *(s for s in steps if s.accepted and s is not step))
+        others = left_out(system, step)
         trials = {t.suspect.hypothesis.key: settle(others, _as_suspected(t, suspects)) for t in rivals}
         fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others, suspects)]
         again = _decided(others, trials, fits, suspects)
@@ -356,40 +380,74 @@ def accepted(system: System, *steps: Step) -> System:
 
 
 def _with(system: System, step: Step) -> System:
-    """The model with a step's first answer; where friction slips otherwise, it is like no other joint's."""
-    if step.trial is None:
-        return with_wider(system, step.first.hypothesis)
-    system = extended(system, step.trial)
-    if step.first.hypothesis.effect == "hysteresis":
-        own = tuple(f"ordinary_presliding@joint{j + 1}." for j in step.joints)
-        numbers = [(n, UNLIKE_OTHERS) for n in system.base.parameters.names if n.startswith(own)]
-        system = with_wider(system, Hypothesis("parameter", step.first.hypothesis.site, scale=tuple(numbers)))
+    """The model with a step's first answer."""
+    if step.trial is not None:
+        system = extended(system, step.trial)
+    return with_wider(system, _freed(system, step))
+
+
+def left_out(system: System, *steps: Step) -> System:
+    """The model without what steps brought into it, all else fitted again from where it is."""
+    for step in steps:
+        if step.trial is not None:
+            system = without(system, step.trial.suspect)
+        freed = _freed(system, step)
+        system = with_wider(system, replace(freed, scale=tuple((name, 1 / factor) for name, factor in freed.scale)))
+    return relinearised(system)
+
+
+def _freed(system: System, step: Step) -> Hypothesis:
+    """Numbers of the base model that a step's first answer frees; a joint whose friction slips is like no other."""
+    hypothesis = step.first.hypothesis
+    if hypothesis.effect != "hysteresis":
+        return Hypothesis("parameter", hypothesis.site, scale=hypothesis.scale)
+    own = tuple(f"ordinary_presliding@joint{j + 1}." for j in step.joints)
+    numbers = tuple((n, UNLIKE_OTHERS) for n in system.base.parameters.names if n.startswith(own))
+    return Hypothesis("parameter", hypothesis.site, scale=numbers)
+
+
+def _all_grown(steps: Sequence[Step], system: System, judge: "Judge | None") -> System:
+    """The model with slip of as many elements as the rows bear, before another law is sought for what one leaves."""
+    for step in steps:
+        if step.accepted and step.first.hypothesis.effect == "hysteresis" and not step.grown:
+            system, step.grown = _grown(step, system, judge), True
     return system
 
 
-def _grown(plain: System, steps: Sequence[Step], step: Step, system: System, judge: "Judge | None") -> System:
+def _grown(step: Step, system: System, judge: "Judge | None") -> System:
     """The model with as many slip elements at a joint as the rows bear: one stands for a first guess only."""
-    others = accepted(plain, *(s for s in steps if s.accepted and s is not step))
-    trial = step.trial
-    assert trial is not None
-    trial = evaluate(others, trial.suspect, trial.u)
+
+    def likely(model: System) -> tuple[float, float]:
+        fit = base_fit(model)
+        return fit.evidence(), judge.density(model, fit) if judge is not None else 0.0
+
+    others = left_out(system, step)
+    wide = with_wider(others, _freed(others, step))
+    before = likely(system)
     for _ in range(ELEMENTS - 1):
-        starts = [evaluate(others, *_with_element(trial, factor), slopes=False) for factor in TRAVELS]
+        trial = step.trials[step.key]
+        trial = replace(trial, u=system.z[system.own(trial.suspect)])
+        starts = [evaluate(wide, *_with_element(trial, factor), slopes=False) for factor in TRAVELS]
         best = max(starts, key=lambda t: t.gain)
-        more = refine(others, evaluate(others, best.suspect, best.u), 4)
-        before, after = (fitted(others, t) for t in (trial, more))
-        if after.evidence() - before.evidence() < max(FURTHER, EXACT * step.gain):
+        longer = replace(step, trials={step.key: refine(wide, evaluate(wide, best.suspect, best.u), 4)})
+        grown = accepted(others, longer)
+        after = likely(grown)
+        if after[0] - before[0] < max(FURTHER, EXACT * step.gain) or after[1] < before[1]:
             break
-        if judge is not None and judge.gain(others, after, more)[0] < judge.gain(others, before, trial)[0]:
+        if not _clear(grown, longer):
             break
-        longer = replace(step, trials={step.key: more})
-        if not possible(accepted(others, longer), longer):
-            break
-        trial = more
-    if trial.suspect is step.trial.suspect:  # type: ignore[union-attr]
-        return system
-    step.trials[step.key] = trial
-    return accepted(others, step)
+        step.trials[step.key] = longer.trials[step.key]
+        system, before = grown, after
+    return system
+
+
+def _clear(system: System, step: Step) -> bool:
+    """Whether what cannot be negative of something found is so beyond doubt."""
+    suspect = step.trials[step.key].suspect
+    at = system.own(suspect)
+    doubt = np.sqrt(np.diag(np.linalg.inv(system.information))[at]) * [p.deviation for p in suspect.hypothesis.own]
+    sizes = suspect.nonnegative & ~np.array([p.log for p in suspect.hypothesis.own])
+    return bool((own_values(suspect.hypothesis.own, system.z[at]) > BEYOND * doubt)[sizes].all())
 
 
 def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
@@ -410,12 +468,12 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
     return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
 
-def _pruned(plain: System, steps: Sequence[Step], system: System) -> System:
+def _pruned(steps: Sequence[Step], system: System) -> System:
     """The model without what later finds have made needless, least needed first; it is accepted no more."""
     while True:
         found = [s for s in steps if s.accepted]
         shorter = {
-            k: accepted(plain, *found[:k], *found[k + 1 :])
+            k: left_out(system, step)
             for k, step in enumerate(found[:-1])
             if step.trial is None
             or set(step.joints) & set(found[-1].joints)
@@ -602,6 +660,7 @@ class Judge:
         self.system = System(self.base, system.whitening, self.base.parameters, level=system.level, noise=system.noise)
         refer(self.system, np.zeros(len(self.base.parameters)))
         self.system.assemble()
+        self.before: tuple[System, tuple[FloatArray, float]] | None = None
 
     def rest(self, system: System, fit: Fitted) -> tuple[FloatArray, float]:
         """Whitened residual (N,) of a fit of a system's numbers, its own offsets estimated, and ln predictive density.
@@ -637,9 +696,11 @@ class Judge:
         if trial is not None:
             wide = extended(system, trial)
         if trial is not None and system.found:  # with what was found before where it is beside the new
-            wide = relinearised(wide)
+            wide = relinearised(wide, SETTLED)
             settled = base_fit(wide)
-        before, density = self.rest(system, base)
+        if self.before is None or self.before[0] is not system:  # several are put to one model
+            self.before = system, self.rest(system, base)
+        before, density = self.before[1]
         after, reached = self.rest(wide, settled)
         data = self.system.count * float(self.system.level.sum())
         rise, scale = reached - density, max(1.0, float(after @ after) / data)

@@ -99,6 +99,7 @@ class Finding:
         missing: empty unless something is named, ambiguous or located.
         none, other: probabilities that nothing, or something without a name here, is missing.
         given, base, robot: the description as it came, refitted, and with the answer.
+        written: ``robot`` with what the fit held for ordinary and the description has no number for, if anything.
         error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
         held_out: names of postures or runs not used.
         records: the recording beside the three models.
@@ -129,6 +130,7 @@ class Finding:
     warnings: list[str] = field(default_factory=list)
     fit: Fitted | None = None
     finalists: tuple[dict[str, Any], ...] = ()
+    written: Robot | None = None
 
 
 @dataclass
@@ -158,9 +160,8 @@ class Verdict:
     @classmethod
     def of(cls, finding: Finding) -> "Verdict":
         """The verdict of a single recording."""
-        return cls(
-            [finding], finding.word, finding.missing, finding.none, finding.other, finding.base, finding.robot
-        )  # fmt: skip
+        robot = finding.written or finding.robot
+        return cls([finding], finding.word, finding.missing, finding.none, finding.other, finding.base, robot)
 
     @property
     def error(self) -> dict[str, Any]:

@@ -49,14 +49,17 @@ class Hysteresis(Effect):
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         axis = axis_of(site)
-        stiffness, limit = np.array(values["stiffness"], float), np.array(values["yield_torque"], float)
         x = motion.position[:, axis]
-        direction = np.sign(np.diff(x))
-        turns = np.flatnonzero(direction[1:] * direction[:-1] < 1) + 1  # between two an element loads one way
-        element = np.zeros_like(stiffness)
+        step = np.diff(x)
+        moves = np.flatnonzero(step)
+        turns = moves[1:][step[moves[1:]] * step[moves[:-1]] < 0]  # between two an element loads one way
+        ends = np.concatenate([[0], turns, [len(x) - 1]])
+        segment = np.searchsorted(turns, np.arange(len(x)), side="left")
         total = np.zeros_like(x)
-        for first, last in zip([0, *turns], [*turns, len(x) - 1], strict=True):
-            loaded = np.clip(element + np.outer(x[first + 1 : last + 1] - x[first], stiffness), -limit, limit)
-            total[first + 1 : last + 1] = loaded.sum(axis=1)
-            element = loaded[-1] if len(loaded) else element
+        for stiffness, limit in zip(values["stiffness"], values["yield_torque"], strict=True):
+            element, loads = 0.0, [0.0]
+            for travel in (stiffness * np.diff(x[ends])).tolist():
+                element = min(max(element + travel, -limit), limit)
+                loads.append(element)
+            total += np.clip(np.array(loads)[segment] + stiffness * (x - x[ends[segment]]), -limit, limit)
         return {axis: total}
