@@ -24,7 +24,7 @@ HIGHEST_HZ = 10.0  # of a torque: above, the low-pass of any identification has 
 TRANSMISSION_RAD = 2e-5  # RMS: what a gear's own error leaves of the difference between two encoders
 REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
 EVERY = 5  # samples of a motion log, of which one is taken
-SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which the smallest visible one is sought
+SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which one is sought that shows
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
 
 Signal = Callable[[Truth], Array]
@@ -53,7 +53,7 @@ def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: 
     """The effect at so many times its smallest visible size on the recording of `truth`, which is without it.
 
     Raises:
-        ValueError: the recording shows no size of it, or less of that multiple than of the smallest.
+        ValueError: the recording shows no usual size of it, or less of that multiple than of the smallest.
     """
     base = signal(truth)
 
@@ -75,7 +75,10 @@ def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: 
     left = float(np.sum((whole - Q @ (Q.T @ whole)) ** 2))
     if not left > 0:
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
-    return scaled(effect, np.sqrt(2 * SEEN / left) * multiple)
+    factor = float(np.sqrt(2 * SEEN / left) * multiple)
+    if factor > LARGEST_FACTOR:  # as a gap in a joint whose load never changes sign
+        raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows at a usual size")
+    return scaled(effect, factor)
 
 
 def overlap(first: Effect, second: Effect, truth: Truth, signal: Signal) -> float:
