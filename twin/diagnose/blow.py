@@ -4,7 +4,8 @@ The robot is linear but for one torque g(φ) at joint coordinate j, so that its 
 
     H(s) = H_lin(s) − G_j(s) T(s)/F(s),    T the transform of g along the decay,
 
-with G_j the linear response to a torque at j: only g needs stepping. Between samples g is taken as linear in time; what
+with G_j the linear response to a torque at j: only g needs stepping, less its tangent at rest, which belongs to the
+linear part there. Over a step g is taken as linear in time (:meth:`Law.line`); what
 the modes of the linear part make of it, and of the force's half sine, is exact; φ at the end of a step depends on g
 there, which two fixed-point iterations settle (g changes φ within a step by ω²h²/6 of itself at most).
 """
@@ -18,8 +19,9 @@ import numpy as np
 from twin.diagnose.joint_laws import Law
 from twin.identify.sensitivity import Observed
 from twin.measure.campaign import ComplexArray, FloatArray
+from twin.model.linear import state_matrix
 
-RATE_HZ = 1024.0
+RATE_HZ, COARSE_HZ = 1024.0, 512.0  # of stepping: what it leaves of a smooth law is 1e-4, 5e-4 of an FRF
 FARTHEST = 0.01  # rad (m): no blow deflects a joint further
 COLUMNS = 1200  # stepped together: more no longer fit in the cache
 
@@ -42,6 +44,11 @@ class Strike:
     pulse_s: float
     sizes: FloatArray
 
+    def tangent(self, law: Law) -> float:
+        """What the law adds to the spring for small motions about rest, N·m/rad (N/m)."""
+        k, load, sizes = np.array([self.k]), np.array([self.load]), self.sizes[:, None]
+        return float(law.tangent(law.rest(k, load, sizes), sizes)[0])
+
 
 def pulse_transform(s: ComplexArray, pulse_s: float) -> ComplexArray:
     """Laplace transform (nf,) of a half sine of height 1 and length ``pulse_s``."""
@@ -50,11 +57,11 @@ def pulse_transform(s: ComplexArray, pulse_s: float) -> ComplexArray:
     return np.asarray(omega * (1 + np.exp(-s * pulse_s)) / (s**2 + omega**2))
 
 
-def _drive(pole: ComplexArray, pulse_s: float) -> ComplexArray:
+def _drive(pole: ComplexArray, pulse_s: float, rate_hz: float = RATE_HZ) -> ComplexArray:
     """What a half sine of height 1 adds to modes over each step of its length, (steps, m): ∫ e^{λ(h−t)} sin πt/T dt."""
     omega = np.pi / pulse_s
-    start = np.arange(int(np.ceil(pulse_s * RATE_HZ)))[:, None] / RATE_HZ
-    end = start + 1 / RATE_HZ
+    start = np.arange(int(np.ceil(pulse_s * rate_hz)))[:, None] / rate_hz
+    end = start + 1 / rate_hz
 
     def primitive(t: FloatArray) -> ComplexArray:
         wave = pole * np.sin(omega * t) + omega * np.cos(omega * t)
@@ -63,55 +70,59 @@ def _drive(pole: ComplexArray, pulse_s: float) -> ComplexArray:
     return primitive(np.minimum(end, pulse_s)) - primitive(start)
 
 
-def transform(s: ComplexArray, samples: int) -> ComplexArray:
+def transform(s: ComplexArray, samples: int, rate_hz: float = RATE_HZ) -> ComplexArray:
     """(nf, samples): takes samples to the transform of the broken line through them."""
-    return _transform(s.tobytes(), samples)
+    return _transform(s.tobytes(), samples, rate_hz)
 
 
 @lru_cache(maxsize=4)
-def _transform(line: bytes, samples: int) -> ComplexArray:
+def _transform(line: bytes, samples: int, rate_hz: float) -> ComplexArray:
     s = np.frombuffer(line, complex)
-    half = s / (2 * RATE_HZ)
-    hold = (np.sinh(half) / half) ** 2 / RATE_HZ
-    return np.asarray(hold[:, None] * np.exp(-s[:, None] * (np.arange(samples) / RATE_HZ)))
+    half = s / (2 * rate_hz)
+    hold = (np.sinh(half) / half) ** 2 / rate_hz
+    return np.asarray(hold[:, None] * np.exp(-s[:, None] * (np.arange(samples) / rate_hz)))
 
 
-def torques(strikes: Sequence[Strike], law: Law, samples: int) -> list[tuple[FloatArray, FloatArray]]:
-    """What the law adds after every blow: g (samples, ne) in N·m about its value at rest, and the largest
+def torques(
+    strikes: Sequence[Strike], law: Law, length_s: float, rate_hz: float = RATE_HZ
+) -> list[tuple[FloatArray, FloatArray]]:
+    """What the law adds after every blow: g (samples, ne) in N·m about its value and tangent at rest, and the largest
     deflection (ne,) of the joint from rest."""
     width = max(1, COLUMNS // max(strike.seen.J_e.shape[0] for strike in strikes))
     found: list[tuple[FloatArray, FloatArray]] = []
     for start in range(0, len(strikes), width):
-        found += _torques(strikes[start : start + width], law, samples)
+        found += _torques(strikes[start : start + width], law, round(length_s * rate_hz), rate_hz)
     return found
 
 
-def _torques(strikes: Sequence[Strike], law: Law, samples: int) -> list[tuple[FloatArray, FloatArray]]:
-    parts = _modal(strikes)
+def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) -> list[tuple[FloatArray, FloatArray]]:
+    slopes = [strike.tangent(law) for strike in strikes]
+    parts = _modal(strikes, slopes, rate_hz)
     blows = [strike.seen.J_e.shape[0] for strike in strikes]
     modes = max(len(part.fade) for part in parts)
     total = sum(blows)
-    fade, read, kick = (np.zeros((modes, total), complex) for _ in range(3))
-    own, k, load = np.empty(total), np.empty(total), np.empty(total)
+    fade, read, kick, early, late = (np.zeros((modes, total), complex) for _ in range(5))
+    own, k, load, tangent = (np.empty(total) for _ in range(4))
     sizes = np.empty((len(law.names), total))
-    driven = max(int(np.ceil(strike.pulse_s * RATE_HZ)) for strike in strikes)
+    driven = max(int(np.ceil(strike.pulse_s * rate_hz)) for strike in strikes)
     push = np.zeros((driven, modes, total), complex)
     at = 0
-    for strike, part, count in zip(strikes, parts, blows, strict=True):
+    for strike, part, slope, count in zip(strikes, parts, slopes, blows, strict=True):
         span, m = slice(at, at + count), len(part.fade)
         fade[:m, span], read[:m, span] = part.fade[:, None], part.read[:, None]
+        early[:m, span], late[:m, span] = part.early_g[:, None], part.late_g[:, None]
         kick[:m, span] = (part.fade * part.late_g + part.early_g)[:, None]
-        drive = strike.peak_n * _drive(part.pole, strike.pulse_s)
+        drive = strike.peak_n * _drive(part.pole, strike.pulse_s, rate_hz)
         push[: len(drive), :m, span] = drive[:, :, None] * part.into
         own[span] = float((part.read * part.late_g).sum().real)
-        k[span], load[span], sizes[:, span] = strike.k, strike.load, strike.sizes[:, None]
+        k[span], load[span], tangent[span], sizes[:, span] = strike.k, strike.load, slope, strike.sizes[:, None]
         at += count
     rest = law.rest(k, load, sizes)
     state = law.state(total)
     if len(state):
         state[-1] = rest
     offset, state = law.torque(rest, k, sizes, state)
-    z, g = np.zeros((modes, total), complex), np.zeros(total)
+    z, x, g = np.zeros((modes, total), complex), np.zeros(total), np.zeros(total)
     out, largest = np.zeros((samples, total)), np.zeros(total)
     for step in range(1, samples):
         z *= fade
@@ -119,11 +130,19 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int) -> list[tuple[Fl
         if step <= driven:
             z += push[step - 1]
         free = np.einsum("mc,mc->c", read, z).real
-        g = law.torque(rest + _bounded(free + own * g), k, sizes, state)[0] - offset
+        left, was = x, g
         x = _bounded(free + own * g)
-        g, state = law.torque(rest + x, k, sizes, state)
-        g = g - offset
-        out[step] = g
+        g = law.torque(rest + x, k, sizes, state)[0] - offset - tangent * x
+        x = _bounded(free + own * g)
+        torque, state = law.torque(rest + x, k, sizes, state)
+        g = torque - offset - tangent * x
+        out[step] += g
+        bent = law.line((rest + left, rest + x), (was + offset, torque), k, sizes)
+        if bent is not None:
+            across, start, end = bent
+            z[:, across] += early[:, across] * start + late[:, across] * end
+            out[step - 1, across] += start / 3 + end / 6
+            out[step, across] += start / 6 + end / 3
         np.maximum(largest, np.abs(x), out=largest)
     edges = np.cumsum(blows)[:-1]
     return list(zip(np.split(out, edges, axis=1), np.split(largest, edges), strict=True))
@@ -147,27 +166,27 @@ class _Modal:
     into: ComplexArray
 
 
-def _modal(strikes: Sequence[Strike]) -> list[_Modal]:
-    known: dict[tuple[int, int], _Modal] = {}
-    for strike in strikes:
-        key = id(strike.seen), strike.joint
+def _modal(strikes: Sequence[Strike], tangents: Sequence[float], rate_hz: float) -> list[_Modal]:
+    known: dict[tuple[int, int, float], _Modal] = {}
+    keys = [(id(strike.seen), strike.joint, slope) for strike, slope in zip(strikes, tangents, strict=True)]
+    for key, strike in zip(keys, strikes, strict=True):
         if key not in known:
-            known[key] = _modes(strike.seen, strike.joint)
-    return [known[id(strike.seen), strike.joint] for strike in strikes]
+            known[key] = _modes(strike.seen, strike.joint, key[-1], rate_hz)
+    return [known[key] for key in keys]
 
 
-def _modes(seen: Observed, joint: int) -> _Modal:
+def _modes(seen: Observed, joint: int, tangent: float, rate_hz: float) -> _Modal:
     nv = len(seen.M)
     lossy = bool(seen.loss.any())  # of conjugate poles only the one above the real axis is then the robot's
-    K = seen.K + 1j * seen.loss if lossy else seen.K
-    into = np.linalg.solve(seen.M, np.column_stack([-np.eye(nv)[joint], seen.J_e.T]))
-    A = np.block([[np.zeros((nv, nv)), np.eye(nv)], [-np.linalg.solve(seen.M, np.hstack([K, seen.C]))]])
-    pole, vector = np.linalg.eig(A)
-    inputs = np.linalg.solve(vector, np.vstack([np.zeros_like(into), into]).astype(complex))
+    K = seen.K + tangent * np.diag(np.eye(nv)[joint])
+    pole, vector = np.linalg.eig(state_matrix(seen.M, seen.C, K, seen.loss, seen.integral))
+    into = np.zeros((len(pole), 1 + len(seen.J_e)), complex)
+    into[nv : 2 * nv] = np.linalg.solve(seen.M, np.column_stack([-np.eye(nv)[joint], seen.J_e.T]))
+    inputs = np.linalg.solve(vector, into)
     keep = np.flatnonzero(pole.imag > 0 if lossy else pole.imag >= 0)  # the conjugates give twice the real part
     pole, inputs = pole[keep], inputs[keep]
     read = vector[joint, keep] * np.where(pole.imag > 0, 2.0, 1.0)
-    w = pole / RATE_HZ
+    w = pole / rate_hz
     fade = np.exp(w)
     late = (fade - 1 - w) / (w * pole)  # ∫ e^{λ(h−t)} t/h dt
     early = (fade - 1) / pole - late

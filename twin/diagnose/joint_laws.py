@@ -8,6 +8,7 @@ relaxed at rest.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.identify.parameters import Parameter
 from twin.measure.campaign import FloatArray
@@ -51,6 +52,10 @@ class Law:
         """φ (c,) at which spring (c,) and law (m, c) carry a load (c,)."""
         return load / k
 
+    def tangent(self, rest: FloatArray, sizes: FloatArray) -> FloatArray:
+        """What the law adds to the spring (c,) for small motions about rest (c,), where that is most of it."""
+        return np.zeros_like(rest)
+
     def state(self, blows: int) -> FloatArray:
         """Memory at rest."""
         return np.zeros((0, blows))
@@ -60,6 +65,13 @@ class Law:
     ) -> tuple[FloatArray, FloatArray]:
         """Torque (c,) beside k φ when φ becomes x (c,), and the new memory."""
         raise NotImplementedError
+
+    def line(
+        self, x: tuple[FloatArray, FloatArray], g: tuple[FloatArray, FloatArray], k: FloatArray, sizes: FloatArray
+    ) -> tuple[NDArray[np.intp], FloatArray, FloatArray] | None:
+        """Which blows go over a kink in a step from x[0] to x[1], torques g there, and what is then added to the start
+        and the end of the torque's line in time; ``None`` for a law that is smooth over a step."""
+        return None
 
     def at(self, amplitude: float) -> "Law":
         """The law as it is sought where blows deflect the joint by ``amplitude``."""
@@ -79,13 +91,16 @@ class Cubic(Law):
         """Newton's method from the linear deflection, which lies beyond the root."""
         x = load / k
         for _ in range(20):
-            x = x - (k * x + sizes[0] * x**3 - load) / (k + 3 * sizes[0] * x**2)
+            x = x - (k * x + sizes[0] * x * x * x - load) / (k + 3 * sizes[0] * x * x)
         return x
+
+    def tangent(self, rest: FloatArray, sizes: FloatArray) -> FloatArray:
+        return np.asarray(3 * sizes[0] * rest * rest)
 
     def torque(
         self, x: FloatArray, k: FloatArray, sizes: FloatArray, state: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        return sizes[0] * x**3, state
+        return sizes[0] * x * x * x, state
 
     def usual(self, k: float) -> FloatArray:
         return np.array([0.1 * k / USUAL_DEFLECTION**2])
@@ -109,11 +124,31 @@ class Gap(Law):
         half = 0.5 * sizes[0]
         return -k * np.minimum(np.maximum(x, -half), half), state
 
+    def line(
+        self, x: tuple[FloatArray, FloatArray], g: tuple[FloatArray, FloatArray], k: FloatArray, sizes: FloatArray
+    ) -> tuple[NDArray[np.intp], FloatArray, FloatArray] | None:
+        """A step may cross the whole gap: the line gets the mean of the torque over the way, and its first moment."""
+        half = 0.5 * sizes[0]
+        across = np.flatnonzero(((x[0] > half) != (x[1] > half)) | ((x[0] < -half) != (x[1] < -half)))
+        if not len(across):
+            return None
+        half, k, start, end = half[across], k[across], x[0][across], x[1][across]
+        (V, W), (V1, W1), way = _primitives(start, half), _primitives(end, half), end - start
+        mean = (V1 - V) / way
+        moment = (V1 - (W1 - W) / way) / way
+        return across, -k * (4 * mean - 6 * moment) - g[0][across], -k * (6 * moment - 2 * mean) - g[1][across]
+
     def usual(self, k: float) -> FloatArray:
         return np.array([USUAL_DEFLECTION])
 
     def sizes(self, k: float, amplitude: float) -> FloatArray:
         return (amplitude * np.geomspace(1e-3, 3.0, 14))[:, None]
+
+
+def _primitives(x: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """First and second integral (c,) of clip(x, ±half)."""
+    c = np.minimum(np.maximum(x, -half), half)
+    return c * (x - c / 2), c * (x * x / 2 - c * x / 2 + c * c / 6)
 
 
 @dataclass(frozen=True)

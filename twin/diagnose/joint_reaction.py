@@ -25,6 +25,7 @@ OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc
 SETTLING = 6  # iterations of a blow's own stiffness
 DIFFERENCE, TOLD = 0.02, 0.3  # differences of stepped blows: prior deviations at most, RMS change in units of noise
 HEAVIER, WEIGHED = 0.01, 0.1  # share of a joint's load, and prior deviations, of differences that tell what load does
+AHEAD = 0.1  # of a step: where its bend is looked at
 LARGEST_STEP = 2.0  # prior deviations
 
 
@@ -54,6 +55,11 @@ class Cost:
             else:
                 weight = 1 / np.sqrt(r.variance + self.temper**2 * size)
             self.weight.append(np.sqrt(self.sample.repeat) * weight)
+
+    @property
+    def free(self) -> Parameters:
+        """The parameters that z stands for."""
+        return self.parameters
 
     @property
     def data(self) -> float:
@@ -124,14 +130,14 @@ def minimise(
 
 @dataclass(frozen=True)
 class Blow:
-    """How one group of a campaign was hit: peak N, length of the half sine s, samples of the decay.
+    """How one group of a campaign was hit: peak N, length of the half sine s, and of the decay s.
 
     ``known``: raw hits tell the length.
     """
 
     peak_n: float
     pulse_s: float
-    samples: int
+    length_s: float
     known: bool = False
 
 
@@ -144,9 +150,7 @@ def blows(campaign: Campaign) -> dict[str, Blow] | None:
         length = 1 / float(np.median(np.diff(posture.frequency)))
         if posture.exponential_window_rate > 0:
             length = min(length, FADED / posture.exponential_window_rate)
-        found[name] = Blow(
-            posture.peak_force_n, _pulse_length(posture), round(length * RATE_HZ), posture.hits is not None
-        )
+        found[name] = Blow(posture.peak_force_n, _pulse_length(posture), length, posture.hits is not None)
     return found
 
 
@@ -328,16 +332,17 @@ class Stepped(Cost):
     of the usual length until they are written into an entry. With ``fixed`` sizes (m,) the parameters hold none.
 
     Derivatives are those with the law held (:mod:`twin.diagnose.held_law`) and, for what it is sensitive to, what
-    differences of stepped blows say beside them: for its own numbers, the joint's spring and damper, the load on it;
-    if ``thorough``, for all springs and entries.
+    differences of stepped blows say beside them: for its own numbers, the joint's spring and damper, the load on it.
+    ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording.
     """
 
     law: Law = LAWS[0]
     site: str = ""
     blow: dict[str, Blow] = field(default_factory=dict)
     fixed: FloatArray | None = None
-    thorough: bool = False
+    rate_hz: float = RATE_HZ
     step: FloatArray = field(init=False)
+    rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -363,6 +368,7 @@ class Stepped(Cost):
         postures, reactions = self._stepped([z, *moved, z], heavier=HEAVIER)
         joints = _Postures(self.robot, self.base, self.site, z[:n], True)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
+        self.rows.clear()
         for k, (r, w) in enumerate(zip(self.sample.recordings, self.weight, strict=True)):
             joint, R = joints.of(r), reactions[0][k]
             H = joint.view.reacting(R)
@@ -382,15 +388,25 @@ class Stepped(Cost):
             J = (dH * factor).reshape(len(z), -1).view(float)
             gradient += J @ np.ascontiguousarray(pull).reshape(-1).view(float)
             information += J @ J.T
+            if not self.logarithmic:
+                self.rows.append((np.ascontiguousarray(e).reshape(-1).view(float), J))
         self.step = np.minimum(DIFFERENCE, TOLD * np.sqrt(self.data / np.diag(information)))
         return cost, gradient, information
 
+    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
+        """Gᵀ ∂²e/∂step² (n,) of the linear residual e at z, where this was called last; ``None`` if it is not known."""
+        if not self.rows:
+            return None
+        total = np.zeros(len(z))
+        ahead = self.predicted(z + AHEAD * step)
+        for r, H, w, (e, G) in zip(self.sample.recordings, ahead, self.weight, self.rows, strict=True):
+            there = np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float)
+            total += G @ (2 / AHEAD * ((there - e) / AHEAD - step @ G))
+        return total if np.isfinite(total).all() else None
+
     def _stepped_for(self) -> list[int]:
         """Coordinates that blows are stepped for."""
-        springs = [
-            k for k, p in enumerate(self.base)
-            if p.site == self.site or (self.thorough and p.kind in ("spring", "entry"))
-        ]  # fmt: skip
+        springs = [k for k, p in enumerate(self.base) if p.site == self.site]
         return springs + list(range(len(self.base), len(self.parameters)))
 
     def held(self, z: FloatArray) -> list[UnderLaw]:
@@ -421,7 +437,7 @@ class Stepped(Cost):
         postures = _Postures(self.robot, self.base, self.site, z[:n], False)
         strikes = self._strikes(postures, np.full(len(self.law.names), 1e-9))
         with np.errstate(over="ignore", invalid="ignore"):
-            stepped = torques(strikes, self.law, round(0.5 * RATE_HZ))
+            stepped = torques(strikes, self.law, 0.5, self.rate_hz)
         return float(np.quantile(np.concatenate([largest for _, largest in stepped]), 0.9))
 
     def equivalents(self, z: FloatArray, sizes: Sequence[FloatArray]) -> list[list[FloatArray]]:
@@ -429,18 +445,18 @@ class Stepped(Cost):
         n = len(self.base)
         postures = _Postures(self.robot, self.base, self.site, z[:n], False)
         strikes = [strike for size in sizes for strike in self._strikes(postures, size)]
-        stepped = iter(torques(strikes, self.law, self._samples))
+        stepped = iter(torques(strikes, self.law, self._length_s, self.rate_hz))
         return [
             [
-                _equivalent(postures.of(r).view, r.s, _reaction(r, strike, next(stepped)[0]))
+                _equivalent(postures.of(r).view, r.s, self._reaction(postures.of(r).view, r, strike, next(stepped)[0]))
                 for r, strike in zip(self.sample.recordings, strikes, strict=False)
             ]
             for _ in sizes
         ]
 
     @property
-    def _samples(self) -> int:
-        return max(self.blow[r.group].samples for r in self.sample.recordings)
+    def _length_s(self) -> float:
+        return max(self.blow[r.group].length_s for r in self.sample.recordings)
 
     def _strikes(self, postures: _Postures, sizes: FloatArray, longer: float = 1.0) -> list[Strike]:
         """Blows ``longer`` times as long as usual: their momentum scaled back, the weight counts less beside them."""
@@ -459,12 +475,21 @@ class Stepped(Cost):
         postures = [_Postures(self.robot, self.base, self.site, z[:n], False) for z in points]
         strikes = [self._strikes(some, *self.own(z)) for some, z in zip(postures, points, strict=True)]
         strikes[-1] = [replace(strike, load=(1 + heavier) * strike.load) for strike in strikes[-1]]
-        stepped = iter(torques([strike for some in strikes for strike in some], self.law, self._samples))
+        stepped = iter(torques([strike for some in strikes for strike in some], self.law, self._length_s, self.rate_hz))
         reactions = [
-            [_reaction(r, strike, next(stepped)[0]) for r, strike in zip(self.sample.recordings, some, strict=True)]
-            for some in strikes
+            [
+                self._reaction(at.of(r).view, r, strike, next(stepped)[0])
+                for r, strike in zip(self.sample.recordings, some, strict=True)
+            ]
+            for at, some in zip(postures, strikes, strict=True)
         ]
         return postures, reactions
+
+    def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray) -> ComplexArray:
+        """The law's torque per force of the blow, T/F (nf, ne): of its tangent at rest, and the stepped g beside it."""
+        force = strike.peak_n * pulse_transform(r.s, strike.pulse_s)
+        beside = (transform(r.s, len(g), self.rate_hz) @ g) / force[:, None]
+        return view.reaction(np.full(beside.shape, strike.tangent(self.law), complex), beside)
 
     def predicted_at(self, points: Sequence[FloatArray]) -> list[list[ComplexArray]]:
         """The same at several z, stepped side by side."""
@@ -473,12 +498,6 @@ class Stepped(Cost):
             [some.of(r).view.reacting(R) for r, R in zip(self.sample.recordings, own, strict=True)]
             for some, own in zip(postures, reactions, strict=True)
         ]
-
-
-def _reaction(r: Recorded, strike: Strike, g: FloatArray) -> ComplexArray:
-    """The law's torque per force of the blow, T/F (nf, ne)."""
-    force = strike.peak_n * pulse_transform(r.s, strike.pulse_s)
-    return np.asarray((transform(r.s, len(g)) @ g) / force[:, None])
 
 
 def _equivalent(view: Receptances, s: ComplexArray, reaction: ComplexArray) -> FloatArray:

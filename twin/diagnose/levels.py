@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnose.blow import RATE_HZ
+from twin.diagnose import refit
+from twin.diagnose.blow import COARSE_HZ, RATE_HZ
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.joint_laws import LAWS, Law
@@ -43,8 +44,8 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, SETTLING, LINEAR = 8, 10, 4, 8, 3, 15  # iterations
-TURNS = 2
+LOCATING, ROUGH, RACING, LAST, SETTLING, FINE, LINEAR = 8, 10, 4, 8, 30, 4, 15  # iterations
+COARSE_GAIN, FINE_GAIN = 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def view(robot: Robot, base: Parameters, z: FloatArray, sample: Sample, blow: di
     shorter = {}
     for r in sample.recordings:
         length = FADED / (window + float(r.s[0].real))
-        shorter[r.group] = replace(blow[r.group], samples=min(blow[r.group].samples, round(length * RATE_HZ)))
+        shorter[r.group] = replace(blow[r.group], length_s=min(blow[r.group].length_s, length))
     return View(window, Sample(tuple(shown)), shorter)
 
 
@@ -177,10 +178,10 @@ def explain_levels(
     best = _at(trials, places)
     data = _tempered(seen.telling(best, BLOWS)[0], temper)
     objectives = [replace(objective, sample=data) for objective, _, _ in trials]
-    fits = [fit_law(objective, *trial[1:], LAST) for objective, trial in zip(objectives, trials, strict=True)]
+    fits = [fit_law(objective, *trial[1:], LAST, 0) for objective, trial in zip(objectives, trials, strict=True)]
     least = min(fit.cost for fit in fits)
     fits = [
-        settled(objective, fit) if fit.cost < NEAR * least else fit
+        fit_law(objective, fit.hypothesis, fit.z) if fit.cost < NEAR * least else fit
         for objective, fit in zip(objectives, fits, strict=True)
     ]
     order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
@@ -321,7 +322,8 @@ def with_law(
         own += (Parameter(f"{key}.pulse", "s", "entry", True, PULSE_S, PULSE_SPREAD, "a rubber tip"),)
     hypothesis = together(beside, Hypothesis(law.effect, site, (entry,), own))
     parameters = hypothesis.parameters(base.parameters)
-    return Stepped(beside.robot(robot), parameters, sample, law=law, site=site, blow=blow), hypothesis
+    stepped = Stepped(beside.robot(robot), parameters, sample, law=law, site=site, blow=blow, rate_hz=COARSE_HZ)
+    return stepped, hypothesis
 
 
 def _race(
@@ -370,9 +372,12 @@ def _tempered(sample: Sample, temper: float) -> Sample:
     return Sample(tuple(shown), sample.repeat)
 
 
-def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray, iterations: int) -> Fitted:
-    """Fit a law from z."""
-    z, cost, information, converged = minimise(objective, z, iterations, 0.3)
+def fit_law(
+    objective: Stepped, hypothesis: Hypothesis, z: FloatArray, coarse: int = SETTLING, fine: int = FINE
+) -> Fitted:
+    """Fit a law from z: coarsely stepped, then finely."""
+    z, *_ = refit.minimise(replace(objective, rate_hz=COARSE_HZ), z, coarse, COARSE_GAIN)
+    z, cost, information, converged = refit.minimise(replace(objective, rate_hz=RATE_HZ), z, fine, FINE_GAIN)
     parameters, n = objective.parameters, len(objective.base)
     values, data = parameters.values(z), objective.data
     law = hypothesis.pieces[-1]
@@ -383,18 +388,6 @@ def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray, iteration
         hypothesis, parameters, z, values, robot, cost, (2 * cost - float(z @ z)) / max(data, 1), information, data,
         converged,
     )  # fmt: skip
-
-
-def settled(objective: Stepped, fit: Fitted) -> Fitted:
-    """A law fitted to the end: by turns the linear model with the law held, and all with the law stepped."""
-    n, thorough = len(objective.base), replace(objective, thorough=True)
-    for _ in range(TURNS):
-        held = Sample(tuple(objective.held(fit.z)), objective.sample.repeat)
-        linear = descend(objective.robot, NONE, objective.base, held, fit.z[:n], tempered=0, linear=LINEAR)
-        z = np.concatenate([linear.z, fit.z[n:]])
-        start = z if objective.cost(z) < fit.cost else fit.z
-        fit = fit_law(thorough, fit.hypothesis, start, SETTLING)
-    return fit
 
 
 def _likeness(

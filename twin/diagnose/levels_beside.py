@@ -13,17 +13,18 @@ import numpy as np
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_reaction import Stepped
-from twin.diagnose.levels import LINEAR, Levels, fit_law, settled, with_law
+from twin.diagnose.levels import LINEAR, Levels, fit_law, with_law
 from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
-from twin.diagnose.search import REFIT_LINES, Progress, Search, one_more
+from twin.diagnose.search import REFIT_LINES, SLIGHT, WORTH, Progress, Search, one_more
 from twin.robot.description import Robot
 
 LINES = 100  # of every recording
 FINALISTS = 3  # fitted again with the law stepped
 PROMISING = 0.8  # of the best one's gain
+ROUNDS = 2  # the search again where the law itself had further to go
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,13 @@ class Beside:
     """What linear physics is missing beside a law.
 
     Attributes:
-        decision: between the law alone and with something beside it, the law held.
-        alone: the law alone there.
+        law: the law alone, fitted again from where it ended beside something else.
+        decision: between it and with something beside it, the law held; ``None`` where nothing would be gained.
         fits: per ranked hypothesis, it and the law with the law stepped; ``objectives`` what predicts with them.
     """
 
-    decision: Decision
-    alone: Fitted
+    law: Fitted
+    decision: Decision | None
     fits: list[Fitted]
     objectives: list[Stepped]
 
@@ -48,21 +49,71 @@ def explain_beside(
     levels: Levels,
     suspects: Sequence[Sequence[Hypothesis]],
     progress: Progress | None = None,
-) -> Beside | None:
+) -> Beside:
     """Linear physics beside the law that force levels show best.
 
     Args:
         robot: the description, without limits; ``base`` its optimum without the law.
         levels: what they say.
         suspects: what else may be missing.
-
-    Returns:
-        ``None`` where nothing would be gained.
     """
     law, stepped = levels.fits[0], levels.objectives[0]
     n = len(base.parameters)
+    for _ in range(ROUNDS):
+        found = _found(robot, base, levels, law, suspects, progress)
+        if not found:
+            return Beside(law, None, [], [])
+        first, objective = _both(robot, base, stepped, law, found[0])
+        # from where the richer ended: a law that had not converged is no discovery
+        simpler = fit_law(stepped, law.hypothesis, np.concatenate([first.z[:n], first.z[len(found[0].z) :]]))
+        moved = simpler.cost < law.cost - SLIGHT
+        law = simpler if moved else law
+        worth = first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
+        if worth or not moved:
+            break
+    if not worth:
+        return Beside(law, None, [], [])
+    both = [(found[0], first, objective)]
+    both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1:FINALISTS]]
     lines = levels.whole.thin(LINES)
     whole = _held(stepped, law, lines, levels)
+    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR)
+    again: list[tuple[Fitted, Fitted, Stepped, Sample]] = []
+    for fit, stepping, objective in both:
+        own = _held(objective, stepping, lines, levels)
+        z = stepping.z[: len(fit.z)]
+        linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR)
+        again.append((linear, stepping, objective, own))
+    by_fit = {id(linear): own for linear, _, _, own in again}
+    decision = decide(
+        [linear for linear, *_ in again], alone, suspects,
+        unnamed=lambda fit: free_laws(fit, by_fit.get(id(fit), whole)),
+    )  # fmt: skip
+    order = [next(item for item in again if item[0] is fit) for fit in decision.ranked]
+    return Beside(law, decision, [item[1] for item in order], [item[2] for item in order])
+
+
+def _both(robot: Robot, base: Fitted, stepped: Stepped, law: Fitted, fit: Fitted) -> tuple[Fitted, Stepped]:
+    """Something linear and the law beside it, fitted with the law stepped, and what predicts with them."""
+    objective, hypothesis = with_law(
+        robot, base, stepped.law, stepped.site, stepped.sample, stepped.blow, fit.hypothesis
+    )
+    n = len(base.parameters)
+    places = [np.concatenate([start, fit.z[n:], law.z[n:]]) for start in (law.z[:n], fit.z[:n])]
+    return fit_law(objective, hypothesis, places[int(np.argmin(objective.costs(places)))]), objective
+
+
+def _found(
+    robot: Robot,
+    base: Fitted,
+    levels: Levels,
+    law: Fitted,
+    suspects: Sequence[Sequence[Hypothesis]],
+    progress: Progress | None,
+) -> list[Fitted]:
+    """What promises to be missing with the law held as it is in a fit, most evidence first."""
+    whole = _held(levels.objectives[0], law, levels.whole.thin(LINES), levels)
+    n = len(base.parameters)
     alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR)
     search = Search(alone, [], alone.z, inflation(alone, robot, whole.thin(REFIT_LINES)))
     bars = progress or (lambda description, total: lambda count: None)
@@ -73,27 +124,10 @@ def explain_beside(
         one_more(robot, search, whole, elsewhere, bars)
     found = [fit for fit in search.finalists if fit.evidence() > alone.evidence()]
     if not found:
-        return None
+        return []
     best = found[0]
     least = alone.evidence() + PROMISING * (best.evidence() - alone.evidence())  # the law's own numbers still move
-    found = [fit for fit in found if fit is best or (fit.evidence() > least and not _more(fit, best))]
-    again: list[tuple[Fitted, Fitted, Stepped, Sample]] = []
-    for fit in found[:FINALISTS]:
-        objective, hypothesis = with_law(
-            robot, base, stepped.law, stepped.site, stepped.sample, stepped.blow, fit.hypothesis
-        )
-        both = settled(objective, fit_law(objective, hypothesis, np.concatenate([fit.z, law.z[n:]]), 0))
-        own = _held(objective, both, lines, levels)
-        z = both.z[: len(fit.z)]
-        linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR)
-        again.append((linear, both, objective, own))
-    by_fit = {id(linear): own for linear, _, _, own in again}
-    decision = decide(
-        [linear for linear, *_ in again], alone, suspects,
-        unnamed=lambda fit: free_laws(fit, by_fit.get(id(fit), whole)),
-    )  # fmt: skip
-    order = [next(item for item in again if item[0] is fit) for fit in decision.ranked]
-    return Beside(decision, alone, [item[1] for item in order], [item[2] for item in order])
+    return [fit for fit in found if fit is best or (fit.evidence() > least and not _more(fit, best))]
 
 
 def _more(fit: Fitted, than: Fitted) -> bool:

@@ -137,7 +137,10 @@ def _answer(
         brakes = [r.setup.brakes for r in found.recordings.values()]
         looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)
         beside = explain_beside(base, search.base, levels, looked_at, progress)
-        if beside and judge(beside.decision) in ("named", "ambiguous"):
+        best = beside.law
+        decision = replace(decision, ranked=[best, *decision.ranked[1:]])
+        law = missing_of(decision, levels.base)[0]
+        if beside.decision and judge(beside.decision) in ("named", "ambiguous"):
             both, objective = beside.fits[0], beside.objectives[0]
             also = replace(beside.decision, ranked=beside.fits)
             others = [m for m in missing_of(also, best) if m.first.key != law.first.key]
@@ -167,7 +170,7 @@ def _next_test(
     seed: int,
 ) -> dict[str, Any] | None:
     """Blows where laws rival, else a posture that separates what rivals beside the law."""
-    if judge(decision) == "ambiguous" or answer.beside is None:
+    if judge(decision) == "ambiguous" or answer.beside is None or answer.beside.decision is None:
         return next_blows(given, levels, decision.ranked[0], rival_of(decision), sample, how, seed)
     rival = rival_of(answer.beside.decision)
     few = sample.thin(SCREEN_LINES)

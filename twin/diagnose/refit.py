@@ -8,6 +8,7 @@ described is known least of all: its prior has heavy tails.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -68,6 +69,8 @@ class Fitted:
         others integrated out.
         """
         gained, at = 0.0, len(self.z) - len(self.hypothesis.own)
+        if not self.hypothesis.own:
+            return gained
         covariance = np.linalg.inv(information)
         for piece in self.hypothesis.pieces:
             block = list(range(at, at + len(piece.own)))
@@ -98,8 +101,24 @@ def _normal(x: FloatArray, covariance: FloatArray) -> float:
     return float(-0.5 * x @ np.linalg.solve(covariance, x) - 0.5 * np.linalg.slogdet(covariance)[1])
 
 
+class Descended(Protocol):
+    """A cost over prior coordinates, as :class:`Objective` is one."""
+
+    @property
+    def free(self) -> Parameters: ...
+
+    @property
+    def data(self) -> float: ...
+
+    def cost(self, z: FloatArray) -> float: ...
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]: ...
+
+    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None: ...
+
+
 def minimise(
-    objective: Objective, z: FloatArray, iterations: int, tolerance: float, hopeless: float = np.inf
+    objective: Descended, z: FloatArray, iterations: int, tolerance: float, hopeless: float = np.inf
 ) -> tuple[FloatArray, float, FloatArray, bool]:
     """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of the valley it goes
     along (geodesic acceleration; Transtrum and Sethna, arXiv:1201.5885): z, cost, Gauss–Newton matrix, and whether
