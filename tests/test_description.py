@@ -284,7 +284,7 @@ def effects_table() -> str:
         for p in effect.parameters:
             size = {0: "", -1: "[ ]"}.get(p.length, f"[{p.length}]")
             allowed = not p.word and p.length >= 0 and (p.null > 0 or not p.positive)
-            null = "" if not allowed else f"; null {'∞ (rigid)' if p.null == np.inf else f'{p.null:g}'}"
+            null = "" if not allowed else f"; null {'∞' if p.null == np.inf else f'{p.null:g}'}"
             parameters.append(f"`{p.name}`{size} ({p.unit}{null}{'; optional' if p.optional else ''})")
         sites = ", ".join(f"`{site}`" for site in effect.sites)
         lines.append(f"| `{effect.name}` | {sites} | {', '.join(parameters)} | {law} | {model} |")

@@ -1,7 +1,6 @@
 """A servo that does not hold the rotor: a spring to the previous link, in series with the gear, and the rotor's N²J.
-
-A drive's cascade of position and velocity control with integral action is that spring k and damper d and a torque that
-grows with the time integral of the deflection: k + d s + k/(T s), T its integral time."""
+A cascade with integral action is k + d s + k/(T s), T its integral time.
+"""
 
 from math import inf
 from typing import TYPE_CHECKING, Any
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
 
 class ServoCompliance(Effect):
     """Natively: a sprung hinge of the motor body with ``armature``; under servo drive, the gains of its actuator.
+    Integral action is exact in modes and FRFs and left out of the MJCF.
 
-    MuJoCo's spring has no memory: integral action is exact in modes and FRFs and left out of the MJCF. Brakes that are
-    on hold the rotor: the entry then has no effect.
+    Brakes that are on hold the rotor: the entry then has no effect.
     """
 
     name = "servo_compliance"
