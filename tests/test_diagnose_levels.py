@@ -8,7 +8,7 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
-from twin.diagnose.joint_laws import Cubic, Gap, Law, Slip
+from twin.diagnose.joint_laws import Cubic, Drag, Gap, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels
 from twin.diagnose.levels_finding import check_blows
@@ -42,6 +42,7 @@ CASES = [
     (
         "hysteresis@joint2.z:stiffness=1e5|1e5|1e5|1e5|1e5,yield_torque=0.1|0.3|1|3|10", SLIP, [1e5] * 5, 0.005,
     ),
+    ("eddy_current_damper@joint2.z:coefficient=3e6", Drag(), [3e6], 0.005),  # which has no name
 ]  # fmt: skip
 
 
@@ -230,3 +231,33 @@ def test_levels_without_peak_forces_say_nothing(tmp_path: Path, kr90: Robot) -> 
         "milling@100N": Blow(100.0, 0.008, 8.0),
         "milling@600N": Blow(600.0, 0.008, 8.0),
     }
+
+
+def test_drag_takes_out_the_power_of_its_law() -> None:
+    """c φ̇ |φ̇| along a sine takes 8/3 c ω² X³ out of it per cycle, at any fine rate of steps."""
+    amplitude, omega, c = 3e-5, 2 * np.pi * 12, 2.0
+    for rate in (4096.0, 8192.0):
+        law = Drag().stepped(rate)
+        time = np.arange(round(rate / 12 * 3) + 1) / rate
+        x = amplitude * np.sin(omega * time)
+        state, g = law.state(1), []
+        for value in x:
+            torque, state = law.torque(np.array([value]), np.ones(1), np.array([[c]]), state)
+            g.append(torque[0])
+        last = slice(-round(rate / 12) - 1, None)
+        work = np.trapezoid(np.array(g)[last], x[last])
+        assert work == pytest.approx(8 / 3 * c * omega**2 * amplitude**3, rel=5e-3)
+
+
+def test_a_step_across_a_gap_keeps_mean_and_moment() -> None:
+    """What is added to a step's line gives it the mean and the first moment of the gap's torque over the way."""
+    half, k, x0, x1 = 1e-6, 1e9, -4e-6, 7e-6
+    u = np.linspace(0, 1, 200001)
+    g = -k * np.clip(x0 + (x1 - x0) * u, -half, half)
+    at, torque = (np.array([x0]), np.array([x1])), (g[:1], g[-1:])
+    bent = Gap().line(at, torque, np.array([k]), np.array([[2 * half]]))
+    assert bent is not None
+    start, end = g[0] + bent[1][0], g[-1] + bent[2][0]
+    assert (start + end) / 2 == pytest.approx(np.trapezoid(g, u), rel=1e-6)
+    assert start / 6 + end / 3 == pytest.approx(np.trapezoid(u * g, u), rel=1e-6)
+    assert Gap().line((at[0], at[0] + 1e-7), torque, np.array([k]), np.array([[2 * half]])) is None

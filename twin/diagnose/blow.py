@@ -88,6 +88,7 @@ def torques(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """What the law adds after every blow: g (samples, ne) in N·m about its value and tangent at rest, and the largest
     deflection (ne,) of the joint from rest."""
+    law = law.stepped(rate_hz)
     width = max(1, COLUMNS // max(strike.seen.J_e.shape[0] for strike in strikes))
     found: list[tuple[FloatArray, FloatArray]] = []
     for start in range(0, len(strikes), width):

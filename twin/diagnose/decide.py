@@ -145,6 +145,15 @@ def finalists(base: Fitted, fits: Sequence[Fitted]) -> tuple[dict[str, Any], ...
     )  # fmt: skip
 
 
+def unexplained(before: float, after: float, noise: float) -> float:
+    """Probability that something without a name is missing, of misfits without and with the best hypothesis.
+
+    Args:
+        before, after: χ² per datum; ``noise`` what it would be of noise alone.
+    """
+    return _other(_left(before, after, noise), calibration())
+
+
 def _left(before: float, after: float, noise: float) -> float:
     """Share of a misfit beyond noise that an answer leaves; one where it makes it worse."""
     return max(after - noise, 0.0) / max(before - noise, after - noise, 1e-9)

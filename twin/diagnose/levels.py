@@ -8,15 +8,15 @@ with everything else free, judged by the same evidence as linear hypotheses.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from twin.diagnose import refit
 from twin.diagnose.blow import COARSE_HZ, RATE_HZ
-from twin.diagnose.decide import Decision, decide
+from twin.diagnose.decide import Decision, calibration, decide, unexplained
 from twin.diagnose.hypotheses import Hypothesis, together
-from twin.diagnose.joint_laws import LAWS, Law
+from twin.diagnose.joint_laws import LAWS, NAMELESS, Law
 from twin.diagnose.joint_reaction import (
     FADED,
     PULSE_S,
@@ -34,6 +34,7 @@ from twin.identify.elastic import Recorded
 from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import frf, observe
 from twin.measure.campaign import Campaign, FloatArray
+from twin.physics import CATALOGUE
 from twin.robot.description import Entry, Robot
 
 LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
@@ -79,6 +80,8 @@ class Levels:
         window: 1/s, exponential window put on those data; ``temper`` the relative model error allowed.
         objectives: per fit, what predicts with it.
         whole: all lines of all blows, as the data were taken from them; ``blow`` how they were hit.
+        nameless: where the best leaves something, laws without a name at its joint, fitted to the same data.
+        noise: share of noise in the variance of these data, the rest being model error.
     """
 
     places: list[Located]
@@ -89,6 +92,8 @@ class Levels:
     objectives: list[Stepped]
     whole: Sample
     blow: dict[str, Blow]
+    nameless: list[Fitted] = field(default_factory=list)
+    noise: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -176,7 +181,8 @@ def explain_levels(
         trials, temper = _race([trial for place in near for trial in _starts(robot, base, place, short)], TEMPERS, tick)
         seen, temper = replace(seen, sample=sample.thin(FINAL_LINES)), 0.0  # what a law leaves unexplained must show
     best = _at(trials, places)
-    data = _tempered(seen.telling(best, BLOWS)[0], temper)
+    told = seen.telling(best, BLOWS)[0]
+    data = _tempered(told, temper)
     objectives = [replace(objective, sample=data) for objective, _, _ in trials]
     fits = [fit_law(objective, *trial[1:], LAST, 0) for objective, trial in zip(objectives, trials, strict=True)]
     least = min(fit.cost for fit in fits)
@@ -185,6 +191,14 @@ def explain_levels(
         for objective, fit in zip(objectives, fits, strict=True)
     ]
     order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
+    nameless = []
+    if temper or fits[order[0]].misfit > calibration()["noise_misfit"]:
+        for objective, hypothesis, z in _starts(
+            robot, base, best, replace(seen, sample=seen.sample.thin(LINES)), NAMELESS
+        ):
+            objective = replace(objective, sample=data)
+            fit = fit_law(objective, hypothesis, z, LAST, 0)
+            nameless.append(fit_law(objective, hypothesis, fit.z) if fit.cost < NEAR * least else fit)
     again = min(
         (
             descend(robot, base.hypothesis, base.parameters, data, z, tempered=15, linear=15)
@@ -195,7 +209,7 @@ def explain_levels(
     everything, how = (seen.sample, seen.blow) if window else (sample, blow)
     return Levels(
         places, [fits[k] for k in order], again, window, temper, [objectives[k] for k in order],
-        _tempered(everything, temper), how,
+        _tempered(everything, temper), how, nameless, _noise_share(told, data),
     )  # fmt: skip
 
 
@@ -205,9 +219,25 @@ def _at(trials: Sequence[Trial], places: Sequence[Located]) -> Located:
 
 
 def decide_levels(levels: Levels) -> Decision:
-    """Probabilities of the laws, of nothing and of something else; every law at every joint was looked at."""
+    """Probabilities of the laws, of nothing and of something else; every law at every joint was looked at.
+
+    A law without a name has the prior of one with a name: a name is given only where it beats these.
+    """
     looked_at = [[Hypothesis(law.effect, place.site)] for law in LAWS for place in levels.places]
-    return decide(levels.fits, levels.base, looked_at)
+    # where a model error had to be allowed, a law must explain more than that alone would
+    other = unexplained(levels.base.misfit, levels.fits[0].misfit, levels.noise) if levels.temper else None
+    decision = decide(levels.fits, levels.base, looked_at, other=other)
+    if not (levels.nameless and decision.probability):
+        return decision
+    scale = max(1.0, min(fit.misfit for fit in (*levels.fits, *levels.nameless)))
+    gain = max(fit.evidence(scale) for fit in levels.nameless) - decision.ranked[0].evidence(scale)
+    odds = np.exp(np.clip(gain / calibration()["temperature"], -200, 200))
+    weight = max(decision.probability[0], 1e-6) * odds
+    share = float(1 / (1 + weight))
+    return replace(
+        decision, probability=[share * p for p in decision.probability], none=share * decision.none,
+        other=1 - share * (1 - decision.other), nameless=1 - share,
+    )  # fmt: skip
 
 
 def locate(
@@ -244,8 +274,8 @@ def locate(
     return found, reached
 
 
-def _starts(robot: Robot, base: Fitted, place: Located, shown: View) -> list[Trial]:
-    """Every law at a joint, with the sizes whose equivalent stiffnesses are most like those seen."""
+def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Sequence[Law] = LAWS) -> list[Trial]:
+    """Laws at a joint, with the sizes whose equivalent stiffnesses are most like those seen."""
     some, index = shown.telling(place, FEW_BLOWS)
     values, names = base.parameters.values(place.z), base.parameters.names
     row, damper = (names.index(f"{place.site}.{what}") for what in ("stiffness", "damping"))
@@ -253,7 +283,7 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View) -> list[Tri
     seen = [u[:, index] for u in place.own]
     certainty = [matrix[:, :, index] for matrix in place.certainty]
     trials = []
-    for law in LAWS:
+    for law in laws:
         objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
         amplitude = objective.deflection(place.z)
         objective = replace(objective, law=law.at(amplitude))
@@ -316,7 +346,7 @@ def with_law(
     """A base model with a law at a joint, ``beside`` something linear, and what that says is missing."""
     described = float(robot.axes[int(site[5:-2]) - 1].stiffness or 0.0)
     entry = Entry(effect=law.effect, site=site, **law.entry(law.usual(described)))
-    key = f"{law.effect}@{site}"
+    key = f"{law.effect}@{site}" if law.effect in CATALOGUE else f"{law.effect} at {site}"  # no entry without a name
     own = law.parameters(key, described)
     if not all(b.known for b in blow.values()):
         own += (Parameter(f"{key}.pulse", "s", "entry", True, PULSE_S, PULSE_SPREAD, "a rubber tip"),)
@@ -370,6 +400,13 @@ def _tempered(sample: Sample, temper: float) -> Sample:
         power = np.abs(r.frf) ** 2
         shown.append(replace(r, variance=r.variance + 0.5 * temper**2 * (power + power.mean(axis=0))))
     return Sample(tuple(shown), sample.repeat)
+
+
+def _noise_share(sample: Sample, tempered: Sample) -> float:
+    """Mean share of the noise in a tempered variance, over lines that are used."""
+    pairs = zip(sample.recordings, tempered.recordings, strict=True)
+    ratio = np.concatenate([(a.variance / b.variance)[np.isfinite(b.variance)] for a, b in pairs])
+    return float(ratio.mean())
 
 
 def fit_law(
