@@ -345,7 +345,7 @@ class System:
         level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
         noise: (n,) RMS of the noise at the rows, N·m (N).
         widened: number in z → factor on the prior deviation its description gives it.
-        slopes: of what was found, by name: numbers in prior deviations, and whitened slopes there.
+        slopes: of what was found, by name: numbers they depend on, and whitened slopes there.
         screened: whitened columns of the suspects' starts, which stay the same when something is found.
         recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any.
         stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
@@ -693,11 +693,11 @@ def linearised(system: System, z: FloatArray) -> tuple[System, float]:
     here.y = here.data - added
     for suspect in here.found:
         at = here.own(suspect)
-        referring = suspect.hypothesis.effect in REFERRING
-        u, slopes = here.slopes.get(suspect.name, (z[at], None))
-        if slopes is None or referring or np.any(np.abs(z[at] - u) > NEAR * (1 + np.abs(u))):
+        now = z if suspect.hypothesis.effect in REFERRING else z[at]  # it depends on all numbers, or on its own
+        u, slopes = here.slopes.get(suspect.name, (now, None))
+        if slopes is None or len(u) != len(now) or np.any(np.abs(now - u) > NEAR * (1 + np.abs(u))):
             slopes = _slopes(here, suspect, z)
-            here.slopes[suspect.name] = z[at], slopes
+            here.slopes[suspect.name] = now, slopes
         here.y = here.y + here.full(slopes) @ z[at]
         here.A = here.A.beside(slopes.joints, slopes.rows)
     return here, 0.5 * float(rest @ rest) + 0.5 * float(z @ z)

@@ -73,7 +73,7 @@ BEYOND = 5.0  # deviations above zero of what an element yields at: other finds 
 TRAVELS = (0.1, 10.0)  # of a further element over that of the strongest there is
 EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
 SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
-SETTLED = 3  # steps of all numbers beside what is judged, which was refined before
+SETTLED = 3  # steps of all numbers beside what is judged or left out: all were refined before
 LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
 
 Progress = Callable[[str, int], Callable[[int], None]]
@@ -351,7 +351,7 @@ def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], jud
         rivals = [trial for key, trial in step.trials.items() if gains.get(key, 0.0) > MOST * step.gain]
         if not step.accepted or step.trial is None or len(rivals) < 2:
             continue
-        others = left_out(system, step)
+        others = left_out(system, step, iterations=SETTLED)
         trials = {t.suspect.hypothesis.key: settle(others, _as_suspected(t, suspects)) for t in rivals}
         fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others, suspects)]
         again = _decided(others, trials, fits, suspects)
@@ -386,14 +386,14 @@ def _with(system: System, step: Step) -> System:
     return with_wider(system, _freed(system, step))
 
 
-def left_out(system: System, *steps: Step) -> System:
+def left_out(system: System, *steps: Step, iterations: int = 8) -> System:
     """The model without what steps brought into it, all else fitted again from where it is."""
     for step in steps:
         if step.trial is not None:
             system = without(system, step.trial.suspect)
         freed = _freed(system, step)
         system = with_wider(system, replace(freed, scale=tuple((name, 1 / factor) for name, factor in freed.scale)))
-    return relinearised(system)
+    return relinearised(system, iterations)
 
 
 def _freed(system: System, step: Step) -> Hypothesis:
@@ -472,19 +472,18 @@ def _pruned(steps: Sequence[Step], system: System) -> System:
     """The model without what later finds have made needless, least needed first; it is accepted no more."""
     while True:
         found = [s for s in steps if s.accepted]
+        near = set(found[-1].joints) if found and len(found[-1].joints) < 3 else set()  # the recording is at all joints
         shorter = {
-            k: left_out(system, step)
+            k: left_out(system, step, iterations=SETTLED)
             for k, step in enumerate(found[:-1])
-            if step.trial is None
-            or set(step.joints) & set(found[-1].joints)
-            or worth(system, step.trial.suspect) < DOUBTFUL * FURTHER
+            if step.trial is None or set(step.joints) & near or worth(system, step.trial.suspect) < DOUBTFUL * FURTHER
         }
         if not shorter:
             return system
         needless = max(shorter, key=lambda k: base_fit(shorter[k]).evidence())
         if base_fit(system).evidence() - base_fit(shorter[needless]).evidence() > FURTHER:
             return system
-        found[needless].accepted, system = False, shorter[needless]
+        found[needless].accepted, system = False, relinearised(shorter[needless])
 
 
 def possible(system: System, step: Step) -> bool:
