@@ -102,6 +102,8 @@ def minimise(
     log = np.array([p.log for p in objective.parameters]) * np.diag(objective.parameters.root)
     cost, gradient, information = objective(z)
     for _ in range(iterations):
+        if not (np.isfinite(cost) and np.isfinite(information).all()):
+            return z, np.inf, np.eye(len(z)), False
         expected = 0.5 * float(gradient @ np.linalg.solve(information, gradient))
         if expected < max(tolerance, SLACK * (cost - 0.55 * objective.data)):
             return z, cost, information, True
@@ -378,11 +380,13 @@ class Stepped(Cost):
             for place, at, other in zip(sensitive, postures[1:-1], reactions[1:-1], strict=True):
                 there = at.of(r).view
                 beside = other[k] - there.reaction(kappa, rest)
-                dH[place] -= there.out[:, :, None] * beside[:, None, :] / self.step[place]
+                if np.isfinite(beside).all():  # a step over the edge of what can be stepped tells nothing
+                    dH[place] -= there.out[:, :, None] * beside[:, None, :] / self.step[place]
             if abs(joint.load) > NO_LOAD:
                 loaded, rate = joints.load_slopes(r)
                 by_load = (joint.view.reacting(reactions[-1][k]) - H) / (HEAVIER * joint.load)
-                dH[loaded] += rate[:, None, None, None] * by_load
+                if np.isfinite(by_load).all():
+                    dH[loaded] += rate[:, None, None, None] * by_load
             e, pull, factor = self._error(r, H, w)
             cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
             J = (dH * factor).reshape(len(z), -1).view(float)

@@ -16,7 +16,7 @@ from twin.diagnose import refit
 from twin.diagnose.blow import COARSE_HZ, RATE_HZ
 from twin.diagnose.decide import Decision, calibration, decide, unexplained
 from twin.diagnose.hypotheses import Hypothesis, together
-from twin.diagnose.joint_laws import LAWS, NAMELESS, Law
+from twin.diagnose.joint_laws import LAWS, NAMELESS, USUAL_DEFLECTION, Law
 from twin.diagnose.joint_reaction import (
     FADED,
     PULSE_S,
@@ -45,7 +45,7 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, SETTLING, FINE, LINEAR = 8, 10, 4, 8, 30, 4, 15  # iterations
+LOCATING, ROUGH, RACING, LAST, SETTLING, FINE, LINEAR = 8, 10, 4, 8, 15, 3, 15  # iterations
 COARSE_GAIN, FINE_GAIN = 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
@@ -285,18 +285,25 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Seque
     trials = []
     for law in laws:
         objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
-        amplitude = objective.deflection(place.z)
+        amplitude = _amplitude(objective, place.z)
         objective = replace(objective, law=law.at(amplitude))
         sizes = law.sizes(k, amplitude)
         scored = [
             (*_likeness(seen, certainty, found), size)
             for size, found in zip(sizes, objective.equivalents(place.z, list(sizes)), strict=True)
         ]
-        _, shift, size = min(scored, key=lambda item: item[0])
+        score, shift, size = min(scored, key=lambda item: item[0])
+        shift = shift if np.isfinite(score) else np.zeros(2)
         start = values.copy()
         start[row], start[damper] = max(k + shift[0], 0.2 * k), max(c + shift[1], 0.1 * c)
         trials.append((objective, hypothesis, point(objective, start, size)))
     return trials
+
+
+def _amplitude(objective: Stepped, z: FloatArray) -> float:
+    """How far blows deflect the joint, the usual way where they cannot be stepped there."""
+    found = objective.deflection(z)
+    return found if np.isfinite(found) else USUAL_DEFLECTION
 
 
 def point(objective: Stepped, values: FloatArray, sizes: FloatArray) -> FloatArray:
@@ -320,7 +327,7 @@ def _rough_race(
         for law in LAWS:
             objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
             for z in (*starts, place.z):
-                amplitude = objective.deflection(z)
+                amplitude = _amplitude(objective, z)
                 rough = replace(objective, law=law.at(amplitude), logarithmic=True)
                 values = base.parameters.values(z)
                 k = values[base.parameters.names.index(f"{place.site}.stiffness")]
@@ -370,6 +377,8 @@ def _race(
                 z, cost, _, _ = minimise(allowed, z, iterations, 0.3)
                 ends.append((cost, (objective, hypothesis, z)))
             tick(1)
+        if not ends:  # none can be stepped
+            break
         ends.sort(key=lambda item: item[0])
         explained = 2 * ends[0][0] < EXPLAINS * trials[0][0].data
         if explained or reached == 1:
