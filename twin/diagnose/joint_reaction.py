@@ -479,7 +479,9 @@ class Stepped(Cost):
         postures = [_Postures(self.robot, self.base, self.site, z[:n], False) for z in points]
         strikes = [self._strikes(some, *self.own(z)) for some, z in zip(postures, points, strict=True)]
         strikes[-1] = [replace(strike, load=(1 + heavier) * strike.load) for strike in strikes[-1]]
-        stepped = iter(torques([strike for some in strikes for strike in some], self.law, self._length_s, self.rate_hz))
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge
+            found = torques([strike for some in strikes for strike in some], self.law, self._length_s, self.rate_hz)
+        stepped = iter(found)
         reactions = [
             [
                 self._reaction(at.of(r).view, r, strike, next(stepped)[0])
