@@ -413,9 +413,12 @@ def _tempered(sample: Sample, temper: float) -> Sample:
 
 def _noise_share(sample: Sample, tempered: Sample) -> float:
     """Mean share of the noise in a tempered variance, over lines that are used."""
-    pairs = zip(sample.recordings, tempered.recordings, strict=True)
-    ratio = np.concatenate([(a.variance / b.variance)[np.isfinite(b.variance)] for a, b in pairs])
-    return float(ratio.mean())
+    used = [np.isfinite(r.variance) for r in tempered.recordings]
+    noise, allowed = (
+        np.concatenate([r.variance[here] for r, here in zip(s.recordings, used, strict=True)])
+        for s in (sample, tempered)
+    )
+    return float(np.mean(noise / allowed))
 
 
 def fit_law(

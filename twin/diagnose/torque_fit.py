@@ -802,7 +802,7 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
         some = torque > SLIGHT * coulomb
         if not some.any():
             continue
-        left = {"torque": coulomb - float(torque[some].sum())}
+        left = {"torque": max(coulomb - float(torque[some].sum()), 0.0)}
         physics[dry] = Entry.model_validate({"effect": "coulomb_friction", "site": site, **left})
         slip = {"yield_torque": torque[some].tolist(), "stiffness": (2 * torque / ends)[some].tolist()}
         at = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("hysteresis", f"{site}.z")), len(physics))
