@@ -6,9 +6,16 @@ import pytest
 from conftest import POSTURES
 
 from twin.model.frf import frf
-from twin.model.linear import linearise, mass_matrix, posture_state, transition_matrices
+from twin.model.linear import (
+    FD_EPSILON,
+    _stepped_differences,
+    linearise,
+    mass_matrix,
+    posture_state,
+    transition_matrices,
+)
 from twin.model.modes import modes
-from twin.robot.description import Robot
+from twin.robot.description import Robot, parse_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import compile_model
 
@@ -100,3 +107,29 @@ def test_structural_damping_halves_to_the_modal_ratio(with_entry, milling: np.nd
         found = modes(linearise(assemble(robot, milling)))
         assert len(found) == 1
         assert found.damping_percent[0] == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("elements", [1, 4, 5, 12])
+@pytest.mark.parametrize("drives", ["held", "free"])
+def test_slip_elements_that_stick_are_springs(kr90: Robot, elements: int, drives: str) -> None:
+    """However many: for small motions they add their stiffness, and neither damping nor inertia."""
+    data = kr90.model_dump(mode="json")
+    plain = linearise(assemble(kr90, kr90.angles([0, 70, -100]), drives=drives))
+    slip = {"effect": "hysteresis", "site": "joint1.z", "stiffness": [4e5] * elements, "yield_torque": [20] * elements}
+    robot = parse_robot({**data, "physics": [*data["physics"], slip]})
+    found = linearise(assemble(robot, robot.angles([0, 70, -100]), drives=drives))
+    k = found.coordinates.index("joint1.z" if drives == "held" else "motor1")
+    expected = plain.K.copy()
+    expected[k, k] += 4e5 * elements
+    np.testing.assert_allclose(found.K, expected, atol=2e-7 * np.abs(expected).max())
+    np.testing.assert_allclose(found.C, plain.C, atol=1e-6 * np.abs(plain.C).max())
+
+
+def test_differences_of_steps_are_those_of_mujoco(kr90: Robot) -> None:
+    mechanism = assemble(kr90, kr90.angles([0, 70, -100]))
+    model = compile_model(mechanism, visual=False, instruments=False)
+    data = posture_state(model, mechanism)
+    found, expected = (np.zeros((2 * model.nv, 2 * model.nv)) for _ in range(2))
+    _stepped_differences(model, data, found)
+    mujoco.mjd_transitionFD(model, data, FD_EPSILON, 1, expected, None, None, None)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())

@@ -107,7 +107,10 @@ def transition_matrices(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.
     try:
         A = np.zeros((2 * nv, 2 * nv))
         mujoco.mj_forward(model, data)
-        mujoco.mjd_transitionFD(model, data, FD_EPSILON, 1, A, None, None, None)
+        if model.nplastic:
+            _stepped_differences(model, data, A)
+        else:
+            mujoco.mjd_transitionFD(model, data, FD_EPSILON, 1, A, None, None, None)
         mujoco.mj_forward(model, data)  # derived fields are stale after the differences
         if data.nefc:
             raise ValueError("linearisation needs a state without active constraints")
@@ -115,6 +118,30 @@ def transition_matrices(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.
         model.opt.disableflags = flags
     inverse = np.linalg.inv(A[nv:, nv:])
     return (inverse - np.eye(nv)) / h, -inverse @ A[nv:, :nv] / h
+
+
+def _stepped_differences(model: mujoco.MjModel, data: mujoco.MjData, A: np.ndarray) -> None:
+    """What ``mjd_transitionFD`` makes of A (2nv, 2nv), no slip element yielding.
+
+    With more than four of them MuJoCo 4.0 mixes their state (``mjData.plastic``) up with the velocities.
+    """
+    everything, nv = mujoco.mjtState.mjSTATE_INTEGRATION, model.nv
+    state = np.empty(mujoco.mj_stateSize(model, everything))
+    mujoco.mj_getState(model, data, state, everything)
+    yields = model.tendon_springyield.copy()
+    model.tendon_springyield[yields > 0] = np.inf
+    try:
+        for k in range(2 * nv):
+            ends = []
+            for side in (FD_EPSILON, -FD_EPSILON):
+                mujoco.mj_setState(model, data, state, everything)
+                (data.qpos if k < nv else data.qvel)[k % nv] += side  # hinges and slides: nq = nv
+                mujoco.mj_step(model, data)
+                ends.append(np.concatenate([data.qpos, data.qvel]))
+            A[:, k] = (ends[0] - ends[1]) / (2 * FD_EPSILON)
+    finally:
+        model.tendon_springyield[:] = yields
+        mujoco.mj_setState(model, data, state, everything)
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

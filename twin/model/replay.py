@@ -149,8 +149,7 @@ def replay(
         if axis.stiffness is not None and rotor <= 0 and not robot.drives[i].coupling:
             where = f"drives[{i}].rotor_inertia"
             raise InputError(robot.name, where, "an elastic axis needs its rotor's inertia in a replay")
-    # slip, which differences of MuJoCo's steps carry on from one to the next, is softer than what it lies beside
-    free = linearise(assemble(robot.without(["hysteresis"]), motion.position[0], drives="free"))
+    free = linearise(assemble(robot, motion.position[0], drives="free"))
     fastest = np.abs(state_matrix_poles(free)).max(initial=0.0)
     substeps = max(1, int(np.ceil(max(1 / STEP_S, fastest) / run.sample_rate_hz)))
     model.opt.timestep = 1 / (run.sample_rate_hz * substeps)
