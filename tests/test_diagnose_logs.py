@@ -26,6 +26,7 @@ from twin.model.replay import inverse_dynamics
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot, parse_robot
+from twin.robot.mechanism import assemble
 
 DATA = Path(__file__).parent / "data"
 
@@ -90,6 +91,19 @@ def test_bristles_at_every_joint_are_a_complete_model_and_a_slower_gear_is_not(t
     slip = "hysteresis@joint3.z:stiffness=80000,yield_torque=80"
     missing = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", slip), kr90).missing
     assert [m.first.key for m in missing] == ["hysteresis@joint3.z"]
+
+
+def test_a_drive_that_turns_two_axes_keeps_the_friction_it_shares(tmp_path: Path, kr90: Robot) -> None:
+    """Presliding is written for what rubs at its own joint only: the new description can be stepped."""
+    coupling = "joint_coupling@joint3:from=1,ratio=0.5,inertia=200,friction=100,coulomb=200"
+    found = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", coupling), kr90)
+    assert "joint_coupling@joint3" in [m.first.key for m in found.missing]
+    assert found.written is not None
+    shared = next(e for e in found.written.physics if e.effect == "joint_coupling").values["friction"][1]
+    dry = next(e for e in found.written.physics if (e.effect, e.site) == ("coulomb_friction", "joint1"))
+    assert dry.values["torque"] >= shared * (1 - 1e-9) > 20
+    mechanism = assemble(found.written, np.array([0.0, 1.2, -1.7]), brakes="off", drives="servo")
+    assert mechanism.tendons
 
 
 def test_a_reversal_slower_than_the_encoder_tells_leaves_friction_free_for_as_long() -> None:

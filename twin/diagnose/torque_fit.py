@@ -798,7 +798,9 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
         ends = np.geomspace(scale[0] / 3, 5 * scale[-1], ELEMENTS)
         torque, _ = nnls(np.minimum(x[:, None] / ends, 1), (1 - np.exp(-x[:, None] / scale)) @ share)
         coulomb = float(physics[dry].values["torque"])
-        torque *= min(1.0, coulomb / max(float(torque.sum()), 1e-300))
+        turned = [e for e in physics if e.effect == "joint_coupling" and e.values["from"] == site]
+        free = max(coulomb - sum(robot.values(e)["friction"][1] for e in turned), 0.0)  # the rest turns with two axes
+        torque *= min(1.0, free / max(float(torque.sum()), 1e-300))
         some = torque > SLIGHT * coulomb
         if not some.any():
             continue
