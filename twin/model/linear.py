@@ -5,6 +5,8 @@ the continuous matrices follow from it exactly, without a matrix logarithm: with
 matrix A = [[·, ·], [A_vq, A_vv]] and the step h,
 
     M⁻¹C = (A_vv⁻¹ − I) / h,    M⁻¹K = −A_vv⁻¹ A_vq / h.
+
+With slip elements, whose state it mixes up, the same differences are taken of ``mj_step``.
 """
 
 from collections.abc import Iterable
