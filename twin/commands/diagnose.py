@@ -50,7 +50,7 @@ from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import read_motion_log
 from twin.model.linear import linearise
 from twin.model.modes import modes
-from twin.parallel import cores
+from twin.parallel import cores, spread
 from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json
 from twin.robot.description import Axis, Robot, load_robot, save_robot
@@ -251,8 +251,9 @@ def diagnose_campaign(
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     missing = missing_of(decision, settled) if answered else []
-    before = settled = _possible(settled, base, sample)
-    best = _possible(decision.ranked[0], base, sample) if answered else settled
+    ends = [settled, decision.ranked[0]] if answered else [settled]
+    settled, *others = spread(lambda number: _possible(ends[number], base, sample), len(ends), processes)
+    before, best = settled, others[0] if others else settled
     if told_by and told_by.missing:
         before = _weighed(told_by, without_limits(given), settled, sample, seed)
     records, errors = frf_records(without_limits(given), before, best, found.used, kept)

@@ -217,7 +217,7 @@ def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[fl
     some = replace(
         setting.few, recordings=setting.few.recordings[:: -(-len(setting.few.recordings) // YIELDING_POSTURES)]
     )
-    robust = replace(objective, sample=some, temper=0.0, logarithmic=True, weight=[])
+    robust = replace(objective, sample=some, temper=0.0, logarithmic=True, weight=[], sagging=False)
     springs = [k for k, p in enumerate(setting.free) if p.kind == "spring"]
     inner = robust.within(z, springs)
     end, cost, _, _ = minimise(inner, z[springs], YIELDING, 0.5)

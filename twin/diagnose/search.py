@@ -28,6 +28,7 @@ ROUNDS = 3  # things missing at once
 ROUGHLY = 1.05  # on few lines a cost differs from that on all by so much
 SHORT = 0.2  # of what another has gained: less promised is not refitted
 SLIGHT = 3.0  # ln likelihood that a refit must promise
+ABREAST = 2  # refits side by side, on however many cores: what is found must not depend on them
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
 
 Progress = Callable[[str, int], Callable[[int], None]]
@@ -171,8 +172,8 @@ def _reconsider(
         current = search.fits.get(rest.identity)
         if current is None:
             parameters = rest.parameters(search.base.parameters)
-            places = [z, np.concatenate([search.base.z, z[len(search.base.z) :]])]
-            current = _refit(robot, search, rest, parameters, places, sample, False)
+            starts = (z, np.concatenate([search.base.z, z[len(search.base.z) :]]))
+            (current,) = _refits(robot, search, [_Place(rest, parameters, starts)], sample)
         found = _round(robot, search, current, sample, suspects, progress)
         best = max([best, *found], key=lambda fit: fit.evidence())
     return best
@@ -229,13 +230,15 @@ def _round(
         starts = [(p, [p.start, p.fallback]) for p in kept]
     found: list[Fitted] = []
     tick = progress("refit", len(starts))
-    for number, (promise, places) in enumerate(starts):
+    for number in range(0, len(starts), ABREAST):
         gained = max((current.cost - fit.cost for fit in found), default=0.0)
-        if number >= FEWEST and promise.gain < SHORT * gained and not every:
-            continue
-        worth = current.cost - SLIGHT  # less cannot pay for a further thing
-        found.append(_refit(robot, search, promise.hypothesis, promise.parameters, places, sample, far, worth))
-        tick(1)
+        places = [
+            _Place(promise.hypothesis, promise.parameters, tuple(places), far, current.cost - SLIGHT)
+            for k, (promise, places) in enumerate(starts[number : number + ABREAST], number)
+            if k < FEWEST or promise.gain >= SHORT * gained or every
+        ]
+        found += _refits(robot, search, places, sample)
+        tick(len(places))
     found.sort(key=lambda fit: -fit.evidence())
     if found[0].evidence() > current.evidence():
         found += _accompany(robot, search, found[0], sample)
@@ -269,30 +272,45 @@ def _halve(
     return [(promise, [z]) for k, (cost, promise, z) in enumerate(converged) if k < 2 or cost - best < REACH]
 
 
-def _refit(
-    robot: Robot,
-    search: Search,
-    hypothesis: Hypothesis,
-    parameters: Parameters,
-    places: Sequence[FloatArray],
-    sample: Sample,
-    far: bool,
-    worth: float = np.inf,
-) -> Fitted:
-    """A hypothesis at its optimum on all lines, from the best of some places; ``far``: of the logarithmic residual.
+@dataclass(frozen=True)
+class _Place:
+    """Where the refit of a hypothesis starts: at the best of some places.
 
-    It is given up where it will not come below the cost ``worth``, or near the best so far.
+    Attributes:
+        far: on the logarithmic residual first.
+        worth: it is given up where it will not come below this cost, or near the best so far.
     """
-    few, hopeless = sample.thin(REFIT_LINES), min(worth, _reach(search))
-    z = places[0] if far else min(places, key=Objective(hypothesis.robot(robot), parameters, few).cost)
-    z = descend(
-        robot, hypothesis, parameters, few, z, tempered=8 if far else 0, linear=15, hopeless=ROUGHLY * hopeless
-    ).z
-    known = search.fits.get(hypothesis.identity)
-    fit = descend(robot, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=hopeless)
-    if known is None or fit.cost < known.cost:
-        search.fits[hypothesis.identity] = fit
-    return search.fits[hypothesis.identity]
+
+    hypothesis: Hypothesis
+    parameters: Parameters
+    starts: tuple[FloatArray, ...]
+    far: bool = False
+    worth: float = np.inf
+
+
+def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Sample) -> list[Fitted]:
+    """Hypotheses at their optimum on all lines, the better of it and what was known of each; side by side."""
+    few, reach = sample.thin(REFIT_LINES), _reach(search)
+
+    def end(number: int) -> Fitted:
+        one = places[number]
+        hopeless = min(one.worth, reach)
+        nearest = Objective(one.hypothesis.robot(robot), one.parameters, few).cost
+        z = one.starts[0] if one.far else min(one.starts, key=nearest)
+        z = descend(
+            robot, one.hypothesis, one.parameters, few, z,
+            tempered=8 if one.far else 0, linear=15, hopeless=ROUGHLY * hopeless,
+        ).z  # fmt: skip
+        return descend(
+            robot, one.hypothesis, one.parameters, sample, z,
+            tempered=0, linear=20, tolerance=0.02, hopeless=hopeless,
+        )  # fmt: skip
+
+    for one, fit in zip(places, spread(end, len(places), search.processes), strict=True):
+        known = search.fits.get(one.hypothesis.identity)
+        if known is None or fit.cost < known.cost:
+            search.fits[one.hypothesis.identity] = fit
+    return [search.fits[one.hypothesis.identity] for one in places]
 
 
 def _reach(search: Search) -> float:
@@ -306,7 +324,7 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
     free = search.base.parameters
     *others, last = best.hypothesis.pieces
     postures = [r.setup.q for r in sample.recordings]
-    found = []
+    places = []
     for companion in companions(last, robot, free, postures):
         hypothesis = together(*others, companion)
         known, alike = search.fits.get(hypothesis.identity), _alike(companion, last)
@@ -327,7 +345,10 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
             z = best.z
         else:
             z = np.concatenate([best.z[:n], np.zeros(len(companion.own))])
-        found.append(_refit(robot, search, hypothesis, parameters, [z], sample, False))
+        places.append(_Place(hypothesis, parameters, (z,)))
+    found = []
+    for number in range(0, len(places), ABREAST):
+        found += _refits(robot, search, places[number : number + ABREAST], sample)
     return found
 
 
