@@ -93,6 +93,22 @@ def test_bristles_at_every_joint_are_a_complete_model_and_a_slower_gear_is_not(t
     assert [m.first.key for m in missing] == ["hysteresis@joint3.z"]
 
 
+def test_slip_that_is_part_of_dry_friction_is_not_taken_for_how_friction_ordinarily_turns_round(
+    tmp_path: Path, kr90: Robot
+) -> None:
+    """A fifth of joint 2's friction turns over 0.2 mrad where Coulomb's turns at once: no other joint's does."""
+    slip = "hysteresis@joint2.z:stiffness=200000,yield_torque=40"
+    (missing,) = diagnose_log(recorded(tmp_path, "--effect", slip), kr90).missing
+    assert missing.first.key == "hysteresis@joint2.z"
+
+
+def test_presliding_is_in_proportion_to_friction_where_none_was_described(tmp_path: Path, kr90: Robot) -> None:
+    """Bristles carry dry friction alone: viscous friction left out makes no joint turn round unlike the others."""
+    log = recorded(tmp_path, "--friction", "lugre")
+    (missing,) = diagnose_log(log, kr90.without(["viscous_friction@joint2"])).missing
+    assert missing.first.key == "viscous_friction@joint2"
+
+
 def test_a_drive_that_turns_two_axes_keeps_the_friction_it_shares(tmp_path: Path, kr90: Robot) -> None:
     """Presliding is written for what rubs at its own joint only: the new description can be stepped."""
     coupling = "joint_coupling@joint3:from=1,ratio=0.5,inertia=200,friction=100,coulomb=200"
@@ -298,6 +314,17 @@ def test_churned_oil_is_not_taken_for_a_friction_that_has_a_name(tmp_path: Path,
     assert law.formula == "c1*abs(v1)*v1"
     ((low, high),) = law.parameters["coefficients"]["interval90"]
     assert low < 150 < high
+    faint = recorded(tmp_path, "--effect", "quadratic_friction@joint1:coefficient=20", "--friction", "lugre")
+    assert [m.first.key for m in diagnose_log(faint, kr90).missing] in ([], ["discovered@joint1"])
+
+
+def test_friction_that_falls_as_a_film_builds_up_keeps_its_name(tmp_path: Path, kr90: Robot) -> None:
+    """A Stribeck curve bends at low speed: q̇|q̇| explains no part of it, nor is there slip beside bristles' friction."""
+    effect = "stribeck_friction@joint1:static_excess=50,velocity=0.05"
+    (missing,) = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", effect), kr90).missing
+    assert missing.first.key == "stribeck_friction@joint1"
+    low, high = missing.first.parameters["velocity"]["interval90"]
+    assert low < 0.05 < high
 
 
 def test_friction_that_follows_the_load_feels_a_payload_that_is_found_beside_it(tmp_path: Path, kr90: Robot) -> None:

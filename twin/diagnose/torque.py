@@ -186,19 +186,27 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         if step.trial is not None:  # its numbers as they are with everything else in the model
             numbers = estimates_of(settled, search.system.own(step.trial.suspect))
             found = replace(found, first=replace(found.first, parameters=numbers))
+        if found.first.effect == "discovered":
+            found = _with_formula(found, step.first)
         missing.append(found)
     if search.law:
         _, _, fit = search.law
         (found,) = missing_of(Decision([fit], [other], 0.0, other), search.after)
-        (entry,) = fit.hypothesis.entries
-        formula = entry.values["formula"]
-        return "located", [*missing, replace(found, first=replace(found.first, formula=formula))], 0.0, other
+        return "located", [*missing, _with_formula(found, fit)], 0.0, other
     if other > 0.5:
         return "unexplained", missing, 0.0, other
     if not missing:
         return "adequate" if first.none >= 0.5 else word_of(first), [], first.none, first.other
     word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"
+    if any(m.first.effect == "discovered" for m in missing):
+        word = "located"
     return word, missing, first.none, max(first.other, other)
+
+
+def _with_formula(found: Missing, fit: Fitted) -> Missing:
+    """What was found, a law without a name, with its formula."""
+    (entry,) = fit.hypothesis.entries
+    return replace(found, first=replace(found.first, formula=entry.values["formula"]))
 
 
 def _inflated(system: System) -> Fitted:

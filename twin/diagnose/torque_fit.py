@@ -33,6 +33,7 @@ from twin.diagnose.torque_laws import (
     on_dense,
     presliding_columns,
     smooth_columns,
+    turning_level,
     with_values,
 )
 from twin.diagnose.torque_signal import Prepared, Run
@@ -69,7 +70,7 @@ MOST_STOPS = 60  # per run that the noise is estimated without
 STANDSTILL_S = 0.12  # shorter is a reversal
 TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
-PRESLIDING, UNLIKE = 0.5, 0.004  # share of dry friction that does, per travel: common to all joints, and of one alone
+PRESLIDING, UNLIKE = 0.5, 5e-4  # share of dry friction that does, per travel: common to all joints, and of one alone
 ELEMENTS, SLIGHT = 10, 1e-3  # of slip that presliding is written as, at most, and the share of dry friction worth one
 HELD = 0.1  # of dry friction that presliding holds through a standstill: doubt, how the axis crept to its rest
 UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero; a rotor's may be all of it
@@ -170,7 +171,7 @@ class Base:
                 load[:, axis] += values[column] * law
             elif roles[column] == "friction":
                 friction[:, axis] += values[column] * law
-        return State(torque, load, friction, turning, np.ones(n))
+        return State(torque, load, friction, turning, self.sliding, np.ones(n))
 
 
 def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | None = None) -> Base:
@@ -785,6 +786,7 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
     travels, first = base.presliding[0].shape[2], base.spread.shape[1]
     z = system.plain(z)
     alone = first + travels + base.regressor.robot.axis_count * base.ripple[0].shape[2]
+    found = [e for e in system.entries(z) if turning_level(e.effect, e.values)]
     physics = list(robot.physics)
     for j in np.flatnonzero(base.sliding).tolist():
         site = f"joint{j + 1}"
@@ -792,7 +794,8 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
         if dry is None:
             continue
         own = z[alone + j * travels : alone + (j + 1) * travels]
-        share = base.sliding[j] * (PRESLIDING * z[first : first + travels] + UNLIKE * own)
+        level = base.sliding[j] + sum(turning_level(e.effect, e.values) for e in found if axis_of(e.site) == j)
+        share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + UNLIKE * own)
         scale = TRAVELS[base.regressor.robot.axes[j].type]
         x = np.geomspace(scale[0] / 10, 10 * scale[-1], 80)
         ends = np.geomspace(scale[0] / 3, 5 * scale[-1], ELEMENTS)
@@ -881,18 +884,26 @@ def _rows(base: Base, joint: int) -> FloatArray:
 
 
 def _dry_friction(base: Base) -> FloatArray:
-    """A joint's dry friction (n,), N·m (N), as least squares find it, also where none is described."""
+    """A joint's dry friction (n,), N·m (N), as least squares find it, also where none is described.
+
+    Beside friction that rises and bends with speed, which else passes for some of it.
+    """
     found = np.zeros_like(base.friction)
     valid = np.concatenate([r.valid for r in base.runs])
     rest = np.concatenate(base.rest)[valid]
     for j, scale in enumerate(base.friction):
         described = [k for k, p in enumerate(base.parameters) if p.name == f"coulomb_friction@joint{j + 1}.torque"]
-        sign = np.concatenate([r.filtered(r.dense.sign(r.dense.velocity[:, j])) for r in base.runs])[valid]
-        columns = np.column_stack([scale * sign, _rows(base, j)[valid]])
+        fastest = span_of(base.runs, j)[2]
+        own = []
+        for run in base.runs:
+            speed = run.dense.velocity[:, j]
+            v = speed / fastest
+            own.append(run.filtered(np.stack([run.dense.sign(speed), v, v * np.abs(v)], -1)))
+        columns = np.column_stack([scale * np.concatenate(own), _rows(base, j)])[valid]
         ridge = 0.05**2 * np.mean(rest[:, j] ** 2) * np.eye(columns.shape[1])
         x = np.linalg.solve(columns.T @ columns + ridge, columns.T @ rest[:, j])
         found[j] = scale * x[0] + sum(
-            base.parameters[k].value(base.parameters[k].deviation * x[1 + k]) for k in described
+            base.parameters[k].value(base.parameters[k].deviation * x[3 + k]) for k in described
         )
     return np.maximum(found, 0.0)
 

@@ -48,6 +48,7 @@ class State:
         torque: (m, n) of the joints at the rows, before it is recorded.
         load, friction: (nt, n) on the dense clock.
         turning: (m, n) of the torque, how ordinary friction turns round; in proportion to friction as it was recorded.
+        sliding: (n,) N·m (N), dry friction that does so.
         gain, delay: (n,) and s, of the recording.
     """
 
@@ -55,6 +56,7 @@ class State:
     load: FloatArray
     friction: FloatArray
     turning: FloatArray = field(default_factory=lambda: np.zeros(1))
+    sliding: FloatArray = field(default_factory=lambda: np.zeros(1))
     gain: FloatArray = field(default_factory=lambda: np.ones(1))
     delay: float = 0.0
 
@@ -147,7 +149,20 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
         motion = replace(run.dense, load=state.load, friction=state.friction)
     for axis, torque in CATALOGUE[entry.effect].torque(motion, entry.site, values).items():
         out[:, axis] += run.filtered(torque)
+    if (level := turning_level(entry.effect, values)) and np.any(state.sliding):
+        axis = axis_of(entry.site)
+        out[:, axis] += level * state.turning[:, axis] / max(state.sliding[axis], 1e-300)
     return out
+
+
+def turning_level(effect: str, values: Values) -> float:
+    """Dry friction, N·m (N), that turns round as the other joints' does with an entry more than without it.
+
+    Slip is a part of the dry friction that turns round in its own way; a static excess is friction at rest.
+    """
+    if effect == "hysteresis":
+        return -float(np.sum(values["yield_torque"]))
+    return float(values["static_excess"]) if effect == "stribeck_friction" else 0.0
 
 
 def delayed(torque: FloatArray, run: Run, delay: float) -> FloatArray:
@@ -364,6 +379,14 @@ def _payload(s: _Setting) -> list[Suspect]:
     return s.suspect({"mass": 0.0, "com": typical["com"]}, own, [[0.0, *typical["com"]]])
 
 
+def _curved(s: _Setting) -> list[Suspect]:
+    """Friction that rises the more the faster, as of churned oil: a nameless rival to what falls where it is slow."""
+    v = f"v{s.axis + 1}"
+    law = {"formula": f"c1*abs({v})*{v}"}
+    usual = s.normal("coefficients[0]", s.size({**law, "coefficients": [1.0]}))
+    return s.suspect({**law, "coefficients": [0.0]}, [usual], [[0.0]], passive=True)
+
+
 def _gain(s: _Setting) -> list[Suspect]:
     return s.suspect({"gain": 1.0}, [s.normal("gain", 0.05, 1.0)], [[1.0]])
 
@@ -388,6 +411,7 @@ _BUILDERS = {
     "rotor_inertia": _one("inertia"),
     "time_delay": _delay,
     "torque_constant": _gain,
+    "discovered": _curved,
 }
 
 

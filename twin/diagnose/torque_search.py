@@ -61,7 +61,7 @@ WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to 
 RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
 STRAINED = 25.0  # square of the description's departures per held direction, in tolerances: it allows too little
 HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
-UNLIKE_OTHERS = 10.0  # factor on how far presliding of a joint with a slip of its own may be from the others'
+UNLIKE_OTHERS = 20.0  # factor on how far presliding of a joint with a slip of its own may be from the others'
 LEAST_OTHER = 0.01  # probability that something has no name here, at least
 REFINED = frozenset({"hysteresis", "stribeck_friction"})
 """Laws that are Coulomb friction in a limit: where there is none, it comes first if it does most of what they do."""
@@ -507,7 +507,15 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
         return
     trial, _ = discovered
     fit = fitted(system, trial)
-    if judge is None or judge.gain(system, fit, trial)[1]:
+    if judge is not None and not judge.gain(system, fit, trial)[1]:
+        return
+    beside = relinearised(extended(system, trial), SETTLED)
+    needless = [s for s in search.found if s.trial is not None and worth(beside, s.trial.suspect) < FURTHER]
+    if needless:  # they made up for what the law does
+        for step in needless:
+            step.accepted = False
+        _locate(search, joint, judge)
+    else:
         search.law = joint, trial, fit
 
 
@@ -534,7 +542,7 @@ def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], s
     gains = np.array([fit.evidence() for fit in fits]) - base.evidence()
     later = {k: first for k, first in [*_ladder(system, fits, gains), *_composed(fits, gains, trials)]}
     best = max((gain for k, gain in enumerate(gains) if k not in later), default=0.0)
-    numbers = [max(len(f.hypothesis.own), len(f.hypothesis.scale)) for f in fits]
+    numbers = [_numbers(f.hypothesis) for f in fits]
     near = [
         m for k, (m, gain) in enumerate(zip(numbers, gains, strict=True)) if gain > SIMPLER * best and k not in later
     ]
@@ -543,6 +551,11 @@ def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], s
         handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + FURTHER)
     hypotheses = [[s.hypothesis] for s in suspects]
     return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=0.01, scale=1.0), trials)
+
+
+def _numbers(hypothesis: Hypothesis) -> int:
+    """How many a hypothesis has to be fitted; that a law without a name was chosen counts as one."""
+    return max(len(hypothesis.own), len(hypothesis.scale)) + (hypothesis.effect == "discovered")
 
 
 def _ladder(system: System, fits: Sequence[Fitted], gains: FloatArray) -> list[tuple[int, int]]:
@@ -582,7 +595,7 @@ def _composed(fits: Sequence[Fitted], gains: FloatArray, trials: dict[str, Trial
 
 
 def _varied(started: Sequence[Trial]) -> list[Trial]:
-    """The most promising, at most half of them from one effect; and the two best that act on each joint alone."""
+    """The most promising, at most half of them from one effect; and the three best that act on each joint alone."""
     least = max(RACE * started[0].gain, 1.0)
     kept: list[Trial] = []
     for trial in started:
@@ -593,7 +606,7 @@ def _varied(started: Sequence[Trial]) -> list[Trial]:
             break
     for joint in {trial.column.joints[0] for trial in started if len(trial.column.joints) == 1}:
         own = [trial for trial in started if trial.column.joints == (joint,) and trial.gain > FURTHER]
-        kept += [trial for trial in own[:2] if not any(trial is other for other in kept)]
+        kept += [trial for trial in own[:3] if not any(trial is other for other in kept)]
     return kept
 
 
@@ -724,6 +737,7 @@ def smallest_visible(system: System, suspects: Sequence[Suspect]) -> list[dict[s
     torque it yields at.
     """
     numbers = calibration()
+    suspects = [s for s in suspects if s.hypothesis.effect != "discovered"]
     effects = {s.hypothesis.effect for s in suspects}
     found = []
     for suspect in suspects:
