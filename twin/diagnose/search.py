@@ -7,6 +7,7 @@ place, since one thing may have been found in the stead of another. All finalist
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from twin.diagnose.screen import FAR, Promise, Setting, inflation, screen
 from twin.identify.parameters import Parameters
 from twin.measure.campaign import FloatArray
 from twin.parallel import spread
+from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 SCREEN_LINES, REFIT_LINES, NEAR_LINES = 25, 50, 100
@@ -100,7 +102,7 @@ def explain(
         if not _worth(simpler, found[0]):  # it had only not converged
             best = simpler
             continue
-        best = found[0]
+        best = max([found[0], *_everywhere(robot, search, found, sample, suspects)], key=lambda fit: fit.evidence())
         if number:
             best = _reconsider(robot, search, best, sample, suspects, progress)
     best = _needed(robot, search, best, sample)
@@ -184,6 +186,37 @@ def _taken_out(search: Search, fit: Fitted, piece: Hypothesis) -> tuple[Hypothes
     rest = together(*(p for p in fit.hypothesis.pieces if p is not piece))
     names = set(rest.parameters(search.base.parameters).names)
     return rest, fit.z[[k for k, p in enumerate(fit.parameters) if p.name in names]]
+
+
+def _everywhere(
+    robot: Robot, search: Search, found: Sequence[Fitted], sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
+) -> list[Fitted]:
+    """A model that one thing leaves far off may lack a kind of spring, not one: those found, at all their sites.
+
+    The one that can least be done without comes first.
+    """
+    few, more, free = sample.thin(SCREEN_LINES), sample.thin(REFIT_LINES), search.base.parameters
+    if inflation(found[0], robot, more) <= FAR:
+        return []
+
+    def robust(hypothesis: Hypothesis) -> Objective:
+        return Objective(hypothesis.robot(robot), hypothesis.parameters(free), few, logarithmic=True)
+
+    def absence(sites: Sequence[Hypothesis], number: int) -> float:
+        rest = together(*(one for k, one in enumerate(sites) if k != number))
+        return minimise(robust(rest), np.zeros(len(rest.parameters(free))), 40, 0.5)[1]
+
+    places = []
+    for effect in dict.fromkeys(fit.hypothesis.pieces[-1].effect for fit in found):
+        sites = [variants[0] for variants in suspects if variants[0].effect == effect and CATALOGUE[effect].sprung]
+        if len(sites) < 2:
+            continue
+        costs = list(spread(partial(absence, sites), len(sites), search.processes))
+        hypothesis = together(*(sites[k] for k in np.argsort(costs)[::-1]))
+        parameters = hypothesis.parameters(free)
+        z = minimise(robust(hypothesis), np.zeros(len(parameters)), 40, 0.5)[0]
+        places.append(_Place(hypothesis, parameters, (z,), far=True))
+    return _refits(robot, search, places, sample)
 
 
 def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitted:
