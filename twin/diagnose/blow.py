@@ -102,7 +102,7 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
     blows = [strike.seen.J_e.shape[0] for strike in strikes]
     modes = max(len(part.fade) for part in parts)
     total = sum(blows)
-    fade, read, kick, early, late = (np.zeros((modes, total), complex) for _ in range(5))
+    fade, kick, early, late, moved = (np.zeros((modes, total), complex) for _ in range(5))
     own, k, load, tangent = (np.empty(total) for _ in range(4))
     sizes = np.empty((len(law.names), total))
     driven = max(int(np.ceil(strike.pulse_s * rate_hz)) for strike in strikes)
@@ -110,11 +110,11 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
     at = 0
     for strike, part, slope, count in zip(strikes, parts, slopes, blows, strict=True):
         span, m = slice(at, at + count), len(part.fade)
-        fade[:m, span], read[:m, span] = part.fade[:, None], part.read[:, None]
-        early[:m, span], late[:m, span] = part.early_g[:, None], part.late_g[:, None]
-        kick[:m, span] = (part.fade * part.late_g + part.early_g)[:, None]
+        fade[:m, span] = part.fade[:, None]  # every mode in units of what it adds to φ
+        early[:m, span], late[:m, span] = (part.read * part.early_g)[:, None], (part.read * part.late_g)[:, None]
+        kick[:m, span] = (part.read * (part.fade * part.late_g + part.early_g))[:, None]
         drive = strike.peak_n * _drive(part.pole, strike.pulse_s, rate_hz)
-        push[: len(drive), :m, span] = drive[:, :, None] * part.into
+        push[: len(drive), :m, span] = drive[:, :, None] * (part.read[:, None] * part.into)
         own[span] = float((part.read * part.late_g).sum().real)
         k[span], load[span], tangent[span], sizes[:, span] = strike.k, strike.load, slope, strike.sizes[:, None]
         at += count
@@ -127,10 +127,11 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
     out, largest = np.zeros((samples, total)), np.zeros(total)
     for step in range(1, samples):
         z *= fade
-        z += kick * g
+        np.multiply(kick, g, out=moved)
+        z += moved
         if step <= driven:
             z += push[step - 1]
-        free = np.einsum("mc,mc->c", read, z).real
+        free = np.add.reduce(z.real, axis=0)
         left, was = x, g
         x = _bounded(free + own * g)
         g = law.torque(rest + x, k, sizes, state)[0] - offset - tangent * x

@@ -67,15 +67,19 @@ class Receptances:
         """FRFs (nf, nr, ne) with that torque at the joint."""
         return np.asarray(self.H - self.out[:, :, None] * reaction[:, None, :])
 
-    def slopes(self, kappa: ComplexArray, reaction: ComplexArray) -> ComplexArray:
-        """Derivatives (n, nf, nr, ne) of :meth:`reacting` with κ and the rest held."""
+    def reaction_slopes(self, kappa: ComplexArray, reaction: ComplexArray) -> ComplexArray:
+        """Derivatives (n, nf, ne) of a reaction with κ and the rest held."""
         assert self.rates is not None
-        dH, dout, dinto, down = self.rates
+        dinto, down = self.rates[2:]
+        return np.asarray(kappa / (1 + kappa * self.own[:, None]) * (dinto - down[:, :, None] * reaction))
+
+    def slopes(self, reaction: ComplexArray, change: ComplexArray) -> ComplexArray:
+        """Derivatives (n, nf, nr, ne) of :meth:`reacting` where the reaction's are ``change`` (n, nf, ne)."""
+        assert self.rates is not None
+        dH, dout = self.rates[:2]
         found = dH - dout[:, :, :, None] * reaction[:, None, :]
-        share = kappa / (1 + kappa * self.own[:, None])
-        found -= (share * dinto)[:, :, None, :] * self.out[:, :, None]
-        found += down[:, :, None, None] * (share * reaction)[:, None, :] * self.out[:, :, None]
-        return found
+        found -= self.out[:, :, None] * change[:, :, None, :]
+        return np.asarray(found)
 
 
 def receptances(seen: Observed, index: int, s: ComplexArray, power: int, rate: Observed | None = None) -> Receptances:
@@ -123,4 +127,4 @@ def respond_slopes(seen: Observed, model: Structure, rate: Observed, r: Recorded
         return frf_slopes(seen, rate, r.s, r.power)
     joint = receptances(seen, model.coordinates.index(r.site), r.s, r.power, rate)
     reaction = joint.reaction(r.kappa, r.rest)
-    return joint.reacting(reaction), joint.slopes(r.kappa, reaction)
+    return joint.reacting(reaction), joint.slopes(reaction, joint.reaction_slopes(r.kappa, reaction))

@@ -7,26 +7,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
 from twin.diagnose.joint_laws import LAWS, NO_LOAD, Law
 from twin.diagnose.objective import Changes, Sample, rates
-from twin.diagnose.refit import SLACK
 from twin.identify.elastic import LOG_SPREAD, Recorded
 from twin.identify.parameters import Parameters
-from twin.identify.sensitivity import Observed, contract, observe
+from twin.identify.sensitivity import Observed, contract, moving, observe
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
+from twin.parallel import spread
 from twin.robot.description import Robot
 
 PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of its logarithm, where no raw hits tell
 FADED = 7.0  # e-foldings after which a windowed decay is not stepped any further
 OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
 SETTLING = 6  # iterations of a blow's own stiffness
-DIFFERENCE, TOLD = 0.02, 0.3  # differences of stepped blows: prior deviations at most, RMS change in units of noise
-HEAVIER, WEIGHED = 0.01, 0.1  # share of a joint's load, and prior deviations, of differences that tell what load does
+SMALL, ROUGHLY, WIDE = 1e-4, 4e-3, 0.02  # prior deviations, of differences of stepped blows
+STAYED = 1.0  # prior deviations, over which the law's torque keeps what its derivatives have beside those held
+WORTH_SPREADING = 20  # strikes per recording: fewer are stepped by one process
+WEIGHED = 0.1  # prior deviations, of differences of the load on a joint
 AHEAD = 0.1  # of a step: where its bend is looked at
-LARGEST_STEP = 2.0  # prior deviations
 
 
 @dataclass
@@ -74,6 +76,10 @@ class Cost:
         """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
         raise NotImplementedError
 
+    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
+        """Not known."""
+        return None
+
     def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Residual, what pulls on the parameters, and ∂ residual / ∂ H."""
         if not self.logarithmic:
@@ -87,44 +93,6 @@ class Cost:
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse = np.where(H != 0, -1 / H, 0)
         return e * soft, e * weight, inverse * w * weight
-
-
-def minimise(
-    objective: Cost, z: FloatArray, iterations: int, tolerance: float = 0.3
-) -> tuple[FloatArray, float, FloatArray, bool]:
-    """Levenberg's method: z, cost, Gauss–Newton matrix, and whether the expected gain fell below ``tolerance``, or
-    below a share of the misfit beyond noise: where that is large the model lacks something.
-
-    Derivatives of a stepped law are approximate, so that only steps that lower the cost are taken and nothing is
-    concluded from the bend of the way. Masses, angles and gains stop where they become implausible.
-    """
-    damping, bound = 1.0, objective.parameters.bound
-    log = np.array([p.log for p in objective.parameters]) * np.diag(objective.parameters.root)
-    cost, gradient, information = objective(z)
-    for _ in range(iterations):
-        if not (np.isfinite(cost) and np.isfinite(information).all()):
-            return z, np.inf, np.eye(len(z)), False
-        expected = 0.5 * float(gradient @ np.linalg.solve(information, gradient))
-        if expected < max(tolerance, SLACK * (cost - 0.55 * objective.data)):
-            return z, cost, information, True
-        while True:
-            bent = np.diag(damping + np.maximum(log * (gradient - z), 0))
-            step = -np.linalg.solve(information + bent, gradient)
-            step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
-            reach = np.maximum(bound, np.abs(z))  # what began beyond its bound comes back as the data let it
-            step = np.clip(z + step, -reach, reach) - z
-            trial = objective.cost(z + step)
-            if np.isfinite(trial) and trial < cost:
-                break
-            damping *= 8
-            if damping > 1e9:
-                return z, cost, information, False
-        promised = -float(gradient @ step) - 0.5 * float(step @ information @ step)
-        damping *= 1 / 8 if cost - trial > 0.5 * promised else 2
-        damping = max(damping, 1e-3)
-        z = z + step
-        cost, gradient, information = objective(z)
-    return z, cost, information, False
 
 
 # --- how it was hit ---------------------------------------------------------------------------------------------------
@@ -172,13 +140,15 @@ def _pulse_length(posture: PostureFRF) -> float:
 
 @dataclass
 class _Joint:
-    """A posture's model, the joint's coordinate in it, its spring and the load on it, and what is seen from there."""
+    """A posture's model, the joint's coordinate in it, its spring and the load on it, and what is seen from there;
+    derivatives of the model."""
 
     seen: Observed
     index: int
     k: float
     load: float
     view: Receptances
+    rate: Observed | None = None
 
 
 class _Postures:
@@ -191,6 +161,7 @@ class _Postures:
         self.known: dict[tuple[str, bytes, int], _Joint] = {}
         self.changes: Changes = {}
         self.loads: dict[str, tuple[list[int], FloatArray]] = {}
+        self.apart: dict[int, dict[int, _Joint]] = {}
 
     def of(self, r: Recorded) -> _Joint:
         key = r.setup.name, r.s.tobytes(), r.power
@@ -205,7 +176,31 @@ class _Postures:
             rate = rates(self.robot, r.setup, self.parameters, self.values, seen, model, self.changes)
             rate = contract(rate, self.parameters.transform(self.values))
         view = receptances(seen, index, r.s, r.power, rate)
-        return _Joint(seen, index, float(model.strain[index]), float(model.load[index]), view)
+        return _Joint(seen, index, float(model.strain[index]), float(model.load[index]), view, rate)
+
+    def moved(self, r: Recorded, step: float) -> dict[int, _Joint]:
+        """The joint's model with every parameter that acts on its motion moved in turn, to first order."""
+        joint = self.of(r)
+        if id(joint) in self.apart:
+            return self.apart[id(joint)]
+        rates = joint.view.rates
+        assert joint.rate is not None
+        assert rates is not None
+        loads = np.zeros(len(self.z))
+        if abs(joint.load) > NO_LOAD:
+            loaded, rate = self.load_slopes(r)
+            loads[loaded] = rate
+        acting = replace(
+            joint.rate, J_r=joint.rate.J_r[:, :0], gain=joint.rate.gain[:, :0], delay=joint.rate.delay[:, :0]
+        )
+        view, found = joint.view, {}
+        for p in sorted({*moving(acting).tolist(), *np.flatnonzero(loads).tolist()}):
+            seen = Observed.of(a + step * d[p] for a, d in zip(joint.seen.arrays(), joint.rate.arrays(), strict=True))
+            dinto, down = rates[2][p], rates[3][p]
+            there = replace(view, into=view.into + step * dinto, own=view.own + step * down, rates=None)
+            found[p] = _Joint(seen, joint.index, joint.k, joint.load + step * loads[p], there)
+        self.apart[id(joint)] = found
+        return found
 
     def load_slopes(self, r: Recorded) -> tuple[list[int], FloatArray]:
         """Which parameters the weight on the joint depends on, and its derivatives (m,) with respect to their z."""
@@ -260,7 +255,8 @@ class BlowByBlow(Cost):
             self.certainty[k] = matrix
             cost += part
             kappa = self.own[k][0] + r.s[:, None] * self.own[k][1]
-            J = -joint.view.slopes(kappa, joint.view.reaction(kappa)) * self.weight[k]
+            R = joint.view.reaction(kappa)
+            J = -joint.view.slopes(R, joint.view.reaction_slopes(kappa, R)) * self.weight[k]
             n = len(z)
             G = J.reshape(n, -1).view(float)
             gradient += G @ e.reshape(-1).view(float)
@@ -333,8 +329,10 @@ class Stepped(Cost):
     the weight on the joint, which counts half as much: that is how it comes in, and sizes are those that go with blows
     of the usual length until they are written into an entry. With ``fixed`` sizes (m,) the parameters hold none.
 
-    Derivatives are those with the law held (:mod:`twin.diagnose.held_law`) and, for what it is sensitive to, what
-    differences of stepped blows say beside them: for its own numbers, the joint's spring and damper, the load on it.
+    Derivatives of the linear part are in closed form, those of the law's torque with respect to what acts on the law
+    itself by differences of stepped blows. With respect to the rest of the robot the law is held
+    (:mod:`twin.diagnose.held_law`), which is off by a tenth: ``closely``, that too is stepped, coarsely, by some
+    ``processes``.
     ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording.
     """
 
@@ -343,12 +341,13 @@ class Stepped(Cost):
     blow: dict[str, Blow] = field(default_factory=dict)
     fixed: FloatArray | None = None
     rate_hz: float = RATE_HZ
-    step: FloatArray = field(init=False)
+    closely: bool = False
+    processes: int = 1
     rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list, init=False)
+    beside: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.step = np.full(len(self.parameters), DIFFERENCE)
         own = 0
         if self.fixed is None:
             own = len(self.law.names) + self.parameters.names[-1].endswith(".pulse")
@@ -365,37 +364,108 @@ class Stepped(Cost):
         return self.predicted_at([z])[0]
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        n, sensitive = len(self.base), self._stepped_for()
-        moved = [z + self.step[k] * np.eye(len(z))[k] for k in sensitive]
-        postures, reactions = self._stepped([z, *moved, z], heavier=HEAVIER)
+        n = len(self.base)
         joints = _Postures(self.robot, self.base, self.site, z[:n], True)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         self.rows.clear()
-        for k, (r, w) in enumerate(zip(self.sample.recordings, self.weight, strict=True)):
-            joint, R = joints.of(r), reactions[0][k]
-            H = joint.view.reacting(R)
-            kappa, rest = _held(joint.view, r.s, R)
-            dH = np.zeros((len(z), *H.shape), complex)
-            dH[:n] = joint.view.slopes(kappa, R)
-            for place, at, other in zip(sensitive, postures[1:-1], reactions[1:-1], strict=True):
-                there = at.of(r).view
-                beside = other[k] - there.reaction(kappa, rest)
-                if np.isfinite(beside).all():  # a step over the edge of what can be stepped tells nothing
-                    dH[place] -= there.out[:, :, None] * beside[:, None, :] / self.step[place]
-            if abs(joint.load) > NO_LOAD:
-                loaded, rate = joints.load_slopes(r)
-                by_load = (joint.view.reacting(reactions[-1][k]) - H) / (HEAVIER * joint.load)
-                if np.isfinite(by_load).all():
-                    dH[loaded] += rate[:, None, None, None] * by_load
-            e, pull, factor = self._error(r, H, w)
+        for r, w, (R, dR) in zip(self.sample.recordings, self.weight, self._reactions(z, joints), strict=True):
+            view = joints.of(r).view
+            dH = np.zeros((len(z), *r.frf.shape), complex)
+            dH[:n] = view.slopes(R, dR[:n])
+            dH[n:] = -view.out[:, :, None] * dR[n:, :, None, :]
+            e, pull, factor = self._error(r, view.reacting(R), w)
             cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
             J = (dH * factor).reshape(len(z), -1).view(float)
             gradient += J @ np.ascontiguousarray(pull).reshape(-1).view(float)
             information += J @ J.T
             if not self.logarithmic:
                 self.rows.append((np.ascontiguousarray(e).reshape(-1).view(float), J))
-        self.step = np.minimum(DIFFERENCE, TOLD * np.sqrt(self.data / np.diag(information)))
         return cost, gradient, information
+
+    def _reactions(self, z: FloatArray, joints: _Postures) -> list[tuple[ComplexArray, ComplexArray]]:
+        """Reactions (nf, ne) per recording and their derivatives (n, nf, ne), by differences of stepped blows.
+
+        Blows a little and somewhat longer tell smooth decays from those whose end the least difference throws about.
+        There a wide step along what acts on the law itself counts, and for everything else the law is held.
+        """
+        n, recordings, eye = len(self.base), self.sample.recordings, np.eye(len(z))
+        springs = [k for k, p in enumerate(self.base) if p.site == self.site]
+        near = springs + list(range(n, len(z)))
+        asked = [[(joints.of(r), r, *self.own(z)) for r in recordings]]
+        sizes, longer = self.own(z)
+        for h in (SMALL, WIDE) if self.closely else (ROUGHLY,):
+            asked.append([(joints.of(r), r, sizes, longer * (1 + h)) for r in recordings])
+            for k in near:
+                moved = z + h * eye[k]
+                there = joints if k >= n else _Postures(self.robot, self.base, self.site, moved[:n], False)
+                asked.append([(there.of(r), r, *self.own(moved)) for r in recordings])
+        found = self._react([one for some in asked for one in some])
+        count, m = len(recordings), 1 + len(near)
+        slopes: list[ComplexArray] = []
+        smooth: list[NDArray[np.bool_]] = []
+        for k, r in enumerate(recordings):
+            R, *beside = found[k::count]
+            view = joints.of(r).view
+            dR = np.zeros((len(z), *R.shape), complex)
+            dR[:n] = view.reaction_slopes(_held(view, r.s, R)[0], R)
+            if self.closely:
+                small = np.array([(other - R) / SMALL for other in beside[:m]])
+                wide = np.array([(other - R) / WIDE for other in beside[m:]])
+                off, size = (np.sum(np.abs(d[0]) ** 2, axis=0) for d in (small - wide, wide))
+                smooth.append(off < size)  # false where a step went over the edge of what can be stepped
+                stepped = np.where(smooth[k], small, wide)[1:]
+            else:
+                stepped = np.array([(other - R) / ROUGHLY for other in beside[1:]]).reshape(-1, *R.shape)
+            dR[near] = np.where(np.isfinite(stepped), stepped, dR[near])
+            slopes.append(dR)
+        if self.closely:
+            if self.beside is None or np.linalg.norm(z - self.beside[0]) > STAYED:
+                self.beside = z, self._beside_held(z, joints, near, found[:count], slopes, smooth)
+            for dR, lag in zip(slopes, self.beside[1], strict=True):
+                dR[:n] += lag
+        return list(zip(found, slopes, strict=False))
+
+    def _beside_held(
+        self,
+        z: FloatArray,
+        joints: _Postures,
+        near: Sequence[int],
+        reactions: Sequence[ComplexArray],
+        slopes: Sequence[ComplexArray],
+        smooth: Sequence[NDArray[np.bool_]],
+    ) -> list[ComplexArray]:
+        """What derivatives of reactions with respect to all but what is ``near`` the law have beside those held."""
+        lags = [np.zeros_like(dR[: len(self.base)]) for dR in slopes]
+        asked, where = [], []
+        for k, r in enumerate(self.sample.recordings):
+            for p, joint in joints.moved(r, SMALL).items() if smooth[k].any() else ():
+                if p not in near:
+                    asked.append((joint, r, *self.own(z)))
+                    where.append((k, p))
+        for (k, p), other in zip(where, self._react(asked), strict=True):
+            beside = (other - reactions[k]) / SMALL - slopes[k][p]
+            lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
+        return lags
+
+    def _react(
+        self, asked: Sequence[tuple[_Joint, Recorded, FloatArray, float]], rate_hz: float | None = None
+    ) -> list[ComplexArray]:
+        """What the law does, T/F (nf, ne), in a model of each recording, of some sizes, to blows of some length."""
+        rate, share = rate_hz or self.rate_hz, max(1, -(-len(asked) // self.processes))
+
+        def some(number: int) -> list[ComplexArray]:
+            here = asked[number * share : (number + 1) * share]
+            strikes = [self._strike(*one) for one in here]
+            with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge
+                stepped = torques(strikes, self.law, self._length_s, rate)
+            return [
+                self._reaction(joint.view, r, strike, g, rate)
+                for (joint, r, *_), strike, (g, _) in zip(here, strikes, stepped, strict=True)
+            ]
+
+        processes = self.processes if len(asked) > WORTH_SPREADING * len(self.sample.recordings) else 1
+        share = share if processes > 1 else len(asked)
+        return [R for part in spread(some, -(-len(asked) // share), processes) for R in part]
 
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
         """Gᵀ ∂²e/∂step² (n,) of the linear residual e at z, where this was called last; ``None`` if it is not known."""
@@ -408,17 +478,12 @@ class Stepped(Cost):
             total += G @ (2 / AHEAD * ((there - e) / AHEAD - step @ G))
         return total if np.isfinite(total).all() else None
 
-    def _stepped_for(self) -> list[int]:
-        """Coordinates that blows are stepped for."""
-        springs = [k for k, p in enumerate(self.base) if p.site == self.site]
-        return springs + list(range(len(self.base), len(self.parameters)))
-
     def held(self, z: FloatArray) -> list[UnderLaw]:
         """The recordings with the law held as it is at z."""
-        (postures,), (reactions,) = self._stepped([z])
+        views, (reactions,) = self._stepped([z])
         return [
-            UnderLaw.of(r, self.site, *_held(postures.of(r).view, r.s, R))
-            for r, R in zip(self.sample.recordings, reactions, strict=True)
+            UnderLaw.of(r, self.site, *_held(view, r.s, R))
+            for r, view, R in zip(self.sample.recordings, views[0], reactions, strict=True)
         ]
 
     def cost(self, z: FloatArray) -> float:
@@ -437,72 +502,50 @@ class Stepped(Cost):
 
     def deflection(self, z: FloatArray) -> float:
         """A large deflection of the joint under these blows, rad (m): exceeded by one in ten; NaN if they diverge."""
-        n = len(self.base)
-        postures = _Postures(self.robot, self.base, self.site, z[:n], False)
-        strikes = self._strikes(postures, np.full(len(self.law.names), 1e-9))
+        postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+        none = np.full(len(self.law.names), 1e-9)
+        strikes = [self._strike(postures.of(r), r, none) for r in self.sample.recordings]
         with np.errstate(over="ignore", invalid="ignore"):
             stepped = torques(strikes, self.law, 0.5, self.rate_hz)
         return float(np.quantile(np.concatenate([largest for _, largest in stepped]), 0.9))
 
     def equivalents(self, z: FloatArray, sizes: Sequence[FloatArray]) -> list[list[FloatArray]]:
         """For each of several sizes, per recording: the stiffness and damping (2, ne) the law was to every blow."""
-        n = len(self.base)
-        postures = _Postures(self.robot, self.base, self.site, z[:n], False)
-        strikes = [strike for size in sizes for strike in self._strikes(postures, size)]
-        stepped = iter(torques(strikes, self.law, self._length_s, self.rate_hz))
-        return [
-            [
-                _equivalent(postures.of(r).view, r.s, self._reaction(postures.of(r).view, r, strike, next(stepped)[0]))
-                for r, strike in zip(self.sample.recordings, strikes, strict=False)
-            ]
-            for _ in sizes
-        ]
+        postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+        joints = [(postures.of(r), r) for r in self.sample.recordings]
+        found = iter(self._react([(joint, r, size, 1.0) for size in sizes for joint, r in joints]))
+        return [[_equivalent(joint.view, r.s, next(found)) for joint, r in joints] for _ in sizes]
 
     @property
     def _length_s(self) -> float:
         return max(self.blow[r.group].length_s for r in self.sample.recordings)
 
-    def _strikes(self, postures: _Postures, sizes: FloatArray, longer: float = 1.0) -> list[Strike]:
+    def _strike(self, joint: _Joint, r: Recorded, sizes: FloatArray, longer: float = 1.0) -> Strike:
         """Blows ``longer`` times as long as usual: their momentum scaled back, the weight counts less beside them."""
-        strikes = []
-        for r in self.sample.recordings:
-            joint, blow = postures.of(r), self.blow[r.group]
-            load, peak, length = joint.load / longer, blow.peak_n / longer, blow.pulse_s * longer
-            strikes.append(Strike(joint.seen, joint.index, joint.k, load, peak, length, sizes))
-        return strikes
+        blow = self.blow[r.group]
+        load, peak, length = joint.load / longer, blow.peak_n / longer, blow.pulse_s * longer
+        return Strike(joint.seen, joint.index, joint.k, load, peak, length, sizes)
 
-    def _stepped(
-        self, points: Sequence[FloatArray], heavier: float = 0.0
-    ) -> tuple[list[_Postures], list[list[ComplexArray]]]:
-        """Models and reactions at several z, stepped side by side; at the last one with a ``heavier`` load."""
-        n = len(self.base)
-        postures = [_Postures(self.robot, self.base, self.site, z[:n], False) for z in points]
-        strikes = [self._strikes(some, *self.own(z)) for some, z in zip(postures, points, strict=True)]
-        strikes[-1] = [replace(strike, load=(1 + heavier) * strike.load) for strike in strikes[-1]]
-        with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge
-            found = torques([strike for some in strikes for strike in some], self.law, self._length_s, self.rate_hz)
-        stepped = iter(found)
-        reactions = [
-            [
-                self._reaction(at.of(r).view, r, strike, next(stepped)[0])
-                for r, strike in zip(self.sample.recordings, some, strict=True)
-            ]
-            for at, some in zip(postures, strikes, strict=True)
-        ]
-        return postures, reactions
+    def _stepped(self, points: Sequence[FloatArray]) -> tuple[list[list[Receptances]], list[list[ComplexArray]]]:
+        """Models and reactions, per recording, at several z, stepped side by side."""
+        asked = []
+        for z in points:
+            postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+            asked.append([(postures.of(r), r, *self.own(z)) for r in self.sample.recordings])
+        found = iter(self._react([one for some in asked for one in some]))
+        return [[joint.view for joint, *_ in some] for some in asked], [[next(found) for _ in some] for some in asked]
 
-    def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray) -> ComplexArray:
+    def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray, rate_hz: float) -> ComplexArray:
         """The law's torque per force of the blow, T/F (nf, ne): of its tangent at rest, and the stepped g beside it."""
         force = strike.peak_n * pulse_transform(r.s, strike.pulse_s)
-        beside = (transform(r.s, len(g), self.rate_hz) @ g) / force[:, None]
+        beside = (transform(r.s, len(g), rate_hz) @ g) / force[:, None]
         return view.reaction(np.full(beside.shape, strike.tangent(self.law), complex), beside)
 
     def predicted_at(self, points: Sequence[FloatArray]) -> list[list[ComplexArray]]:
         """The same at several z, stepped side by side."""
-        postures, reactions = self._stepped(points)
         return [
-            [some.of(r).view.reacting(R) for r, R in zip(self.sample.recordings, own, strict=True)]
-            for some, own in zip(postures, reactions, strict=True)
+            [view.reacting(R) for view, R in zip(views, reactions, strict=True)]
+            for views, reactions in zip(*self._stepped(points), strict=True)
         ]
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose import refit
 from twin.diagnose.blow import COARSE_HZ, RATE_HZ
 from twin.diagnose.decide import Decision, calibration, decide, unexplained
 from twin.diagnose.hypotheses import Hypothesis, together
@@ -26,14 +25,14 @@ from twin.diagnose.joint_reaction import (
     Stepped,
     blows,
     inverse2,
-    minimise,
 )
 from twin.diagnose.objective import Sample
-from twin.diagnose.refit import NONE, Fitted, descend
+from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.identify.elastic import Recorded
 from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import frf, observe
 from twin.measure.campaign import Campaign, FloatArray
+from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry, Robot
 
@@ -45,8 +44,8 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, SETTLING, FINE, LINEAR = 8, 10, 4, 8, 15, 3, 15  # iterations
-COARSE_GAIN, FINE_GAIN = 0.5, 0.1  # in ln likelihood: less is not waited for
+LOCATING, ROUGH, RACING, LAST, COARSE, FINE, LINEAR = 8, 10, 4, 8, 10, 3, 15  # iterations
+ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
 @dataclass(frozen=True)
@@ -145,6 +144,7 @@ def explain_levels(
     sample: Sample,
     robust: FloatArray,
     progress: Callable[[int], None] | None = None,
+    processes: int = 1,
 ) -> Levels | None:
     """Amplitude laws fitted to a campaign whose force levels disagree.
 
@@ -155,6 +155,7 @@ def explain_levels(
         sample: all lines of what is fitted to.
         robust: (n,) the base model's optimum of the logarithmic residual.
         progress: called with 1 after every joint located and every law fitted.
+        processes: the work is spread over so many.
 
     Returns:
         ``None`` where peak forces are not recorded, or no joint has a spring.
@@ -165,40 +166,42 @@ def explain_levels(
         return None
     tick = progress or (lambda count: None)
     starts = [base.z, robust, np.zeros(len(robust))]
-    places, temper = locate(robot, base.parameters, starts, sample.thin(LINES), sprung, tick)
+    places, temper = locate(robot, base.parameters, starts, sample.thin(LINES), sprung, tick, processes)
     window = 0.0 if temper <= SMOOTH else WINDOW
     seen = view(robot, base.parameters, robust, sample, blow, window)
     near = [place for place in places if place.cost < SITE_REACH * places[0].cost][:SITES]
     if window:
-        trials, temper = _rough_race(robot, base, places if temper == 1 else near, seen, starts[1:], tick)
+        trials, temper = _rough_race(robot, base, places if temper == 1 else near, seen, starts[1:], tick, processes)
         few = View(0.0, sample.thin(LINES), blow).telling(_at(trials, places), BLOWS)[0]
         whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
-        whole, left = _race(whole, WHOLE_TEMPERS, tick, LAST)
+        whole, left = _race(whole, WHOLE_TEMPERS, tick, processes, LAST)
         if left <= HOLDS:  # a law that holds to the ends of the decays tells more there
             trials, temper, window, seen = whole, 0.0, 0.0, View(0.0, sample.thin(FINAL_LINES), blow)
     else:
         short = replace(seen, sample=sample.thin(LINES))
-        trials, temper = _race([trial for place in near for trial in _starts(robot, base, place, short)], TEMPERS, tick)
+        trials = [trial for place in near for trial in _starts(robot, base, place, short)]
+        trials, temper = _race(trials, TEMPERS, tick, processes)
         seen, temper = replace(seen, sample=sample.thin(FINAL_LINES)), 0.0  # what a law leaves unexplained must show
     best = _at(trials, places)
     told = seen.telling(best, BLOWS)[0]
     data = _tempered(told, temper)
-    objectives = [replace(objective, sample=data) for objective, _, _ in trials]
-    fits = [fit_law(objective, *trial[1:], LAST, 0) for objective, trial in zip(objectives, trials, strict=True)]
+    objectives = [replace(objective, sample=data, processes=processes) for objective, _, _ in trials]
+    fits = _fitted_roughly([(o, *trial[1:]) for o, trial in zip(objectives, trials, strict=True)], processes)
     least = min(fit.cost for fit in fits)
     fits = [
         fit_law(objective, fit.hypothesis, fit.z) if fit.cost < NEAR * least else fit
         for objective, fit in zip(objectives, fits, strict=True)
     ]
+    least = min(fit.cost for fit in fits)
     order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
     nameless = []
     if temper or fits[order[0]].misfit > calibration()["noise_misfit"]:
-        for objective, hypothesis, z in _starts(
-            robot, base, best, replace(seen, sample=seen.sample.thin(LINES)), NAMELESS
-        ):
-            objective = replace(objective, sample=data)
-            fit = fit_law(objective, hypothesis, z, LAST, 0)
-            nameless.append(fit_law(objective, hypothesis, fit.z) if fit.cost < NEAR * least else fit)
+        rivals = _starts(robot, base, best, replace(seen, sample=seen.sample.thin(LINES)), NAMELESS)
+        rivals = [(replace(trial[0], sample=data, processes=processes), *trial[1:]) for trial in rivals]
+        nameless = [
+            fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR * least else fit
+            for trial, fit in zip(rivals, _fitted_roughly(rivals, processes), strict=True)
+        ]
     again = min(
         (
             descend(robot, base.hypothesis, base.parameters, data, z, tempered=15, linear=15)
@@ -247,6 +250,7 @@ def locate(
     sample: Sample,
     sites: Sequence[str],
     tick: Callable[[int], None],
+    processes: int = 1,
 ) -> tuple[list[Located], float]:
     """Joints, each tried with a complex stiffness for every blow, lowest cost first; and the model error down to
     which the best explains the recordings (1 where it does not)."""
@@ -255,20 +259,26 @@ def locate(
         rough = BlowByBlow(robot, parameters, sample, TEMPERS[0], site=site)
         ends[site] = min(starts, key=rough.cost)
     found: list[Located] = []
-    reached = 1.0
+    reached, data = 1.0, BlowByBlow(robot, parameters, sample).data
     for temper in TEMPERS:
-        here = []
-        for site in sites:
+
+        def at(number: int, temper: float = temper) -> Located:
+            site = sites[number]
             objective = BlowByBlow(robot, parameters, sample, temper, site=site)
-            ends[site], cost, _, _ = minimise(objective, ends[site], LOCATING, 0.3)
-            objective(ends[site])
-            here.append(Located(site, cost, ends[site], objective.own, objective.certainty))
+            z, cost, _, _ = minimise(objective, ends[site], LOCATING, ROUGH_GAIN)
+            objective(z)
+            return Located(site, cost, z, objective.own, objective.certainty)
+
+        here = []
+        for place in spread(at, len(sites), processes):
+            here.append(place)
+            ends[place.site] = place.z
             tick(1)
         here.sort(key=lambda item: item.cost)
-        if found and 2 * here[0].cost > EXPLAINS * objective.data and temper:
+        if found and 2 * here[0].cost > EXPLAINS * data and temper:
             break
         found = here
-        if 2 * here[0].cost > EXPLAINS * objective.data:
+        if 2 * here[0].cost > EXPLAINS * data:
             break
         reached = temper
     return found, reached
@@ -319,31 +329,34 @@ def _rough_race(
     shown: View,
     starts: Sequence[FloatArray],
     tick: Callable[[int], None],
+    processes: int,
 ) -> tuple[list[Trial], float]:
     """The same for blows that no complex stiffness fits: every law at every joint by its logarithmic residual."""
+    few = {place.site: shown.telling(place, FEW_BLOWS)[0] for place in places}
+    begun = [(law, place, z) for place in places for law in LAWS for z in (*starts, place.z)]
+
+    def rough(number: int) -> tuple[Law, FloatArray, float]:
+        law, place, z = begun[number]
+        objective, _ = with_law(robot, base, law, place.site, few[place.site], shown.blow)
+        amplitude = _amplitude(objective, z)
+        objective = replace(objective, law=law.at(amplitude), logarithmic=True)
+        values = base.parameters.values(z)
+        k = values[base.parameters.names.index(f"{place.site}.stiffness")]
+        points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
+        end, cost, _, _ = minimise(objective, points[int(np.argmin(objective.costs(points)))], ROUGH, ROUGH_GAIN)
+        return objective.law, end, cost
+
     ends: list[tuple[float, Trial]] = []
-    for place in places:
-        some, _ = shown.telling(place, FEW_BLOWS)
-        for law in LAWS:
-            objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
-            for z in (*starts, place.z):
-                amplitude = _amplitude(objective, z)
-                rough = replace(objective, law=law.at(amplitude), logarithmic=True)
-                values = base.parameters.values(z)
-                k = values[base.parameters.names.index(f"{place.site}.stiffness")]
-                points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
-                end, cost, _, _ = minimise(rough, points[int(np.argmin(rough.costs(points)))], ROUGH, 0.3)
-                ends.append((cost, (rough, hypothesis, end)))
-            tick(1)
-    for _ in range(2):
-        least = min(cost for cost, _ in ends)
-        again = [(*minimise(t[0], t[2], ROUGH, 0.3)[1::-1], t) for cost, t in ends if cost < ROUGH_REACH * least]
-        ends = [(cost, (t[0], t[1], z)) for cost, z, t in again]
+    for (_, place, _), (law, z, cost) in zip(begun, spread(rough, len(begun), processes), strict=True):
+        objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
+        ends.append((cost, (objective, hypothesis, z)))
+        tick(1)
     best: dict[str, tuple[float, Trial]] = {}
     for cost, trial in sorted(ends, key=lambda item: item[0]):
         best.setdefault(trial[1].key, (cost, trial))
-    trials = [(replace(t[0], logarithmic=False), *t[1:]) for _, t in best.values()]
-    trials, temper = _race(trials, ROUGH_TEMPERS, tick)
+    reach = ROUGH_REACH * min(cost for cost, _ in ends)
+    trials = [trial for cost, trial in best.values() if cost < reach]
+    trials, temper = _race(trials, ROUGH_TEMPERS, tick, processes)
     return trials, min(temper, ROUGH_TEMPERS[0])
 
 
@@ -364,18 +377,27 @@ def with_law(
 
 
 def _race(
-    trials: list[Trial], tempers: Sequence[float], tick: Callable[[int], None], iterations: int = RACING
+    trials: list[Trial],
+    tempers: Sequence[float],
+    tick: Callable[[int], None],
+    processes: int,
+    iterations: int = RACING,
 ) -> tuple[list[Trial], float]:
     """The laws that stay in reach of the best while the model error allowed falls, best first; and the least error at
     which one of them explains the recordings (1 where none does)."""
     reached = 1.0
     for temper in tempers:
+
+        def run(number: int, temper: float = temper, trials: list[Trial] = trials) -> tuple[FloatArray, float]:
+            objective, _, z = trials[number]
+            return minimise(replace(objective, sample=_tempered(objective.sample, temper)), z, iterations, ROUGH_GAIN)[
+                :2
+            ]
+
         ends: list[tuple[float, Trial]] = []
-        for objective, hypothesis, z in trials:
-            allowed = replace(objective, sample=_tempered(objective.sample, temper))
-            if np.isfinite(allowed.cost(z)):
-                z, cost, _, _ = minimise(allowed, z, iterations, 0.3)
-                ends.append((cost, (objective, hypothesis, z)))
+        for trial, (z, cost) in zip(trials, spread(run, len(trials), processes), strict=True):
+            if np.isfinite(cost):
+                ends.append((cost, (*trial[:2], z)))
             tick(1)
         if not ends:  # none can be stepped
             break
@@ -421,12 +443,28 @@ def _noise_share(sample: Sample, tempered: Sample) -> float:
     return float(np.mean(noise / allowed))
 
 
-def fit_law(
-    objective: Stepped, hypothesis: Hypothesis, z: FloatArray, coarse: int = SETTLING, fine: int = FINE
-) -> Fitted:
+def _fitted_roughly(trials: Sequence[Trial], processes: int) -> list[Fitted]:
+    """Laws after a few coarse iterations."""
+
+    def run(number: int) -> Fitted:
+        objective, hypothesis, z = trials[number]
+        objective = replace(objective, processes=1)
+        z, *_ = minimise(replace(objective, rate_hz=COARSE_HZ), z, LAST, COARSE_GAIN)
+        return _fitted(objective, hypothesis, *minimise(replace(objective, rate_hz=RATE_HZ), z, 0, 0))
+
+    return list(spread(run, len(trials), processes))
+
+
+def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray) -> Fitted:
     """Fit a law from z: coarsely stepped, then finely."""
-    z, *_ = refit.minimise(replace(objective, rate_hz=COARSE_HZ), z, coarse, COARSE_GAIN)
-    z, cost, information, converged = refit.minimise(replace(objective, rate_hz=RATE_HZ), z, fine, FINE_GAIN)
+    z, *_ = minimise(replace(objective, rate_hz=COARSE_HZ, closely=True), z, COARSE, COARSE_GAIN)
+    fine = replace(objective, rate_hz=RATE_HZ, closely=True)
+    return _fitted(objective, hypothesis, *minimise(fine, z, FINE, FINE_GAIN))
+
+
+def _fitted(
+    objective: Stepped, hypothesis: Hypothesis, z: FloatArray, cost: float, information: FloatArray, converged: bool
+) -> Fitted:
     parameters, n = objective.parameters, len(objective.base)
     values, data = parameters.values(z), objective.data
     law = hypothesis.pieces[-1]

@@ -21,7 +21,7 @@ from twin.diagnose.screen import inflation
 from twin.diagnose.search import REFIT_LINES, SLIGHT, WORTH, Progress, Search, one_more
 from twin.robot.description import Robot
 
-LINES = 100  # of every recording
+LINES = 40  # of every recording
 FINALISTS = 3  # fitted again with the law stepped
 PROMISING = 0.8  # of the best one's gain
 ROUNDS = 2  # the search again where the law itself had further to go
@@ -64,6 +64,9 @@ def explain_beside(
         if not found:
             return Beside(law, None, [], [])
         first, objective = _both(robot, base, stepped, law, found[0])
+        worth = first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
+        if law.converged:
+            break
         # from where the richer ended: a law that had not converged is no discovery
         simpler = fit_law(stepped, law.hypothesis, np.concatenate([first.z[:n], first.z[len(found[0].z) :]]))
         moved = simpler.cost < law.cost - SLIGHT
@@ -98,7 +101,7 @@ def _both(robot: Robot, base: Fitted, stepped: Stepped, law: Fitted, fit: Fitted
     objective, hypothesis = with_law(
         robot, base, stepped.law, stepped.site, stepped.sample, stepped.blow, fit.hypothesis
     )
-    n = len(base.parameters)
+    objective, n = replace(objective, processes=stepped.processes), len(base.parameters)
     places = [np.concatenate([start, fit.z[n:], law.z[n:]]) for start in (law.z[:n], fit.z[:n])]
     return fit_law(objective, hypothesis, places[int(np.argmin(objective.costs(places)))]), objective
 
@@ -115,7 +118,8 @@ def _found(
     whole = _held(levels.objectives[0], law, levels.whole.thin(LINES), levels)
     n = len(base.parameters)
     alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR)
-    search = Search(alone, [], alone.z, inflation(alone, robot, whole.thin(REFIT_LINES)))
+    error = inflation(alone, robot, whole.thin(REFIT_LINES))
+    search = Search(alone, [], alone.z, error, processes=levels.objectives[0].processes)
     bars = progress or (lambda description, total: lambda count: None)
     found = one_more(robot, search, whole, suspects, bars)
     tried = {fit.hypothesis.key for fit in found}

@@ -11,7 +11,7 @@ from twin.diagnose.decide import Decision, finalists
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
 from twin.diagnose.joint_laws import LAWS, Law, Slip
-from twin.diagnose.joint_reaction import Blow, Stepped, blows, minimise
+from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels
 from twin.diagnose.levels_beside import Beside, explain_beside
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
@@ -19,7 +19,7 @@ from twin.diagnose.next_test import next_test
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, frf_records
-from twin.diagnose.refit import Fitted, noise_floor
+from twin.diagnose.refit import Fitted, minimise, noise_floor
 from twin.diagnose.search import SCREEN_LINES, Progress, Search
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of
@@ -33,7 +33,7 @@ from twin.model.hammer import HammerTest, simulate_hits
 from twin.robot.description import Axis, Robot
 from twin.robot.mechanism import assemble
 
-JUDGED_LINES, AGAIN = 25, 6  # lines and iterations of what belongs to held-out recordings themselves
+JUDGED_LINES, AGAIN = 25, 8  # lines and iterations of what belongs to held-out recordings themselves
 FORM = 0.05
 """Deviation of the logarithm of a blow's momentum, its peak and spectrum known: a half sine has 1.06 times a
 haversine's, and 1.2 times a triangle's."""
@@ -66,7 +66,7 @@ def levels_finding(
     """
     sample = Sample(tuple(found.used), 1 / found.shared)
     tick = progress("force levels", 40) if progress else None
-    levels = explain_levels(campaign, base, search.base, sample, search.robust, tick)
+    levels = explain_levels(campaign, base, search.base, sample, search.robust, tick, search.processes)
     if levels is None:
         return None
     decision = decide_levels(levels)
@@ -278,7 +278,7 @@ def _stepped_records(
         z = np.zeros(len(free))
         few = Sample(tuple(kept)).thin(JUDGED_LINES)
         for temper in (0.1, 0.02, 0.0):
-            z, *_ = minimise(replace(judged, sample=few, temper=temper), z, AGAIN)
+            z, *_ = minimise(replace(judged, sample=few, temper=temper, closely=True), z, AGAIN, 0.1)
         rest = judged.predicted(z)
         error["held_out"] = relative_error(kept, rest)
         predicted = [*predicted, *rest]
