@@ -318,13 +318,16 @@ def test_churned_oil_is_not_taken_for_a_friction_that_has_a_name(tmp_path: Path,
     assert [m.first.key for m in diagnose_log(faint, kr90).missing] in ([], ["discovered@joint1"])
 
 
-def test_friction_that_falls_as_a_film_builds_up_keeps_its_name(tmp_path: Path, kr90: Robot) -> None:
-    """A Stribeck curve bends at low speed: q̇|q̇| explains no part of it, nor is there slip beside bristles' friction."""
-    effect = "stribeck_friction@joint1:static_excess=50,velocity=0.05"
+@pytest.mark.parametrize(("joint", "velocity"), [(1, 0.05), (3, 0.2)])
+def test_friction_that_falls_as_a_film_builds_up_keeps_its_name(
+    tmp_path: Path, kr90: Robot, joint: int, velocity: float
+) -> None:
+    """A Stribeck curve bends at low speed: q̇|q̇| explains less of it, and bristles that carry it are no slip beside."""
+    effect = f"stribeck_friction@joint{joint}:static_excess=50,velocity={velocity}"
     (missing,) = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", effect), kr90).missing
-    assert missing.first.key == "stribeck_friction@joint1"
+    assert missing.first.key == f"stribeck_friction@joint{joint}"
     low, high = missing.first.parameters["velocity"]["interval90"]
-    assert low < 0.05 < high
+    assert low < velocity < high
 
 
 def test_friction_that_follows_the_load_feels_a_payload_that_is_found_beside_it(tmp_path: Path, kr90: Robot) -> None:

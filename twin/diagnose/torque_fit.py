@@ -24,6 +24,7 @@ from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.torque_design import Design
 from twin.diagnose.torque_laws import (
     REFERRING,
+    TURNING,
     USUAL,
     State,
     Suspect,
@@ -786,7 +787,7 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
     travels, first = base.presliding[0].shape[2], base.spread.shape[1]
     z = system.plain(z)
     alone = first + travels + base.regressor.robot.axis_count * base.ripple[0].shape[2]
-    found = [e for e in system.entries(z) if turning_level(e.effect, e.values)]
+    found = [entry for entry in system.entries(z) if entry.effect in TURNING]
     physics = list(robot.physics)
     for j in np.flatnonzero(base.sliding).tolist():
         site = f"joint{j + 1}"
@@ -794,7 +795,8 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
         if dry is None:
             continue
         own = z[alone + j * travels : alone + (j + 1) * travels]
-        level = base.sliding[j] + sum(turning_level(e.effect, e.values) for e in found if axis_of(e.site) == j)
+        moved = np.concatenate([r.motion.velocity[:, j] for r in base.runs])
+        level = base.sliding[j] + sum(turning_level(e.effect, e.values, moved) for e in found if axis_of(e.site) == j)
         share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + UNLIKE * own)
         scale = TRAVELS[base.regressor.robot.axes[j].type]
         x = np.geomspace(scale[0] / 10, 10 * scale[-1], 80)
@@ -886,7 +888,7 @@ def _rows(base: Base, joint: int) -> FloatArray:
 def _dry_friction(base: Base) -> FloatArray:
     """A joint's dry friction (n,), N·m (N), as least squares find it, also where none is described.
 
-    Beside friction that rises and bends with speed, which else passes for some of it.
+    At rest, of a parabola in speed: friction that rises and bends with speed else passes for some of it.
     """
     found = np.zeros_like(base.friction)
     valid = np.concatenate([r.valid for r in base.runs])

@@ -23,6 +23,7 @@ from twin.physics.effect import Values, axis_of
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import inertia_matrix
 
+STILL = 0.01  # of the largest speed: slower rows tell nothing of how friction depends on it
 USUAL = 0.1  # of a joint's RMS torque: what a missing effect would ordinarily add
 STEPPING = frozenset(
     {
@@ -32,9 +33,11 @@ STEPPING = frozenset(
 )  # fmt: skip
 """Effects whose torque may step where an axis turns back."""
 
+TURNING = frozenset({"hysteresis", "stribeck_friction"})
+"""Effects that change how much dry friction turns round as it ordinarily does."""
+
 REFERRING = frozenset({"load_dependent_friction", "friction_drift", "torque_constant", "time_delay"})
 """Effects whose torque is made of the other torques."""
-
 
 RECORDING = frozenset({"time_delay", "torque_constant"})
 """Of these, what acts on the recorded torque as a whole, whichever laws it is the sum of."""
@@ -149,20 +152,32 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
         motion = replace(run.dense, load=state.load, friction=state.friction)
     for axis, torque in CATALOGUE[entry.effect].torque(motion, entry.site, values).items():
         out[:, axis] += run.filtered(torque)
-    if (level := turning_level(entry.effect, values)) and np.any(state.sliding):
+    if entry.effect in TURNING and np.any(state.sliding):
         axis = axis_of(entry.site)
+        level = turning_level(entry.effect, values, run.motion.velocity[:, axis])
         out[:, axis] += level * state.turning[:, axis] / max(state.sliding[axis], 1e-300)
     return out
 
 
-def turning_level(effect: str, values: Values) -> float:
+def turning_level(effect: str, values: Values, velocity: FloatArray) -> float:
     """Dry friction, N·m (N), that turns round as the other joints' does with an entry more than without it.
 
-    Slip is a part of the dry friction that turns round in its own way; a static excess is friction at rest.
+    Without it, that is what friction is at rest by a parabola in speed. Slip is a part of it that turns round in its
+    own way; a static excess adds what such a parabola misses of it.
+
+    Args:
+        effect: one of ``TURNING``, with its ``values``.
+        velocity: (m,) of the joint, rad/s (m/s).
     """
     if effect == "hysteresis":
         return -float(np.sum(values["yield_torque"]))
-    return float(values["static_excess"]) if effect == "stribeck_friction" else 0.0
+    speed = np.abs(velocity)
+    fastest = float(speed.max(initial=0.0))
+    speed = speed[speed > STILL * fastest]
+    if len(speed) < 4:
+        return 0.0
+    excess = np.exp(-((speed / values["velocity"]) ** 2))
+    return float(values["static_excess"] * (1 - np.polynomial.polynomial.polyfit(speed / fastest, excess, 2)[0]))
 
 
 def delayed(torque: FloatArray, run: Run, delay: float) -> FloatArray:

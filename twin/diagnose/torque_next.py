@@ -8,7 +8,7 @@ LOAD = frozenset({"payload", "parameter", "torque_constant", "rotor_inertia", "g
 SLIDING = frozenset(
     {
         "coulomb_friction", "viscous_friction", "asymmetric_friction", "stribeck_friction", "hysteresis",
-        "load_dependent_friction", "time_delay", "backlash",
+        "load_dependent_friction", "time_delay", "backlash", "discovered",
     }
 )  # fmt: skip
 
