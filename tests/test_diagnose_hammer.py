@@ -12,7 +12,7 @@ from twin.diagnose.hypotheses import entry_hypothesis, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, descend, minimise
+from twin.diagnose.refit import NONE, Fitted, descend, minimise, recorded_error
 from twin.diagnose.screen import Setting, _Scan
 from twin.diagnose.search import Search, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
@@ -82,6 +82,24 @@ def test_a_joint_that_also_tilts_is_named_though_the_base_model_is_far_off(tmp_p
     assert base.misfit > 100
     assert decision.ranked[0].hypothesis.key == "transverse_compliance@joint1.x"
     assert decision.ranked[0].misfit < 1.1
+
+
+def test_one_hinge_per_axis_is_told_from_three_by_the_milling_posture_alone(tmp_path: Path) -> None:
+    """The paper's own step from one to three hinges: all six bearings come back from one posture, the one its modes
+    strain most first, and hold in the two postures that were not used."""
+    case = recorded(
+        tmp_path, "--nominal", "--seed", "3", without=("transverse_compliance",), hold_out=["upright", "rigid"]
+    )
+    decision, base, _ = diagnosed(case, "transverse_compliance", "link_flexibility")
+    first = decision.ranked[0]
+    assert {piece.key for piece in first.hypothesis.pieces} == {
+        f"transverse_compliance@joint{joint}.{axis}" for joint in (1, 2, 3) for axis in "xy"
+    }
+    assert first.hypothesis.pieces[0].key == "transverse_compliance@joint1.x"
+    assert first.misfit < 1.2 < 100 < base.misfit
+    assert decision.probability[0] > 0.8
+    before, after = (recorded_error(fit.robot, case.found.kept) for fit in (base, first))
+    assert before > 0.5 and after < 0.02
 
 
 def test_a_servo_far_softer_than_its_gear_is_named(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ place, since one thing may have been found in the stead of another. All finalist
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.diagnose.screen import FAR, Promise, Setting, inflation, screen
 from twin.identify.parameters import Parameters
+from twin.identify.sensitivity import observe_all, poles
 from twin.measure.campaign import FloatArray
 from twin.parallel import spread
 from twin.physics import CATALOGUE
@@ -193,30 +193,40 @@ def _everywhere(
 ) -> list[Fitted]:
     """A model that one thing leaves far off may lack a kind of spring, not one: those found, at all their sites.
 
-    The one that can least be done without comes first.
+    The one that the recorded modes strain most comes first.
     """
     few, more, free = sample.thin(SCREEN_LINES), sample.thin(REFIT_LINES), search.base.parameters
     if inflation(found[0], robot, more) <= FAR:
         return []
-
-    def robust(hypothesis: Hypothesis) -> Objective:
-        return Objective(hypothesis.robot(robot), hypothesis.parameters(free), few, logarithmic=True)
-
-    def absence(sites: Sequence[Hypothesis], number: int) -> float:
-        rest = together(*(one for k, one in enumerate(sites) if k != number))
-        return minimise(robust(rest), np.zeros(len(rest.parameters(free))), 40, 0.5)[1]
-
     places = []
     for effect in dict.fromkeys(fit.hypothesis.pieces[-1].effect for fit in found):
         sites = [variants[0] for variants in suspects if variants[0].effect == effect and CATALOGUE[effect].sprung]
         if len(sites) < 2:
             continue
-        costs = list(spread(partial(absence, sites), len(sites), search.processes))
-        hypothesis = together(*(sites[k] for k in np.argsort(costs)[::-1]))
+        hypothesis = together(*sites)
         parameters = hypothesis.parameters(free)
-        z = minimise(robust(hypothesis), np.zeros(len(parameters)), 40, 0.5)[0]
-        places.append(_Place(hypothesis, parameters, (z,), far=True))
+        fit = descend(robot, hypothesis, parameters, few, np.zeros(len(parameters)), logarithmic=40)
+        energy = _strain(fit, few)
+        ordered = together(*sorted(sites, key=lambda one: -energy.get(one.site, 0.0)))
+        parameters = ordered.parameters(free)
+        z = fit.z[[fit.parameters.names.index(name) for name in parameters.names]]
+        places.append(_Place(ordered, parameters, (z,), far=True))
     return _refits(robot, search, places, sample)
+
+
+def _strain(fit: Fitted, sample: Sample) -> dict[str, float]:
+    """Coordinate → share of its spring in the strain energy of a mode in the band, summed over modes and postures."""
+    total: dict[str, float] = {}
+    setups = [r.setup for r in sample.recordings]
+    for r, (seen, model) in zip(
+        sample.recordings, observe_all(fit.robot, setups, fit.parameters, fit.values), strict=True
+    ):
+        pole, shape = poles(seen)
+        shape = shape[:, (np.abs(pole) > abs(r.s[0])) & (np.abs(pole) < abs(r.s[-1]))]
+        energy = np.diag(seen.K)[:, None] * np.abs(shape) ** 2
+        for name, share in zip(model.coordinates, (energy / energy.sum(axis=0)).sum(axis=1), strict=True):
+            total[name] = total.get(name, 0.0) + float(share)
+    return total
 
 
 def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitted:
