@@ -331,8 +331,7 @@ class Stepped(Cost):
 
     Derivatives of the linear part are in closed form, those of the law's torque with respect to what acts on the law
     itself by differences of stepped blows. With respect to the rest of the robot the law is held
-    (:mod:`twin.diagnose.held_law`), which is off by a tenth: ``closely``, that too is stepped, coarsely, by some
-    ``processes``.
+    (:mod:`twin.diagnose.held_law`), which is off by a tenth: ``closely``, that too is stepped, by some ``processes``.
     ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording.
     """
 
@@ -447,25 +446,22 @@ class Stepped(Cost):
             lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
         return lags
 
-    def _react(
-        self, asked: Sequence[tuple[_Joint, Recorded, FloatArray, float]], rate_hz: float | None = None
-    ) -> list[ComplexArray]:
+    def _react(self, asked: Sequence[tuple[_Joint, Recorded, FloatArray, float]]) -> list[ComplexArray]:
         """What the law does, T/F (nf, ne), in a model of each recording, of some sizes, to blows of some length."""
-        rate, share = rate_hz or self.rate_hz, max(1, -(-len(asked) // self.processes))
+        processes = self.processes if len(asked) > WORTH_SPREADING * len(self.sample.recordings) else 1
+        share = -(-len(asked) // processes)
 
         def some(number: int) -> list[ComplexArray]:
             here = asked[number * share : (number + 1) * share]
             strikes = [self._strike(*one) for one in here]
             with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge
-                stepped = torques(strikes, self.law, self._length_s, rate)
+                stepped = torques(strikes, self.law, self._length_s, self.rate_hz)
             return [
-                self._reaction(joint.view, r, strike, g, rate)
+                self._reaction(joint.view, r, strike, g)
                 for (joint, r, *_), strike, (g, _) in zip(here, strikes, stepped, strict=True)
             ]
 
-        processes = self.processes if len(asked) > WORTH_SPREADING * len(self.sample.recordings) else 1
-        share = share if processes > 1 else len(asked)
-        return [R for part in spread(some, -(-len(asked) // share), processes) for R in part]
+        return [R for part in spread(some, processes, processes) for R in part]
 
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
         """Gᵀ ∂²e/∂step² (n,) of the linear residual e at z, where this was called last; ``None`` if it is not known."""
@@ -535,10 +531,10 @@ class Stepped(Cost):
         found = iter(self._react([one for some in asked for one in some]))
         return [[joint.view for joint, *_ in some] for some in asked], [[next(found) for _ in some] for some in asked]
 
-    def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray, rate_hz: float) -> ComplexArray:
+    def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray) -> ComplexArray:
         """The law's torque per force of the blow, T/F (nf, ne): of its tangent at rest, and the stepped g beside it."""
         force = strike.peak_n * pulse_transform(r.s, strike.pulse_s)
-        beside = (transform(r.s, len(g), rate_hz) @ g) / force[:, None]
+        beside = (transform(r.s, len(g), self.rate_hz) @ g) / force[:, None]
         return view.reaction(np.full(beside.shape, strike.tangent(self.law), complex), beside)
 
     def predicted_at(self, points: Sequence[FloatArray]) -> list[list[ComplexArray]]:

@@ -39,6 +39,7 @@ from twin.robot.description import Entry, Robot
 LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
 FINAL_LINES, BLOWS = 40, 12  # lines and excitations that finalists are fitted to
 SITES, SITE_REACH, LAW_REACH, NEAR = 2, 1.3, 4.0, 1.5  # sites, laws racing and at their end, in reach of the best
+FAR_OFF = 10.0  # χ² per datum above which the last digit of a wrong model says nothing
 WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
 ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
@@ -189,7 +190,9 @@ def explain_levels(
     fits = _fitted_roughly([(o, *trial[1:]) for o, trial in zip(objectives, trials, strict=True)], processes)
     least = min(fit.cost for fit in fits)
     fits = [
-        fit_law(objective, fit.hypothesis, fit.z) if fit.cost < NEAR * least else fit
+        fit_law(objective, fit.hypothesis, fit.z)
+        if fit.cost == least or (fit.cost < NEAR * least and fit.misfit < FAR_OFF)
+        else fit
         for objective, fit in zip(objectives, fits, strict=True)
     ]
     least = min(fit.cost for fit in fits)
@@ -199,7 +202,7 @@ def explain_levels(
         rivals = _starts(robot, base, best, replace(seen, sample=seen.sample.thin(LINES)), NAMELESS)
         rivals = [(replace(trial[0], sample=data, processes=processes), *trial[1:]) for trial in rivals]
         nameless = [
-            fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR * least else fit
+            fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR * least and fit.misfit < FAR_OFF else fit
             for trial, fit in zip(rivals, _fitted_roughly(rivals, processes), strict=True)
         ]
     again = min(
@@ -349,7 +352,7 @@ def _rough_race(
     ends: list[tuple[float, Trial]] = []
     for (_, place, _), (law, z, cost) in zip(begun, spread(rough, len(begun), processes), strict=True):
         objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
-        ends.append((cost, (objective, hypothesis, z)))
+        ends.append((cost, (replace(objective, law=law), hypothesis, z)))
         tick(1)
     best: dict[str, tuple[float, Trial]] = {}
     for cost, trial in sorted(ends, key=lambda item: item[0]):

@@ -13,7 +13,7 @@ import numpy as np
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_reaction import Stepped
-from twin.diagnose.levels import LINEAR, Levels, fit_law, with_law
+from twin.diagnose.levels import FAR_OFF, LINEAR, Levels, fit_law, with_law
 from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import NONE, Fitted, descend
@@ -58,6 +58,8 @@ def explain_beside(
         suspects: what else may be missing.
     """
     law, stepped = levels.fits[0], levels.objectives[0]
+    if law.misfit > FAR_OFF:
+        return Beside(law, None, [], [])
     n = len(base.parameters)
     for _ in range(ROUNDS):
         found = _found(robot, base, levels, law, suspects, progress)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.blow import COARSE_HZ
 from twin.diagnose.decide import Decision, finalists
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
@@ -277,8 +278,9 @@ def _stepped_records(
         judged = Stepped(robot, free, Sample(tuple(kept)), law=law, site=site, blow=blow, fixed=sizes)
         z = np.zeros(len(free))
         few = Sample(tuple(kept)).thin(JUDGED_LINES)
-        for temper in (0.1, 0.02, 0.0):
-            z, *_ = minimise(replace(judged, sample=few, temper=temper, closely=True), z, AGAIN, 0.1)
+        for temper in (0.1, 0.02):
+            z, *_ = minimise(replace(judged, sample=few, temper=temper, rate_hz=COARSE_HZ), z, AGAIN, 0.1)
+        z, *_ = minimise(replace(judged, sample=few, closely=True), z, AGAIN, 0.1)
         rest = judged.predicted(z)
         error["held_out"] = relative_error(kept, rest)
         predicted = [*predicted, *rest]
