@@ -45,7 +45,7 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, COARSE, FINE, LINEAR = 8, 10, 4, 8, 10, 3, 15  # iterations
+LOCATING, ROUGH, RACING, LAST, COARSE, FINE, LINEAR = 8, 10, 4, 8, 8, 2, 15  # iterations
 ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 

@@ -18,13 +18,12 @@ from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
-from twin.diagnose.search import REFIT_LINES, SLIGHT, WORTH, Progress, Search, one_more
+from twin.diagnose.search import REFIT_LINES, WORTH, Progress, Search, one_more
 from twin.robot.description import Robot
 
 LINES = 40  # of every recording
-FINALISTS = 3  # fitted again with the law stepped
+FINALISTS = 2  # fitted again with the law stepped
 PROMISING = 0.8  # of the best one's gain
-ROUNDS = 2  # the search again where the law itself had further to go
 
 
 @dataclass(frozen=True)
@@ -61,21 +60,14 @@ def explain_beside(
     if law.misfit > FAR_OFF:
         return Beside(law, None, [], [])
     n = len(base.parameters)
-    for _ in range(ROUNDS):
-        found = _found(robot, base, levels, law, suspects, progress)
-        if not found:
-            return Beside(law, None, [], [])
-        first, objective = _both(robot, base, stepped, law, found[0])
-        worth = first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
-        if law.converged:
-            break
-        # from where the richer ended: a law that had not converged is no discovery
+    found = _found(robot, base, levels, law, suspects, progress)
+    if not found:
+        return Beside(law, None, [], [])
+    first, objective = _both(robot, base, stepped, law, found[0])
+    if not law.converged:  # fitted again from where the richer ended: that is no discovery
         simpler = fit_law(stepped, law.hypothesis, np.concatenate([first.z[:n], first.z[len(found[0].z) :]]))
-        moved = simpler.cost < law.cost - SLIGHT
-        law = simpler if moved else law
-        worth = first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
-        if worth or not moved:
-            break
+        law = simpler if simpler.cost < law.cost else law
+    worth = first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
     if not worth:
         return Beside(law, None, [], [])
     both = [(found[0], first, objective)]
