@@ -441,7 +441,7 @@ class Stepped(Cost):
                 if p not in near:
                     asked.append((joint, r, *self.own(z)))
                     where.append((k, p))
-        for (k, p), other in zip(where, self._react(asked), strict=True):
+        for (k, p), other in zip(where, self._react(asked) if asked else [], strict=True):
             beside = (other - reactions[k]) / SMALL - slopes[k][p]
             lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
         return lags
