@@ -358,7 +358,7 @@ def _rough_race(
     for cost, trial in sorted(ends, key=lambda item: item[0]):
         best.setdefault(trial[1].key, (cost, trial))
     reach = ROUGH_REACH * min(cost for cost, _ in ends)
-    trials = [trial for cost, trial in best.values() if cost < reach]
+    trials = [trial for cost, trial in best.values() if cost <= reach]
     trials, temper = _race(trials, ROUGH_TEMPERS, tick, processes)
     return trials, min(temper, ROUGH_TEMPERS[0])
 
