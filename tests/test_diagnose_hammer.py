@@ -113,6 +113,17 @@ def test_a_servo_far_softer_than_its_gear_is_named(tmp_path: Path) -> None:
     assert decision.ranked[0].misfit < 1.1
 
 
+def test_a_damper_of_fractional_order_is_not_called_structural(tmp_path: Path) -> None:
+    """Both lose alike over a few peaks: the law without a name is a rival of the name, at the same joint."""
+    options = ("--effect", "fractional_damper@joint2.z:coefficient=1200,order=0.55")
+    case = recorded(tmp_path, "--seed", "16", "--postures", "4", *options)
+    decision, base, _ = diagnosed(case, "structural_damping", "base_compliance")
+    laws = free_laws(base, case.sample)
+    assert next(iter(laws)) == "joint2.z"
+    assert laws["joint2.z"] > 10
+    assert decision.other > 0.5
+
+
 def test_a_law_without_a_name_near_the_first_makes_it_ambiguous() -> None:
     robot = load_robot("kr90")
     values = CATALOGUE["base_compliance"].typical(robot, "base.ry")

@@ -76,9 +76,10 @@ def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
 def free_laws(fit: Fitted, sample: Sample) -> dict[str, float]:
     """What ln evidence would gain if a spring had a law without a name, site by site, most first.
 
-    The law is a stiffness of its own in every posture, or one that is complex and bends over frequency, the better of
-    the two: to first order about the fit, everything that is free there making room. A share x of the stiffness has the
-    prior N(0, s²), all scales s of ``SCALES`` alike.
+    The law is a stiffness of its own in every posture, one that is complex and bends over frequency, or a damper of
+    order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), the best of the three: to
+    first order about the fit, everything that is free there making room. A share x of the stiffness has the prior
+    N(0, s²), all scales s of ``SCALES`` alike.
     """
     objective = Objective(fit.robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
@@ -94,14 +95,15 @@ def free_laws(fit: Fitted, sample: Sample) -> dict[str, float]:
         if parameter.kind != "spring" or parameter.quantity != "stiffness" or not slope.any():
             continue
         postures = np.zeros((len(sample.recordings), len(slope)))
-        bends = np.zeros((4, len(slope)))
+        bends, half = np.zeros((4, len(slope))), np.zeros((1, len(slope)))
         for p, r in enumerate(sample.recordings):
             own = slice(ends[p], ends[p + 1])
             postures[p, own] = slope[own]
             octaves = np.repeat(np.log(r.frequency / np.sqrt(r.frequency[0] * r.frequency[-1])), r.frf[0].size)
             law = np.array([1j + 0 * octaves, octaves, 1j * octaves, octaves**2])
             bends[:, own] = (law * slope[own].view(complex)).view(float)
-        found[parameter.site] = max(_evidence(Q, rho, columns) for columns in (postures, bends))
+            half[:, own] = (np.sqrt(1j * np.exp(octaves)) * slope[own].view(complex)).view(float)
+        found[parameter.site] = max(_evidence(Q, rho, columns) for columns in (postures, bends, half))
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
