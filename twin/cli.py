@@ -323,7 +323,7 @@ def diagnose(
     most promising; and judges on postures or runs that were not used. The verdict is one of
 
     - **adequate**: nothing is missing that these recordings could show;
-    - **named**: one effect at one site stands out;
+    - **named**: each thing missing is one effect at one site, and stands out;
     - **ambiguous**: the recordings cannot tell several apart; the next test that would is proposed;
     - **located**: the site is clear, no known effect fits; a law is given by its formula;
     - **unexplained**: a mismatch beyond noise that is none of these.

@@ -21,7 +21,7 @@ Source = Literal["frf-campaign", "modal-table", "motion-log"]
 
 MEANING: dict[Word, str] = {
     "adequate": "adequate: nothing is missing that these recordings could show",
-    "named": "named: one effect at one site stands out",
+    "named": "named: what is missing stands out, each one effect at one site",
     "ambiguous": "ambiguous: these recordings cannot tell the following apart",
     "located": "located: the site is clear, no known effect fits",
     "unexplained": "unexplained: a mismatch beyond noise that no known effect explains",
