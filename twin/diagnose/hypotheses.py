@@ -107,6 +107,14 @@ class Hypothesis:
             return Parameters(own.items, ratio @ own.covariance @ ratio.T)
         return own
 
+    def coarse(self, parameters: Parameters) -> list[int]:
+        """Indices of what matters far from the truth: springs, dampers, numbers of entries and those it widens.
+
+        Tolerances of links, angles and gains change FRFs by less than that.
+        """
+        widened = {name for name, _ in self.scale}
+        return [k for k, p in enumerate(parameters) if p.kind in ("spring", "entry") or p.name in widened]
+
     def _quick(self, written: Parameters) -> Parameters:
         items = list(written.items)
         for k, parameter in enumerate(items):

@@ -1,7 +1,8 @@
 """Posterior cost of a hypothesis on measured FRFs, with its derivatives: what screening and refits evaluate."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from twin.diagnose.hypotheses import Sprung
 from twin.identify.elastic import LOG_SPREAD, Recorded
 from twin.identify.parameters import SIX, Parameters
 from twin.identify.sensitivity import (
-    Change,
     Observed,
     Setup,
     Structure,
@@ -27,7 +27,7 @@ from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 from twin.robot.mechanism import Inertial, cut
 
-Changes = dict[tuple[Any, ...], Change | None]
+Changes = dict[tuple[Any, ...], Any]
 """What entries change in a mechanism, kept while the values are the same."""
 
 
@@ -108,10 +108,14 @@ class Objective:
         out[list(self.among)] = z
         return out
 
+    def part(self, z: FloatArray) -> FloatArray:
+        """What of all coordinates is free."""
+        return z if self.among is None else z[list(self.among)]
+
     def predicted(self, z: FloatArray) -> list[ComplexArray]:
         """FRFs (nf, nr, ne) per recording."""
-        observed = self._observed(*self._described(z))
-        return [respond(*one, r) for r, one in zip(self.sample.recordings, observed, strict=True)]
+        models = self._along(z) if self._linear else self._observed(*self._described(z))
+        return [respond(*one, r) for r, one in zip(self.sample.recordings, models, strict=True)]
 
     def _described(self, z: FloatArray) -> tuple[Robot, FloatArray]:
         """The robot at z, and all values (n,)."""
@@ -193,15 +197,49 @@ class Objective:
 
     def _slopes(self, z: FloatArray) -> Iterator[tuple[ComplexArray, ComplexArray, NDArray[np.intp]]]:
         """Prediction, its derivatives (m, …) with respect to the m coordinates that move it, and which those are."""
+        if self._linear:
+            transform, every = self.free.transform(self.free.values(z)), np.arange(len(z))
+            for r, one, (_, _, rate) in zip(self.sample.recordings, self._along(z), self._linear, strict=True):
+                yield *respond_slopes(*one, contract(rate, transform), r), every
+            return
         robot, values = self._described(z)
-        transform, free, own = self.parameters.transform(values), self.free, values
+        transform, own = self.parameters.transform(values), values
         if self.among is not None:
             transform, own = transform[np.ix_(self.among, self.among)], values[list(self.among)]
         changes: Changes = {}
         for r, (seen, model) in zip(self.sample.recordings, self._observed(robot, values), strict=True):
-            rate = contract(rates(robot, r.setup, free, own, seen, model, changes), transform)
+            some = np.array(self.free.seen_in(r.setup.name))
+            columns = np.flatnonzero(transform[some].any(axis=0))
+            rate = rates(robot, r.setup, self.free, own, seen, model, changes, some)
+            rate = contract(rate, transform[np.ix_(some, columns)])
             moves = moving(rate)
-            yield *respond_slopes(seen, model, Observed.of(array[moves] for array in rate.arrays()), r), moves
+            yield *respond_slopes(seen, model, Observed.of(array[moves] for array in rate.arrays()), r), columns[moves]
+
+    @cached_property
+    def _linear(self) -> list[tuple[Observed, Structure, Observed]]:
+        """Every recording at ``held`` with its derivatives by the free values, where those are all there is to know, or
+        nothing: springs and dampers enter a model linearly, but for what their sag changes."""
+        if self.held is None or self.sagging or any(p.kind != "spring" for p in self.free):
+            return []
+        robot, values = self._described(self.part(self.held))
+        models = self._observed(robot, values)
+        if any(model.curved for _, model in models):
+            return []
+        own, changes = values[list(self.among or ())], Changes()
+        return [
+            (seen, model, rates(robot, r.setup, self.free, own, seen, model, changes))
+            for r, (seen, model) in zip(self.sample.recordings, models, strict=True)
+        ]
+
+    def _along(self, z: FloatArray) -> list[tuple[Observed, Structure]]:
+        """The models at z, from those at ``held`` and their derivatives."""
+        change = self.free.values(z) - self.free.values(self.part(np.asarray(self.held)))
+        found = []
+        for seen, model, rate in self._linear:
+            pairs = zip(seen.arrays()[:5], rate.arrays()[:5], strict=True)  # M, C, K, loss, integral
+            moved = [one + np.tensordot(change, slope, axes=1) for one, slope in pairs]
+            found.append((Observed.of((*moved, *seen.arrays()[5:])), model))
+        return found
 
 
 def rates(
@@ -212,6 +250,7 @@ def rates(
     seen: Observed,
     model: Structure,
     changes: Changes,
+    among: Iterable[int] | None = None,
 ) -> Observed:
     """:func:`twin.identify.sensitivity.slopes`, links that bend differentiated through their cut."""
     split = {f"link{number}": plane for number, plane in model.mechanism.splits.items()}
@@ -219,14 +258,18 @@ def rates(
         k for k, p in enumerate(parameters) if p.kind == "link" and p.name.partition(".")[0] in split
     ]  # fmt: skip
     if not through:
-        return slopes(robot, setup, parameters, values, seen, model, changes)
+        return slopes(robot, setup, parameters, values, seen, model, changes, among)
     # The rest is asked for under a name that nothing answers to, and filled in here.
     items = list(parameters.items)
     for k in through:
         items[k] = replace(items[k], name="gain.-", kind="gain")
     written = parameters.written if isinstance(parameters, Sprung) else parameters
-    out = slopes(robot, setup, Sprung(tuple(items), parameters.covariance, written), values, seen, model, changes)
-    for k in through:
+    among = range(len(parameters)) if among is None else list(among)
+    rest = Sprung(tuple(items), parameters.covariance, written)
+    out = slopes(robot, setup, rest, values, seen, model, changes, among)
+    for row, k in enumerate(among):
+        if k not in through:
+            continue
         body, _, quantity = parameters[k].name.partition(".")
         origin, normal = split[body]
         inertial = robot.links[int(body[4:]) - 1].inertial
@@ -237,8 +280,8 @@ def rates(
                 spatial_inertia(m, com - offset, inertia) for m, com, inertia in (side[part] for side in sides)
             )
             dM, dK = model.inertial_slopes(name, ((high - low) / (2 * step))[None])
-            out.M[k] += dM[0]
-            out.K[k] += dK[0]
+            out.M[row] += dM[0]
+            out.K[row] += dK[0]
     return out
 
 

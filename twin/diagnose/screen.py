@@ -91,8 +91,14 @@ class Setting:
 
     def objective(self, hypothesis: Hypothesis, sample: Sample | None = None) -> Objective:
         """The cost of a hypothesis on this residual."""
-        parameters = hypothesis.parameters(self.free)
-        return Objective(hypothesis.robot(self.base), parameters, sample or self.sample, self.error, self.logarithmic)
+        parameters, robot = hypothesis.parameters(self.free), hypothesis.robot(self.base)
+        return Objective(
+            robot, parameters, sample or self.sample, self.error, self.logarithmic, sagging=not self.logarithmic
+        )
+
+    def coarse(self, hypothesis: Hypothesis, objective: Objective, z: FloatArray) -> Objective:
+        """The same with what does not matter far off held at z; the whole where the current model is near."""
+        return objective.within(z, hypothesis.coarse(objective.parameters)) if self.logarithmic else objective
 
     @cached_property
     def linear(self) -> "Linear":
@@ -101,30 +107,27 @@ class Setting:
 
 
 class Linear:
-    """An objective to first order about z: ½ ‖ρ − A δ‖², ρ = [residual; −z], A = [Jᵀ; 1], by orthogonal factors.
+    """An objective to first order about z: ½ ‖ρ − A δ‖², ρ = [residual; −z], A = [Jᵀ; 1] = Q R.
 
-    What is left of a payload once links may move is 1e-5 of it: normal equations would lose that in rounding.
+    What is left of a payload once links may move is 1e-5 of it, 1e-10 squared: orthogonal factors leave five digits of
+    that, normal equations none.
     """
 
     def __init__(self, objective: Objective, z: FloatArray) -> None:
         self.residual, J = objective.jacobian(z)
         self.Q, self.R = np.linalg.qr(np.vstack([J.T, np.eye(len(z))]))
         self.z = z
-        self.gain = 0.5 * float(np.sum((self.Q.T @ self.target(self.residual)) ** 2))
+        self.own = self.share(self.residual, -z)
+        self.gain = 0.5 * float(self.own @ self.own)
 
-    def target(self, residual: FloatArray) -> FloatArray:
-        """ρ (data + n,) for a residual at z."""
-        return np.concatenate([residual, -self.z])
+    def share(self, vectors: FloatArray, prior: FloatArray | None = None) -> FloatArray:
+        """What the step can make of vectors (data,) or (m, data): (n,) or (n, m); ``prior`` (n,) continues them."""
+        along = (vectors @ self.Q[: vectors.shape[-1]]).T
+        return np.asarray(along if prior is None else along + prior @ self.Q[len(self.residual) :])
 
-    def left(self, vectors: FloatArray) -> FloatArray:
-        """What the step cannot make of vectors (data or data + n, m)."""
-        if len(vectors) < len(self.Q):
-            vectors = np.concatenate([vectors, np.zeros((len(self.z), *vectors.shape[1:]))])
-        return np.asarray(vectors - self.Q @ (self.Q.T @ vectors))
-
-    def step(self, vector: FloatArray) -> FloatArray:
-        """δ (n,) that comes nearest to a vector (data + n,)."""
-        return np.asarray(np.linalg.solve(self.R, self.Q.T @ vector))
+    def step(self, share: FloatArray) -> FloatArray:
+        """δ (n,) that makes a share (n,)."""
+        return np.asarray(np.linalg.solve(self.R, share))
 
 
 def inflation(fit: Fitted, base: Robot, sample: Sample) -> float:
@@ -193,8 +196,10 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
         if size is not None:
             own[size] = deviation if CATALOGUE[suspect.effect].sprung else -deviation
         z = np.concatenate([setting.z, own])
-        if setting.error > 0 and (setting.logarithmic or size is not None):
+        if setting.error > 0 and size is not None:
             starts.append(_yielding(setting, objective, z))
+        elif setting.logarithmic:  # at null: there is nothing to make room for
+            starts.append((0.0, z))
         else:
             found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
     for _, z in sorted(starts, key=lambda start: start[0])[:FAR_STARTS]:
@@ -218,9 +223,8 @@ def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[fl
         setting.few, recordings=setting.few.recordings[:: -(-len(setting.few.recordings) // YIELDING_POSTURES)]
     )
     robust = replace(objective, sample=some, temper=0.0, logarithmic=True, weight=[], sagging=False)
-    springs = [k for k, p in enumerate(setting.free) if p.kind == "spring"]
-    inner = robust.within(z, springs)
-    end, cost, _, _ = minimise(inner, z[springs], YIELDING, 0.5)
+    inner = robust.within(z, [k for k, p in enumerate(setting.free) if p.kind == "spring"])
+    end, cost, _, _ = minimise(inner, inner.part(z), YIELDING, 0.5)
     return cost, inner.whole(end)
 
 
@@ -235,14 +239,14 @@ def _tangent_promise(
     small = suspect.of_size(setting.z, SMALL)
     _, (row,) = replace(objective, logarithmic=False, weight=[]).within(small, [n]).jacobian(small[n:][:1])
     tangent = row * (-1 if first.quantity == "stiffness" else 1) / (SMALL * first.deviation)
-    rho, across = base.target(base.residual), base.left(tangent)
-    size = float(across @ rho) / max(float(across @ across), 1e-300)
+    share = base.share(tangent)
+    along, across = float(tangent @ base.residual - share @ base.own), float(tangent @ tangent - share @ share)
+    size = along / max(across, 1e-300)
     if not LEAST < size < 1 / LEAST:
         return []
     own = suspect.of_size(setting.z, size)[n:]
-    gain = 0.5 * size * float(across @ rho) - 0.5 * float(own @ own)
-    rho[: len(tangent)] -= size * tangent
-    start, fallback = (np.concatenate([z, own]) for z in (setting.z + base.step(rho), setting.z))
+    gain = 0.5 * size * along - 0.5 * float(own @ own)
+    start, fallback = (np.concatenate([z, own]) for z in (setting.z + base.step(base.own - size * share), setting.z))
     return [Promise(hypothesis, suspect, objective.parameters, gain, start, fallback)]
 
 
@@ -284,23 +288,21 @@ def _near_promise(
 ) -> Promise:
     base, n, m = setting.linear, len(setting.z), len(suspect.own)
     residual, D = objective.within(z, range(n, n + m)).jacobian(z[n:])
-    rho, own = base.target(residual), z[n:]
-    across = base.left(D.T)
-    change = np.linalg.solve(across.T @ across + np.eye(m), across.T @ rho - own)
-    moved = rho.copy()
-    moved[: len(residual)] -= change @ D
-    step = np.asarray(np.concatenate([base.step(moved), change]), float)
+    own, share, rho, along = z[n:], base.share(D), base.share(residual, -base.z), D @ residual
+    change = np.linalg.solve(D @ D.T - share.T @ share + np.eye(m), along - share.T @ rho - own)
+    step = np.asarray(np.concatenate([base.step(rho - share @ change), change]), float)
     loss = 0.5 * float(residual @ residual + z @ z) - before
-    slope = -float((base.Q.T @ rho) @ (base.R @ step[:n])) + float((own - D @ residual) @ change)
+    slope = -float(rho @ (base.R @ step[:n])) + float((own - along) @ change)
     return _promise(setting, hypothesis, suspect, objective.parameters, z, loss, slope, step)
 
 
 def _full_promise(
     setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective, z: FloatArray, before: float
 ) -> Promise:
-    cost, gradient, information = objective(z)
-    step = np.asarray(-np.linalg.solve(information, gradient), float)
-    slope = float(gradient @ step)
+    inner = setting.coarse(hypothesis, objective, z)
+    cost, gradient, information = inner(inner.part(z))
+    part = -np.linalg.solve(information, gradient)
+    slope, step = float(gradient @ part), inner.whole(inner.part(z) + part) - z
     promise = _promise(setting, hypothesis, suspect, objective.parameters, z, cost - before, slope, step)
     return promise if objective.cost(promise.start) < cost else replace(promise, start=z)
 
@@ -343,12 +345,13 @@ class _Scan:
     def best(self, variants: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The most promising variants, one for every word (an axis) among the parameters."""
         scores: dict[str, tuple[float, Hypothesis]] = {}
-        left = self.linear.left(self.linear.target(self.linear.residual))[: len(self.linear.residual)]
+        base, residual = self.linear, self.linear.residual
         for start in range(0, len(variants), SCANNED_AT_ONCE):
             some = variants[start : start + SCANNED_AT_ONCE]
             secants = np.array([self._secant(hypothesis, share) for hypothesis in some for share in SCANNED_MASSES])
-            along = secants @ left
-            across = np.sum(secants**2, axis=1) - np.sum((secants @ self.linear.Q[: len(left)]) ** 2, axis=1)
+            share = base.share(secants)
+            along = secants @ residual - base.own @ share
+            across = np.sum(secants**2, axis=1) - np.sum(share**2, axis=0)
             gains = along * np.abs(along) / np.maximum(across, 1e-300)
             for hypothesis, gain in zip(some, gains.reshape(len(some), -1).max(axis=1), strict=True):
                 words = "".join(str(v) for v in hypothesis.entries[0].values.values() if isinstance(v, str))

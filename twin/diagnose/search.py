@@ -66,13 +66,16 @@ def converge(
 ) -> Search:
     """The base model from the description and from springs and dampers drawn from their prior."""
     rng = np.random.default_rng(seed)
-    elastic = np.array([p.kind in ("spring", "entry") for p in parameters])
+    elastic = NONE.coarse(parameters)
     few, more = sample.thin(SCREEN_LINES), sample.thin(REFIT_LINES)
     places = np.zeros((starts, len(parameters)))
-    places[1:, elastic] = rng.normal(size=(starts - 1, np.count_nonzero(elastic)))
+    places[1:, elastic] = rng.normal(size=(starts - 1, len(elastic)))
 
     def end(number: int) -> tuple[float, FloatArray, Fitted]:
-        z, cost, _, _ = minimise(Objective(robot, parameters, few, logarithmic=True), places[number], 25, 0.5)
+        objective = Objective(robot, parameters, few, logarithmic=True, sagging=False)
+        coarse = objective.within(places[number], elastic)
+        z = coarse.whole(minimise(coarse, coarse.part(places[number]), 25, 0.5)[0])
+        z, cost, _, _ = minimise(objective, z, 25, 0.5)
         return cost, z, descend(robot, NONE, parameters, more, z, tempered=8, linear=15)
 
     found = list(spread(end, starts, processes))
@@ -147,8 +150,9 @@ def _worth(simpler: Fitted, richer: Fitted) -> bool:
 
 def _without_last(robot: Robot, search: Search, simpler: Fitted, richer: Fitted, sample: Sample) -> Fitted:
     """The simpler hypothesis fitted again from where the richer one ended: a valley may not have been followed out."""
-    z = richer.z[: len(simpler.z)]
-    fit = descend(robot, simpler.hypothesis, simpler.parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+    place = _Place(simpler.hypothesis, simpler.parameters, (richer.z[: len(simpler.z)],))
+    near = richer.cost + REACH * max(1.0, richer.misfit)
+    fit = _fully(robot, _nearly(robot, place, sample.thin(REFIT_LINES), ROUGHLY * near), sample, near)
     if fit.cost >= simpler.cost:
         return simpler
     if simpler.hypothesis is NONE:
@@ -294,13 +298,15 @@ def _halve(
     """Candidates at their optimum on the screening's residual, best first: a few steps for all, all for the best."""
     tick = progress("compare", len(candidates))
 
-    def near(number: int) -> tuple[FloatArray, float, FloatArray, bool]:
+    def near(number: int) -> tuple[float, FloatArray]:
         objective = setting.objective(candidates[number].hypothesis)
         start = min((candidates[number].start, candidates[number].fallback), key=objective.cost)
-        return minimise(objective, start, 8, 0.5)
+        inner = setting.coarse(candidates[number].hypothesis, objective, start)
+        z, cost, _, _ = minimise(inner, inner.part(start), 8, 0.5)
+        return cost, inner.whole(z)
 
     ends = []
-    for promise, (z, cost, _, _) in zip(candidates, spread(near, len(candidates), processes), strict=True):
+    for promise, (cost, z) in zip(candidates, spread(near, len(candidates), processes), strict=True):
         ends.append((cost, promise, z))
         tick(1)
     ends.sort(key=lambda end: end[0])
@@ -333,27 +339,38 @@ class _Place:
 
 def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Sample) -> list[Fitted]:
     """Hypotheses at their optimum on all lines, the better of it and what was known of each; side by side."""
-    few, reach = sample.thin(REFIT_LINES), _reach(search)
+    reach, few = _reach(search), sample.thin(REFIT_LINES)
+
+    def near(number: int) -> Fitted:
+        return _nearly(robot, places[number], few, ROUGHLY * min(places[number].worth, reach))
+
+    nearly = list(spread(near, len(places), search.processes))
+    best = min((ROUGHLY * fit.cost + REACH * max(1.0, fit.misfit) for fit in nearly), default=np.inf)
 
     def end(number: int) -> Fitted:
-        one = places[number]
-        hopeless = min(one.worth, reach)
-        nearest = Objective(one.hypothesis.robot(robot), one.parameters, few).cost
-        z = one.starts[0] if one.far else min(one.starts, key=nearest)
-        z = descend(
-            robot, one.hypothesis, one.parameters, few, z,
-            tempered=8 if one.far else 0, linear=15, hopeless=ROUGHLY * hopeless,
-        ).z  # fmt: skip
-        return descend(
-            robot, one.hypothesis, one.parameters, sample, z,
-            tempered=0, linear=20, tolerance=0.02, hopeless=hopeless,
-        )  # fmt: skip
+        return _fully(robot, nearly[number], sample, min(places[number].worth, reach, best))
 
     for one, fit in zip(places, spread(end, len(places), search.processes), strict=True):
         known = search.fits.get(one.hypothesis.identity)
         if known is None or fit.cost < known.cost:
             search.fits[one.hypothesis.identity] = fit
     return [search.fits[one.hypothesis.identity] for one in places]
+
+
+def _nearly(robot: Robot, one: _Place, few: Sample, hopeless: float) -> Fitted:
+    """A hypothesis at its optimum on a few lines."""
+    nearest = Objective(one.hypothesis.robot(robot), one.parameters, few).cost
+    z = one.starts[0] if one.far or len(one.starts) == 1 else min(one.starts, key=nearest)
+    tempered = 8 if one.far else 0
+    return descend(robot, one.hypothesis, one.parameters, few, z, tempered=tempered, linear=15, hopeless=hopeless)
+
+
+def _fully(robot: Robot, near: Fitted, sample: Sample, hopeless: float) -> Fitted:
+    """The same on all lines."""
+    return descend(
+        robot, near.hypothesis, near.parameters, sample, near.z,
+        tempered=0, linear=20, tolerance=0.02, hopeless=hopeless,
+    )  # fmt: skip
 
 
 def _reach(search: Search) -> float:

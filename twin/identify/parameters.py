@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.measure.campaign import FloatArray
 from twin.physics import CATALOGUE
@@ -101,6 +102,30 @@ class Parameters:
         return [parameter.name for parameter in self.items]
 
     @cached_property
+    def parts(self) -> list[tuple[str, str]]:
+        """Site and quantity of every name."""
+        return [(parameter.site, parameter.quantity) for parameter in self.items]
+
+    @cached_property
+    def _turns(self) -> dict[str, list[int]]:
+        """Posture name → indices of its angles' errors."""
+        found: dict[str, list[int]] = {}
+        for k, parameter in enumerate(self.items):
+            if parameter.kind == "posture":
+                found.setdefault(parameter.site.partition(".")[2], []).append(k)
+        return found
+
+    def seen_in(self, posture: str) -> list[int]:
+        """Indices of what can change the recording of a posture: all but the angles of others."""
+        own = set(self._turns.get(posture, ()))
+        return [k for k, parameter in enumerate(self.items) if parameter.kind != "posture" or k in own]
+
+    @cached_property
+    def _scaled(self) -> tuple[NDArray[np.bool_], FloatArray]:
+        """(n,) which are logarithmic, and the means."""
+        return np.array([p.log for p in self.items], bool), np.array([p.mean for p in self.items], float)
+
+    @cached_property
     def bound(self) -> FloatArray:
         """Largest |z| (n,): tolerances end where they become implausible, springs and dampers nowhere."""
         open_ = [parameter.kind in ("spring", "entry") for parameter in self.items]
@@ -122,14 +147,13 @@ class Parameters:
 
     def values(self, z: FloatArray) -> FloatArray:
         """Values (n,) in their units."""
-        x = self.root @ z
+        x, (log, mean) = self.root @ z, self._scaled
         with np.errstate(over="ignore"):  # a step too far is seen by what it costs
-            return np.array([parameter.value(v) for parameter, v in zip(self.items, x, strict=True)])
+            return np.where(log, mean * np.exp(np.where(log, x, 0.0)), mean + x)
 
     def transform(self, values: FloatArray) -> FloatArray:
         """∂ value / ∂ z, (n, n)."""
-        scale = np.array([v if parameter.log else 1.0 for parameter, v in zip(self.items, values, strict=True)])
-        return scale[:, None] * self.root
+        return np.asarray(np.where(self._scaled[0], values, 1.0)[:, None] * self.root)
 
     def coordinates(self, values: FloatArray) -> FloatArray:
         """z (n,) of given values."""
@@ -139,9 +163,8 @@ class Parameters:
     def posture_error(self, name: str, values: FloatArray, axes: int) -> FloatArray:
         """Errors (axes,) of a posture's angles, rad (m)."""
         error = np.zeros(axes)
-        for parameter, value in zip(self.items, values, strict=True):
-            if parameter.kind == "posture" and parameter.site == f"posture.{name}":
-                error[int(parameter.quantity[1:]) - 1] = value
+        for k in self._turns.get(name, ()):
+            error[int(self.parts[k][1][1:]) - 1] = values[k]
         return error
 
     def gains(self, labels: Sequence[str], values: FloatArray) -> FloatArray:

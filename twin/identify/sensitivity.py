@@ -47,7 +47,7 @@ class Structure:
             and coordinates they move.
         load: (nv,) the weight's work per unit of every coordinate: what its spring carries at rest.
         M, C, K, loss, integral: (nv, nv) as in :class:`twin.model.linear.LinearModel`.
-        strain: (nv,) stiffness of the spring on each coordinate.
+        strain: (nv,) stiffness of the spring on each coordinate; those of ``curved`` ones harden.
     """
 
     coordinates: tuple[str, ...]
@@ -69,6 +69,7 @@ class Structure:
     loss: FloatArray
     integral: FloatArray
     strain: FloatArray
+    curved: frozenset[str]
     mechanism: Mechanism
 
     def sag(self) -> dict[str, float]:
@@ -206,8 +207,11 @@ def structures(
     M = (S @ inertial).sum(axis=1) + _diagonal(joint.armature for joint in layout.joints)
     C = _diagonal(joint.damping[0] for joint in layout.joints)
     K = _hessian(screw[..., :3], momentum, gravity, layout.inboard)
-    for k, joint in enumerate(layout.joints):
-        K[:, k, k] += [_tangent(joint.stiffness, force) for force in load[:, k]]
+    curved = {joint.name: k for k, joint in enumerate(layout.joints) if any(joint.stiffness[1:])}
+    every = np.arange(len(layout.joints))
+    K[:, every, every] += strain
+    for k in curved.values():
+        K[:, k, k] += [_tangent(layout.joints[k].stiffness, force) - strain[k] for force in load[:, k]]
     for tendon in mechanism.tendons:
         pull = np.array([tendon.joints.get(joint.name, 0.0) for joint in layout.joints])
         M = M + tendon.armature * np.outer(pull, pull)
@@ -219,7 +223,8 @@ def structures(
     return [
         Structure(
             names, layout.bodies, screw[p], layout.inboard, layout.path, rotation[p], origin[p], spatial[p], command[p],
-            layout.moved, layout.carried, gravity, load[p], M[p], C, K[p], loss, integral, strain, posed,
+            layout.moved, layout.carried, gravity, load[p], M[p], C, K[p], loss, integral, strain, frozenset(curved),
+            posed,
         )
         for p, posed in enumerate(mechanisms)
     ]  # fmt: skip
@@ -485,64 +490,69 @@ def slopes(
     values: FloatArray,
     seen: Observed,
     model: Structure,
-    changes: "dict[tuple[Any, ...], Change | None] | None" = None,
+    changes: "dict[tuple[Any, ...], Any] | None" = None,
+    among: Iterable[int] | None = None,
 ) -> Observed:
-    """Derivatives of :func:`observe` with respect to every parameter's value, stacked on a first axis (n, …).
+    """Derivatives of :func:`observe` with respect to the parameters' values, stacked on a first axis (n, …).
 
     Springs, dampers, links and postures in closed form, without what sag changes in them, see :func:`sag_slopes`; any
     other parameter through what it changes in the mechanism, or by central differences.
 
     Args:
         changes: of the mechanism, kept by the caller for the other postures of the same robot and values.
+        among: indices of the parameters asked for; all of them by default.
     """
     changes = {} if changes is None else changes
-    out = Observed.of(np.zeros((len(parameters), *array.shape)) for array in seen.arrays())
+    among = range(len(parameters)) if among is None else list(among)
+    out = Observed.of(np.zeros((len(among), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
-    rows: tuple[FloatArray, FloatArray] | None = None
-    differenced = _differenced(parameters, setup, model)
-    for i, link in enumerate(robot.links):
-        body = f"link{i + 1}"
-        own = [p for p, parameter in enumerate(parameters) if parameter.kind == "link" and not differenced[p]]
-        own = [p for p in own if parameters[p].name.startswith(f"{body}.")]
-        if own:
-            local = np.array([_link_slope(link.inertial, parameters[p].name) for p in own])
-            out.M[own], out.K[own] = model.inertial_slopes(body, local)
-    for p, parameter in enumerate(parameters):
-        site, _, what = parameter.name.rpartition(".")
-        if differenced[p]:
+    turned: tuple[FloatArray, FloatArray] | None = None
+    links: dict[str, list[tuple[int, int]]] = {}
+    for row, p in enumerate(among):
+        parameter, (site, what) = parameters[p], parameters.parts[p]
+        if _curved(parameter, site, setup, model):
             key = p, setup.brakes, setup.response.label, setup.excitation.label
             if key not in changes:
                 changes[key] = _change(robot, setup, parameters, values, p) if parameter.kind == "entry" else None
             change = changes[key]
-            if change is not None and not any(any(joint.stiffness[1:]) for joint in model.mechanism.joints):
-                _apply_change(out, p, change, model, setup, parameters.gains(setup.response.label, values))
+            if change is not None and not model.curved:
+                _apply_change(out, row, change, model, setup, parameters.gains(setup.response.label, values))
                 continue
             for target, rate in zip(out.arrays(), _difference(robot, setup, parameters, values, p), strict=True):
-                target[p] = rate
+                target[row] = rate
+        elif parameter.kind == "link":
+            links.setdefault(site.partition(".")[0], []).append((row, p))
         elif parameter.kind == "spring" and site in index:
             k = index[site]
             if what == "stiffness":
-                out.K[p, k, k] = 1.0
-                out.loss[p, k, k] = model.loss[k, k] / model.strain[k]
-                out.integral[p, k, k] = model.integral[k, k] / model.strain[k]
+                out.K[row, k, k] = 1.0
+                out.loss[row, k, k] = model.loss[k, k] / model.strain[k]
+                out.integral[row, k, k] = model.integral[k, k] / model.strain[k]
             else:
-                out.C[p, k, k] = 1.0
+                out.C[row, k, k] = 1.0
         elif parameter.kind == "posture" and site == f"posture.{setup.name}":
             axis = int(what[1:]) - 1
-            if rows is None:
+            if turned is None:
                 chain = recording_chain(robot, setup.response, setup.excitation)
-                rows = (
+                turned = (
                     model.row_slopes(setup.response, chain.response_direction),
                     model.row_slopes(setup.excitation, chain.excitation_direction),
                 )
-            out.M[p], out.K[p] = model.command_slopes(axis)
-            out.J_r[p], out.J_e[p] = rows[0][axis], rows[1][axis]
+            out.M[row], out.K[row] = model.command_slopes(axis)
+            out.J_r[row], out.J_e[row] = turned[0][axis], turned[1][axis]
         elif parameter.kind == "sag" and seen.sag is not None:
             for target, rate in zip(out.arrays(), seen.sag.arrays(), strict=True):
-                target[p] = rate
+                target[row] = rate
         elif parameter.kind == "gain":
             rows_of = [k for k, label in enumerate(setup.response.label) if parameter.name == f"gain.{label}"]
-            out.gain[p, rows_of] = seen.gain[rows_of] / values[p]
+            out.gain[row, rows_of] = seen.gain[rows_of] / values[p]
+    for body, own in links.items():
+        block = (body, *own)
+        if block not in changes:
+            inertial = robot.links[int(body[4:]) - 1].inertial
+            changes[block] = np.array([_link_slope(inertial, parameters[p].name) for _, p in own])
+        rows = [row for row, _ in own]
+        out.M[rows], out.K[rows] = model.inertial_slopes(body, changes[block])
     return out
 
 
@@ -554,11 +564,10 @@ def sag_slopes(robot: Robot, setup: Setup, parameters: Parameters, values: Float
     seen, _ = observe(robot, setup, parameters, values)
     out = Observed.of(np.zeros((len(parameters), *array.shape)) for array in seen.arrays())
     share = parameters.sag(values)
-    differenced = _differenced(parameters, setup, model)
     for p, parameter in enumerate(parameters):
         moves = parameter.kind == "link" or (parameter.kind == "spring" and parameter.quantity == "stiffness")
         moves = moves or (parameter.kind == "posture" and parameter.site == f"posture.{setup.name}")
-        if share and (moves or differenced[p]):
+        if share and (moves or _curved(parameter, parameter.site, setup, model)):
             for target, change in zip(
                 out.arrays(), _difference(robot, setup, parameters, values, p, True), strict=True
             ):
@@ -566,19 +575,14 @@ def sag_slopes(robot: Robot, setup: Setup, parameters: Parameters, values: Float
     return out
 
 
-def _differenced(parameters: Parameters, setup: Setup, model: Structure) -> list[bool]:
-    """Which have no closed form: other entries, links that bend, all that moves a hardening spring's working point."""
-    curved = {joint.name for joint in model.mechanism.joints if any(joint.stiffness[1:])}
-    return [_curved(parameter, setup, model, curved) for parameter in parameters]
-
-
-def _curved(parameter: Parameter, setup: Setup, model: Structure, curved: set[str]) -> bool:
+def _curved(parameter: Parameter, site: str, setup: Setup, model: Structure) -> bool:
+    """Whether there is no closed form: other entries, links that bend, what moves hardening springs' working points."""
     if parameter.kind == "spring":
-        return parameter.site in curved
+        return site in model.curved
     if parameter.kind == "link":
-        return bool(curved) or int(parameter.name.partition(".")[0][4:]) in model.mechanism.splits
+        return bool(model.curved) or int(site.partition(".")[0][4:]) in model.mechanism.splits
     if parameter.kind == "posture":
-        return bool(curved) and parameter.site == f"posture.{setup.name}"
+        return bool(model.curved) and site == f"posture.{setup.name}"
     return parameter.kind == "entry"
 
 
