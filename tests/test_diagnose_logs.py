@@ -12,9 +12,18 @@ from tools.truth.__main__ import main as truth
 from twin.commands.compare import compare_log
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.torque_design import Design
-from twin.diagnose.torque_fit import _correlation, prediction_filter, stop_columns
-from twin.diagnose.torque_laws import State, entry_torque, model_torque
+from twin.diagnose.torque_fit import (
+    Columns,
+    Trial,
+    _correlation,
+    own_values,
+    prediction_filter,
+    stop_columns,
+    unshrunk,
+)
+from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
 from twin.diagnose.torque_locate import around_reversals, state_map
+from twin.diagnose.torque_search import _as_suspected, _with_element
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Verdict
 from twin.errors import InputError
@@ -100,6 +109,19 @@ def test_slip_that_is_part_of_dry_friction_is_not_taken_for_how_friction_ordinar
     slip = "hysteresis@joint2.z:stiffness=200000,yield_torque=40"
     (missing,) = diagnose_log(recorded(tmp_path, "--effect", slip), kr90).missing
     assert missing.first.key == "hysteresis@joint2.z"
+
+
+def test_slip_of_several_elements_is_put_to_its_rivals_again(tmp_path: Path, kr90: Robot) -> None:
+    """What is found loses its usual size and grows; judged once more, all its elements have the first one's prior."""
+    suspects = log_suspects(kr90, prepare(recorded(tmp_path), kr90, "log").used)
+    slip = next(s for s in suspects if s.name == "hysteresis@joint1.z")
+    none = Columns((), np.zeros((0, 2)))
+    found = unshrunk(Trial(slip, np.array([3.0, 0.5]), 0.0, none, none))
+    longer, u = _with_element(found, 10.0)
+    again = _as_suspected(Trial(longer, u, 0.0, none, none), suspects)
+    own = again.suspect.hypothesis.own
+    assert [p.deviation for p in own] == 2 * [p.deviation for p in slip.hypothesis.own]
+    assert own_values(own, again.u) == pytest.approx(own_values(longer.hypothesis.own, u))
 
 
 def test_presliding_is_in_proportion_to_friction_where_none_was_described(tmp_path: Path, kr90: Robot) -> None:

@@ -7,6 +7,7 @@ better.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -366,10 +367,12 @@ def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], jud
 
 
 def _as_suspected(trial: Trial, suspects: Sequence[Suspect]) -> Trial:
-    """A trial with the priors that its suspect had before it was found."""
-    suspect = next(s for s in suspects if s.name == trial.suspect.name)
-    values = own_values(trial.suspect.hypothesis.own, trial.u)
-    return replace(trial, suspect=suspect, u=own_prior(suspect.hypothesis.own, values))
+    """A trial with the priors that its suspect had before it was found, those of its first element for every one."""
+    first = next(s for s in suspects if s.name == trial.suspect.name).hypothesis.own
+    hypothesis = trial.suspect.hypothesis
+    own = tuple(replace(p, deviation=q.deviation) for p, q in zip(hypothesis.own, cycle(first), strict=False))
+    suspect = replace(trial.suspect, hypothesis=replace(hypothesis, own=own))
+    return replace(trial, suspect=suspect, u=own_prior(own, own_values(hypothesis.own, trial.u)))
 
 
 def accepted(system: System, *steps: Step) -> System:
