@@ -107,7 +107,9 @@ def _nearest(peaks: Sequence[tuple[int, float, float]], frequency: float) -> tup
     return (f, height) if distance < REACH else (float("nan"), float("nan"))
 
 
-def sentence(name: str, records: Sequence[Record], errors: dict[str, Any], held_out: Sequence[str]) -> str:
+def sentence(
+    name: str, records: Sequence[Record], errors: dict[str, Any], held_out: Sequence[str], joint: int | None = None
+) -> str:
     """The evidence for an answer.
 
     Args:
@@ -115,13 +117,14 @@ def sentence(name: str, records: Sequence[Record], errors: dict[str, Any], held_
         records: beside the models before and after.
         errors: ``before`` and ``after`` → ``train``, ``held_out``; ``noise_floor``.
         held_out: names of postures or runs not used.
+        joint: zero-based, on whose torque it acts; the one that is put right most by default.
     """
     told = ""
     frfs = [r for r in records if isinstance(r, FrfRecord)]
     if frfs:
         told = _frf_sentence(name, frfs)
     elif logs := [r for r in records if isinstance(r, LogRecord)]:
-        told = _log_sentence(name, logs)
+        told = _log_sentence(name, logs, joint)
     elif tables := [r for r in records if isinstance(r, ModalRecord)]:
         told = _modal_sentence(name, tables)
     return f"{told} {fall(errors, held_out)}".strip()
@@ -209,8 +212,8 @@ def _residual_sentence(name: str, records: Sequence[FrfRecord]) -> str:
     return best[1] if best else ""
 
 
-def _log_sentence(name: str, records: Sequence[LogRecord]) -> str:
-    """The joint and run whose residual torque falls most, relative to its torque."""
+def _log_sentence(name: str, records: Sequence[LogRecord], only: int | None = None) -> str:
+    """The joint (or ``only`` this) and run whose residual torque falls most, relative to its torque."""
     best: tuple[float, str] | None = None
     for record in records:
         rms = [
@@ -218,7 +221,7 @@ def _log_sentence(name: str, records: Sequence[LogRecord]) -> str:
             for stage in ("before", "after")
         ]
         size = np.sqrt(np.mean(record.measured[record.valid] ** 2, axis=0))
-        joint = int(np.argmax((rms[0] - rms[1]) / size))
+        joint = int(np.argmax((rms[0] - rms[1]) / size)) if only is None else only
         unit = f" {record.units[joint]}" if record.units else ""
         text = (
             f"Without {name} the torque of joint{joint + 1} in run '{record.name}'"

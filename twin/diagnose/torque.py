@@ -15,13 +15,23 @@ from twin.diagnose.torque_laws import RECORDING, log_suspects, model_torque, wit
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
-from twin.diagnose.torque_search import FURTHER, Progress, Search, explain, possible, smallest_visible
+from twin.diagnose.torque_search import (
+    FURTHER,
+    SETTLED,
+    Progress,
+    Search,
+    explain,
+    left_out,
+    possible,
+    smallest_visible,
+)
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
+from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 
 LASTING = 2  # times the order of the noise's autoregression: lags over which a misfit is like itself
@@ -73,17 +83,26 @@ def diagnose_log(
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
         list(prepared.held_out), records, where, sites, [*smallest_visible(system, suspects), *_visible(found_plays)],
-        warnings=[*prepared.notes, *map(_restless, restless), *_told_apart(search), *_slips(search)],
+        warnings=[*prepared.notes, *map(_restless, restless), *_told_apart(search)],
         fit=after, finalists=_finalists(search, found_plays),
         written=with_presliding(search.system, after.z, robot_after),
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
+    apart = _slips(search) | _late(search)
     finding.missing = [
-        m if m.evidence else replace(m, evidence=sentence(m.first.title, records, errors, prepared.held_out))
+        m if m.evidence else replace(m, evidence=_evidence(m, len(missing), finding, apart.get(m.first.key, [])))
         for m in missing
     ]
     return finding
+
+
+def _evidence(missing: Missing, count: int, finding: Finding, apart: Sequence[str]) -> str:
+    """What the answer puts right at its joint, and how far it can be told from what does nearly the same."""
+    first = missing.first
+    joint = axis_of(first.site) if first.site.startswith("joint") else None
+    name = first.title if count == 1 else f"{first.title} and what else was found"
+    return " ".join([sentence(name, finding.records, finding.error, finding.held_out, joint), *apart])
 
 
 def _restless(spot: dict[str, Any]) -> str:
@@ -119,27 +138,54 @@ def _told_apart(search: Search) -> list[str]:
     return notes
 
 
-def _slips(search: Search) -> list[str]:
-    """Of each joint where friction has a memory, how far low-speed friction would do in its place."""
-    notes = []
+def _slips(search: Search) -> dict[str, list[str]]:
+    """Of each slip found, how far low-speed friction would do in its place, and what became of dry friction."""
+    notes: dict[str, list[str]] = {}
     for step in search.found:
         if step.first.hypothesis.effect != "hysteresis":
             continue
+        own = notes.setdefault(step.key, [])
         site = step.first.hypothesis.site.partition(".")[0]
-        gains = {f.hypothesis.key: f.evidence() - step.base.evidence() for f in step.decision.ranked}
-        if (other := gains.get(f"stribeck_friction@{site}")) is not None:
-            tells = "tells" if step.gain - other > FURTHER else "does not tell"
-            notes.append(
-                f"slip with a memory at {site} gains {step.gain:.0f} in ln evidence, low-speed friction in its place "
-                f"{max(other, 0.0):.0f}: the log {tells} them apart"
-            )
         dry = next((s for s in search.steps if s.key == f"coulomb_friction@{site}" and s.gain > FURTHER), None)
         if dry is not None and not dry.accepted:
-            notes.append(f"{dry.key} was found first; slip, which is dry friction with a memory, took it in")
+            own.append(f"{dry.key} was found first; slip, which is dry friction with a memory, took it in.")
         elif dry is not None and not possible(search.system, dry):
-            notes.append(
-                f"{dry.key} was found first; slip took it in, and holds more at rest than friction is in motion"
+            own.append(
+                f"{dry.key} was found first; slip took it in, and holds more at rest than friction is in motion."
             )
+        gains = {f.hypothesis.key: f.evidence() - step.base.evidence() for f in step.decision.ranked}
+        low = f"stribeck_friction@{site}"
+        if low not in gains:
+            continue
+        told = "tells" if step.gain - gains[low] > FURTHER else "does not tell"
+        beside = next((s for s in search.found if s.key == low), None)
+        more = "" if beside is None else f", and {beside.gain:.0f} beside it"
+        own.append(
+            f"Slip with a memory gained {step.gain:.0f} in ln evidence, low-speed friction in its place "
+            f"{max(gains[low], 0.0):.0f}{more}: the log {told} them apart."
+        )
+    return notes
+
+
+def _late(search: Search) -> dict[str, list[str]]:
+    """Of a delay found beside slip, how much of what it would have explained slip does: they are nearly alike."""
+    slips = [step for step in search.found if step.first.hypothesis.effect == "hysteresis"]
+    notes: dict[str, list[str]] = {}
+    for step in search.found:
+        if step.first.hypothesis.effect != "time_delay" or not slips:
+            continue
+        most = max(
+            fit.evidence() - other.base.evidence()
+            for other in search.steps
+            for fit in other.decision.ranked
+            if fit.hypothesis.key == step.key
+        )
+        lost = search.after.evidence() - base_fit(left_out(search.system, step, iterations=SETTLED)).evidence()
+        told = "tells" if lost > FURTHER else "does not tell"
+        notes[step.key] = [
+            f"Without slip in the model it gained up to {most:.0f} in ln evidence, beside slip it is worth {lost:.0f}: "
+            f"the log {told} them apart, and slip does {max(0.0, 1 - lost / most):.0%} of what a delay would."
+        ]
     return notes
 
 

@@ -67,6 +67,9 @@ LEAST_OTHER = 0.01  # probability that something has no name here, at least
 REFINED = frozenset({"hysteresis", "stribeck_friction"})
 """Laws that are Coulomb friction in a limit: where there is none, it comes first if it does most of what they do."""
 
+AGEING = frozenset({"friction_drift"})
+"""Laws of the clock: runs kept aside hold the same motions as those used, not the same hour of the warm-up."""
+
 MOST = 0.5  # of their gain
 TRIED = 3  # answers of one look, where runs not used do not bear out the first
 ELEMENTS = 3  # of slip at a joint, at most
@@ -723,6 +726,8 @@ class Judge:
         power = sum(0.5 * float(np.sum(before[self.system.rows(j)] ** 2)) for j in joints)
         trained = 0.5 * (base.misfit * base.data - settled.misfit * settled.data)
         expected = trained * self.system.count / max(system.count, 1)
+        if fit.hypothesis.effect in AGEING:
+            expected = min(expected, 0.5 * float(np.sum((before - after) ** 2)))
         # What only relieves the tension of numbers against their priors cannot show here: it must do no harm.
         if trained < RELIEF * (fit.evidence() - base.evidence()):
             return rise / scale, bool(rise > -HARM * scale - 0.01 * power)
