@@ -268,3 +268,19 @@ def test_nothing_beside_a_thing_is_that_thing() -> None:
     two = entry_hypothesis(robot, "sensor_gain", "sensor:21Y+", {"gain": 1.0})
     assert together(NONE, one) is one
     assert [piece.key for piece in together(together(one, two), NONE).pieces] == [one.key, two.key]
+
+
+def test_a_mass_slides_along_its_moment_of_inertia() -> None:
+    """A step that leaves m c² to first order leaves it altogether; any other is followed to first order."""
+    robot = load_robot("kr90")
+    hypothesis = entry_hypothesis(robot, "payload", "link1", {"mass": 50.0, "com": [0.4, -0.1, 0.2]})
+    parameters = hypothesis.parameters(independent([]))
+    z = np.array([0.3, 0.5, -0.4, 0.2])
+    mass, *c = parameters.values(z)
+    grown = 0.8
+    level = np.array([grown / parameters[0].deviation, *(-0.5 * grown * np.array(c) / parameters[1].deviation)])
+    heavier, *nearer = parameters.values(parameters.moved(z, level))
+    assert heavier == pytest.approx(mass * np.exp(grown))
+    assert heavier * np.outer(nearer, nearer) == pytest.approx(mass * np.outer(c, c))
+    step = 1e-6 * np.array([0.2, -1.0, 0.4, 0.3])
+    assert parameters.moved(z, step) - z == pytest.approx(step, rel=1e-4)

@@ -254,8 +254,13 @@ def companions(
     hypotheses = []
     if hypothesis.effect == "attached_resonator":  # where it sits decides which of its axes couples to a joint
         (entry,) = hypothesis.entries
-        for axis in (axis for axis in "xyz" if axis != entry.values["axis"]):
-            hypotheses.append(entry_hypothesis(base, hypothesis.effect, site, {**entry.values, "axis": axis}))
+        for number in range(max(1, int(site[4:]) - 1), min(n, int(site[4:]) + 1) + 1):
+            link = f"link{number}"
+            there = entry.values if link == site else CATALOGUE[hypothesis.effect].typical(base, link)
+            for axis in "xyz" if there else "":
+                if (link, axis) != (site, entry.values["axis"]):
+                    values = {**(there or {}), "frequency_hz": entry.values["frequency_hz"], "axis": axis}
+                    hypotheses.append(entry_hypothesis(base, hypothesis.effect, link, values))
     for effect, where in found:
         if effect == "parameter":
             hypotheses += [h for h in widened(parameters) if h.site == where]

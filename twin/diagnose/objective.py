@@ -174,7 +174,7 @@ class Objective:
             return None
         h, total = 0.1, np.zeros(len(z))
         for r, H, w, (e, G, moves) in zip(
-            self.sample.recordings, self.predicted(z + h * step), self.weight, self.rows, strict=True
+            self.sample.recordings, self.predicted(self.free.moved(z, h * step)), self.weight, self.rows, strict=True
         ):
             ahead = np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float)
             total[moves] += G @ (2 / h * ((ahead - e) / h - step[moves] @ G))

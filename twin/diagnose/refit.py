@@ -65,8 +65,9 @@ class Fitted:
         """What the evidence gains when sizes may be far from the usual one: prior widths averaged over their scale.
 
         An angle, gain or delay of either sign may be as small as ``SMALLER`` of its usual width, alike for all scales;
-        the logarithm of a size may be ``WIDER`` times as far off. Gaussian likelihood of the own parameters, the
-        others integrated out.
+        the logarithm of a size may be ``WIDER`` times as far off, and stays where it is: what a wider prior would move
+        it by along a bent valley, no Gaussian tells. Gaussian likelihood of the own parameters, the others integrated
+        out.
         """
         gained, at = 0.0, len(self.z) - len(self.hypothesis.own)
         if not self.hypothesis.own:
@@ -83,11 +84,15 @@ class Fitted:
             likelihood = precision - np.eye(len(block))
             if np.linalg.eigvalsh(likelihood)[0] <= 1e-9:
                 continue  # the recording says nothing of it
-            spread = np.linalg.inv(likelihood)
-            estimate = spread @ precision @ self.z[block]
-            logs = [_normal(estimate, spread + s**2 * np.eye(len(block))) for s in (SMALLER if signed else WIDER)]
-            gained += float(np.logaddexp.reduce(logs) - np.log(len(logs)))
-            gained -= _normal(estimate, spread + np.eye(len(block)))
+            if signed:
+                spread = np.linalg.inv(likelihood)
+                estimate = spread @ precision @ self.z[block]
+                logs = [_normal(estimate, spread + s**2 * np.eye(len(block))) for s in (*SMALLER, 1.0)]
+            else:
+                size, held = float(self.z[block[0]]), float(likelihood[0, 0])
+                logs = [-0.5 * (size / w) ** 2 - 0.5 * np.log1p(held * w**2) for w in (*WIDER, 1.0)]
+            *logs, usual = logs
+            gained += float(np.logaddexp.reduce(logs) - np.log(len(logs)) - usual)
         return gained
 
     @property
@@ -150,7 +155,8 @@ def minimise(
                 turn = -0.5 * axes @ ((axes.T @ bend) / (curvature + damping))
                 if np.linalg.norm(turn) < TURN * np.linalg.norm(step):
                     step = step + turn
-            trial = objective.cost(z + step)
+            end = objective.free.moved(z, step)
+            trial = objective.cost(end)
             promised = -float(gradient @ step) - 0.5 * float(step @ information @ step)
             if np.isfinite(trial) and trial < cost:
                 break
@@ -162,7 +168,7 @@ def minimise(
             reach = 0.5 * float(np.linalg.norm(step))
         elif kept > 0.75 and damping > 0:
             reach *= 3
-        z = z + step
+        z = end
         cost, gradient, information = objective(z)
     return z, cost, information, False
 

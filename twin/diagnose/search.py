@@ -402,7 +402,11 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
                 continue  # more than the price of its prior cannot be gained
             z = np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z))
         elif alike:
-            z = best.z
+            z = best.z.copy()
+            if (
+                CATALOGUE[companion.effect].lever and companion.site != last.site
+            ):  # how heavy and where, it is not there
+                z[n:] *= [p.quantity in ("frequency_hz", "damping_ratio") for p in companion.own]
         else:
             z = np.concatenate([best.z[:n], np.zeros(len(companion.own))])
         places.append(_Place(hypothesis, parameters, (z,)))

@@ -155,6 +155,32 @@ class Parameters:
         """∂ value / ∂ z, (n, n)."""
         return np.asarray(np.where(self._scaled[0], values, 1.0)[:, None] * self.root)
 
+    @cached_property
+    def _levers(self) -> list[tuple[int, list[int]]]:
+        """Index of every free mass of an entry, and those of where it hangs."""
+        found = []
+        for k, name in enumerate(self.names):
+            key, _, quantity = name.rpartition(".")
+            lever = CATALOGUE[key.partition("@")[0]].lever if "@" in key else ""
+            if lever and quantity == "mass":
+                found.append((k, [j for j, other in enumerate(self.names) if other.startswith(f"{key}.{lever}[")]))
+        return found
+
+    def moved(self, z: FloatArray, step: FloatArray) -> FloatArray:
+        """z (n,) after a step (n,), to second order on a curve along which an entry's m c² stays if the step leaves it.
+
+        Often a moment of inertia is all that shows of a mass m at c: the valley that all such masses lie in is bent in
+        m and c and straight in ln m and √m c.
+        """
+        end = z + step
+        if not self._levers:
+            return end
+        before, x, mean = self.root @ z, self.root @ end, self._scaled[1]
+        for mass, lever in self._levers:
+            grown, c = float(np.clip(x[mass] - before[mass], -20, 20)), mean[lever] + before[lever]
+            x[lever] = (mean[lever] + x[lever] + 0.5 * grown * c) * np.exp(-0.5 * grown) - mean[lever]
+        return np.asarray(np.linalg.solve(self.root, x))
+
     def coordinates(self, values: FloatArray) -> FloatArray:
         """z (n,) of given values."""
         x = [np.log(v / p.mean) if p.log else v - p.mean for p, v in zip(self.items, values, strict=True)]

@@ -27,6 +27,7 @@ class AttachedResonator(Effect):
     seen_in = frozenset({"hammer"})
     order = 1
     repeatable = True
+    lever = "position"
 
     def check(self, values: Values) -> str | None:
         return None if values["axis"] in UNIT_VECTORS else f"axis: expected x, y or z, found {values['axis']!r}"

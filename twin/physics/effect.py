@@ -87,6 +87,7 @@ class Effect:
         role: what its torque law is part of: ``"load"`` goes through the gear, ``"friction"`` is what load and
             warm-up act on, ``"drive"`` is neither.
         repeatable: several entries may stand at one site.
+        lever: the parameter that says where its ``mass`` hangs.
         sizes: prior deviations of the first scale from which a search far from the truth starts, towards null.
     """
 
@@ -98,6 +99,7 @@ class Effect:
     role: ClassVar[Literal["load", "friction", "drive"]] = "drive"
     repeatable: ClassVar[bool] = False
     sprung: ClassVar[bool] = False
+    lever: ClassVar[str] = ""
     sizes: ClassVar[tuple[float, ...]] = (-2.5, -1.0, 1.0)
 
     def check(self, values: Values) -> str | None:

@@ -27,6 +27,7 @@ class Payload(Effect):
     seen_in = frozenset({"hammer", "log"})
     order = 1
     repeatable = True
+    lever = "com"
 
     def check(self, values: Values) -> str | None:
         inertia = values["inertia"]
