@@ -10,6 +10,7 @@ from test_identify_real import emps, needs, tx40
 
 from tools.truth.__main__ import main as truth
 from twin.commands.compare import compare_log
+from twin.diagnose.evidence import sentence
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.torque_design import Design
 from twin.diagnose.torque_fit import (
@@ -370,6 +371,14 @@ def test_a_ripple_has_one_amplitude_and_phase(tmp_path: Path, kr90: Robot) -> No
     for name, true in (("amplitude", 30), ("order", 16), ("phase", -2.5)):
         low, high = missing.first.parameters[name]["interval90"]
         assert low < true < high
+
+
+def test_evidence_is_about_the_joint_that_an_answer_acts_on(drifting: Finding) -> None:
+    """The hose pack pulls joint 1: that joint's torque by itself, joint 3's where something at joint 3 is judged."""
+    (missing,) = drifting.missing
+    assert missing.evidence.startswith("Without cable_stiffness at joint1 the torque of joint1 in run")
+    other = sentence("backlash at joint3.z", drifting.records, drifting.error, drifting.held_out, 2)
+    assert "the torque of joint3 in run" in other
 
 
 def test_maps_show_what_was_missed(drifting: Finding) -> None:

@@ -139,31 +139,30 @@ def _told_apart(search: Search) -> list[str]:
 
 
 def _slips(search: Search) -> dict[str, list[str]]:
-    """Of each slip found, how far low-speed friction would do in its place, and what became of dry friction."""
+    """Of each slip found, what became of dry friction, and how far low-speed friction would do in its place."""
     notes: dict[str, list[str]] = {}
-    for step in search.found:
-        if step.first.hypothesis.effect != "hysteresis":
+    for slip in search.found:
+        if slip.first.hypothesis.effect != "hysteresis":
             continue
-        own = notes.setdefault(step.key, [])
-        site = step.first.hypothesis.site.partition(".")[0]
-        dry = next((s for s in search.steps if s.key == f"coulomb_friction@{site}" and s.gain > FURTHER), None)
-        if dry is not None and not dry.accepted:
-            own.append(f"{dry.key} was found first; slip, which is dry friction with a memory, took it in.")
-        elif dry is not None and not possible(search.system, dry):
+        own = notes.setdefault(slip.key, [])
+        site = slip.first.hypothesis.site.partition(".")[0]
+        dry, low = f"coulomb_friction@{site}", f"stribeck_friction@{site}"
+        looks = [{f.hypothesis.key: f.evidence() - s.base.evidence() for f in s.decision.ranked} for s in search.steps]
+        if (gain := max((look.get(dry, 0.0) for look in looks), default=0.0)) > FURTHER:
+            more = any(s.key == dry and not possible(search.system, s) for s in search.found)
             own.append(
-                f"{dry.key} was found first; slip took it in, and holds more at rest than friction is in motion."
+                f"Coulomb friction at {site} came first, with a gain of {gain:.0f} in ln evidence; slip, which is dry "
+                f"friction with a memory, took it in{', and holds more at rest than friction is in motion' * more}."
             )
-        gains = {f.hypothesis.key: f.evidence() - step.base.evidence() for f in step.decision.ranked}
-        low = f"stribeck_friction@{site}"
-        if low not in gains:
-            continue
-        told = "tells" if step.gain - gains[low] > FURTHER else "does not tell"
-        beside = next((s for s in search.found if s.key == low), None)
-        more = "" if beside is None else f", and {beside.gain:.0f} beside it"
-        own.append(
-            f"Slip with a memory gained {step.gain:.0f} in ln evidence, low-speed friction in its place "
-            f"{max(gains[low], 0.0):.0f}{more}: the log {told} them apart."
-        )
+        both = [look for look in looks if low in look and slip.key in look]
+        if both:
+            tells = "tells" if both[-1][slip.key] - both[-1][low] > FURTHER else "does not tell"
+            own.append(
+                f"Slip gained {both[-1][slip.key]:.0f} in ln evidence where low-speed friction in its place gained "
+                f"{max(both[-1][low], 0.0):.0f}: the log {tells} them apart."
+            )
+        if (beside := next((s for s in search.found if s.key == low), None)) is not None:
+            own.append(f"Low-speed friction is there, too: it is worth {beside.gain:.0f} beside other friction.")
     return notes
 
 
