@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.identify.parameters import Parameter
 from twin.measure.campaign import FloatArray
 
-ELEMENTS = 5  # of slip
+REACH = np.geomspace(0.02, 1.3, 10)  # deflections at which elements of slip yield, over a large one under the blows
 SPREAD = 1.5  # prior deviation of the logarithm of every size
 USUAL_DEFLECTION = 5e-5  # rad: of a joint under a blow
 USUAL_OMEGA = 2 * np.pi * 12.0  # rad/s: at which it swings
@@ -29,8 +29,15 @@ class Law:
     """
 
     effect: str
-    names: tuple[str, ...]
     power: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        raise NotImplementedError
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        raise NotImplementedError
 
     def parameters(self, key: str, k: float) -> tuple[Parameter, ...]:
         """Log-normal priors about the usual sizes at a joint of stiffness k; ``key`` is ``EFFECT@SITE``."""
@@ -38,8 +45,6 @@ class Law:
             Parameter(f"{key}.{name}", unit, "entry", True, float(mean), SPREAD, "usual size")
             for name, unit, mean in zip(self.names, self.units, self.usual(k), strict=True)
         )
-
-    units: tuple[str, ...]
 
     def usual(self, k: float) -> FloatArray:
         """Sizes (m,) in the centre of the prior, for a joint of stiffness k."""
@@ -167,15 +172,21 @@ class Slip(Law):
         reach: rad (m), the deflection at which each element yields.
     """
 
-    reach: tuple[float, ...] = tuple(USUAL_DEFLECTION * np.geomspace(0.01, 1.0, ELEMENTS))
+    reach: tuple[float, ...] = tuple(USUAL_DEFLECTION * REACH)
 
     effect = "hysteresis"
-    names = tuple(f"stiffness[{i}]" for i in range(ELEMENTS))
-    units = ("N·m/rad",) * ELEMENTS
     power = 0.0
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"stiffness[{i}]" for i in range(len(self.reach)))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return ("N·m/rad",) * len(self.reach)
+
     def at(self, amplitude: float) -> "Slip":
-        return Slip(tuple(amplitude * np.geomspace(0.01, 1.0, ELEMENTS)))
+        return Slip(tuple(amplitude * REACH))
 
     def entry(self, sizes: FloatArray, larger: float = 1.0) -> dict[str, float | list[float]]:
         values = [float(v) for v in sizes]
@@ -183,23 +194,25 @@ class Slip(Law):
         return {"stiffness": values, "yield_torque": yields}
 
     def state(self, blows: int) -> FloatArray:
-        """Torque of every element, then the deflection they were reached at."""
-        return np.zeros((ELEMENTS + 1, blows))
+        """How far every element is strained, then the deflection they were strained at."""
+        return np.zeros((len(self.reach) + 1, blows))
 
     def torque(
         self, x: FloatArray, k: FloatArray, sizes: FloatArray, state: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        limit, new = sizes * np.array(self.reach)[:, None], np.empty_like(state)
-        moved = state[:-1] + sizes * (x - state[-1])
-        np.minimum(np.maximum(moved, -limit), limit, out=new[:-1])
+        limit, new = np.array(self.reach)[:, None], np.empty_like(state)
+        strained = new[:-1]
+        np.add(state[:-1], x - state[-1], out=strained)
+        np.minimum(strained, limit, out=strained)
+        np.maximum(strained, -limit, out=strained)
         new[-1] = x
-        return new[:-1].sum(axis=0), new
+        return np.einsum("pe,pe->e", sizes, strained), new
 
     def usual(self, k: float) -> FloatArray:
-        return np.full(ELEMENTS, 0.15 * k / ELEMENTS)
+        return np.full(len(self.reach), 0.15 * k / len(self.reach))
 
     def sizes(self, k: float, amplitude: float) -> FloatArray:
-        steps = np.arange(ELEMENTS) / (ELEMENTS - 1)
+        steps = np.arange(len(self.reach)) / (len(self.reach) - 1)
         shapes = [tilt**steps / np.sum(tilt**steps) for tilt in (0.1, 1.0, 10.0)]
         return np.array([share * k * shape for share in (0.01, 0.03, 0.1, 0.3) for shape in shapes])
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
+from twin.diagnose.blow import COARSE_HZ, RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
 from twin.diagnose.joint_laws import LAWS, NO_LOAD, Law
 from twin.diagnose.objective import Changes, Sample, rates
@@ -349,8 +349,13 @@ class Stepped(Cost):
         super().__post_init__()
         own = 0
         if self.fixed is None:
-            own = len(self.law.names) + self.parameters.names[-1].endswith(".pulse")
+            own = len(self.law.names) + self._struck
         self.base = self.parameters.select(range(len(self.parameters) - own))
+
+    @property
+    def _struck(self) -> bool:
+        """Whether the length of the blows is among the parameters, as their last."""
+        return self.fixed is None and self.parameters.names[-1].endswith(".pulse")
 
     def own(self, z: FloatArray) -> tuple[FloatArray, float]:
         """Sizes (m,) of the law, and the length of the blows over ``PULSE_S``."""
@@ -384,45 +389,80 @@ class Stepped(Cost):
     def _reactions(self, z: FloatArray, joints: _Postures) -> list[tuple[ComplexArray, ComplexArray]]:
         """Reactions (nf, ne) per recording and their derivatives (n, nf, ne), by differences of stepped blows.
 
-        Blows a little and somewhat longer tell smooth decays from those whose end the least difference throws about.
-        There a wide step along what acts on the law itself counts, and for everything else the law is held.
+        Differences are those of coarse steps, nearly as wrong on one side as on the other. Blows a little and somewhat
+        longer tell smooth decays from those whose end the least difference throws about. There a wide step along what
+        acts on the law itself counts, and for everything else the law is held.
         """
-        n, recordings, eye = len(self.base), self.sample.recordings, np.eye(len(z))
-        springs = [k for k, p in enumerate(self.base) if p.site == self.site]
-        near = springs + list(range(n, len(z)))
-        asked = [[(joints.of(r), r, *self.own(z)) for r in recordings]]
+        n, recordings = len(self.base), self.sample.recordings
+        near = [k for k, p in enumerate(self.base) if p.site == self.site] + list(range(n, len(z)))
         sizes, longer = self.own(z)
-        for h in (SMALL, WIDE) if self.closely else (ROUGHLY,):
-            asked.append([(joints.of(r), r, sizes, longer * (1 + h)) for r in recordings])
-            for k in near:
-                moved = z + h * eye[k]
-                there = joints if k >= n else _Postures(self.robot, self.base, self.site, moved[:n], False)
-                asked.append([(there.of(r), r, *self.own(moved)) for r in recordings])
-        found = self._react([one for some in asked for one in some])
-        count, m = len(recordings), 1 + len(near)
+        here = [(joints.of(r), r, sizes, longer) for r in recordings]
+        exact = self._react(here)
+        at = exact if self.rate_hz == COARSE_HZ else self._react(here, COARSE_HZ)
+        every = range(len(recordings))
+        small = self._differences(z, SMALL if self.closely else ROUGHLY, near, joints, at, every)
+        if at is not exact and self._struck:  # coarse steps are not short beside a blow
+            longest = z + SMALL * np.eye(len(z))[-1]
+            found = self._react([(joint, r, *self.own(longest)) for joint, r, *_ in here])
+            for differences, there, R in zip(small, found, exact, strict=True):
+                differences[-1] = (there - R) / SMALL
         slopes: list[ComplexArray] = []
-        smooth: list[NDArray[np.bool_]] = []
-        for k, r in enumerate(recordings):
-            R, *beside = found[k::count]
+        for r, R, stepped in zip(recordings, exact, small, strict=True):
             view = joints.of(r).view
             dR = np.zeros((len(z), *R.shape), complex)
             dR[:n] = view.reaction_slopes(_held(view, r.s, R)[0], R)
-            if self.closely:
-                small = np.array([(other - R) / SMALL for other in beside[:m]])
-                wide = np.array([(other - R) / WIDE for other in beside[m:]])
-                off, size = (np.sum(np.abs(d[0]) ** 2, axis=0) for d in (small - wide, wide))
-                smooth.append(off < size)  # false where a step went over the edge of what can be stepped
-                stepped = np.where(smooth[k], small, wide)[1:]
-            else:
-                stepped = np.array([(other - R) / ROUGHLY for other in beside[1:]]).reshape(-1, *R.shape)
             dR[near] = np.where(np.isfinite(stepped), stepped, dR[near])
             slopes.append(dR)
-        if self.closely:
-            if self.beside is None or np.linalg.norm(z - self.beside[0]) > STAYED:
-                self.beside = z, self._beside_held(z, joints, near, found[:count], slopes, smooth)
-            for dR, lag in zip(slopes, self.beside[1], strict=True):
-                dR[:n] += lag
-        return list(zip(found, slopes, strict=False))
+        if not self.closely:
+            return list(zip(exact, slopes, strict=True))
+        smooth = self._smooth(here, at)
+        rough = [k for k in every if not smooth[k].all()]
+        for k, wide in zip(rough, self._differences(z, WIDE, near, joints, at, rough), strict=True):
+            slopes[k][near] = np.where(~smooth[k] & np.isfinite(wide), wide, slopes[k][near])
+        if self.beside is None or np.linalg.norm(z - self.beside[0]) > STAYED:
+            self.beside = z, self._beside_held(z, joints, near, at, slopes, smooth)
+        for dR, lag in zip(slopes, self.beside[1], strict=True):
+            dR[:n] += lag
+        return list(zip(exact, slopes, strict=True))
+
+    def _differences(
+        self,
+        z: FloatArray,
+        step: float,
+        near: Sequence[int],
+        joints: _Postures,
+        at: Sequence[ComplexArray],
+        chosen: Sequence[int],
+    ) -> list[ComplexArray]:
+        """Differences (m, nf, ne) over a step along each of m parameters, for each of the chosen recordings."""
+        asked = []
+        for k in near if len(chosen) else ():
+            moved = z + step * np.eye(len(z))[k]
+            own = k >= len(self.base)
+            there = joints if own else _Postures(self.robot, self.base, self.site, moved[: len(self.base)], False)
+            recordings = [self.sample.recordings[i] for i in chosen]
+            asked += [(there.of(r), r, *self.own(moved)) for r in recordings]
+        found = self._react(asked, COARSE_HZ) if asked else []
+        return [
+            np.array([(R - at[i]) / step for R in found[c :: len(chosen)]]).reshape(-1, *at[i].shape)
+            for c, i in enumerate(chosen)
+        ]
+
+    def _smooth(
+        self, here: Sequence[tuple[_Joint, Recorded, FloatArray, float]], at: Sequence[ComplexArray]
+    ) -> list[NDArray[np.bool_]]:
+        """Per recording, blows (ne,) whose answer to being a little longer is what somewhat longer ones tell; false,
+        too, where a step went over the edge of what can be stepped."""
+        asked = [(joint, r, sizes, longer * (1 + h)) for h in (SMALL, WIDE) for joint, r, sizes, longer in here]
+        found = self._react(asked, COARSE_HZ)
+        small, wide = (
+            [(there - R) / h for there, R in zip(some, at, strict=True)]
+            for h, some in ((SMALL, found[: len(at)]), (WIDE, found[len(at) :]))
+        )
+        return [
+            np.asarray(np.sum(np.abs(a - b) ** 2, axis=0) < np.sum(np.abs(b) ** 2, axis=0))
+            for a, b in zip(small, wide, strict=True)
+        ]
 
     def _beside_held(
         self,
@@ -441,13 +481,16 @@ class Stepped(Cost):
                 if p not in near:
                     asked.append((joint, r, *self.own(z)))
                     where.append((k, p))
-        for (k, p), other in zip(where, self._react(asked) if asked else [], strict=True):
+        for (k, p), other in zip(where, self._react(asked, COARSE_HZ) if asked else [], strict=True):
             beside = (other - reactions[k]) / SMALL - slopes[k][p]
             lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
         return lags
 
-    def _react(self, asked: Sequence[tuple[_Joint, Recorded, FloatArray, float]]) -> list[ComplexArray]:
+    def _react(
+        self, asked: Sequence[tuple[_Joint, Recorded, FloatArray, float]], rate_hz: float | None = None
+    ) -> list[ComplexArray]:
         """What the law does, T/F (nf, ne), in a model of each recording, of some sizes, to blows of some length."""
+        rate_hz = rate_hz or self.rate_hz
         processes = self.processes if len(asked) > WORTH_SPREADING * len(self.sample.recordings) else 1
         share = -(-len(asked) // processes)
 
@@ -455,9 +498,9 @@ class Stepped(Cost):
             here = asked[number * share : (number + 1) * share]
             strikes = [self._strike(*one) for one in here]
             with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge
-                stepped = torques(strikes, self.law, self._length_s, self.rate_hz)
+                stepped = torques(strikes, self.law, self._length_s, rate_hz)
             return [
-                self._reaction(joint.view, r, strike, g)
+                self._reaction(joint.view, r, strike, g, rate_hz)
                 for (joint, r, *_), strike, (g, _) in zip(here, strikes, stepped, strict=True)
             ]
 
@@ -531,10 +574,10 @@ class Stepped(Cost):
         found = iter(self._react([one for some in asked for one in some]))
         return [[joint.view for joint, *_ in some] for some in asked], [[next(found) for _ in some] for some in asked]
 
-    def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray) -> ComplexArray:
+    def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray, rate_hz: float) -> ComplexArray:
         """The law's torque per force of the blow, T/F (nf, ne): of its tangent at rest, and the stepped g beside it."""
         force = strike.peak_n * pulse_transform(r.s, strike.pulse_s)
-        beside = (transform(r.s, len(g), self.rate_hz) @ g) / force[:, None]
+        beside = transform(r.s, g, rate_hz) / force[:, None]
         return view.reaction(np.full(beside.shape, strike.tangent(self.law), complex), beside)
 
     def predicted_at(self, points: Sequence[FloatArray]) -> list[list[ComplexArray]]:

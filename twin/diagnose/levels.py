@@ -45,7 +45,7 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, COARSE, FINE, LINEAR = 8, 10, 4, 8, 8, 2, 15  # iterations
+LOCATING, ROUGH, RACING, LAST, CLOSE, SETTLING, LINEAR = 8, 10, 4, 8, 5, 6, 15  # iterations
 ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
@@ -203,12 +203,16 @@ def explain_levels(
         rivals = [(replace(trial[0], sample=data, processes=processes), *trial[1:]) for trial in rivals]
         nameless = [
             fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR * least and fit.misfit < FAR_OFF else fit
-            for trial, fit in zip(rivals, _fitted_roughly(rivals, processes), strict=True)
+            for trial, fit in zip(rivals, _fitted_roughly(rivals, processes, LAW_REACH * least), strict=True)
         ]
+    tempered, begun = (15, starts[:2]) if window else (0, starts[:1])  # an optimum on all lines nearly is on some
     again = min(
         (
-            descend(robot, base.hypothesis, base.parameters, data, z, tempered=15, linear=15)
-            for z in starts[:2]
+            descend(
+                robot, base.hypothesis, base.parameters, data, z,
+                tempered=tempered, linear=LINEAR, hopeless=LAW_REACH * least,
+            )
+            for z in begun
         ),
         key=lambda fit: fit.cost,
     )  # fmt: skip
@@ -446,23 +450,49 @@ def _noise_share(sample: Sample, tempered: Sample) -> float:
     return float(np.mean(noise / allowed))
 
 
-def _fitted_roughly(trials: Sequence[Trial], processes: int) -> list[Fitted]:
-    """Laws after a few coarse iterations."""
+def _fitted_roughly(trials: Sequence[Trial], processes: int, hopeless: float = np.inf) -> list[Fitted]:
+    """Laws after a few coarse iterations; given up where they do not promise a cost below ``hopeless``."""
 
     def run(number: int) -> Fitted:
         objective, hypothesis, z = trials[number]
         objective = replace(objective, processes=1)
-        z, *_ = minimise(replace(objective, rate_hz=COARSE_HZ), z, LAST, COARSE_GAIN)
+        z, *_ = minimise(replace(objective, rate_hz=COARSE_HZ), z, LAST, COARSE_GAIN, hopeless)
         return _fitted(objective, hypothesis, *minimise(replace(objective, rate_hz=RATE_HZ), z, 0, 0))
 
     return list(spread(run, len(trials), processes))
 
 
 def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray) -> Fitted:
-    """Fit a law from z: coarsely stepped, then finely."""
-    z, *_ = minimise(replace(objective, rate_hz=COARSE_HZ, closely=True), z, COARSE, COARSE_GAIN)
+    """Fit a law from z, finely stepped."""
     fine = replace(objective, rate_hz=RATE_HZ, closely=True)
-    return _fitted(objective, hypothesis, *minimise(fine, z, FINE, FINE_GAIN))
+    return _fitted(objective, hypothesis, *minimise(fine, z, CLOSE, COARSE_GAIN))
+
+
+def settled(levels: Levels, fit: Fitted, objective: Stepped, sample: Sample, blow: dict[str, Blow]) -> Fitted:
+    """A fit carried on over all lines of its blows: what it says of recordings it has not seen hangs on every one.
+
+    Args:
+        levels: what it was found from; ``objective`` what predicts with it.
+        sample: recordings as they are; ``blow`` how each was hit.
+
+    Where the law was found under a window and does not hold to the ends of the decays, the window stays.
+    """
+    labels = {r.group: r.setup.excitation.label for r in objective.sample.recordings}
+
+    def all_of(sample: Sample, blow: dict[str, Blow], temper: float = 0.0) -> Stepped:
+        told = [
+            excited(r, [k for k, label in enumerate(r.setup.excitation.label) if label in labels[r.group]])
+            for r in sample.recordings
+        ]
+        data = _tempered(Sample(tuple(told), sample.repeat), temper)
+        return replace(objective, sample=data, blow=blow, rate_hz=RATE_HZ, closely=True)
+
+    every = all_of(sample, blow)
+    if levels.window:
+        allowed = all_of(sample, blow, HOLDS)
+        if not 2 * allowed.cost(fit.z) <= EXPLAINS * allowed.data:
+            every = all_of(levels.whole, levels.blow)
+    return _fitted(every, fit.hypothesis, *minimise(every, fit.z, SETTLING, FINE_GAIN))
 
 
 def _fitted(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, decide
+from twin.diagnose.decide import Decision, calibration, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_reaction import Stepped
 from twin.diagnose.levels import FAR_OFF, LINEAR, Levels, fit_law, with_law
@@ -82,10 +82,14 @@ def explain_beside(
         linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR)
         again.append((linear, stepping, objective, own))
     by_fit = {id(linear): own for linear, _, _, own in again}
-    decision = decide(
-        [linear for linear, *_ in again], alone, suspects,
-        unnamed=lambda fit: free_laws(fit, by_fit.get(id(fit), whole)),
-    )  # fmt: skip
+
+    def unnamed(fit: Fitted) -> dict[str, float]:
+        """At other joints, where it gains more than what is found may leave: a law of few numbers leaves some."""
+        gains = free_laws(fit, by_fit.get(id(fit), whole))
+        least = calibration()["unexplained_share"] * max(fit.evidence() - alone.evidence(), 0.0)
+        return {site: gain if gain > least else 0.0 for site, gain in gains.items() if site != stepped.site}
+
+    decision = decide([linear for linear, *_ in again], alone, suspects, unnamed=unnamed)
     order = [next(item for item in again if item[0] is fit) for fit in decision.ranked]
     return Beside(law, decision, [item[1] for item in order], [item[2] for item in order])
 

@@ -13,7 +13,7 @@ from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
 from twin.diagnose.joint_laws import LAWS, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
-from twin.diagnose.levels import Levels, decide_levels, explain_levels
+from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
 from twin.diagnose.levels_beside import Beside, explain_beside
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.next_test import next_test
@@ -132,18 +132,18 @@ def _answer(
 ) -> _Answer:
     word, best = judge(decision), decision.ranked[0]
     objective = levels.objectives[levels.fits.index(best)]
-    law = missing_of(decision, levels.base)[0]
+    sample, how = Sample(tuple(found.used), 1 / found.shared), blows(campaign) or {}
     if best is levels.fits[0]:
         band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
         brakes = [r.setup.brakes for r in found.recordings.values()]
         looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)
         beside = explain_beside(base, search.base, levels, looked_at, progress)
         best = beside.law
-        decision = replace(decision, ranked=[best, *decision.ranked[1:]])
-        law = missing_of(decision, levels.base)[0]
         if beside.decision and judge(beside.decision) in ("named", "ambiguous"):
-            both, objective = beside.fits[0], beside.objectives[0]
-            also = replace(beside.decision, ranked=beside.fits)
+            law = missing_of(replace(decision, ranked=[best, *decision.ranked[1:]]), levels.base)[0]
+            objective = beside.objectives[0]
+            both = settled(levels, beside.fits[0], objective, sample, how)
+            also = replace(beside.decision, ranked=[both, *beside.fits[1:]])
             others = [m for m in missing_of(also, best) if m.first.key != law.first.key]
             believed = (1 - also.other) / max(1 - decision.other, 1e-9)
             law = replace(
@@ -156,6 +156,8 @@ def _answer(
             if judge(beside.decision) == "ambiguous":
                 word = "ambiguous"
             return _Answer(word, [law, *others], both, objective, decision.none, also.other, beside)
+    best = settled(levels, best, objective, sample, how)
+    law = missing_of(replace(decision, ranked=[best, *decision.ranked[1:]]), levels.base)[0]
     law = replace(law, first=replace(law.first, parameters=_as_entered(law.first.parameters, objective, best)))
     return _Answer(word, [law], best, objective, decision.none, decision.other, None)
 
