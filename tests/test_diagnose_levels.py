@@ -108,6 +108,26 @@ def test_a_held_law_is_the_stepped_one_where_it_was_held(kr90: Robot, tmp_path: 
     assert np.linalg.norm(change - slopes[k]) < 1e-4 * np.linalg.norm(change)
 
 
+def test_slopes_of_finely_stepped_blows_are_those_of_their_cost(kr90: Robot, tmp_path: Path) -> None:
+    """Differences over coarse steps lead downhill, along every number of the law and the length of the blows."""
+    campaign = recorded(tmp_path, "", "--nominal", "--no-sag", "--postures", "1")
+    robot, recordings = without_limits(kr90), prepare(campaign, kr90)
+    free = free_parameters(robot, tolerances=False)
+    own = [*SLIP.parameters("hysteresis@joint1.z", 5e6), Parameter("x.pulse", "s", "entry", True, 0.008, 0.2)]
+    stepped = Stepped(
+        robot, join(free, independent(own)), Sample(tuple(r.every(8) for r in recordings.values())),
+        law=SLIP, site="joint1.z", blow=blows(campaign) or {}, closely=True,
+    )  # fmt: skip
+    z = np.zeros(len(free) + len(own))
+    _, gradient, information = stepped(z)
+    for k in range(len(free), len(z)):
+        step = 1e-3 * np.eye(len(z))[k]
+        up, down = stepped.costs([z + step, z - step])
+        assert (up - down) / 2e-3 == pytest.approx(
+            gradient[k], abs=0.02 * abs(gradient[k]) + 0.3 * information[k, k] ** 0.5
+        )
+
+
 def test_a_blow_is_an_exact_half_sine() -> None:
     """Its transform is the integral, and what it adds to a mode is, whatever share of the last step it lasts."""
     pulse_s, pole = 0.0087, np.array([-3 + 120j])
