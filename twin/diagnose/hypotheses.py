@@ -256,11 +256,11 @@ def companions(
         (entry,) = hypothesis.entries
         for number in range(max(1, int(site[4:]) - 1), min(n, int(site[4:]) + 1) + 1):
             link = f"link{number}"
-            there = entry.values if link == site else CATALOGUE[hypothesis.effect].typical(base, link)
-            for axis in "xyz" if there else "":
+            usual = entry.values if link == site else CATALOGUE[hypothesis.effect].typical(base, link) or {}
+            for axis in "xyz" if usual else "":
                 if (link, axis) != (site, entry.values["axis"]):
-                    values = {**(there or {}), "frequency_hz": entry.values["frequency_hz"], "axis": axis}
-                    hypotheses.append(entry_hypothesis(base, hypothesis.effect, link, values))
+                    there = {**usual, "frequency_hz": entry.values["frequency_hz"], "axis": axis}
+                    hypotheses.append(entry_hypothesis(base, hypothesis.effect, link, there))
     for effect, where in found:
         if effect == "parameter":
             hypotheses += [h for h in widened(parameters) if h.site == where]

@@ -109,7 +109,9 @@ def explain(
         if number:
             best = _reconsider(robot, search, best, sample, suspects, progress)
     best = _needed(robot, search, best, sample)
-    _where_it_is(robot, search, best, sample, suspects, progress)
+    there = _where_it_is(robot, search, best, sample, suspects, progress)
+    if _worth(best, there):
+        _needed(robot, search, there, sample)
     return search
 
 
@@ -127,14 +129,16 @@ def _where_it_is(
     sample: Sample,
     suspects: Sequence[Sequence[Hypothesis]],
     progress: Progress,
-) -> None:
-    """What acts at the joint where a law without a name would still gain much: screening may have passed it over, or
-    a bent valley have held it up, which the robust logarithmic residual leaves."""
+) -> Fitted:
+    """The best with what acts at the joint where a law without a name would still gain much, in its stead or beside it.
+
+    Screening may have passed it over, or a bent valley have held it up, which the robust logarithmic residual leaves.
+    """
     site, gain = next(iter(free_laws(best, sample.thin(NEAR_LINES)).items()), ("", 0.0))
     joint = site.partition(".")[0]
     there = [variants for variants in suspects if variants[0].site.partition(".")[0] == joint]
     if gain <= WORTH or not there:
-        return
+        return best
     for fit in _round(robot, search, search.base, sample, there, progress, every=True):
         if not fit.converged and len(fit.hypothesis.pieces) == 1:
             few = sample.thin(REFIT_LINES)
@@ -142,6 +146,21 @@ def _where_it_is(
             again = descend(robot, fit.hypothesis, fit.parameters, sample, z, tempered=0, tolerance=0.02)
             if again.cost < fit.cost:
                 search.fits[fit.hypothesis.identity] = again
+    present = {piece.key for piece in best.hypothesis.pieces}
+    others = [variants for variants in there if variants[0].key not in present]
+    if not present or not others:
+        return best
+    few = sample.thin(SCREEN_LINES)
+
+    def roughly(number: int) -> _Place:
+        hypothesis = together(best.hypothesis, others[number][0])
+        parameters = hypothesis.parameters(search.base.parameters)
+        z = np.concatenate([best.z, np.zeros(len(others[number][0].own))])
+        objective = Objective(hypothesis.robot(robot), parameters, few, logarithmic=True)
+        return _Place(hypothesis, parameters, (minimise(objective, z, 15, 0.1)[0],))
+
+    places = list(spread(roughly, len(others), search.processes))
+    return max([best, *_refits(robot, search, places, sample)], key=lambda fit: fit.evidence())
 
 
 def _worth(simpler: Fitted, richer: Fitted) -> bool:
