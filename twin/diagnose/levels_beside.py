@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration, decide
+from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_reaction import Stepped
 from twin.diagnose.levels import FAR_OFF, LINEAR, Levels, fit_law, with_law
@@ -23,7 +23,7 @@ from twin.robot.description import Robot
 
 LINES = 40  # of every recording
 FINALISTS = 2  # fitted again with the law stepped
-PROMISING = 0.8  # of the best one's gain
+PROMISING, LEFT = 0.8, 0.05  # of the best one's gain; what a law without a name may gain beside it and not be its rival
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def explain_beside(
     def unnamed(fit: Fitted) -> dict[str, float]:
         """At other joints, where it gains more than what is found may leave: a law of few numbers leaves some."""
         gains = free_laws(fit, by_fit.get(id(fit), whole))
-        least = calibration()["unexplained_share"] * max(fit.evidence() - alone.evidence(), 0.0)
+        least = LEFT * max(fit.evidence() - alone.evidence(), 0.0)
         return {site: gain if gain > least else 0.0 for site, gain in gains.items() if site != stepped.site}
 
     decision = decide([linear for linear, *_ in again], alone, suspects, unnamed=unnamed)
