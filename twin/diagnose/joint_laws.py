@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.identify.parameters import Parameter
 from twin.measure.campaign import FloatArray
 
-REACH = np.geomspace(0.03, 2.6, 11)  # deflections at which slip elements yield, over one that one blow in ten exceeds
+REACH = np.geomspace(0.01, 2.6, 13)  # deflections at which slip elements yield, over one that one blow in ten exceeds
 SPREAD = 1.5  # prior deviation of the logarithm of every size
 USUAL_DEFLECTION = 5e-5  # rad: of a joint under a blow
 USUAL_OMEGA = 2 * np.pi * 12.0  # rad/s: at which it swings
