@@ -17,6 +17,7 @@ from twin.diagnose.torque_fit import (
     Columns,
     Trial,
     _correlation,
+    _rounded,
     own_values,
     prediction_filter,
     stop_columns,
@@ -123,6 +124,19 @@ def test_slip_of_several_elements_is_put_to_its_rivals_again(tmp_path: Path, kr9
     own = again.suspect.hypothesis.own
     assert [p.deviation for p in own] == 2 * [p.deviation for p in slip.hypothesis.own]
     assert own_values(own, again.u) == pytest.approx(own_values(longer.hypothesis.own, u))
+
+
+def test_slip_that_holds_more_than_friction_in_motion_is_written_as_it_was_fitted(kr90: Robot) -> None:
+    """Dry friction below zero beside it is no friction: a law without a name has the same torque."""
+    fitted = Entry.model_validate({"effect": "coulomb_friction", "site": "joint2", "torque": -150.0})
+    written = _rounded(fitted, kr90)
+    assert written.effect == "discovered"
+    t = np.linspace(0, 4, 2001)
+    speed = np.stack([0 * t, np.clip(np.sin(3 * t), -0.6, 0.6) * (np.abs(np.sin(3 * t)) > 0.1), 0 * t], 1)
+    motion = Motion(t, np.cumsum(speed, axis=0) * t[1], speed, np.gradient(speed, t, axis=0))
+    torque = [CATALOGUE[e.effect].torque(motion, e.site, e.values)[1] for e in (fitted, written)]
+    np.testing.assert_allclose(*torque)
+    assert np.ptp(torque[0]) == 300
 
 
 def test_presliding_is_in_proportion_to_friction_where_none_was_described(tmp_path: Path, kr90: Robot) -> None:

@@ -827,8 +827,14 @@ def _possible(vector: FloatArray) -> bool:
 
 
 def _rounded(entry: Entry, robot: Robot) -> Entry:
-    """An entry whose numbers are in the range that its effect allows."""
+    """An entry whose numbers are in the range that its effect allows.
+
+    What slip that holds more at rest than friction is in motion takes back of dry friction is a law without a name.
+    """
     values = dict(entry.model_extra or {})
+    if entry.effect == "coulomb_friction" and values["torque"] < 0:
+        law = {"formula": f"c1*sign(v{axis_of(entry.site) + 1})", "coefficients": [values["torque"]]}
+        return Entry.model_validate({"effect": "discovered", "site": entry.site, **law})
     for parameter in CATALOGUE[entry.effect].parameters:
         if parameter.nonnegative and parameter.name in values and not parameter.word:
             given = values[parameter.name]
