@@ -13,7 +13,15 @@ from twin.commands.compare import compare_log
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
 from twin.identify.regressor import Regressor, pseudo_inertia
-from twin.identify.rigid import Bands, Identification, consistent, identify, joint_run, relative_error
+from twin.identify.rigid import (
+    Bands,
+    Identification,
+    consistent,
+    identify,
+    joint_run,
+    nearest_possible,
+    relative_error,
+)
 from twin.measure.motion_log import (
     MotionLog,
     MotionRun,
@@ -400,3 +408,20 @@ def test_a_rigid_linear_axis_is_replayed() -> None:
     found = compare_log(MotionLog({"a": MotionRun("a", time, q, RATE, force)}), carriage, stepped=True)
     assert found.parts[0]["error"] < 5e-3
     assert found.parts[0]["stepped_error"] < 0.01
+
+
+def test_the_nearest_robot_that_can_exist(kr90: Robot) -> None:
+    """A link of negative mass becomes a body; towards no robot that can exist does the distance fall any further."""
+    regressor, rng = Regressor(kr90), np.random.default_rng(3)
+    size = len(regressor.described)
+    step = np.diag(np.maximum(np.abs(regressor.described), 0.1))
+    root = rng.normal(size=(size, size))
+    H, x = root @ root.T / size, regressor.described.copy()
+    x[10] = -50.0
+    d = nearest_possible(regressor, H, np.zeros(size), x, step)
+    found = x + step @ d
+    for i in range(kr90.axis_count):
+        assert np.linalg.eigvalsh(pseudo_inertia(found[10 * i : 10 * i + 10]))[0] > 0
+    for share in (0.5, 1.0, 2.0):
+        other = np.linalg.solve(step, share * regressor.described - x)
+        assert d @ H @ (other - d) > -1e-5 * float(d @ H @ d)

@@ -10,7 +10,7 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import Base, System, base_fit, stops_of, system_of, with_presliding
+from twin.diagnose.torque_fit import Base, System, base_fit, stops_of, system_of, that_can_exist, with_presliding
 from twin.diagnose.torque_laws import RECORDING, log_suspects, model_torque, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
@@ -35,6 +35,7 @@ from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 
 LASTING = 2  # times the order of the noise's autoregression: lags over which a misfit is like itself
+WORSE = 1.05  # times the error of the fit: what bodies that can exist may cost without a word
 SETTLING_S = 0.15  # about a stop, where the encoder cannot tell creeping from standing: not counted in errors
 
 
@@ -83,7 +84,9 @@ def diagnose_log(
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
         list(prepared.held_out), records, where, sites, [*smallest_visible(system, suspects), *_visible(found_plays)],
-        warnings=[*prepared.notes, *map(_restless, restless), *_told_apart(search)],
+        warnings=[
+            *prepared.notes, *map(_restless, restless), *_told_apart(search), *_bodies(prepared, search, errors)
+        ],
         fit=after, finalists=_finalists(search, found_plays),
         written=with_presliding(search.system, after.z, robot_after),
     )  # fmt: skip
@@ -307,6 +310,29 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
     power = np.mean(np.concatenate([r.measured[r.valid] for r in judged]) ** 2, axis=0)
     errors["noise_floor"] = float(np.sqrt(np.mean(noise**2 / np.maximum(power, 1e-300))))
     return records, errors
+
+
+def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any]) -> list[str]:
+    """What it costs that links must be bodies that can exist: a log holds combinations of their inertias alone."""
+    last, after = search.system, search.law[2] if search.law else search.after
+    z = that_can_exist(last, after.z)
+    if z is after.z:
+        return []
+    entries = [*last.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
+    rest, whole = 0.0, 0.0
+    for k, run in enumerate(prepared.used):
+        settled = run.valid & _settled(run)
+        torque = run.torque[settled]
+        missed = torque - _predicted(search.plain.base, k, last.plain(z), entries, settled)[settled]
+        rest, whole = rest + np.sum(missed**2, axis=0), whole + np.sum(torque**2, axis=0)
+    error = float(np.sqrt(np.mean(rest / np.maximum(whole, 1e-300))))
+    if error < WORSE * errors["after"]["train"]:
+        return []
+    return [
+        f"no bodies that can exist have the fitted combinations of inertias: with the nearest that do, in robot.yaml, "
+        f"the error on what was used is {error:.1%} and not {errors['after']['train']:.1%}; something like weight or "
+        "inertia may be missing from the description"
+    ]
 
 
 def _predicted(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], valid: np.ndarray) -> FloatArray:

@@ -40,6 +40,7 @@ from twin.diagnose.torque_laws import (
 from twin.diagnose.torque_signal import Prepared, Run
 from twin.identify.parameters import TOLERANCE_DEVIATION, Parameter, Parameters, independent, join, link_parameters
 from twin.identify.regressor import Column, Regressor, body_of, inertial_vector, pseudo_inertia
+from twin.identify.rigid import nearest_possible
 from twin.measure.campaign import FloatArray
 from twin.measure.signals import lowpass
 from twin.physics import CATALOGUE
@@ -757,21 +758,11 @@ def _fitted(
 
 
 def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Robot:
-    """The description at z, with entries; links stay bodies that can exist, as near to z as that allows."""
-    base = system.base
-    robot = base.regressor.robot
+    """The description at the nearest to z that can exist, with entries."""
+    base, z = system.base, that_can_exist(system, z)
     values = base.values(system.plain(z))
-    for i in range(robot.axis_count):
-        part = slice(10 * i, 10 * i + 10)
-        here, step = base.described[part], values[part] - base.described[part]
-        share = 1.0
-        while share > 1e-3 and not _possible(here + share * step):
-            share *= 0.7
-        values[part] = here + (share if share > 1e-3 else 0.0) * step
-    for k, column in enumerate(base.regressor.columns):
-        if column.nonnegative:
-            values[k] = max(values[k], 0.0)
-    fitted = base.regressor.robot_with(values)
+    floor = [column.nonnegative and column.group != "link" for column in base.regressor.columns]
+    fitted = base.regressor.robot_with(np.where(floor, np.maximum(values, 0.0), values))
     added = [_rounded(entry, fitted) for entry in (*system.entries(z), *entries)]
     return fitted.model_copy(update={"physics": [*fitted.physics, *added]})
 
@@ -817,6 +808,26 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
             slip = {name: [*physics[at].values[name], *items] for name, items in slip.items()}
         physics[at : at + 1] = [Entry.model_validate({"effect": "hysteresis", "site": f"{site}.z", **slip})]
     return robot.model_copy(update={"physics": physics})
+
+
+def that_can_exist(system: System, z: FloatArray) -> FloatArray:
+    """The nearest to z (n,), as the fit measures it, whose links are bodies and whose friction is not below zero.
+
+    What the data do not hold gives way; what was found stays as it is.
+    """
+    base, size, shared = system.base, len(system.base.parameters), system.base.spread.shape[1]
+    regressor, values = base.regressor, base.values(system.plain(z))
+    links = values[: 10 * regressor.robot.axis_count].reshape(-1, 10)
+    others = [v for v, column in zip(values, regressor.columns, strict=True) if column.nonnegative]
+    if min(others, default=0.0) >= 0 and all(_possible(link) for link in links):
+        return z
+    step = base.spread * system.plain(np.ones(len(z)))[:shared]
+    covariance = np.linalg.inv(system.information[:size, :size])[:, :shared]
+    H = np.linalg.inv(covariance[:shared])
+    d = nearest_possible(regressor, 0.5 * (H + H.T), np.zeros(shared), values, step)
+    out = z.copy()
+    out[:size] += covariance @ (H @ d)
+    return out
 
 
 def _possible(vector: FloatArray) -> bool:

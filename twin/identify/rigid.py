@@ -337,12 +337,7 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     whose pseudo-inertia stays above ``margin`` times the described one, with friction and rotor inertia ≥ 0: a convex
     problem in the cone of positive semidefinite matrices (Wensing, Kim, Slotine 2018), solved by Clarabel.
     """
-    import clarabel  # type: ignore[import-untyped]
-    from scipy import sparse
-
-    columns, robot = regressor.columns, regressor.robot
-    n = robot.axis_count
-    x0 = regressor.described.copy()
+    columns, x0 = regressor.columns, regressor.described
     K = estimate.base.combine
     step = _prior_steps(regressor, estimate)
     prior = np.array([1.0 if column.group in ("link", "rotor") else 0.0 for column in columns])
@@ -352,22 +347,34 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     target = scipy.linalg.cholesky(weight) @ (estimate.value[usable] - K[usable] @ x0)
     H = G.T @ G + np.diag(np.where(prior > 0, prior, 1e-6))
     linear = -G.T @ target
-    rows, bounds, cones = [], [], []
+    x = x0 + step @ nearest_possible(regressor, H, linear, x0, step, margin)
     floor = np.array([column.nonnegative and column.group != "link" for column in columns])
+    return np.where(floor, np.maximum(x, 0.0), x)
+
+
+def nearest_possible(
+    regressor: Regressor, H: FloatArray, linear: FloatArray, x0: FloatArray, step: FloatArray, margin: float = 1e-3
+) -> FloatArray:
+    """d (m,) of least ½ dᵀH d + linearᵀd at which x0 + step d (p,) is a robot that can exist, as in `consistent`."""
+    import clarabel  # type: ignore[import-untyped]
+    from scipy import sparse
+
+    rows, bounds, cones = [], [], []
+    floor = np.array([column.nonnegative and column.group != "link" for column in regressor.columns])
     if floor.any():
         rows.append(-step[floor])
         bounds.append(x0[floor])
         cones.append(clarabel.NonnegativeConeT(int(floor.sum())))
     root2 = np.sqrt(2.0)
     triangle = [(i, j) for j in range(4) for i in range(j + 1)]
-    for i in range(n):
+    for i in range(regressor.robot.axis_count):
         part = slice(10 * i, 10 * i + 10)
-        P0 = pseudo_inertia(x0[part])
-        scale = np.sqrt(np.diag(P0))  # congruence keeps definiteness and makes the numbers of one size
+        scale = np.sqrt(np.diag(pseudo_inertia(regressor.described[part])))
+        # congruence keeps definiteness and makes the numbers of one size
         unit = np.stack([pseudo_inertia(row) for row in np.eye(10)], axis=-1) / np.outer(scale, scale)[:, :, None]
         pick = np.array([unit[a, c] * (1 if a == c else root2) for a, c in triangle])
         rows.append(-pick @ step[part])
-        bounds.append((1 - margin) * pick @ x0[part])
+        bounds.append(pick @ (x0[part] - margin * regressor.described[part]))
         cones.append(clarabel.PSDTriangleConeT(4))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
@@ -378,9 +385,7 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     solution = solver.solve()
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         raise ArithmeticError(f"no physically consistent set found: {solution.status}")
-    x = x0 + step @ np.array(solution.x)
-    x[floor] = np.maximum(x[floor], 0.0)
-    return x
+    return np.array(solution.x)
 
 
 def _prior_steps(regressor: Regressor, estimate: Estimate) -> FloatArray:
