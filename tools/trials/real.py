@@ -82,7 +82,7 @@ def asked(path: Path, limit_s: float) -> dict[str, Any]:
 
 
 def _kept(diagnosis: dict[str, Any]) -> dict[str, Any]:
-    return {key: diagnosis.get(key) for key in ("verdict", "effects", "probabilities", "error", "next_test")}
+    return {key: diagnosis.get(key) for key in ("verdict", "effects", "probabilities", "error", "next_test", "triage")}
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -128,7 +128,8 @@ def section(content: dict[str, Any]) -> str:
             said += f" ({values})" if values else ""
             said += f"; or {rivals}" if rivals else ""
             lines.append(said + (f". {e['evidence']}" if e.get("evidence") else ""))
-        if d["effects"]:
+        lines += [f"- Triage: {note}" for note in d.get("triage") or []]
+        if d["effects"] or d.get("triage"):
             lines.append("")
         lines += [*_errors(d["error"] or {}), ""]
         if row["note"]:
