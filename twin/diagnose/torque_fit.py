@@ -824,7 +824,10 @@ def that_can_exist(system: System, z: FloatArray) -> FloatArray:
     step = base.spread * system.plain(np.ones(len(z)))[:shared]
     covariance = np.linalg.inv(system.information[:size, :size])[:, :shared]
     H = np.linalg.inv(covariance[:shared])
-    d = nearest_possible(regressor, 0.5 * (H + H.T), np.zeros(shared), values, step)
+    try:
+        d = nearest_possible(regressor, 0.5 * (H + H.T), np.zeros(shared), values, step)
+    except ArithmeticError:  # the described robot exists
+        d = -z[:shared]
     out = z.copy()
     out[:size] += covariance @ (H @ d)
     return out
