@@ -12,7 +12,7 @@ from twin.diagnose.hypotheses import entry_hypothesis, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, descend, minimise, recorded_error
+from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, minimise, recorded_error
 from twin.diagnose.screen import Setting, _Scan
 from twin.diagnose.search import Search, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
@@ -284,3 +284,16 @@ def test_a_mass_slides_along_its_moment_of_inertia() -> None:
     assert heavier * np.outer(nearer, nearer) == pytest.approx(mass * np.outer(c, c))
     step = 1e-6 * np.array([0.2, -1.0, 0.4, 0.3])
     assert parameters.moved(z, step) - z == pytest.approx(step, rel=1e-4)
+
+
+def test_a_size_is_not_drawn_to_the_usual_one() -> None:
+    """What the data make likelier under a wide prior is stated under that: not what they hold to the usual size."""
+    narrow, _, wide = _of_widths(-5.0, 10.0)
+    assert narrow == 0
+    assert wide > 5  # five deviations below the usual size, well seen
+    assert max(_of_widths(0.5, 10.0)) == 0  # near the usual size
+    for w, gain in zip((1.0, 2.0, 4.0), _of_widths(-2.0, 3.0), strict=True):  # the other route: two normal densities
+        x = -2.0 * (1 + 3.0) / 3.0  # estimate of the data alone, whose posterior mean under the usual width is −2
+        spread = (1 / 3.0 + w**2, 1 / 3.0 + 1)
+        exact = 0.5 * x**2 * (1 / spread[1] - 1 / spread[0]) - 0.5 * np.log(spread[0] / spread[1])
+        assert 0 <= exact - gain < 0.5 * (x + 2.0) ** 2 * 3.0 + 1e-9  # short of it by what moving on would gain

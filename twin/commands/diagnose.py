@@ -27,7 +27,7 @@ from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
-from twin.diagnose.refit import NONE, Fitted, descend, noise_floor
+from twin.diagnose.refit import NONE, Fitted, descend, noise_floor, of_its_size
 from twin.diagnose.search import NEAR_LINES, REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log
 from twin.diagnose.triage import triage
@@ -250,10 +250,13 @@ def diagnose_campaign(
     )
     word = judge(decision)
     answered = word in ("named", "ambiguous")
+    if answered:
+        best, *others = decision.ranked
+        decision = replace(decision, ranked=[of_its_size(base, search.base.parameters, best, sample), *others])
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
-    settled, *others = spread(lambda number: _possible(ends[number], base, sample), len(ends), processes)
-    before, best = settled, others[0] if others else settled
+    settled, *answers = spread(lambda number: _possible(ends[number], base, sample), len(ends), processes)
+    before, best = settled, answers[0] if answers else settled
     if told_by and told_by.missing:
         before = _weighed(told_by, without_limits(given), settled, sample, seed)
     records, errors = frf_records(without_limits(given), before, best, found.used, kept)

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twin.diagnose.hypotheses import Hypothesis, Sprung
+from twin.diagnose.hypotheses import Hypothesis, Sprung, together
 from twin.diagnose.objective import Objective, Sample
 from twin.identify.elastic import Recorded
 from twin.identify.parameters import Parameters, independent, join, recording_parameters
@@ -89,8 +89,7 @@ class Fitted:
                 estimate = spread @ precision @ self.z[block]
                 logs = [_normal(estimate, spread + s**2 * np.eye(len(block))) for s in (*SMALLER, 1.0)]
             else:
-                size, held = float(self.z[block[0]]), float(likelihood[0, 0])
-                logs = [-0.5 * (size / w) ** 2 - 0.5 * np.log1p(held * w**2) for w in (*WIDER, 1.0)]
+                logs = [*_of_widths(float(self.z[block[0]]), float(likelihood[0, 0])), 0.0]
             *logs, usual = logs
             gained += float(np.logaddexp.reduce(logs) - np.log(len(logs)) - usual)
         return gained
@@ -99,6 +98,34 @@ class Fitted:
     def own(self) -> list[int]:
         """Indices of the hypothesis' own parameters."""
         return list(range(len(self.parameters) - len(self.hypothesis.own), len(self.parameters)))
+
+
+def _of_widths(size: float, held: float) -> list[float]:
+    """What ln evidence gains by each of ``WIDER``, of a size in prior deviations and the precision the data add."""
+    return [-0.5 * size**2 * (1 / w**2 - 1) - 0.5 * np.log((1 + held * w**2) / (1 + held)) for w in WIDER]
+
+
+def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> Fitted:
+    """A fit again under the width of the priors on its sizes that it makes likeliest: the usual one draws them to it.
+
+    Args:
+        free: the base model's parameters.
+    """
+    covariance, at, pieces = np.linalg.inv(fit.information), len(fit.z) - len(fit.hypothesis.own), []
+    for piece in fit.hypothesis.pieces:
+        own = piece.own
+        if own and any(p.log for p in own):
+            held = 1 / float(covariance[at, at]) - 1
+            width = WIDER[int(np.argmax(_of_widths(float(fit.z[at]), held)))] if held > 1e-9 else 1.0
+            own = (replace(own[0], deviation=own[0].deviation * width), *own[1:])
+        pieces.append(replace(piece, own=own))
+        at += len(own)
+    hypothesis = together(*pieces)
+    if hypothesis == fit.hypothesis:
+        return fit
+    parameters = hypothesis.parameters(free)
+    z = np.asarray(np.linalg.solve(parameters.root, fit.parameters.root @ fit.z))
+    return descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
 
 
 def _normal(x: FloatArray, covariance: FloatArray) -> float:
