@@ -28,7 +28,7 @@ from twin.robot.frames import inertia_matrix, inertia_six
 from twin.robot.mechanism import Inertial, cut
 
 Changes = dict[tuple[Any, ...], Any]
-"""What entries change in a mechanism, kept while the values are the same."""
+"""What entries and links change in a mechanism, kept while the values are the same."""
 
 
 @dataclass(frozen=True)

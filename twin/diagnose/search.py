@@ -378,8 +378,9 @@ def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Samp
 
 def _nearly(robot: Robot, one: _Place, few: Sample, hopeless: float) -> Fitted:
     """A hypothesis at its optimum on a few lines."""
-    nearest = Objective(one.hypothesis.robot(robot), one.parameters, few).cost
-    z = one.starts[0] if one.far or len(one.starts) == 1 else min(one.starts, key=nearest)
+    z = one.starts[0]
+    if len(one.starts) > 1 and not one.far:
+        z = min(one.starts, key=Objective(one.hypothesis.robot(robot), one.parameters, few).cost)
     tempered = 8 if one.far else 0
     return descend(robot, one.hypothesis, one.parameters, few, z, tempered=tempered, linear=15, hopeless=hopeless)
 
@@ -422,9 +423,7 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
             z = np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z))
         elif alike:
             z = best.z.copy()
-            if (
-                CATALOGUE[companion.effect].lever and companion.site != last.site
-            ):  # how heavy and where, it is not there
+            if CATALOGUE[companion.effect].lever and companion.site != last.site:  # its mass and place are others there
                 z[n:] *= [p.quantity in ("frequency_hz", "damping_ratio") for p in companion.own]
         else:
             z = np.concatenate([best.z[:n], np.zeros(len(companion.own))])

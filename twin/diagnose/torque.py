@@ -70,7 +70,7 @@ def diagnose_log(
     word, missing, none, other = _answer(search)
     base = search.first.base
     records, errors = log_records(prepared, base, search)
-    after = search.law[2] if search.law else search.after
+    after, _ = _after(search)
     robot_after = after.robot
     found_plays = _plays(search)
     for play in found_plays:
@@ -280,8 +280,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
     first, last = search.plain, search.system
     noise = first.noise
     units = tuple("N·m" if axis.type == "revolute" else "N" for axis in prepared.regressor.robot.axes)
-    after = search.law[2] if search.law else search.after
-    entries = [*last.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
+    after, entries = _after(search)
     stages: tuple[tuple[Stage, FloatArray, Sequence[Entry]], ...] = (
         ("as_given", np.zeros(len(first.base.parameters)), ()),
         ("before", base.z, ()),
@@ -312,13 +311,18 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
     return records, errors
 
 
+def _after(search: Search) -> tuple[Fitted, list[Entry]]:
+    """The fit with everything that was found, and what that is as entries."""
+    after = search.law[2] if search.law else search.after
+    return after, [*search.system.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
+
+
 def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any]) -> list[str]:
     """What it costs that links must be bodies that can exist: a log holds combinations of their inertias alone."""
-    last, after = search.system, search.law[2] if search.law else search.after
+    last, (after, entries) = search.system, _after(search)
     z = that_can_exist(last, after.z)
     if z is after.z:
         return []
-    entries = [*last.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
     rest, whole = 0.0, 0.0
     for k, run in enumerate(prepared.used):
         settled = run.valid & _settled(run)
