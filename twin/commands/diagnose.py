@@ -13,7 +13,7 @@ from twin.commands.identify import in_joints
 from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
-from twin.diagnose.decide import decide, finalists
+from twin.diagnose.decide import calibration, decide, finalists
 from twin.diagnose.edit import check_linear, check_replayed, check_xml, is_nonlinear, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import Hypothesis, Sprung, entry_hypothesis, suspects, widened
@@ -245,9 +245,13 @@ def diagnose_campaign(
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
     unseen = Sample(tuple(kept), sample.repeat) if kept else None
-    decision = decide(
-        fits, settled, looked_at, kept=unseen, unnamed=lambda fit: free_laws(fit, sample.thin(NEAR_LINES))
-    )
+
+    def unnamed(fit: Fitted, also: Sample | None = None) -> dict[str, float]:
+        return free_laws(
+            fit, Sample((*sample.recordings, *(also.recordings if also else ())), sample.repeat).thin(NEAR_LINES)
+        )
+
+    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=unnamed)
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     if answered:
@@ -277,8 +281,11 @@ def diagnose_campaign(
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
     if told_by:
         told_by.missing = [_borne_out(m, finding, best) for m in told_by.missing]
-    if word == "ambiguous":  # where the rival has no name, what shows the first most tells most
-        finding.next_test = next_test(base, decision.ranked[0], rival_of(decision) or settled, few, seed)
+    likely = bool(decision.probability) and decision.probability[0] >= calibration()["alternative"]
+    if word == "ambiguous" or (word == "unexplained" and likely):
+        # where the rival has no name, what shows the first most tells most
+        rival = rival_of(decision) if answered else None
+        finding.next_test = next_test(base, decision.ranked[0], rival or settled, few, seed)
     return finding
 
 

@@ -266,11 +266,11 @@ def recorded_error(robot: Robot, recordings: Sequence[Recorded], *, again: bool 
     return float(np.sqrt(residual @ residual / data))
 
 
-def predictive_misfit(fit: Fitted, kept: Sample) -> float:
-    """χ² per datum of recordings a fit has not seen, what it does not know of its parameters beside their noise.
+def foreseen(fit: Fitted, kept: Sample) -> Fitted:
+    """A fit on recordings it has not seen, with its posterior as the prior: what it predicts there and how sure.
 
-    That is rᵀ(Σ + J C Jᵀ)⁻¹r with the fit's posterior covariance C: the least of ½ χ² + ½ zᵀz with the posterior as
-    prior. Angles of the postures are their own.
+    Twice its cost is rᵀ(Σ + J C Jᵀ)⁻¹r with the posterior covariance C: what a fit does not know of its parameters
+    counts beside the noise. Its evidence is the logarithm of the predictive density. Angles of postures are their own.
     """
     stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
     root = fit.parameters.root
@@ -287,8 +287,23 @@ def predictive_misfit(fit: Fitted, kept: Sample) -> float:
         known = Sprung(known.items, known.covariance, after(fit.parameters.written))
     z = np.zeros(len(known))
     for sample in (kept.thin(50), kept):
-        z, cost, _, _ = minimise(Objective(fit.robot, known, sample), z, 8, 0.1)
-    return 2 * cost / Objective(fit.robot, known, kept).data
+        z, cost, information, converged = minimise(Objective(fit.robot, known, sample), z, 8, 0.1)
+    data = Objective(fit.robot, known, kept).data
+    misfit = (2 * cost - float(z @ z)) / data
+    return Fitted(NONE, known, z, known.values(z), fit.robot, cost, misfit, information, data, converged)
+
+
+def on_both(fit: Fitted, seen: Fitted) -> Fitted:
+    """A fit where it foresees other recordings best (``seen``), its parameters with the angles of their postures."""
+    own = independent([p for p in seen.parameters if p.kind == "posture"])
+    parameters = join(fit.parameters, own)
+    if isinstance(fit.parameters, Sprung):
+        parameters = Sprung(parameters.items, parameters.covariance, join(fit.parameters.written, own))
+    known = dict(zip(fit.parameters.names, fit.values, strict=True))
+    known |= dict(zip(seen.parameters.names, seen.values, strict=True))
+    values = np.array([known[p.name] for p in parameters])
+    z = parameters.coordinates(values)
+    return replace(fit, parameters=parameters, z=z, values=values, robot=parameters.apply(fit.robot, values))
 
 
 def noise_floor(recordings: Sequence[Recorded]) -> float:
