@@ -125,6 +125,12 @@ def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[l
     last = findings[-1]
     for finding, test, held in zip(findings[:-1], tests, chosen, strict=False):
         if test.kind == "motion-log":
+            ordinary = finding.written and len(finding.written.physics) > len(finding.robot.physics)
+            if ordinary and last.source == "frf-campaign":
+                finding.warnings.append(
+                    "presliding of dry friction is left out of robot.yaml: under blows it would be stiffness; "
+                    "what the log says of it is in a diagnosis of the log alone"
+                )
             finding.records = predicted_by(last.robot, test.content, finding, held)
             finding.error = {**finding.error, "after": pooled(finding.records, "after")}
     return together(findings, last.base, last.robot)

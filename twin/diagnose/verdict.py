@@ -182,8 +182,10 @@ class Verdict:
 
     @property
     def next_test(self) -> dict[str, Any] | None:
-        """What to measure next, where rivals remain."""
-        return next((f.next_test for f in self.findings if f.next_test), None) if self.word == "ambiguous" else None
+        """What to measure next, where rivals remain or a likely name may be none."""
+        if self.word not in ("ambiguous", "unexplained"):
+            return None
+        return next((f.next_test for f in self.findings if f.next_test), None)
 
     @property
     def held_out(self) -> list[str]:
