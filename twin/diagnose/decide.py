@@ -87,7 +87,8 @@ def decide(
         logs.append((fit.evidence(scale) - base.evidence(scale) - less) / numbers["temperature"] + prior)
     seen = {id(fit): foreseen(fit, kept) for fit in _compared(fits, base, logs)} if kept else {}
     lawless = _lawless(fits, base, logs, unnamed, len(sites), numbers, kept, seen) if unnamed else -np.inf
-    weights = np.array([*logs, np.log(numbers["none"]), lawless])
+    nothing_more = np.log(numbers["none"]) - _lost(base, seen) / numbers["temperature"]
+    weights = np.array([*logs, nothing_more, lawless])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
     names, nothing, nameless = weights[:-2], weights[-2], float(weights[-1])
@@ -118,6 +119,11 @@ def _chi2(seen: Fitted) -> float:
     return 2 * seen.cost / seen.data
 
 
+def _lost(fit: Fitted, seen: Mapping[int, Fitted]) -> float:
+    """By how much ln p of recordings that were not used is less than the best answer makes it."""
+    return list(seen.values())[-1].evidence() - seen[id(fit)].evidence() if seen else 0.0
+
+
 def _lawless(
     fits: Sequence[Fitted],
     base: Fitted,
@@ -131,21 +137,19 @@ def _lawless(
     """Logarithm of the weight of a law without a name, alone or beside the best answer: one effect more, at any site.
 
     Alone it is known to first order only, which holds near the truth. On recordings that were not used it has to make
-    up for what its model foresees worse than the best answer does: a stiffness of its own in every posture foretells
-    nothing of another posture.
+    up for what its model foresees worse than the best answer does, as `none` has to: a stiffness of its own in every
+    posture foretells nothing of another posture.
     """
     compared = _compared(fits, base, logs)
     weight = {id(base): 0.0} | {id(fit): log for fit, log in zip(fits, logs, strict=True)}
     found = []
     for fit in compared if base.misfit < LINEAR else compared[1:]:
-        lost = 0.0
         if kept and seen[id(fit)].misfit < LINEAR:
             gains = np.array(list(unnamed(on_both(fit, seen[id(fit)]), kept).values()))
-            lost = seen[id(compared[-1])].evidence() - seen[id(fit)].evidence()
         else:
             gains = np.array(list(unnamed(fit).values()))
         if len(gains):
-            at_any = np.logaddexp.reduce((gains - lost) / numbers["temperature"])
+            at_any = np.logaddexp.reduce((gains - _lost(fit, seen)) / numbers["temperature"])
             found.append(weight[id(fit)] + at_any - np.log(len(gains)))
     return float(np.logaddexp.reduce(found) + np.log((1 - numbers["none"]) / (effects + 1))) if found else -np.inf
 

@@ -173,11 +173,13 @@ class Objective:
         if not self.rows:
             return None
         h, total = 0.1, np.zeros(len(z))
-        for r, H, w, (e, G, moves) in zip(
-            self.sample.recordings, self.predicted(self.free.moved(z, h * step)), self.weight, self.rows, strict=True
+        ahead, behind = (self.predicted(self.free.moved(z, side * step)) for side in (h, -h))
+        for r, *sides, w, (e, G, moves) in zip(
+            self.sample.recordings, ahead, behind, self.weight, self.rows, strict=True
         ):
-            ahead = np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float)
-            total[moves] += G @ (2 / h * ((ahead - e) / h - step[moves] @ G))
+            # both sides: slopes leave the sag of springs out, which along a valley is most of what changes
+            plus, minus = (np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float) for H in sides)
+            total[moves] += G @ ((plus - 2 * e + minus) / h**2)
         return total
 
     def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

@@ -108,24 +108,36 @@ def _of_widths(size: float, held: float) -> list[float]:
 def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> Fitted:
     """A fit again under the width of the priors on its sizes that it makes likeliest: the usual one draws them to it.
 
+    What is left in doubt of a size is that of all widths, each as likely as the fit makes it: a mass that shows by its
+    moment of inertia alone has hardly more than its prior.
+
     Args:
         free: the base model's parameters.
     """
     covariance, at, pieces = np.linalg.inv(fit.information), len(fit.z) - len(fit.hypothesis.own), []
+    widths: list[tuple[int, float]] = []
     for piece in fit.hypothesis.pieces:
         own = piece.own
         if own and any(p.log for p in own):
             held = 1 / float(covariance[at, at]) - 1
             width = WIDER[int(np.argmax(_of_widths(float(fit.z[at]), held)))] if held > 1e-9 else 1.0
             own = (replace(own[0], deviation=own[0].deviation * width), *own[1:])
+            widths.append((at, width))
         pieces.append(replace(piece, own=own))
-        at += len(own)
+        at += len(piece.own)
     hypothesis = together(*pieces)
-    if hypothesis == fit.hypothesis:
-        return fit
-    parameters = hypothesis.parameters(free)
-    z = np.asarray(np.linalg.solve(parameters.root, fit.parameters.root @ fit.z))
-    return descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+    if hypothesis != fit.hypothesis:
+        parameters = hypothesis.parameters(free)
+        z = np.asarray(np.linalg.solve(parameters.root, fit.parameters.root @ fit.z))
+        fit = descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+    covariance = np.linalg.inv(fit.information)
+    for at, width in widths:
+        column, variance = covariance[:, at].copy(), float(covariance[at, at])
+        held = max(1 / variance - 1, 1e-9)
+        likely = np.exp(_of_widths(float(fit.z[at]) * width, held / width**2))
+        wide = float(likely / likely.sum() @ [1 / (held + (width / w) ** 2) for w in WIDER])
+        covariance += (wide / variance - 1) / variance * np.outer(column, column)
+    return replace(fit, information=np.linalg.inv(covariance)) if widths else fit
 
 
 def _normal(x: FloatArray, covariance: FloatArray) -> float:
@@ -173,7 +185,8 @@ def minimise(
             return z, cost, information, True
         if cost - HOPE * expected > hopeless:
             return z, cost, information, False
-        curvature, axes = np.linalg.eigh(information + np.diag(np.maximum(log * (gradient - z), 0)))
+        slope = objective.free.along(z, gradient)
+        curvature, axes = np.linalg.eigh(information + np.diag(np.maximum(log * (slope - z), 0)))
         along = axes.T @ gradient
         while True:
             step, damping = _within(reach, curvature, axes, along)

@@ -181,6 +181,16 @@ class Parameters:
             x[lever] = (mean[lever] + x[lever] + 0.5 * grown * c) * np.exp(-0.5 * grown) - mean[lever]
         return np.asarray(np.linalg.solve(self.root, x))
 
+    def along(self, z: FloatArray, gradient: FloatArray) -> FloatArray:
+        """A gradient (n,) at z with that of an entry's mass taken along the curve of :meth:`moved`."""
+        if not self._levers:
+            return gradient
+        x, slope, out = self.root @ z, np.linalg.solve(self.root.T, gradient), gradient.copy()
+        for mass, lever in self._levers:
+            c = self._scaled[1][lever] + x[lever]
+            out[mass] -= 0.5 * self.root[mass, mass] * float(c @ slope[lever])
+        return out
+
     def coordinates(self, values: FloatArray) -> FloatArray:
         """z (n,) of given values."""
         x = [np.log(v / p.mean) if p.log else v - p.mean for p, v in zip(self.items, values, strict=True)]
