@@ -5,9 +5,10 @@ The robot is linear but for one torque g(φ) at joint coordinate j, so that its 
     H(s) = H_lin(s) − G_j(s) T(s)/F(s),    T the transform of g along the decay,
 
 with G_j the linear response to a torque at j: only g needs stepping, less its tangent at rest, which belongs to the
-linear part there. Over a step g is taken as linear in time (:meth:`Law.line`); what
-the modes of the linear part make of it, and of the force's half sine, is exact; φ at the end of a step depends on g
-there, which two fixed-point iterations settle (g changes φ within a step by ω²h²/6 of itself at most).
+linear part there. Over a step g is the parabola through its last three values, a straight line where it has a kink
+(:meth:`Law.line`); what the modes of the linear part make of it, and of the force's half sine, is exact; φ at the end
+of a step depends on g there, which two fixed-point iterations settle (g changes φ within a step by ω²h²/6 of itself at
+most).
 """
 
 from collections.abc import Sequence
@@ -21,8 +22,10 @@ from twin.identify.sensitivity import Observed
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.model.linear import state_matrix
 
-RATE_HZ, COARSE_HZ = 1024.0, 512.0  # of stepping: what it leaves of a smooth law is 1e-4, 5e-4 of an FRF
+RATE_HZ, COARSE_HZ = 512.0, 256.0  # of stepping: what it leaves of a smooth law is 1e-4, 5e-4 of an FRF
+SETTLED = -10.0  # a mode that decays by e to this over a step follows g
 FARTHEST = 0.01  # rad (m): no blow deflects a joint further
+LONGEST = 0.1  # of what is recorded: a trial's blow may take longer, and is not stepped
 COLUMNS = 1200  # stepped together: more no longer fit in the cache
 
 
@@ -57,11 +60,11 @@ def pulse_transform(s: ComplexArray, pulse_s: float) -> ComplexArray:
     return np.asarray(omega * (1 + np.exp(-s * pulse_s)) / (s**2 + omega**2))
 
 
-def _drive(pole: ComplexArray, pulse_s: float, rate_hz: float = RATE_HZ) -> ComplexArray:
-    """What a half sine of height 1 adds to modes over each step of its length, (steps, m): ∫ e^{λ(h−t)} sin πt/T dt."""
+def _drive(pole: ComplexArray, pulse_s: float, steps: int, rate_hz: float = RATE_HZ) -> ComplexArray:
+    """What a half sine of height 1 adds to modes over each of some steps, (steps, m): ∫ e^{λ(h−t)} sin πt/T dt."""
     omega = np.pi / pulse_s
-    start = np.arange(int(np.ceil(pulse_s * rate_hz)))[:, None] / rate_hz
-    end = start + 1 / rate_hz
+    start = np.minimum(np.arange(steps) / rate_hz, pulse_s)[:, None]
+    end = (1 + np.arange(steps)[:, None]) / rate_hz
 
     def primitive(t: FloatArray) -> ComplexArray:
         wave = pole * np.sin(omega * t) + omega * np.cos(omega * t)
@@ -71,7 +74,7 @@ def _drive(pole: ComplexArray, pulse_s: float, rate_hz: float = RATE_HZ) -> Comp
 
 
 def transform(s: ComplexArray, g: FloatArray, rate_hz: float = RATE_HZ) -> ComplexArray:
-    """Transform (nf, ne) of the broken lines through samples g (nt, ne)."""
+    """Transform (nf, ne) of the parabolas through samples g (nt, ne)."""
     real, imaginary = _transform(s.tobytes(), len(g), rate_hz)
     return np.asarray(real @ g + 1j * (imaginary @ g))
 
@@ -81,7 +84,7 @@ def _transform(line: bytes, samples: int, rate_hz: float) -> tuple[FloatArray, F
     """Real and imaginary part (nf, nt): products of real matrices take half the time."""
     s = np.frombuffer(line, complex)
     half = s / (2 * rate_hz)
-    hold = (np.sinh(half) / half) ** 2 / rate_hz
+    hold = (np.sinh(half) / half) ** 2 / (1 + half**2 / 3) / rate_hz
     matrix = hold[:, None] * np.exp(-s[:, None] * (np.arange(samples) / rate_hz))
     return np.ascontiguousarray(matrix.real), np.ascontiguousarray(matrix.imag)
 
@@ -90,7 +93,10 @@ def torques(
     strikes: Sequence[Strike], law: Law, length_s: float, rate_hz: float = RATE_HZ
 ) -> list[tuple[FloatArray, FloatArray]]:
     """What the law adds after every blow: g (samples, ne) in N·m about its value and tangent at rest, and the largest
-    deflection (ne,) of the joint from rest."""
+    deflection (ne,) of the joint from rest; NaN for blows that no hammer gives."""
+    if max(strike.pulse_s for strike in strikes) > LONGEST * length_s:
+        nothing = [np.full(strike.seen.J_e.shape[0], np.nan) for strike in strikes]
+        return [(np.tile(one, (round(length_s * rate_hz), 1)), one) for one in nothing]
     law = law.stepped(rate_hz)
     width = max(1, COLUMNS // max(strike.seen.J_e.shape[0] for strike in strikes))
     found: list[tuple[FloatArray, FloatArray]] = []
@@ -106,7 +112,7 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
     modes = max(len(part.fade) for part in parts)
     total = sum(blows)
     fade, kick, early, late, moved = (np.zeros((modes, total), complex) for _ in range(5))
-    own, k, load, tangent = (np.empty(total) for _ in range(4))
+    own, once, k, load, tangent = (np.empty(total) for _ in range(5))
     sizes = np.empty((len(law.names), total))
     driven = max(int(np.ceil(strike.pulse_s * rate_hz)) for strike in strikes)
     push = np.zeros((driven, modes, total), complex)
@@ -115,10 +121,11 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
         span, m = slice(at, at + count), len(part.fade)
         fade[:m, span] = part.fade[:, None]  # every mode in units of what it adds to φ
         early[:m, span], late[:m, span] = (part.read * part.early_g)[:, None], (part.read * part.late_g)[:, None]
-        kick[:m, span] = (part.read * (part.fade * part.late_g + part.early_g))[:, None]
-        drive = strike.peak_n * _drive(part.pole, strike.pulse_s, rate_hz)
-        push[: len(drive), :m, span] = drive[:, :, None] * (part.read[:, None] * part.into)
-        own[span] = float((part.read * part.late_g).sum().real)
+        kick[:m, span] = (part.read * part.next_g)[:, None]
+        drive = strike.peak_n * _drive(part.pole, strike.pulse_s, driven, rate_hz)
+        push[:, :m, span] = drive[:, :, None] * (part.read[:, None] * part.into)
+        own[span] = float((part.read * part.now_g).sum().real)
+        once[span] = float((part.read * part.once_g).sum().real)
         k[span], load[span], tangent[span], sizes[:, span] = strike.k, strike.load, slope, strike.sizes[:, None]
         at += count
     rest = law.rest(k, load, sizes)
@@ -135,8 +142,9 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
         if step <= driven:
             z += push[step - 1]
         free = np.add.reduce(z.real, axis=0)
+        free -= once * g
         left, was = x, g
-        x = _bounded(free + own * g)
+        x = free + own * g
         g = law.torque(rest + x, k, sizes, state)[0] - offset - tangent * x
         x = _bounded(free + own * g)
         torque, state = law.torque(rest + x, k, sizes, state)
@@ -160,14 +168,18 @@ def _bounded(x: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Modal:
-    """Propagation of the modes over one step (m,): poles, decay, reading of φ, input of a torque at its start and end;
-    input of the blows (m, ne)."""
+    """Propagation of the modes over one step (m,): poles, decay, reading of φ, input of a torque's line at its start
+    and end, of its samples to φ at their own time and to the modes a step later, and what φ has less of then; input
+    of the blows (m, ne)."""
 
     pole: ComplexArray
     fade: ComplexArray
     read: ComplexArray
     early_g: ComplexArray
     late_g: ComplexArray
+    now_g: ComplexArray
+    next_g: ComplexArray
+    once_g: ComplexArray
     into: ComplexArray
 
 
@@ -195,4 +207,22 @@ def _modes(seen: Observed, joint: int, tangent: float, rate_hz: float) -> _Modal
     fade = np.exp(w)
     late = (fade - 1 - w) / (w * pole)  # ∫ e^{λ(h−t)} t/h dt
     early = (fade - 1) / pole - late
-    return _Modal(pole, fade, read, early * inputs[:, 0], late * inputs[:, 0], inputs[:, 1:])
+    # The parabola adds its bow times the second difference: to φ one, minus two and one steps' worth. All but that of
+    # the step after g's own are the modes' decay, so that g enters them once.
+    bow = np.where(w.real > SETTLED, -0.5 * _bow(np.asarray(w, complex)) / rate_hz, 0)
+    once = np.where(w.real > SETTLED, bow / fade, 0)
+    now = late + bow
+    following = fade * now + early - 2 * bow + once
+    g = inputs[:, 0]
+    return _Modal(pole, fade, read, early * g, late * g, now * g, following * g, once * g, inputs[:, 1:])
+
+
+def _bow(w: ComplexArray) -> ComplexArray:
+    """∫ e^{w(1−t)} t (1 − t) dt over a step."""
+    slow = np.abs(w) < 1
+    near, far = np.where(slow, w, 0), np.where(slow, 1, w)
+    series, term = np.zeros_like(w), np.full_like(w, 1 / 6)
+    for k in range(18):
+        series = series + (k + 1) * term
+        term = term * near / (k + 4)
+    return np.where(slow, series, ((far - 2) * np.exp(far) + far + 2) / far**3)

@@ -26,10 +26,12 @@ class Law:
     Attributes:
         effect: as in the vocabulary; ``names`` of its parameters in the order of the sizes.
         power: of the deflection, to which sizes that act alike are in proportion.
+        finer: steps it takes in the time of one of a smooth law.
     """
 
     effect: str
     power: float
+    finer = 1
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -123,6 +125,7 @@ class Gap(Law):
     """−k · clip(φ, ±gap/2)."""
 
     effect, names, units, power = "backlash", ("gap",), ("rad",), 1.0
+    finer = 2
 
     def rest(self, k: FloatArray, load: FloatArray, sizes: FloatArray) -> FloatArray:
         side = np.where(np.abs(load) > NO_LOAD, np.sign(load), 0.0)
@@ -139,14 +142,15 @@ class Gap(Law):
     ) -> tuple[NDArray[np.intp], FloatArray, FloatArray] | None:
         """A step may cross the whole gap: the line gets the mean of the torque over the way, and its first moment."""
         half = 0.5 * sizes[0]
-        across = np.flatnonzero(((x[0] > half) != (x[1] > half)) | ((x[0] < -half) != (x[1] < -half)))
+        (across,) = (((x[0] > half) != (x[1] > half)) | ((x[0] < -half) != (x[1] < -half))).nonzero()
         if not len(across):
             return None
-        half, k, start, end = half[across], k[across], x[0][across], x[1][across]
-        (V, W), (V1, W1), way = _primitives(start, half), _primitives(end, half), end - start
-        mean = (V1 - V) / way
-        moment = (V1 - (W1 - W) / way) / way
-        return across, -k * (4 * mean - 6 * moment) - g[0][across], -k * (6 * moment - 2 * mean) - g[1][across]
+        k, ends = k[across], np.array([x[0][across], x[1][across]])
+        V, W = _primitives(ends, half[across])
+        way = ends[1] - ends[0]
+        mean = k * (V[1] - V[0]) / way
+        moment = (k * V[1] - k * (W[1] - W[0]) / way) / way
+        return across, 6 * moment - 4 * mean - g[0][across], 2 * mean - 6 * moment - g[1][across]
 
     def usual(self, k: float) -> FloatArray:
         return np.array([USUAL_DEFLECTION])
@@ -156,9 +160,10 @@ class Gap(Law):
 
 
 def _primitives(x: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """First and second integral (c,) of clip(x, ±half)."""
+    """First and second integral of clip(x, ±half)."""
     c = np.minimum(np.maximum(x, -half), half)
-    return c * (x - c / 2), c * (x * x / 2 - c * x / 2 + c * c / 6)
+    V = c * (x - c / 2)
+    return V, 0.5 * (x * V + c * c * (c / 3 - x / 2))
 
 
 @dataclass(frozen=True)
@@ -231,6 +236,7 @@ class Drag(Law):
     rate_hz: float = 1024.0
 
     effect, names, units, power = "quadratic damping", ("coefficient",), ("N·m·s²/rad²",), -1.0
+    finer = 2
 
     def stepped(self, rate_hz: float) -> "Drag":
         return Drag(rate_hz)

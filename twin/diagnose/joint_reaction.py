@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnose.blow import COARSE_HZ, RATE_HZ, Strike, pulse_transform, torques, transform
+from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
 from twin.diagnose.joint_laws import LAWS, NO_LOAD, Law
 from twin.diagnose.objective import Changes, Sample, rates
@@ -319,6 +319,9 @@ def inverse2(matrix: FloatArray) -> FloatArray:
 
 # --- laws, stepped in time --------------------------------------------------------------------------------------------
 
+Asked = tuple[_Joint, Recorded, FloatArray, float]
+"""What is stepped: the blows of a recording on a joint's model, sizes of the law, and how much longer blows are."""
+
 
 @dataclass
 class Stepped(Cost):
@@ -332,7 +335,8 @@ class Stepped(Cost):
     Derivatives of the linear part are in closed form, those of the law's torque with respect to what acts on the law
     itself by differences of stepped blows. With respect to the rest of the robot the law is held
     (:mod:`twin.diagnose.held_law`), which is off by a tenth: ``closely``, that too is stepped, by some ``processes``.
-    ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording.
+    ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording; ``latest``:
+    reactions where they were stepped last.
     """
 
     law: Law = LAWS[0]
@@ -344,6 +348,7 @@ class Stepped(Cost):
     processes: int = 1
     rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list, init=False)
     beside: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
+    latest: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -389,79 +394,64 @@ class Stepped(Cost):
     def _reactions(self, z: FloatArray, joints: _Postures) -> list[tuple[ComplexArray, ComplexArray]]:
         """Reactions (nf, ne) per recording and their derivatives (n, nf, ne), by differences of stepped blows.
 
-        Differences are those of coarse steps, nearly as wrong on one side as on the other. Blows a little and somewhat
-        longer tell smooth decays from those whose end the least difference throws about. There a wide step along what
-        acts on the law itself counts, and for everything else the law is held.
+        Blows a little and somewhat longer tell smooth decays from those whose end the least difference throws about.
+        There a wide step along what acts on the law itself counts, and for everything else the law is held.
         """
         n, recordings = len(self.base), self.sample.recordings
         near = [k for k, p in enumerate(self.base) if p.site == self.site] + list(range(n, len(z)))
         sizes, longer = self.own(z)
         here = [(joints.of(r), r, sizes, longer) for r in recordings]
-        exact = self._react(here)
-        at = exact if self.rate_hz == COARSE_HZ else self._react(here, COARSE_HZ)
         every = range(len(recordings))
-        small = self._differences(z, SMALL if self.closely else ROUGHLY, near, joints, at, every)
-        if at is not exact and self._struck:  # coarse steps are not short beside a blow
-            longest = z + SMALL * np.eye(len(z))[-1]
-            found = self._react([(joint, r, *self.own(longest)) for joint, r, *_ in here])
-            for differences, there, R in zip(small, found, exact, strict=True):
-                differences[-1] = (there - R) / SMALL
+        step = SMALL if self.closely else ROUGHLY
+        known = self.latest is not None and np.array_equal(self.latest[0], z)
+        asked = self._moved(z, step, near, joints, every)
+        if self.closely:
+            asked += [[(joint, r, sizes, longer * (1 + h)) for joint, r, *_ in here] for h in (SMALL, WIDE)]
+        *found, last = self._react_each([*asked, [] if known else here])
+        at = self.latest[1] if self.latest and known else last
+        small, longer_ones = self._slopes(found[: len(near)], at, step, every), found[len(near) :]
         slopes: list[ComplexArray] = []
-        for r, R, stepped in zip(recordings, exact, small, strict=True):
+        for r, R, stepped in zip(recordings, at, small, strict=True):
             view = joints.of(r).view
             dR = np.zeros((len(z), *R.shape), complex)
             dR[:n] = view.reaction_slopes(_held(view, r.s, R)[0], R)
             dR[near] = np.where(np.isfinite(stepped), stepped, dR[near])
             slopes.append(dR)
         if not self.closely:
-            return list(zip(exact, slopes, strict=True))
-        smooth = self._smooth(here, at)
+            return list(zip(at, slopes, strict=True))
+        smooth = [_smooth(*there) for there in zip(*longer_ones, at, strict=True)]
         rough = [k for k in every if not smooth[k].all()]
-        for k, wide in zip(rough, self._differences(z, WIDE, near, joints, at, rough), strict=True):
-            slopes[k][near] = np.where(~smooth[k] & np.isfinite(wide), wide, slopes[k][near])
+        if rough:
+            wide = self._react_each(self._moved(z, WIDE, near, joints, rough))
+            for k, further in zip(rough, self._slopes(wide, at, WIDE, rough), strict=True):
+                slopes[k][near] = np.where(~smooth[k] & np.isfinite(further), further, slopes[k][near])
         if self.beside is None or np.linalg.norm(z - self.beside[0]) > STAYED:
             self.beside = z, self._beside_held(z, joints, near, at, slopes, smooth)
         for dR, lag in zip(slopes, self.beside[1], strict=True):
             dR[:n] += lag
-        return list(zip(exact, slopes, strict=True))
+        return list(zip(at, slopes, strict=True))
 
-    def _differences(
-        self,
-        z: FloatArray,
-        step: float,
-        near: Sequence[int],
-        joints: _Postures,
-        at: Sequence[ComplexArray],
-        chosen: Sequence[int],
-    ) -> list[ComplexArray]:
-        """Differences (m, nf, ne) over a step along each of m parameters, for each of the chosen recordings."""
+    def _moved(
+        self, z: FloatArray, step: float, near: Sequence[int], joints: _Postures, chosen: Sequence[int]
+    ) -> list[list[Asked]]:
+        """The chosen recordings asked for a step further along each of some parameters."""
         asked = []
-        for k in near if len(chosen) else ():
+        for k in near:
             moved = z + step * np.eye(len(z))[k]
             own = k >= len(self.base)
             there = joints if own else _Postures(self.robot, self.base, self.site, moved[: len(self.base)], False)
             recordings = [self.sample.recordings[i] for i in chosen]
-            asked += [(there.of(r), r, *self.own(moved)) for r in recordings]
-        found = self._react(asked, COARSE_HZ) if asked else []
-        return [
-            np.array([(R - at[i]) / step for R in found[c :: len(chosen)]]).reshape(-1, *at[i].shape)
-            for c, i in enumerate(chosen)
-        ]
+            asked.append([(there.of(r), r, *self.own(moved)) for r in recordings])
+        return asked
 
-    def _smooth(
-        self, here: Sequence[tuple[_Joint, Recorded, FloatArray, float]], at: Sequence[ComplexArray]
-    ) -> list[NDArray[np.bool_]]:
-        """Per recording, blows (ne,) whose answer to being a little longer is what somewhat longer ones tell; false,
-        too, where a step went over the edge of what can be stepped."""
-        asked = [(joint, r, sizes, longer * (1 + h)) for h in (SMALL, WIDE) for joint, r, sizes, longer in here]
-        found = self._react(asked, COARSE_HZ)
-        small, wide = (
-            [(there - R) / h for there, R in zip(some, at, strict=True)]
-            for h, some in ((SMALL, found[: len(at)]), (WIDE, found[len(at) :]))
-        )
+    @staticmethod
+    def _slopes(
+        moved: Sequence[Sequence[ComplexArray]], at: Sequence[ComplexArray], step: float, chosen: Sequence[int]
+    ) -> list[ComplexArray]:
+        """Differences (m, nf, ne) over a step along each of m parameters, for each of the chosen recordings."""
         return [
-            np.asarray(np.sum(np.abs(a - b) ** 2, axis=0) < np.sum(np.abs(b) ** 2, axis=0))
-            for a, b in zip(small, wide, strict=True)
+            np.array([(there[c] - at[i]) / step for there in moved]).reshape(-1, *at[i].shape)
+            for c, i in enumerate(chosen)
         ]
 
     def _beside_held(
@@ -481,21 +471,26 @@ class Stepped(Cost):
                 if p not in near:
                     asked.append((joint, r, *self.own(z)))
                     where.append((k, p))
-        for (k, p), other in zip(where, self._react(asked, COARSE_HZ) if asked else [], strict=True):
+        for (k, p), other in zip(where, self._react(asked) if asked else [], strict=True):
             beside = (other - reactions[k]) / SMALL - slopes[k][p]
             lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
         return lags
 
-    def _react(
-        self, asked: Sequence[tuple[_Joint, Recorded, FloatArray, float]], rate_hz: float | None = None
-    ) -> list[ComplexArray]:
+    def _react_each(self, asked: Sequence[Sequence[Asked]]) -> list[list[ComplexArray]]:
+        """The same for several lists, stepped side by side."""
+        found = iter(self._react([one for some in asked for one in some]))
+        return [[next(found) for _ in some] for some in asked]
+
+    def _react(self, asked: Sequence[Asked]) -> list[ComplexArray]:
         """What the law does, T/F (nf, ne), in a model of each recording, of some sizes, to blows of some length."""
-        rate_hz = rate_hz or self.rate_hz
+        rate_hz = self.rate_hz * self.law.finer
         processes = self.processes if len(asked) > WORTH_SPREADING * len(self.sample.recordings) else 1
-        share = -(-len(asked) // processes)
+        share = max(1, -(-len(asked) // processes))
 
         def some(number: int) -> list[ComplexArray]:
             here = asked[number * share : (number + 1) * share]
+            if not here:
+                return []
             strikes = [self._strike(*one) for one in here]
             with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge
                 stepped = torques(strikes, self.law, self._length_s, rate_hz)
@@ -545,7 +540,7 @@ class Stepped(Cost):
         none = np.full(len(self.law.names), 1e-9)
         strikes = [self._strike(postures.of(r), r, none) for r in self.sample.recordings]
         with np.errstate(over="ignore", invalid="ignore"):
-            stepped = torques(strikes, self.law, 0.5, self.rate_hz)
+            stepped = torques(strikes, self.law, 0.5, self.rate_hz * self.law.finer)
         return float(np.quantile(np.concatenate([largest for _, largest in stepped]), 0.9))
 
     def equivalents(self, z: FloatArray, sizes: Sequence[FloatArray]) -> list[list[FloatArray]]:
@@ -567,12 +562,13 @@ class Stepped(Cost):
 
     def _stepped(self, points: Sequence[FloatArray]) -> tuple[list[list[Receptances]], list[list[ComplexArray]]]:
         """Models and reactions, per recording, at several z, stepped side by side."""
-        asked = []
+        asked: list[list[Asked]] = []
         for z in points:
             postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
             asked.append([(postures.of(r), r, *self.own(z)) for r in self.sample.recordings])
-        found = iter(self._react([one for some in asked for one in some]))
-        return [[joint.view for joint, *_ in some] for some in asked], [[next(found) for _ in some] for some in asked]
+        found = self._react_each(asked)
+        self.latest = np.array(points[-1]), found[-1]
+        return [[joint.view for joint, *_ in some] for some in asked], found
 
     def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray, rate_hz: float) -> ComplexArray:
         """The law's torque per force of the blow, T/F (nf, ne): of its tangent at rest, and the stepped g beside it."""
@@ -586,6 +582,13 @@ class Stepped(Cost):
             [view.reacting(R) for view, R in zip(views, reactions, strict=True)]
             for views, reactions in zip(*self._stepped(points), strict=True)
         ]
+
+
+def _smooth(little: ComplexArray, somewhat: ComplexArray, at: ComplexArray) -> NDArray[np.bool_]:
+    """Blows (ne,) whose answer to being a little longer is what somewhat longer ones tell; false, too, where a step
+    went over the edge of what can be stepped."""
+    a, b = (little - at) / SMALL, (somewhat - at) / WIDE
+    return np.asarray(np.sum(np.abs(a - b) ** 2, axis=0) < np.sum(np.abs(b) ** 2, axis=0))
 
 
 def _equivalent(view: Receptances, s: ComplexArray, reaction: ComplexArray) -> FloatArray:

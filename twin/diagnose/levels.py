@@ -186,7 +186,7 @@ def explain_levels(
     best = _at(trials, places)
     told = seen.telling(best, BLOWS)[0]
     data = _tempered(told, temper)
-    objectives = [replace(objective, sample=data, processes=processes) for objective, _, _ in trials]
+    objectives = [replace(t[0], sample=data, rate_hz=RATE_HZ, processes=processes) for t in trials]
     fits = _fitted_roughly([(o, *trial[1:]) for o, trial in zip(objectives, trials, strict=True)], processes)
     least = min(fit.cost for fit in fits)
     fits = [
@@ -200,7 +200,7 @@ def explain_levels(
     nameless = []
     if temper or fits[order[0]].misfit > calibration()["noise_misfit"]:
         rivals = _starts(robot, base, best, replace(seen, sample=seen.sample.thin(LINES)), NAMELESS)
-        rivals = [(replace(trial[0], sample=data, processes=processes), *trial[1:]) for trial in rivals]
+        rivals = [(replace(t[0], sample=data, rate_hz=RATE_HZ, processes=processes), *t[1:]) for t in rivals]
         nameless = [
             fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR * least and fit.misfit < FAR_OFF else fit
             for trial, fit in zip(rivals, _fitted_roughly(rivals, processes, LAW_REACH * least), strict=True)
@@ -303,7 +303,7 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Seque
     for law in laws:
         objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
         amplitude = _amplitude(objective, place.z)
-        objective = replace(objective, law=law.at(amplitude))
+        objective = replace(objective, law=law.at(amplitude), rate_hz=COARSE_HZ)
         sizes = law.sizes(k, amplitude)
         scored = [
             (*_likeness(seen, certainty, found), size)
@@ -346,7 +346,7 @@ def _rough_race(
         law, place, z = begun[number]
         objective, _ = with_law(robot, base, law, place.site, few[place.site], shown.blow)
         amplitude = _amplitude(objective, z)
-        objective = replace(objective, law=law.at(amplitude), logarithmic=True)
+        objective = replace(objective, law=law.at(amplitude), logarithmic=True, rate_hz=COARSE_HZ)
         values = base.parameters.values(z)
         k = values[base.parameters.names.index(f"{place.site}.stiffness")]
         points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
@@ -356,7 +356,7 @@ def _rough_race(
     ends: list[tuple[float, Trial]] = []
     for (_, place, _), (law, z, cost) in zip(begun, spread(rough, len(begun), processes), strict=True):
         objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
-        ends.append((cost, (replace(objective, law=law), hypothesis, z)))
+        ends.append((cost, (replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z)))
         tick(1)
     best: dict[str, tuple[float, Trial]] = {}
     for cost, trial in sorted(ends, key=lambda item: item[0]):
@@ -379,7 +379,7 @@ def with_law(
         own += (Parameter(f"{key}.pulse", "s", "entry", True, PULSE_S, PULSE_SPREAD, "a rubber tip"),)
     hypothesis = together(beside, Hypothesis(law.effect, site, (entry,), own))
     parameters = hypothesis.parameters(base.parameters)
-    stepped = Stepped(beside.robot(robot), parameters, sample, law=law, site=site, blow=blow, rate_hz=COARSE_HZ)
+    stepped = Stepped(beside.robot(robot), parameters, sample, law=law, site=site, blow=blow)
     return stepped, hypothesis
 
 
