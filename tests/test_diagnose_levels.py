@@ -8,11 +8,13 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
+from twin.diagnose.held_law import UnderLaw
 from twin.diagnose.joint_laws import Cubic, Drag, Gap, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels
 from twin.diagnose.levels_finding import check_blows
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
+from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, descend
 from twin.diagnose.search import converge
@@ -108,6 +110,33 @@ def test_a_held_law_is_the_stepped_one_where_it_was_held(kr90: Robot, tmp_path: 
     assert np.linalg.norm(change - slopes[k]) < 1e-4 * np.linalg.norm(change)
 
 
+def test_what_another_law_explains_is_known_beside_a_held_one(kr90: Robot, tmp_path: Path) -> None:
+    """Free stiffnesses of blows gain much where the law held is not the robot's, nothing where it is, and they leave
+    what they explain to no other law."""
+    campaign = recorded(tmp_path, "", "--nominal", "--no-sag", "--noise", "0", "--scatter", "0", "--postures", "1")
+    robot = without_limits(kr90)
+    recordings = [r.every(8) for r in prepare(campaign, kr90).values()]
+    free, noise = free_parameters(robot, tolerances=False), np.random.default_rng(0)
+    kappa = [3e3 * (1 + noise.random(r.frf.shape[2])) + 0 * r.s[:, None] for r in recordings]
+    gains = []
+    for share in (1.0, 0.0):  # of the true reaction that is known of
+        held = [UnderLaw.of(r, "joint1.z", share * k, 0 * k) for r, k in zip(recordings, kappa, strict=True)]
+        true = [replace(r, kappa=k) for r, k in zip(held, kappa, strict=True)]
+        told = []
+        for r, H in zip(held, Objective(robot, free, Sample(tuple(true))).predicted(np.zeros(len(free))), strict=True):
+            deviation = 1e-3 * np.abs(H).mean()
+            scatter = deviation / np.sqrt(2) * (noise.normal(size=H.shape) + 1j * noise.normal(size=H.shape))
+            told.append(replace(r, frf=H + scatter, variance=np.full(H.shape, deviation**2 / 2)))
+        sample = Sample(tuple(told))
+        fit = descend(robot, NONE, free, sample, np.zeros(len(free)), tempered=0, linear=8)
+        gain, columns = free_blows(fit, sample, "joint1.z")
+        alone, beside = (free_laws(fit, sample, aside)["joint1.z"] for aside in (None, columns))
+        gains.append((gain, alone, beside))
+    assert gains[0][0] == 0.0
+    assert gains[1][0] > 100.0
+    assert gains[1][2] < 3.0 < 0.1 * gains[1][1]
+
+
 def test_slopes_of_finely_stepped_blows_are_those_of_their_cost(kr90: Robot, tmp_path: Path) -> None:
     """Differences over coarse steps lead downhill, along every number of the law and the length of the blows."""
     campaign = recorded(tmp_path, "", "--nominal", "--no-sag", "--postures", "1")
@@ -188,7 +217,7 @@ def test_slip_dissipates_the_area_of_its_loop() -> None:
 
 
 def test_steps_follow_a_smooth_torque_by_parabolas() -> None:
-    """Twenty steps per cycle give what the finest give; straight lines between them would be off by eight in a thousand."""
+    """Twenty steps per cycle give what the finest give; straight lines between them are off by eight in a thousand."""
     strike = Strike(oscillator(2 * np.pi * 12, 0.01), 0, (2 * np.pi * 12) ** 2, 0.0, 1.0, 0.008, np.array([3e9]))
     s = 0.6 + 2j * np.pi * np.linspace(6, 30, 40)
     coarse, fine = (transform(s, torques([strike], Cubic(), 2.0, rate)[0][0], rate) for rate in (256.0, 8192.0))

@@ -2,7 +2,9 @@
 
 The law's torque after every blow is held as stepping has it (:mod:`twin.diagnose.held_law`), and the search for one
 linear omission runs as it does on a linear robot. What it finds moves the law's own numbers: the finalists
-are fitted again with the law stepped, their law is held, and the decision is between them.
+are fitted again with the law stepped, their law is held, and the decision is between them. A law of few numbers is
+not the robot's: what it leaves may be what a partner takes up. So with a partner and without, every blow may have
+a further stiffness of its own at the law's joint, and what a partner gains is what it gains beside that.
 """
 
 from collections.abc import Sequence
@@ -14,7 +16,7 @@ from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_reaction import Stepped
 from twin.diagnose.levels import FAR_OFF, LINEAR, Levels, fit_law, with_law
-from twin.diagnose.locate import free_laws
+from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
@@ -23,7 +25,7 @@ from twin.robot.description import Robot
 
 LINES = 40  # of every recording
 FINALISTS = 2  # fitted again with the law stepped
-PROMISING, LEFT = 0.8, 0.05  # of the best one's gain; what a law without a name may gain beside it and not be its rival
+PROMISING = 0.8  # of the best one's gain
 
 
 @dataclass(frozen=True)
@@ -81,15 +83,18 @@ def explain_beside(
         z = stepping.z[: len(fit.z)]
         linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR)
         again.append((linear, stepping, objective, own))
-    by_fit = {id(linear): own for linear, _, _, own in again}
+    held = {id(fit): own for fit, _, _, own in again} | {id(alone): whole}
+    beside = [fit for fit, *_ in again]
+    another = {id(fit): free_blows(fit, held[id(fit)], stepped.site) for fit in (alone, *beside)}
+    misfit = max(1.0, min(fit.misfit for fit in (alone, *beside)))
+    handicap = [(another[id(alone)][0] - another[id(fit)][0]) / misfit for fit in beside]
 
     def unnamed(fit: Fitted) -> dict[str, float]:
-        """At other joints, where it gains more than what is found may leave: a law of few numbers leaves some."""
-        gains = free_laws(fit, by_fit.get(id(fit), whole))
-        least = LEFT * max(fit.evidence() - alone.evidence(), 0.0)
-        return {site: gain if gain > least else 0.0 for site, gain in gains.items() if site != stepped.site}
+        """At other joints, beside another law at this one."""
+        gains = free_laws(fit, held[id(fit)], another[id(fit)][1])
+        return {site: gain for site, gain in gains.items() if site != stepped.site}
 
-    decision = decide([linear for linear, *_ in again], alone, suspects, unnamed=unnamed)
+    decision = decide(beside, alone, suspects, handicap=handicap, unnamed=unnamed)
     order = [next(item for item in again if item[0] is fit) for fit in decision.ranked]
     return Beside(law, decision, [item[1] for item in order], [item[2] for item in order])
 

@@ -1,11 +1,14 @@
 """Where a mismatch lives, without naming it: posture × band × channel, and joint by joint."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from twin.diagnose.held_law import UnderLaw, receptances
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import Fitted
+from twin.identify.sensitivity import observe_all
 from twin.measure.campaign import FloatArray
 
 BANDS = 8
@@ -73,20 +76,17 @@ def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
     return Mismatch(names, edges, channels, energy, sites)
 
 
-def free_laws(fit: Fitted, sample: Sample) -> dict[str, float]:
+def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None) -> dict[str, float]:
     """What ln evidence would gain if a spring had a law without a name, site by site, most first.
 
     The law is a stiffness of its own in every posture, one that is complex and bends over frequency, or a damper of
     order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), the best of the three: to
     first order about the fit, everything that is free there making room. A share x of the stiffness has the prior
-    N(0, s²), all scales s of ``SCALES`` alike.
+    N(0, s²), all scales s of ``SCALES`` alike. Columns ``aside`` (m, data), of prior deviation one, make room too.
     """
     objective = Objective(fit.robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
-    n = len(fit.z)
-    Q = np.linalg.qr(np.vstack([J.T, np.eye(n)]))[0]
-    rho = np.concatenate([residual, -fit.z])
-    rho = rho - Q @ (Q.T @ rho)
+    Q, rho = _left(residual, fit.z, J if aside is None else np.vstack([J, aside]))
     by_value = np.linalg.solve(fit.parameters.transform(fit.values).T, J)
     ends = np.cumsum([0, *(2 * w.size for w in objective.weight)])
     found: dict[str, float] = {}
@@ -107,13 +107,60 @@ def free_laws(fit: Fitted, sample: Sample) -> dict[str, float]:
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
+def free_blows(fit: Fitted, sample: Sample, site: str) -> tuple[float, FloatArray]:
+    """What ln evidence would gain if the law held at a joint were another one, and its columns (m, data) of prior
+    deviation one: beside that law every blow has a complex stiffness of its own there, to first order about the fit,
+    everything that is free making room. Shares of the joint's stiffness have the prior of :func:`free_laws`.
+    """
+    objective = Objective(fit.robot, fit.parameters, sample)
+    residual, J = objective.jacobian(fit.z)
+    Q, rho = _left(residual, fit.z, J)
+    columns, at = [], 0
+    models = observe_all(fit.robot, [r.setup for r in sample.recordings], fit.parameters, fit.values)
+    for r, w, (seen, model) in zip(sample.recordings, objective.weight, models, strict=True):
+        assert isinstance(r, UnderLaw)
+        index = model.coordinates.index(site)
+        joint = receptances(seen, index, r.s, r.power)
+        turned = joint.into - joint.own[:, None] * joint.reaction(r.kappa, r.rest)
+        turned /= 1 + r.kappa * joint.own[:, None]
+        moved = -model.strain[index] * joint.out[:, :, None] * turned[:, None, :] * w
+        loss = r.s / np.sqrt(r.frequency[0] * r.frequency[-1]) / (2 * np.pi)
+        for blow in range(w.shape[2]):
+            for law in (np.ones_like(r.s), loss):
+                column = np.zeros(w.shape, complex)
+                column[:, :, blow] = law[:, None] * moved[:, :, blow]
+                columns.append(np.zeros(J.shape[1]))
+                columns[-1][at : at + 2 * w.size] = column.reshape(-1).view(float)
+        at += 2 * w.size
+    found = np.array(columns)
+    logs = _evidences(Q, rho, found)
+    return max(_mean(logs), 0.0), SCALES[int(np.argmax(logs))] * found
+
+
+def _left(residual: FloatArray, z: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """An orthonormal basis (data + m, m) of what columns (m, data), the fit's own first, can do within their prior,
+    and what is left of a residual."""
+    Q = np.linalg.qr(np.vstack([columns.T, np.eye(len(columns))]))[0]
+    rho = np.concatenate([residual, -z, np.zeros(len(columns) - len(z))])
+    return Q, rho - Q @ (Q.T @ rho)
+
+
 def _evidence(Q: FloatArray, rho: FloatArray, columns: FloatArray) -> float:
     """ln evidence that columns (m, data) gain in explaining what is left, ρ (data + n,), their scale unknown."""
+    return _mean(_evidences(Q, rho, columns))
+
+
+def _mean(logs: Sequence[float]) -> float:
+    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
+
+
+def _evidences(Q: FloatArray, rho: FloatArray, columns: FloatArray) -> list[float]:
+    """The same for each of ``SCALES``."""
     data = columns.shape[1]
     inside = columns @ Q[:data]
     information, pull = columns @ columns.T - inside @ inside.T, columns @ rho[:data]
-    logs = []
+    logs: list[float] = []
     for scale in SCALES:
         posterior = scale**2 * information + np.eye(len(pull))
         logs.append(0.5 * scale**2 * pull @ np.linalg.solve(posterior, pull) - 0.5 * np.linalg.slogdet(posterior)[1])
-    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
+    return logs
