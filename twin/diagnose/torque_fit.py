@@ -91,7 +91,8 @@ class Base:
         offset: (n,) their prior deviation; ``friction`` (n,) a joint's dry friction as described, N·m (N).
         sliding: (n,) N·m (N), dry friction whose presliding is ordinary: alike at all joints it is a tolerance of
             sgn q̇, at one joint it is ``hysteresis``.
-        presliding: (m, n, travels) per run, torque of a bristle that turns round less its sign, times ``sliding``.
+        presliding: (m, n, travels) per run, torque of a bristle that turns round less its sign, times ``sliding``;
+            ``uneven`` the same of its size, per unit.
     """
 
     regressor: Regressor
@@ -106,6 +107,7 @@ class Base:
     ripple: list[FloatArray]
     sliding: FloatArray
     presliding: list[FloatArray]
+    uneven: list[FloatArray]
 
     @property
     def rest(self) -> list[FloatArray]:
@@ -163,7 +165,7 @@ class Base:
                                       [travels, travels + n * orders])  # fmt: skip
         torque += np.einsum("mjo,jo->mj", self.ripple[k], own.reshape(n, orders))
         shares = PRESLIDING * common + UNLIKE * alone.reshape(n, travels)
-        turning = np.einsum("mjt,jt->mj", self.presliding[k], shares)
+        turning, uneven = (np.einsum("mjt,jt->mj", part[k], shares) for part in (self.presliding, self.uneven))
         torque += turning
         load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
         friction = np.zeros_like(load)
@@ -173,7 +175,7 @@ class Base:
                 load[:, axis] += values[column] * law
             elif roles[column] == "friction":
                 friction[:, axis] += values[column] * law
-        return State(torque, load, friction, turning, self.sliding, np.ones(n))
+        return State(torque, load, friction, turning, self.sliding, uneven, np.ones(n))
 
 
 def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | None = None) -> Base:
@@ -238,19 +240,20 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
         for where, width in (("", PRESLIDING), *((f"@joint{j + 1}", UNLIKE) for j in range(n)))
         for k in range(travels)
     ]
-    ripple, presliding = [], []
+    ripple, presliding, uneven = [], [], []
     for run in runs:
-        turning = np.zeros((*run.torque.shape, travels))
+        turning, size = np.zeros((2, *run.torque.shape, travels))
         for j in np.flatnonzero(sliding).tolist():
-            turning[:, j] = sliding[j] * presliding_columns(run, j, TRAVELS[robot.axes[j].type])
-        presliding.append(turning)
+            turning[:, j], size[:, j] = presliding_columns(run, j, TRAVELS[robot.axes[j].type])
+        presliding.append(sliding[:, None] * turning)
+        uneven.append(size)
         angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
         ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
     own = [*others, *slides[:travels], *waves, *slides[travels:], *offsets]
     parameters = join(Parameters(tuple(links), covariance), independent(own))
     return Base(
         regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction, ripple,
-        sliding, presliding,
+        sliding, presliding, uneven,
     )  # fmt: skip
 
 
@@ -352,6 +355,7 @@ class System:
         screened: whitened columns of the suspects' starts, which stay the same when something is found.
         recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any.
         stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
+        turning: (n, n) speeds of the drives per speed of the axes, where drives were found to turn with other axes too.
     """
 
     base: Base
@@ -369,6 +373,7 @@ class System:
     widened: dict[int, float] = field(default_factory=dict)
     slopes: dict[str, tuple[FloatArray, Columns]] = field(default_factory=dict)
     recording: FloatArray = field(default_factory=lambda: np.zeros(0))
+    turning: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def order(self) -> int:
@@ -509,7 +514,13 @@ def _stops(system: System) -> list[list[Stop]]:
         at = 0
         for run, mask in zip(system.base.runs, system.masks, strict=True):
             place = at + np.cumsum(mask) - 1
-            for near, columns in stop_columns(run, j, HELD * bool(system.base.sliding[j])):
+            events = stop_columns(run, j, HELD * bool(system.base.sliding[j]))
+            if len(system.turning) and np.count_nonzero(system.turning[j]) > 1:  # where its drive turns back, too
+                state = replace(run.dense, **{
+                    name: getattr(run.dense, name) @ system.turning.T for name in ("velocity", "acceleration")
+                })  # fmt: skip
+                events = sorted([*events, *stop_columns(replace(run, dense=state), j)], key=_begins)
+            for near, columns in events:
                 inside = mask[near]
                 if not inside.any():
                     continue
@@ -584,6 +595,10 @@ def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, F
 
 def _first(event: tuple[int, bool]) -> int:
     return event[0]
+
+
+def _begins(event: tuple[slice, FloatArray]) -> int:
+    return int(event[0].start)
 
 
 def stops_of(run: Run, joint: int) -> list[int]:
@@ -685,6 +700,24 @@ def relinearised(system: System, iterations: int = 8) -> System:
         if gained < CONVERGED + EXACT * cost:
             break
     return here
+
+
+def with_turning_drives(system: System) -> System:
+    """The same with friction in doubt where drives turn back that were found to turn with other axes too, and refitted.
+
+    Such a drive's dry friction steps where it turns back, not where its axis does: taken for exact there, steps that
+    the encoder cannot time would tell the ratio far too well.
+    """
+    z, turning = system.z, np.eye(len(system.whitening))
+    for entry in system.entries(z):
+        if entry.effect == "joint_coupling":
+            turning[axis_of(entry.values["from"]), axis_of(entry.site)] += entry.values["ratio"]
+    if np.array_equal(turning, np.eye(len(turning))):
+        return system
+    here = replace(system, turning=turning, slopes={}, screened={})
+    here.assemble()
+    here.A = here.A.scaled(here.widened)
+    return relinearised(linearised(here, z)[0])
 
 
 def linearised(system: System, z: FloatArray) -> tuple[System, float]:

@@ -52,6 +52,7 @@ class State:
         load, friction: (nt, n) on the dense clock.
         turning: (m, n) of the torque, how ordinary friction turns round; in proportion to friction as it was recorded.
         sliding: (n,) N·m (N), dry friction that does so.
+        uneven: (m, n) the same of what friction has alike in both directions, per unit: at rest it holds, too.
         gain, delay: (n,) and s, of the recording.
     """
 
@@ -60,6 +61,7 @@ class State:
     friction: FloatArray
     turning: FloatArray = field(default_factory=lambda: np.zeros(1))
     sliding: FloatArray = field(default_factory=lambda: np.zeros(1))
+    uneven: FloatArray = field(default_factory=lambda: np.zeros(1))
     gain: FloatArray = field(default_factory=lambda: np.ones(1))
     delay: float = 0.0
 
@@ -156,6 +158,9 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
         axis = axis_of(entry.site)
         level = turning_level(entry.effect, values, run.motion.velocity[:, axis])
         out[:, axis] += level * state.turning[:, axis] / max(state.sliding[axis], 1e-300)
+    if entry.effect == "asymmetric_friction" and np.any(state.sliding):
+        axis = axis_of(entry.site)
+        out[:, axis] += 0.5 * values["torque_difference"] * state.uneven[:, axis]
     return out
 
 
@@ -449,10 +454,10 @@ def smooth_columns(run: Run, axis: int, middle: float, half: float, speed: float
     return run.filtered(np.stack([*smooth, *stepping], -1))
 
 
-def presliding_columns(run: Run, axis: int, travels: FloatArray) -> FloatArray:
-    """What bristles (Dahl, 1968) of unit friction and given travels (t,) add to sgn q̇ (m, t), low-passed.
+def presliding_columns(run: Run, axis: int, travels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What bristles (Dahl, 1968) of unit friction and given travels (t,) add to sgn q̇ and to its square (m, t).
 
-    Between reversals z approaches the sense of motion s as z = s + (z₀ − s) exp(−|Δq| / travel); at rest it holds.
+    Low-passed. Between reversals z approaches the sense of motion s as z = s + (z₀ − s) exp(−|Δq| / travel); at rest it holds.
     """
     x = run.dense.position[:, axis]
     sense = np.sign(np.diff(x))
@@ -463,4 +468,5 @@ def presliding_columns(run: Run, axis: int, travels: FloatArray) -> FloatArray:
         passed = np.abs(x[first + 1 : last + 1, None] - x[first]) / travels
         out[first + 1 : last + 1] = sense[first] + (z - sense[first]) * np.exp(-passed)
         z = out[last]
-    return run.filtered(out - run.dense.sign(run.dense.velocity[:, axis])[:, None])
+    sign = run.dense.sign(run.dense.velocity[:, axis])[:, None]
+    return run.filtered(out - sign), run.filtered(np.abs(out) - sign**2)

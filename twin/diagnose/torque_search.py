@@ -37,6 +37,7 @@ from twin.diagnose.torque_fit import (
     span_of,
     start,
     unshrunk,
+    with_turning_drives,
     with_wider,
     without,
     worth,
@@ -245,7 +246,7 @@ def explain(
         system = _all_grown(steps, _pruned(steps, system), judge)
     first = steps[0]
     system = _pruned(steps, _revised(steps, system, suspects, judge))
-    system = _all_grown(steps, system, judge)
+    system = with_turning_drives(_all_grown(steps, system, judge))
     left = np.array([free_gain(system, j) for j in axes])
     search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])

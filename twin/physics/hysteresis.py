@@ -54,12 +54,16 @@ class Hysteresis(Effect):
         moves = np.flatnonzero(step)
         turns = moves[1:][step[moves[1:]] * step[moves[:-1]] < 0]  # between two an element loads one way
         ends = np.concatenate([[0], turns, [len(x) - 1]])
-        segment = np.searchsorted(turns, np.arange(len(x)), side="left")
+        lasting = np.diff(ends)  # samples from one turn to the next, the first of all with the first
+        lasting[0] += 1
+        passed = x - np.repeat(x[ends[:-1]], lasting)
         total = np.zeros_like(x)
         for stiffness, limit in zip(values["stiffness"], values["yield_torque"], strict=True):
             element, loads = 0.0, [0.0]
             for travel in (stiffness * np.diff(x[ends])).tolist():
                 element = min(max(element + travel, -limit), limit)
                 loads.append(element)
-            total += np.clip(np.array(loads)[segment] + stiffness * (x - x[ends[segment]]), -limit, limit)
+            torque = stiffness * passed
+            torque += np.repeat(loads[:-1], lasting)
+            total += np.clip(torque, -limit, limit, out=torque)
         return {axis: total}
