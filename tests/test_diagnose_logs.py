@@ -1,6 +1,7 @@
 """Diagnosis of motion logs: recordings of the truth code, which shares nothing with the twin, and real ones."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,17 +12,23 @@ from test_identify_real import emps, needs, tx40
 from tools.truth.__main__ import main as truth
 from twin.commands.compare import compare_log
 from twin.diagnose.evidence import sentence
-from twin.diagnose.torque import diagnose_log
-from twin.diagnose.torque_design import Design
+from twin.diagnose.torque import diagnose_log, with_evidence
+from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
     Columns,
     Trial,
     _correlation,
     _rounded,
+    extended,
     own_values,
     prediction_filter,
+    relinearised,
+    settle,
+    start,
     stop_columns,
+    system_of,
     unshrunk,
+    with_turning_drives,
 )
 from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
 from twin.diagnose.torque_locate import around_reversals, state_map
@@ -208,9 +215,12 @@ def test_a_design_kept_by_joint_is_the_dense_matrix() -> None:
     for joint, (at, block) in enumerate(zip(acting, blocks, strict=True)):
         dense[7 * joint : 7 * joint + 7, at] = block
     more = rng.normal(size=(7, 2))
-    design = Design(7, acting, blocks, np.ones(5)).scaled({3: 5.0, 0: 0.1}).beside((1,), more)
-    dense = np.column_stack([dense * [0.1, 1, 1, 5, 1], np.vstack([np.zeros((7, 2)), more])])
-    z, y, columns = rng.normal(size=7), rng.normal(size=14), rng.normal(size=(7, 3))
+    own = tuple(Block(joint, at, block) for joint, (at, block) in enumerate(zip(acting, blocks, strict=True)))
+    both = rng.normal(size=(14, 1))
+    design = Design(7, 2, own, np.ones(5)).scaled({3: 5.0, 0: 0.1}).beside(((1,), more), ((0, 1), both))
+    dense = np.column_stack([dense * [0.1, 1, 1, 5, 1], np.vstack([np.zeros((7, 2)), more]), both])
+    design, dense = design.without([1, 5]), np.delete(dense, [1, 5], axis=1)
+    z, y, columns = rng.normal(size=6), rng.normal(size=14), rng.normal(size=(7, 3))
     np.testing.assert_allclose(design.times(z), dense @ z)
     np.testing.assert_allclose(design.transposed(y), dense.T @ y)
     np.testing.assert_allclose(design.gram, dense.T @ dense)
@@ -385,6 +395,52 @@ def test_a_ripple_has_one_amplitude_and_phase(tmp_path: Path, kr90: Robot) -> No
     for name, true in (("amplitude", 30), ("order", 16), ("phase", -2.5)):
         low, high = missing.first.parameters[name]["interval90"]
         assert low < true < high
+
+
+def test_a_fast_ripple_is_found_at_its_own_order_and_not_beside_it(tmp_path: Path, kr90: Robot) -> None:
+    """Slopes over a step in which the wave turns by half a radian stalled one lobe of the spectrum away."""
+    log = recorded(tmp_path, "--effect", "torque_ripple@joint2:amplitude=16,order=37.6,phase=-0.75")
+    (missing,) = diagnose_log(log, kr90).missing
+    assert missing.first.key == "torque_ripple@joint2"
+    low, high = missing.first.parameters["order"]["interval90"]
+    assert low < 37.6 < high
+    assert high - low < 1.0
+
+
+def test_friction_that_differs_by_direction_holds_its_share_through_a_standstill(tmp_path: Path, kr90: Robot) -> None:
+    """Bristles hold 45 N·m more than the mean in one direction, at rest too: taken for nothing there they halved it."""
+    effect = "asymmetric_friction@joint1:torque_difference=90,viscous_difference=110"
+    (missing,) = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", effect), kr90).missing
+    assert missing.first.key == "asymmetric_friction@joint1"
+    assert missing.first.parameters["torque_difference"]["value"] == pytest.approx(90, rel=0.15)
+
+
+def test_a_drive_that_turns_with_two_axes_is_in_doubt_where_it_turns_back_itself(tmp_path: Path, kr90: Robot) -> None:
+    """Its friction steps between two samples, away from where its axis turns back."""
+    log = recorded(tmp_path, "--effect", "joint_coupling@joint1:from=2,ratio=-0.02")
+    prepared = prepare(log, kr90, "log")
+    plain = system_of(prepared, [])
+    suspect = next(s for s in log_suspects(kr90, prepared.used) if s.name == "joint_coupling@joint1 joint2")
+    system = relinearised(extended(plain, settle(plain, start(plain, suspect))))
+    turning = with_turning_drives(system)
+    assert turning.turning[1, 0] == pytest.approx(-0.02, rel=0.1)
+    assert len(turning.stops[1]) > len(system.stops[1])
+    assert [len(stops) for stops in turning.stops[::2]] == [len(stops) for stops in system.stops[::2]]
+    own = turning.own(suspect)[0]
+    spread = np.sqrt(np.linalg.inv(turning.information)[own, own])
+    assert spread > np.sqrt(np.linalg.inv(system.information)[own, own])
+    assert abs(0.5 * turning.z[own] + 0.02) < 3 * 0.5 * spread
+
+
+def test_an_answer_is_told_of_its_joint_and_its_rivals_whichever_model_is_looked_at(drifting: Finding) -> None:
+    """With a hammer test beside the log, its errors are those of the model that both end with."""
+    (missing,) = drifting.missing
+    error = {**drifting.error, "after": {"train": 0.5, "held_out": 0.25}}
+    apart = {missing.first.key: ["The log tells them apart."]}
+    (again,) = with_evidence(replace(drifting, error=error, apart=apart))
+    assert again.evidence.startswith("Without cable_stiffness at joint1 the torque of joint1 in run")
+    assert "→ 25.00%" in again.evidence
+    assert again.evidence.endswith("The log tells them apart.")
 
 
 def test_evidence_is_about_the_joint_that_an_answer_acts_on(drifting: Finding) -> None:

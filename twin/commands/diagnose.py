@@ -29,7 +29,7 @@ from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, noise_floor, of_its_size
 from twin.diagnose.search import NEAR_LINES, REFIT_LINES, SCREEN_LINES, converge, explain, settle
-from twin.diagnose.torque import diagnose_log
+from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import (
     Candidate,
@@ -119,7 +119,10 @@ class _Test:
 
 
 def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[list[str] | None]) -> Verdict:
-    """The verdict on the one model that the last finding ends with; the others are judged on it."""
+    """The verdict on the one model that the last finding ends with; the others are judged on it.
+
+    What a log said is said again with the errors of that model, and what the last recording adds to it.
+    """
     if len(findings) == 1:
         return Verdict.of(findings[0])
     last = findings[-1]
@@ -133,6 +136,7 @@ def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[l
                 )
             finding.records = predicted_by(last.robot, test.content, finding, held)
             finding.error = {**finding.error, "after": pooled(finding.records, "after")}
+            finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
     return together(findings, last.base, last.robot)
 
 
@@ -286,7 +290,7 @@ def diagnose_campaign(
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
     if told_by:
-        told_by.missing = [_borne_out(m, finding, best) for m in told_by.missing]
+        told_by.missing = [_borne_out(m, best) for m in told_by.missing]
     likely = bool(decision.probability) and decision.probability[0] >= calibration()["alternative"]
     if word == "ambiguous" or (word == "unexplained" and likely):
         # where the rival has no name, what shows the first most tells most
@@ -364,14 +368,20 @@ def _start(answer: Candidate, parameters: Parameters, settled: Fitted) -> np.nda
     return parameters.coordinates(np.maximum(values, least))
 
 
-def _borne_out(missing: Missing, finding: Finding, fit: Fitted) -> Missing:
-    """Another recording's answer with what this one adds: numbers fitted to both, and a second sentence."""
+def _borne_out(missing: Missing, fit: Fitted) -> Missing:
+    """Another recording's answer with its numbers fitted to both, where this one shows it too."""
     if not shared(missing.first.effect):
         return missing
     at = [k for k, p in enumerate(fit.parameters) if p.name.startswith(f"{missing.first.key}.")]
-    first = replace(missing.first, parameters=estimates_of(fit, at)) if at else missing.first
+    return replace(missing, first=replace(missing.first, parameters=estimates_of(fit, at))) if at else missing
+
+
+def _seen_by(finding: Finding, missing: Missing) -> Missing:
+    """Another recording's answer with a second sentence of evidence, of a hammer test that shows it too."""
+    if finding.source != "frf-campaign" or not shared(missing.first.effect):
+        return missing
     text = sentence(missing.first.title, finding.records, finding.error, finding.held_out)
-    return replace(missing, first=first, evidence=f"{missing.evidence} In {Path(finding.recording).name}: {text}")
+    return replace(missing, evidence=f"{missing.evidence} In {Path(finding.recording).name}: {text}")
 
 
 def _told(missing: Missing, finding: Finding) -> str:

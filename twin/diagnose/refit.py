@@ -55,6 +55,12 @@ class Fitted:
 
     def evidence(self, scale: float = 1.0) -> float:
         """Logarithm of the evidence with the data's variance multiplied by ``scale`` (Birge's ratio)."""
+        known: dict[float, float] = self.__dict__.setdefault("_evidence", {})  # it is asked for many times
+        if scale not in known:
+            known[scale] = self._evidence_at(scale)
+        return known[scale]
+
+    def _evidence_at(self, scale: float) -> float:
         chi2 = self.misfit * self.data
         eye = np.eye(len(self.z))
         information = (self.information - eye) / scale + eye

@@ -10,7 +10,16 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import Base, System, base_fit, stops_of, system_of, that_can_exist, with_presliding
+from twin.diagnose.torque_fit import (
+    Base,
+    System,
+    base_fit,
+    profiled,
+    stops_of,
+    system_of,
+    that_can_exist,
+    with_presliding,
+)
 from twin.diagnose.torque_laws import RECORDING, log_suspects, model_torque, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
@@ -29,6 +38,7 @@ from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands
+from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.physics.effect import axis_of
@@ -92,20 +102,25 @@ def diagnose_log(
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
-    apart = _slips(search) | _late(search)
-    finding.missing = [
-        m if m.evidence else replace(m, evidence=_evidence(m, len(missing), finding, apart.get(m.first.key, [])))
-        for m in missing
-    ]
+    finding.apart = _slips(search) | _late(search)
+    finding.missing = with_evidence(finding)
     return finding
 
 
-def _evidence(missing: Missing, count: int, finding: Finding, apart: Sequence[str]) -> str:
-    """What the answer puts right at its joint, and how far it can be told from what does nearly the same."""
+def with_evidence(finding: Finding) -> list[Missing]:
+    """The answers of a log, each with what it puts right at its joint and how far it can be told from what is alike.
+
+    The encoders' step that shows a gap is told where it was found: the torque shows none.
+    """
+    return [m if m.first.effect == "backlash" else replace(m, evidence=_evidence(m, finding)) for m in finding.missing]
+
+
+def _evidence(missing: Missing, finding: Finding) -> str:
     first = missing.first
     joint = axis_of(first.site) if first.site.startswith("joint") else None
-    name = first.title if count == 1 else f"{first.title} and what else was found"
-    return " ".join([sentence(name, finding.records, finding.error, finding.held_out, joint), *apart])
+    name = first.title if len(finding.missing) == 1 else f"{first.title} and what else was found"
+    told = sentence(name, finding.records, finding.error, finding.held_out, joint)
+    return " ".join([told, *finding.apart.get(first.key, ())])
 
 
 def _restless(spot: dict[str, Any]) -> str:
@@ -233,6 +248,9 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         (found,) = missing_of(step.decision, step.base)
         if step.trial is not None:  # its numbers as they are with everything else in the model
             numbers = estimates_of(settled, search.system.own(step.trial.suspect))
+            if found.first.effect == "joint_coupling":
+                drop = 0.5 * NINETY**2 * _inflation(search.system)
+                numbers["ratio"]["interval90"] = list(profiled(search.system, step.trial.suspect, 0, drop))
             found = replace(found, first=replace(found.first, parameters=numbers))
         if found.first.effect == "discovered":
             found = _with_formula(found, step.first)
@@ -263,16 +281,20 @@ def _inflated(system: System) -> Fitted:
     That is Birge's ratio where the misfit is like the noise. What a model lacks lasts longer: the density of the
     whitened residual at low frequency (Newey, West, Econometrica 55, 1987) says how much less such rows tell.
     """
+    scale = _inflation(system)
     fit = base_fit(system)
+    eye = np.eye(len(fit.z))
+    return replace(fit, information=(fit.information - eye) / scale + eye, misfit=min(fit.misfit, 1.0))
+
+
+def _inflation(system: System) -> float:
     density = []
     for joint in range(len(system.whitening)):
         e = system.residual[system.rows(joint)]
         lags = np.arange(1, min(LASTING * system.order, len(e) // 4))
         correlation = np.array([e[k:] @ e[:-k] for k in lags]) / len(e)
         density.append(e @ e / len(e) + 2 * float((1 - lags / (lags[-1] + 1)) @ correlation))
-    scale = max(1.0, fit.misfit, float(np.mean(density)))
-    eye = np.eye(len(fit.z))
-    return replace(fit, information=(fit.information - eye) / scale + eye, misfit=min(fit.misfit, 1.0))
+    return max(1.0, base_fit(system).misfit, float(np.mean(density)))
 
 
 def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[LogRecord], dict[str, Any]]:

@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
-from twin.diagnose.torque_design import Design
+from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_laws import (
     REFERRING,
     TURNING,
@@ -59,11 +59,13 @@ FRICTION = 0.5  # relative prior deviation of described friction
 RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: what any gear and motor adds
 SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
 SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three
+PROFILE = (1.0, 1.6, 2.5, 4.0, 6.0, 9.0, 13.0)  # deviations at which a profile is looked at
+FEW = 10  # starts that are all refined of what goes into the model
 TRIED, KEPT = 3, 0.7  # starts of a suspect that are evaluated, until one keeps so much of the gain it promised
 ALIKE = 1e-3  # of a gain, and rows of a delay: through a recording so much alike, columns are what they were
 NEAR = 0.01  # prior deviations: so far from where they were taken, slopes are what they were
 CONVERGED, EXACT = 0.02, 1e-5  # of ½ χ², and its share: less is no gain
-STEP = 1e-3  # of a prior deviation, for differences
+STEPS = (1e-3, 0.02)  # of a prior deviation, for differences: as far as the rows tell a number, within
 OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
 CREEP_S = 0.16  # about a stop: the encoder hardly counts, the axis may creep
 SPEED_ERROR = 7e-4  # of the largest speed: what encoder and low-pass leave of doubt at a reversal
@@ -362,7 +364,7 @@ class System:
     whitening: FloatArray
     parameters: Parameters
     found: tuple[Suspect, ...] = ()
-    A: Design = field(default_factory=lambda: Design(0, (), (), np.zeros(0)))
+    A: Design = field(default_factory=lambda: Design(0, 0, (), np.zeros(0)))
     data: FloatArray = field(default_factory=lambda: np.zeros(0))
     y: FloatArray = field(default_factory=lambda: np.zeros(0))
     state: list[State] = field(default_factory=list)
@@ -437,9 +439,8 @@ class System:
         base = self.base
         self.stops = _stops(self)
         axes, runs = range(len(self.whitening)), range(len(base.runs))
-        blocks = tuple(self.whitened(j, [base.design(k, j) for k in runs]) for j in axes)
-        acting = tuple(base.acting(j) for j in axes)
-        self.A = Design(self.count, acting, blocks, np.ones(len(base.parameters)))
+        blocks = tuple(Block(j, base.acting(j), self.whitened(j, [base.design(k, j) for k in runs])) for j in axes)
+        self.A = Design(self.count, len(axes), blocks, np.ones(len(base.parameters)))
         self.data = self.y = self.full(self.whiten(base.rest))[:, 0]
 
     @cached_property
@@ -654,7 +655,7 @@ def extended(system: System, trial: "Trial") -> System:
         system,
         found=(*system.found, trial.suspect),
         parameters=join(system.parameters, independent(trial.suspect.hypothesis.own)),
-        A=system.A.beside(trial.slopes.joints, trial.slopes.rows),
+        A=system.A.beside((trial.slopes.joints, trial.slopes.rows)),
         y=system.y - system.full(trial.column)[:, 0] + system.full(trial.slopes) @ trial.u,
         slopes={**system.slopes, trial.suspect.name: (trial.u, trial.slopes)},
     )
@@ -685,7 +686,7 @@ def relinearised(system: System, iterations: int = 8) -> System:
     Gauss–Newton on all numbers at once: each was linearised where it was found, before the others were. What a
     recording's gain and delay make of a change of the base model is left out of the slopes, not of the torque.
     """
-    z = system.z
+    z = _taken(system)
     here, cost = linearised(system, z)
     for _ in range(iterations):
         step = _bounded(system, here.z) - z
@@ -702,6 +703,23 @@ def relinearised(system: System, iterations: int = 8) -> System:
     return here
 
 
+def _taken(system: System) -> FloatArray:
+    """Where the slopes of what was found were taken (z,), all else as it is best there: the linear optimum may be far.
+
+    Of a law that steps, or along a valley, the first step from there must be worth it as any other must.
+    """
+    z, fixed = system.z.copy(), np.zeros(len(system.z), bool)
+    for suspect in system.found:
+        at = system.own(suspect)
+        u = system.slopes[suspect.name][0] if suspect.name in system.slopes else z[:0]
+        if suspect.hypothesis.effect not in REFERRING and len(u) == len(at):
+            z[at], fixed[at] = u, True
+    if fixed.any():
+        pull = system.A.transposed(system.y) - system.information[:, fixed] @ z[fixed]
+        z[~fixed] = np.linalg.solve(system.information[np.ix_(~fixed, ~fixed)], pull[~fixed])
+    return z
+
+
 def with_turning_drives(system: System) -> System:
     """The same with friction in doubt where drives turn back that were found to turn with other axes too, and refitted.
 
@@ -714,38 +732,46 @@ def with_turning_drives(system: System) -> System:
             turning[axis_of(entry.values["from"]), axis_of(entry.site)] += entry.values["ratio"]
     if np.array_equal(turning, np.eye(len(turning))):
         return system
-    here = replace(system, turning=turning, slopes={}, screened={})
+    here = replace(system, turning=turning)
     here.assemble()
-    here.A = here.A.scaled(here.widened)
-    return relinearised(linearised(here, z)[0])
+    slopes = (system.slopes[suspect.name][1] for suspect in system.found)
+    A = here.A.scaled(here.widened).beside(*((columns.joints, columns.rows) for columns in slopes))
+    return relinearised(replace(here, A=A, y=system.y + here.data - system.data, slopes={}, screened={}))
 
 
-def linearised(system: System, z: FloatArray) -> tuple[System, float]:
-    """The system with what was found linearised at z, and ½ χ² + ½ zᵀz there."""
+def linearised(system: System, z: FloatArray, doubt: FloatArray | None = None) -> tuple[System, float]:
+    """The system with what was found linearised at z, and ½ χ² + ½ zᵀz there; ``doubt`` (z,) deviations, as it has z.
+
+    They are those of the system's own fit by default.
+    """
     size = len(system.base.parameters)
+    doubt = np.sqrt(np.diag(system.inverse)) if doubt is None else doubt
     here = replace(system, A=system.A.first(size), slopes=dict(system.slopes))
     added = here.full(here.whiten(refer(here, z)))[:, 0]
     rest = here.data - added - here.A.times(z[:size])
     here.y = here.data - added
+    beside = []
     for suspect in here.found:
         at = here.own(suspect)
         now = z if suspect.hypothesis.effect in REFERRING else z[at]  # it depends on all numbers, or on its own
         u, slopes = here.slopes.get(suspect.name, (now, None))
         if slopes is None or len(u) != len(now) or np.any(np.abs(now - u) > NEAR * (1 + np.abs(u))):
-            slopes = _slopes(here, suspect, z)
+            slopes = _slopes(here, suspect, z, doubt[at])
             here.slopes[suspect.name] = now, slopes
-        here.y = here.y + here.full(slopes) @ z[at]
-        here.A = here.A.beside(slopes.joints, slopes.rows)
+        for part, j in enumerate(slopes.joints):
+            here.y[here.rows(j)] += slopes.rows[part * here.count : (part + 1) * here.count] @ z[at]
+        beside.append((slopes.joints, slopes.rows))
+    here = replace(here, A=here.A.beside(*beside))
     return here, 0.5 * float(rest @ rest) + 0.5 * float(z @ z)
 
 
-def _slopes(system: System, suspect: Suspect, z: FloatArray) -> Columns:
+def _slopes(system: System, suspect: Suspect, z: FloatArray, doubt: FloatArray) -> Columns:
     """Of something found, beside all else at z."""
     aside = system
     if suspect.hypothesis.effect in REFERRING:
         aside = copy(system)
         _refer(aside, z, system.entries(z, without=suspect))
-    return _whitened(aside, suspect, z[system.own(suspect)])[1]
+    return _whitened(aside, suspect, z[system.own(suspect)], doubt=doubt)[1]
 
 
 def _bounded(system: System, z: FloatArray) -> FloatArray:
@@ -925,8 +951,8 @@ def _plain_fit(system: System) -> FloatArray:
     noise = 0.05 * np.sqrt(np.mean(y**2, axis=0)) + 1e-9
     blocks = tuple(_rows(base, j)[np.concatenate([r.valid for r in base.runs])] for j in range(y.shape[1]))
     for _ in range(3):
-        scaled = tuple(block / level for block, level in zip(blocks, noise, strict=True))
-        W = Design(len(y), tuple(base.acting(j) for j in range(len(blocks))), scaled, np.ones(len(base.parameters)))
+        scaled = tuple(Block(j, base.acting(j), rows / noise[j]) for j, rows in enumerate(blocks))
+        W = Design(len(y), len(scaled), scaled, np.ones(len(base.parameters)))
         z = np.asarray(np.linalg.solve(W.gram + np.eye(W.width), W.transposed((y / noise).T.ravel())), float)
         rest = y - noise * W.times(z).reshape(y.shape[1], -1).T
         noise = np.maximum(np.sqrt(np.mean(rest**2, axis=0)), 1e-9 * np.abs(y).max(axis=0) + 1e-300)
@@ -1043,9 +1069,9 @@ def _start_columns(system: System, suspect: Suspect, start: FloatArray) -> list[
     columns = [here]
     for k in suspect.sizes:
         shifted = start.copy()
-        shifted[k] += STEP * own[k].deviation
+        shifted[k] += STEPS[1] * own[k].deviation
         moved = system.torque(with_values(suspect.hypothesis, shifted))
-        columns.append([(a - b) / STEP for a, b in zip(moved, here, strict=True)])
+        columns.append([(a - b) / STEPS[1] for a, b in zip(moved, here, strict=True)])
     return columns
 
 
@@ -1117,15 +1143,25 @@ class Trial:
     slopes: Columns
 
 
-def evaluate(system: System, suspect: Suspect, u: FloatArray, slopes: bool = True) -> Trial:
-    """The suspect's torque at own numbers u, the base model refitted beside it."""
-    column, along = _whitened(system, suspect, u, slopes)
+def evaluate(
+    system: System, suspect: Suspect, u: FloatArray, slopes: bool = True, doubt: FloatArray | None = None
+) -> Trial:
+    """The suspect's torque at own numbers u, the base model refitted beside it; ``doubt`` their deviations, if known."""
+    column, along = _whitened(system, suspect, u, slopes, doubt)
     return Trial(suspect, u, _gain(system, column, u), column, along)
 
 
-def _whitened(system: System, suspect: Suspect, u: FloatArray, slopes: bool = True) -> tuple[Columns, Columns]:
-    """The suspect's torque at own numbers u, and its slopes."""
+def _whitened(
+    system: System, suspect: Suspect, u: FloatArray, slopes: bool = True, doubt: FloatArray | None = None
+) -> tuple[Columns, Columns]:
+    """The suspect's torque at own numbers u, and its slopes, over as much as the rows leave in doubt of each number.
+
+    Over more a wave turns round, or a step passes another; over much less a law that steps is jagged.
+    """
     own = suspect.hypothesis.own
+    if slopes and doubt is None:
+        doubt = _doubt(system, _whitened(system, suspect, u, doubt=np.full(len(u), STEPS[1]))[1])
+    steps = np.clip(np.zeros(len(u)) if doubt is None else doubt, *STEPS)
 
     def torque(at: FloatArray) -> list[FloatArray]:
         return system.torque(with_values(suspect.hypothesis, own_values(own, at)))
@@ -1134,10 +1170,16 @@ def _whitened(system: System, suspect: Suspect, u: FloatArray, slopes: bool = Tr
     parts = [here]
     for k in range(len(u) if slopes else 0):
         moved = u.copy()
-        moved[k] += STEP
-        parts.append([(a - b) / STEP for a, b in zip(torque(moved), here, strict=True)])
+        moved[k] += steps[k]
+        parts.append([(a - b) / steps[k] for a, b in zip(torque(moved), here, strict=True)])
     together = system.whiten([np.stack(rows, -1) for rows in zip(*parts, strict=True)])
     return Columns(together.joints, together.rows[:, :1]), Columns(together.joints, together.rows[:, 1:])
+
+
+def _doubt(system: System, slopes: Columns) -> FloatArray:
+    """Deviations (m,) of numbers that have such slopes, in those of their priors."""
+    information, _ = system.projected(slopes)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(information))))))
 
 
 def _gain(system: System, column: Columns, u: FloatArray) -> float:
@@ -1204,14 +1246,50 @@ def settle(system: System, trial: Trial) -> Trial:
     return trial
 
 
+def from_every_start(system: System, trial: Trial) -> Trial:
+    """The best of a settled trial and of its few starts, refined: where steps meet, a law has more than one optimum."""
+    suspect = trial.suspect
+    if len(suspect.starts) > FEW or suspect.hypothesis.effect in REFERRING:
+        return trial
+    starts = [own_prior(suspect.hypothesis.own, values) for values in suspect.starts]
+    return max([trial, *(refine(system, evaluate(system, suspect, u)) for u in starts)], key=lambda t: t.gain)
+
+
+def profiled(system: System, suspect: Suspect, own: int, drop: float) -> tuple[float, float]:
+    """Values of a number of something found at which all else fits worse by ``drop`` in ln likelihood and prior.
+
+    Rows that hold little but the product of a ratio and a torque leave a bent valley, and steps make it rough: slopes
+    at its floor know nothing of its length.
+    """
+    at, rest = system.own(suspect), without(system, suspect)
+    best = evaluate(rest, suspect, system.z[at])
+    covariance = np.linalg.inv(rest.projected(best.slopes)[0] + np.eye(len(at)))
+    deviation = float(np.sqrt(covariance[own, own]))
+    ends = []
+    for side in (-1, 1):
+        inside, here, fell = best.u[own], best, 0.0
+        for far in PROFILE:
+            there = best.u[own] + side * far * deviation
+            u = here.u + covariance[own] / covariance[own, own] * (there - here.u[own])
+            here = refine(rest, evaluate(rest, suspect, _inside(suspect, u)), 4, own)
+            lost = best.gain - here.gain
+            if lost > drop:
+                inside += (there - inside) * (drop - fell) / (lost - fell)
+                break
+            inside, fell = there, lost
+        ends.append(inside)
+    low, high = (own_values(suspect.hypothesis.own, np.where(np.arange(len(at)) == own, x, 0.0))[own] for x in ends)
+    return float(low), float(high)
+
+
 def eliminated(system: System, trial: Trial) -> FloatArray:
     """The base model's numbers (z,) beside a trial."""
     return np.asarray(system.inverse @ system.A.transposed(system.y - system.full(trial.column)[:, 0]))
 
 
-def refine(system: System, trial: Trial, iterations: int = 8) -> Trial:
-    """Gauss–Newton on the own numbers, the base model's eliminated, with Levenberg's damping."""
-    damping = 1e-3
+def refine(system: System, trial: Trial, iterations: int = 8, fixed: int | None = None) -> Trial:
+    """Gauss–Newton on the own numbers (but one), the base model's eliminated, with Levenberg's damping."""
+    damping, free = 1e-3, np.arange(len(trial.u)) != fixed
     for _ in range(iterations):
         information, pull = system.projected(trial.slopes)
         here = system.across(trial.column)
@@ -1219,7 +1297,10 @@ def refine(system: System, trial: Trial, iterations: int = 8) -> Trial:
         pull += (system.across(trial.slopes) @ system.inverse @ here.T)[:, 0]
         ahead = trial
         for _ in range(6):
-            step = np.linalg.solve(information + (1 + damping) * np.eye(len(pull)), pull)
+            step = np.zeros(len(pull))
+            step[free] = np.linalg.solve(
+                (information + (1 + damping) * np.eye(len(pull)))[np.ix_(free, free)], pull[free]
+            )
             step *= min(1.0, 1.5 / max(float(np.abs(step).max()), 1e-12)) if damping > 1e-2 else 1.0
             ahead = evaluate(system, trial.suspect, _inside(trial.suspect, trial.u + step), slopes=False)
             if ahead.gain > trial.gain:
@@ -1228,7 +1309,7 @@ def refine(system: System, trial: Trial, iterations: int = 8) -> Trial:
         gained = ahead.gain - trial.gain
         if gained <= 0:
             return trial
-        trial = evaluate(system, trial.suspect, ahead.u)
+        trial = evaluate(system, trial.suspect, ahead.u, doubt=_doubt(system, trial.slopes))
         damping = max(damping / 8, 1e-6)
         if gained < CONVERGED:
             return trial

@@ -187,7 +187,9 @@ def turning_level(effect: str, values: Values, velocity: FloatArray) -> float:
 
 def delayed(torque: FloatArray, run: Run, delay: float) -> FloatArray:
     """A low-passed torque (m, n) as a channel shows it that is late by ``delay`` s."""
-    return lowpass(torque, run.rate_hz, 0.45 * run.rate_hz, 0.5 * run.rate_hz, delay_s=delay)
+    out, moved = np.zeros_like(torque), np.any(torque != 0, axis=0)
+    out[:, moved] = lowpass(torque[:, moved], run.rate_hz, 0.45 * run.rate_hz, 0.5 * run.rate_hz, delay_s=delay)
+    return out
 
 
 def canonical(hypothesis: Hypothesis, values: FloatArray) -> FloatArray:

@@ -27,6 +27,7 @@ from twin.diagnose.torque_fit import (
     evaluate,
     extended,
     fitted,
+    from_every_start,
     linearised,
     own_prior,
     own_values,
@@ -313,7 +314,7 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     if not enough:
         step.decision = _nothing(step.decision)
     elif step.trial is not None:
-        step.trials = {**step.trials, step.key: unshrunk(step.trial)}
+        step.trials = {**step.trials, step.key: unshrunk(from_every_start(step.system, step.trial))}
     step.accepted = enough
     return enough
 
@@ -507,7 +508,7 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
     for step in search.found:
         if joint in step.joints:
             step.accepted = False
-    system = accepted(search.plain, *search.found)
+    system = with_turning_drives(accepted(search.plain, *search.found))
     search.system, search.after = system, base_fit(system)
     discovered = discover(system, joint)
     if discovered is None:
@@ -694,11 +695,16 @@ class Judge:
             A=self.system.A.scaled(system.widened),
         )  # fmt: skip
         z = np.concatenate([fit.z[:shared], np.zeros(width - shared), fit.z[len(fit.z) - own :]])
-        here, _ = linearised(here, z)
-        residual = here.y - here.A.times(z)
-        prior = np.eye(len(z))
+        prior, covariance, doubt = (
+            np.eye(len(z)),
+            np.linalg.inv(fit.information)[np.ix_(lasting, lasting)],
+            np.ones(len(z)),
+        )
         at = np.r_[:shared, width : len(z)]
-        prior[np.ix_(at, at)] = np.linalg.inv(np.linalg.inv(fit.information)[np.ix_(lasting, lasting)])
+        prior[np.ix_(at, at)] = np.linalg.inv(covariance)
+        doubt[at] = np.sqrt(np.diag(covariance))
+        here, _ = linearised(here, z, doubt)
+        residual = here.y - here.A.times(z)
         posterior = prior + here.A.gram
         pull = here.A.transposed(residual)
         energy = float(residual @ residual - pull @ np.linalg.solve(posterior, pull))

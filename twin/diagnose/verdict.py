@@ -99,6 +99,7 @@ class Finding:
         missing: empty unless something is named, ambiguous or located.
         none, other: probabilities that nothing, or something without a name here, is missing.
         given, base, robot: the description as it came, refitted, and with the answer.
+        apart: ``EFFECT@SITE`` → sentences on how far an answer can be told from what does nearly the same.
         written: ``robot`` with what the fit held for ordinary and the description has no number for, if anything.
         error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
         held_out: names of postures or runs not used.
@@ -130,6 +131,7 @@ class Finding:
     warnings: list[str] = field(default_factory=list)
     fit: Fitted | None = None
     finalists: tuple[dict[str, Any], ...] = ()
+    apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None
 
 
