@@ -29,6 +29,8 @@ from twin.diagnose.torque_search import (
     SETTLED,
     Progress,
     Search,
+    Step,
+    at_once,
     explain,
     left_out,
     possible,
@@ -172,6 +174,10 @@ def _slips(search: Search) -> dict[str, list[str]]:
                 f"Coulomb friction at {site} came first, with a gain of {gain:.0f} in ln evidence; slip, which is dry "
                 f"friction with a memory, took it in{', and holds more at rest than friction is in motion' * more}."
             )
+            notes[dry] = [
+                f"It is the part of slip at {site} whose travel the log does not tell from none; as it holds through "
+                "standstill, the model has it as a slip element."
+            ]
         both = [look for look in looks if low in look and slip.key in look]
         if both:
             tells = "tells" if both[-1][slip.key] - both[-1][low] > FURTHER else "does not tell"
@@ -254,7 +260,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
             found = replace(found, first=replace(found.first, parameters=numbers))
         if found.first.effect == "discovered":
             found = _with_formula(found, step.first)
-        missing.append(found)
+        missing += _with_coulomb(search, step, found, settled) if found.first.effect == "hysteresis" else [found]
     if search.law:
         _, _, fit = search.law
         (found,) = missing_of(Decision([fit], [other], 0.0, other), search.after)
@@ -267,6 +273,40 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     if any(m.first.effect == "discovered" for m in missing):
         word = "located"
     return word, missing, first.none, max(first.other, other)
+
+
+def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) -> list[Missing]:
+    """Slip found where no dry friction is described, and by its own name what of it the rows see yield at once.
+
+    That is Coulomb friction, which holds what it has at rest. Both together are the torque that is written as slip.
+    """
+    system, (joint,) = search.system, step.joints
+    key = f"coulomb_friction@joint{joint + 1}"
+    described = any(f"{e.effect}@{e.site}" == key for e in system.base.regressor.robot.physics)
+    dry = [s for s in search.found if s.key == key]
+    if described or any(possible(system, s) for s in dry) or step.trial is None:
+        return [slip]
+    suspect = step.trial.suspect
+    once, own = at_once(system, suspect), system.own(suspect)
+    count = len(own) // 2
+    if not once or len(once) == count:
+        return [slip]
+    at = [own[2 * k] for k in once] + [k for s in dry if s.trial for k in system.own(s.trial.suspect)]
+    deviations = np.array([settled.parameters[k].deviation for k in at])
+    covariance = np.linalg.inv(settled.information)[np.ix_(at, at)]
+    torque, spread = float(settled.values[at].sum()), float(np.sqrt(deviations @ covariance @ deviations))
+    if torque <= 0:  # at rest only
+        return [slip]
+    unit = slip.first.parameters["yield_torque"]["unit"]
+    number = {"value": torque, "unit": unit, "interval90": [torque - NINETY * spread, torque + NINETY * spread]}
+    left = [k for k in range(count) if k not in once]
+    parameters = {
+        name: {**item, "value": [item["value"][k] for k in left], "interval90": [item["interval90"][k] for k in left]}
+        for name, item in slip.first.parameters.items()
+    }
+    coulomb = replace(slip.first, effect="coulomb_friction", site=f"joint{joint + 1}", parameters={"torque": number})
+    rest = replace(slip, first=replace(slip.first, parameters=parameters))
+    return [Missing(coulomb, slip.probability, (), ""), rest]
 
 
 def _with_formula(found: Missing, fit: Fitted) -> Missing:

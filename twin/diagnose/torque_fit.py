@@ -1146,7 +1146,7 @@ class Trial:
 def evaluate(
     system: System, suspect: Suspect, u: FloatArray, slopes: bool = True, doubt: FloatArray | None = None
 ) -> Trial:
-    """The suspect's torque at own numbers u, the base model refitted beside it; ``doubt`` their deviations, if known."""
+    """The suspect's torque at own numbers u, the base model refitted beside it; ``doubt`` is their deviations."""
     column, along = _whitened(system, suspect, u, slopes, doubt)
     return Trial(suspect, u, _gain(system, column, u), column, along)
 

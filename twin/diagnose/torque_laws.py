@@ -459,7 +459,8 @@ def smooth_columns(run: Run, axis: int, middle: float, half: float, speed: float
 def presliding_columns(run: Run, axis: int, travels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What bristles (Dahl, 1968) of unit friction and given travels (t,) add to sgn q̇ and to its square (m, t).
 
-    Low-passed. Between reversals z approaches the sense of motion s as z = s + (z₀ − s) exp(−|Δq| / travel); at rest it holds.
+    Low-passed. Between reversals z approaches the sense of motion s as z = s + (z₀ − s) exp(−|Δq| / travel); at rest
+    it holds.
     """
     x = run.dense.position[:, axis]
     sense = np.sign(np.diff(x))

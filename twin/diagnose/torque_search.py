@@ -75,6 +75,7 @@ AGEING = frozenset({"friction_drift"})
 MOST = 0.5  # of their gain
 TRIED = 3  # answers of one look, where runs not used do not bear out the first
 ELEMENTS = 3  # of slip at a joint, at most
+STIFFER = 100.0  # times the stiffness of an element: what yields at once
 BEYOND = 5.0  # deviations above zero of what an element yields at: other finds shift it, too
 TRAVELS = (0.1, 10.0)  # of a further element over that of the strongest there is
 EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
@@ -492,6 +493,20 @@ def _pruned(steps: Sequence[Step], system: System) -> System:
         if base_fit(system).evidence() - base_fit(shorter[needless]).evidence() > FURTHER:
             return system
         found[needless].accepted, system = False, relinearised(shorter[needless])
+
+
+def at_once(system: System, suspect: Suspect) -> list[int]:
+    """Which slip elements (their numbers) might as well yield at once: rows cannot tell their travel from none."""
+    at, rest, own = system.own(suspect), without(system, suspect), suspect.hypothesis.own
+    here = evaluate(rest, suspect, system.z[at], slopes=False)
+    found = []
+    for element, k in enumerate(range(1, len(own), 2)):  # yield torque and stiffness of each
+        u = here.u.copy()
+        u[k] += np.log(STIFFER) / own[k].deviation
+        lost = here.gain - evaluate(rest, suspect, u, slopes=False).gain - 0.5 * float(u @ u - here.u @ here.u)
+        if lost < FURTHER:
+            found.append(element)
+    return found
 
 
 def possible(system: System, step: Step) -> bool:
