@@ -19,7 +19,9 @@ from twin.diagnose.torque_fit import (
     Trial,
     _correlation,
     _rounded,
+    evaluate,
     extended,
+    own_prior,
     own_values,
     prediction_filter,
     relinearised,
@@ -32,7 +34,7 @@ from twin.diagnose.torque_fit import (
 )
 from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
 from twin.diagnose.torque_locate import around_reversals, state_map
-from twin.diagnose.torque_search import _as_suspected, _with_element
+from twin.diagnose.torque_search import _as_suspected, _with_element, at_once
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Verdict
 from twin.errors import InputError
@@ -144,6 +146,18 @@ def test_slip_that_holds_more_than_friction_in_motion_is_written_as_it_was_fitte
     torque = [CATALOGUE[e.effect].torque(motion, e.site, e.values)[1] for e in (fitted, written)]
     np.testing.assert_allclose(*torque)
     assert np.ptp(torque[0]) == 300
+
+
+def test_what_of_slip_yields_at_once_is_told_from_what_travels(tmp_path: Path, kr90: Robot) -> None:
+    """Travels of 0.1 µrad and 3 mrad: of the first a log tells no more than that it is dry friction."""
+    slip = "hysteresis@joint3.z:stiffness=1e9|40000,yield_torque=100|120"
+    prepared = prepare(recorded(tmp_path, "--effect", slip), kr90, "log")
+    system = system_of(prepared, [])
+    suspect = next(s for s in log_suspects(kr90, prepared.used) if s.name == "hysteresis@joint3.z")
+    none = Columns((), np.zeros((0, 2)))
+    longer, _ = _with_element(Trial(suspect, np.zeros(2), 0.0, none, none), 10.0)
+    u = own_prior(longer.hypothesis.own, np.array([100, 1e9, 120, 4e4]))
+    assert at_once(extended(system, evaluate(system, longer, u)), longer) == [0]
 
 
 def test_presliding_is_in_proportion_to_friction_where_none_was_described(tmp_path: Path, kr90: Robot) -> None:
