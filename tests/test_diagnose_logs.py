@@ -149,7 +149,7 @@ def test_slip_that_holds_more_than_friction_in_motion_is_written_as_it_was_fitte
 
 
 def test_what_of_slip_yields_at_once_is_told_from_what_travels(tmp_path: Path, kr90: Robot) -> None:
-    """Travels of 0.1 µrad and 3 mrad: of the first a log tells no more than that it is dry friction."""
+    """Travels of 0.2 µrad and 6 mrad: the first is passed between two samples after every reversal."""
     slip = "hysteresis@joint3.z:stiffness=1e9|40000,yield_torque=100|120"
     prepared = prepare(recorded(tmp_path, "--effect", slip), kr90, "log")
     system = system_of(prepared, [])

@@ -175,8 +175,8 @@ def _slips(search: Search) -> dict[str, list[str]]:
                 f"friction with a memory, took it in{', and holds more at rest than friction is in motion' * more}."
             )
             notes[dry] = [
-                f"It is the part of slip at {site} whose travel the log does not tell from none; as it holds through "
-                "standstill, the model has it as a slip element."
+                f"It is the part of slip at {site} that turns round between two samples after nearly every reversal; "
+                "as it holds what it has through standstill, the model has it as a slip element."
             ]
         both = [look for look in looks if low in look and slip.key in look]
         if both:
@@ -276,7 +276,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
 
 
 def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) -> list[Missing]:
-    """Slip found where no dry friction is described, and by its own name what of it the rows see yield at once.
+    """Slip found where no dry friction is described, and by its own name what of it turns round at once.
 
     That is Coulomb friction, which holds what it has at rest. Both together are the torque that is written as slip.
     """
@@ -289,7 +289,7 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
     suspect = step.trial.suspect
     once, own = at_once(system, suspect), system.own(suspect)
     count = len(own) // 2
-    if not once or len(once) == count:
+    if not once:
         return [slip]
     at = [own[2 * k] for k in once] + [k for s in dry if s.trial for k in system.own(s.trial.suspect)]
     deviations = np.array([settled.parameters[k].deviation for k in at])

@@ -47,6 +47,7 @@ from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.physics import CATALOGUE
+from twin.physics.effect import axis_of
 from twin.robot.description import Entry
 
 FINALISTS = 8
@@ -75,7 +76,7 @@ AGEING = frozenset({"friction_drift"})
 MOST = 0.5  # of their gain
 TRIED = 3  # answers of one look, where runs not used do not bear out the first
 ELEMENTS = 3  # of slip at a joint, at most
-STIFFER = 100.0  # times the stiffness of an element: what yields at once
+NEARLY_EVERY = 0.05  # share of reversals after which an axis may move less than an element that yields at once
 BEYOND = 5.0  # deviations above zero of what an element yields at: other finds shift it, too
 TRAVELS = (0.1, 10.0)  # of a further element over that of the strongest there is
 EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
@@ -496,17 +497,24 @@ def _pruned(steps: Sequence[Step], system: System) -> System:
 
 
 def at_once(system: System, suspect: Suspect) -> list[int]:
-    """Which slip elements (their numbers) might as well yield at once: rows cannot tell their travel from none."""
-    at, rest, own = system.own(suspect), without(system, suspect), suspect.hypothesis.own
-    here = evaluate(rest, suspect, system.z[at], slopes=False)
-    found = []
-    for element, k in enumerate(range(1, len(own), 2)):  # yield torque and stiffness of each
-        u = here.u.copy()
-        u[k] += np.log(STIFFER) / own[k].deviation
-        lost = here.gain - evaluate(rest, suspect, u, slopes=False).gain - 0.5 * float(u @ u - here.u @ here.u)
-        if lost < FURTHER:
-            found.append(element)
-    return found
+    """Which slip elements (their numbers) turn round between two samples of the record after nearly every reversal.
+
+    Of their travel a log shows nothing but what creeps at rest. Never all: the longest stays what it is.
+    """
+    joint = axis_of(suspect.hypothesis.site)
+    passed = []
+    for run in system.base.runs:
+        x, sign = run.dense.position[:, joint], run.dense.sign(run.dense.velocity[:, joint])
+        turns = np.flatnonzero(sign[1:] * sign[:-1] < 0)
+        later = turns + max(1, round(1 / (run.sample_hz * (run.dense.time[1] - run.dense.time[0]))))
+        passed.append(np.abs(x[later[later < len(x)]] - x[turns[later < len(x)]]))
+    moved = np.concatenate(passed)
+    if not moved.size:
+        return []
+    values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)]).reshape(-1, 2)
+    travel = 2 * values[:, 0] / values[:, 1]  # yield torque over stiffness, from one sense of motion to the other
+    once = travel < np.quantile(moved, NEARLY_EVERY)
+    return np.flatnonzero(once & (travel < travel.max())).tolist()
 
 
 def possible(system: System, step: Step) -> bool:
