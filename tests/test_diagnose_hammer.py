@@ -12,7 +12,7 @@ from twin.diagnose.hypotheses import entry_hypothesis, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, minimise, on_both, recorded_error
+from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, minimise, recorded_error
 from twin.diagnose.screen import Setting, _Scan
 from twin.diagnose.search import Search, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
@@ -56,11 +56,7 @@ def diagnosed(case: Case, *effects: str) -> tuple[Decision, Fitted, Search]:
     among = looked_at(case, *effects)
     *fits, base = settle(case.base, explain(case.base, search, case.sample, among), case.sample)
     kept = Sample(tuple(case.found.kept)) if case.found.kept else None
-
-    def unnamed(fit: Fitted, also: Sample | None = None) -> dict[str, float]:
-        return free_laws(fit, Sample((*case.sample.recordings, *(also.recordings if also else ()))))
-
-    return decide(fits, base, among, kept=kept, unnamed=unnamed), base, search
+    return decide(fits, base, among, kept=kept, unnamed=lambda fit: free_laws(fit, case.sample)), base, search
 
 
 def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> None:
@@ -69,19 +65,6 @@ def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> N
     assert decision.none > 0.9
     assert 0.8 < base.misfit < 1.1
     assert search.others[0].misfit == pytest.approx(search.base.misfit, rel=0.1)  # both starts reach one minimum
-
-
-def test_what_a_fit_foresees_is_the_evidence_that_more_recordings_add(tmp_path: Path) -> None:
-    """ln p(kept | used) = ln p(kept, used) − ln p(used), the latter two by fits of their own."""
-    case = recorded(tmp_path, "--seed", "21", "--postures", "3")
-    kept = Sample(tuple(case.found.kept))
-    fit = converge(case.base, case.free, case.sample, starts=1).base
-    seen = foreseen(fit, kept)
-    both = on_both(fit, seen)
-    every = Sample((*case.sample.recordings, *kept.recordings))
-    whole = descend(case.base, NONE, both.parameters, every, both.z, tempered=0, tolerance=0.01)
-    assert seen.evidence() == pytest.approx(whole.evidence() - fit.evidence(), abs=1.0)
-    assert np.linalg.norm(both.z - whole.z) < 0.5
 
 
 def test_a_foundation_that_tilts_is_named(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
-from twin.diagnose.refit import NONE, Fitted, descend, noise_floor, of_its_size
+from twin.diagnose.refit import NONE, Fitted, descend, noise_floor, of_any_size
 from twin.diagnose.search import NEAR_LINES, REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.triage import triage
@@ -255,18 +255,14 @@ def diagnose_campaign(
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
     unseen = Sample(tuple(kept), sample.repeat) if kept else None
-
-    def unnamed(fit: Fitted, also: Sample | None = None) -> dict[str, float]:
-        return free_laws(
-            fit, Sample((*sample.recordings, *(also.recordings if also else ())), sample.repeat).thin(NEAR_LINES)
-        )
-
-    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=unnamed)
+    decision = decide(
+        fits, settled, looked_at, kept=unseen, unnamed=lambda fit: free_laws(fit, sample.thin(NEAR_LINES))
+    )
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     if answered:
         best, *others = decision.ranked
-        decision = replace(decision, ranked=[of_its_size(base, search.base.parameters, best, sample), *others])
+        decision = replace(decision, ranked=[of_any_size(best), *others])
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
     settled, *answers = spread(lambda number: _possible(ends[number], base, sample), len(ends), processes)

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.objective import Sample
-from twin.diagnose.refit import Fitted, foreseen, on_both
+from twin.diagnose.refit import Fitted, predictive_misfit
 from twin.yamlfile import read_yaml
 
 LINEAR = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
@@ -59,7 +59,7 @@ def decide(
     other: float | None = None,
     scale: float | None = None,
     kept: Sample | None = None,
-    unnamed: Callable[..., Mapping[str, float]] | None = None,
+    unnamed: Callable[[Fitted], Mapping[str, float]] | None = None,
 ) -> Decision:
     """Probabilities of hypotheses fitted to the same lines as the base model.
 
@@ -71,8 +71,7 @@ def decide(
         other: probability that something unnamed is missing, where the engine has a better measure than the misfit.
         scale: factor on the data's variance (Birge's ratio); what the best fit leaves, by default.
         kept: hammer tests that were not used; a name must hold there too.
-        unnamed: what a law without a name would gain beside a fit, site by site, in ln evidence: with recordings
-            that were kept beside those it was fitted to, if they are given.
+        unnamed: what a law without a name would gain beside a fit, site by site, in ln evidence.
     """
     numbers = calibration()
     sites: dict[str, int] = {}
@@ -85,10 +84,8 @@ def decide(
         pieces = fit.hypothesis.pieces or (fit.hypothesis,)
         prior = sum(np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(p.effect, 10)) for p in pieces)
         logs.append((fit.evidence(scale) - base.evidence(scale) - less) / numbers["temperature"] + prior)
-    seen = {id(fit): foreseen(fit, kept) for fit in _compared(fits, base, logs)} if kept else {}
-    lawless = _lawless(fits, base, logs, unnamed, len(sites), numbers, kept, seen) if unnamed else -np.inf
-    nothing_more = np.log(numbers["none"]) - _lost(base, seen) / numbers["temperature"]
-    weights = np.array([*logs, nothing_more, lawless])
+    lawless = _lawless(fits, base, logs, unnamed, len(sites), numbers) if unnamed else -np.inf
+    weights = np.array([*logs, np.log(numbers["none"]), lawless])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
     names, nothing, nameless = weights[:-2], weights[-2], float(weights[-1])
@@ -97,60 +94,39 @@ def decide(
     if other is None:
         left = _left(base.misfit, best_misfit, noise)
         if kept and len(order) and nothing < 0.5:
-            before, after = (_chi2(seen[id(fit)]) for fit in (base, fits[order[0]]))
+            before, after = (predictive_misfit(fit, kept) for fit in (base, fits[order[0]]))
             left = max(left, _left(before, after, numbers["held_out_misfit"]))
         other = _other(left, numbers)
     none, known, nameless = (1 - other) * float(nothing), (1 - other) * names, (1 - other) * nameless
     other += nameless
     if none > 0.5 and (
-        base.misfit > 2 * noise or (kept and _chi2(seen[id(base)]) > numbers["held_out_adequate"])
+        base.misfit > 2 * noise or (kept and predictive_misfit(base, kept) > numbers["held_out_adequate"])
     ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
     return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other), nameless)
-
-
-def _compared(fits: Sequence[Fitted], base: Fitted, logs: Sequence[float]) -> list[Fitted]:
-    """The base model and the best answer."""
-    return [base, fits[int(np.argmax(logs))]] if len(fits) else [base]
-
-
-def _chi2(seen: Fitted) -> float:
-    """χ² per datum of what a fit foresees."""
-    return 2 * seen.cost / seen.data
-
-
-def _lost(fit: Fitted, seen: Mapping[int, Fitted]) -> float:
-    """By how much ln p of recordings that were not used is less than the best answer makes it."""
-    return list(seen.values())[-1].evidence() - seen[id(fit)].evidence() if seen else 0.0
 
 
 def _lawless(
     fits: Sequence[Fitted],
     base: Fitted,
     logs: Sequence[float],
-    unnamed: Callable[..., Mapping[str, float]],
+    unnamed: Callable[[Fitted], Mapping[str, float]],
     effects: int,
     numbers: Mapping[str, float],
-    kept: Sample | None,
-    seen: Mapping[int, Fitted],
 ) -> float:
     """Logarithm of the weight of a law without a name, alone or beside the best answer: one effect more, at any site.
 
-    Alone it is known to first order only, which holds near the truth. On recordings that were not used it has to make
-    up for what its model foresees worse than the best answer does, as `none` has to: a stiffness of its own in every
-    posture foretells nothing of another posture.
+    Alone it is known to first order only, which holds near the truth.
     """
-    compared = _compared(fits, base, logs)
-    weight = {id(base): 0.0} | {id(fit): log for fit, log in zip(fits, logs, strict=True)}
+    models = [(0.0, base)] if base.misfit < LINEAR else []
+    if len(logs):
+        best = int(np.argmax(logs))
+        models.append((logs[best], fits[best]))
     found = []
-    for fit in compared if base.misfit < LINEAR else compared[1:]:
-        if kept and seen[id(fit)].misfit < LINEAR:
-            gains = np.array(list(unnamed(on_both(fit, seen[id(fit)]), kept).values()))
-        else:
-            gains = np.array(list(unnamed(fit).values()))
+    for log, fit in models:
+        gains = np.array(list(unnamed(fit).values()))
         if len(gains):
-            at_any = np.logaddexp.reduce((gains - _lost(fit, seen)) / numbers["temperature"])
-            found.append(weight[id(fit)] + at_any - np.log(len(gains)))
+            found.append(log + np.logaddexp.reduce(gains / numbers["temperature"]) - np.log(len(gains)))
     return float(np.logaddexp.reduce(found) + np.log((1 - numbers["none"]) / (effects + 1))) if found else -np.inf
 
 

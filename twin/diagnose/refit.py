@@ -17,6 +17,7 @@ from twin.diagnose.objective import Objective, Sample
 from twin.identify.elastic import Recorded
 from twin.identify.parameters import Parameters, independent, join, recording_parameters
 from twin.measure.campaign import FloatArray
+from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 NONE = Hypothesis("none", "")
@@ -114,36 +115,43 @@ def _of_widths(size: float, held: float) -> list[float]:
 def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> Fitted:
     """A fit again under the width of the priors on its sizes that it makes likeliest: the usual one draws them to it.
 
-    What is left in doubt of a size is that of all widths, each as likely as the fit makes it: a mass that shows by its
-    moment of inertia alone has hardly more than its prior.
-
     Args:
         free: the base model's parameters.
     """
-    covariance, at, pieces = np.linalg.inv(fit.information), len(fit.z) - len(fit.hypothesis.own), []
-    widths: list[tuple[int, float]] = []
+    variance, at, pieces = np.diag(np.linalg.inv(fit.information)), len(fit.z) - len(fit.hypothesis.own), []
     for piece in fit.hypothesis.pieces:
         own = piece.own
         if own and any(p.log for p in own):
-            held = 1 / float(covariance[at, at]) - 1
+            held = 1 / float(variance[at]) - 1
             width = WIDER[int(np.argmax(_of_widths(float(fit.z[at]), held)))] if held > 1e-9 else 1.0
             own = (replace(own[0], deviation=own[0].deviation * width), *own[1:])
-            widths.append((at, width))
         pieces.append(replace(piece, own=own))
-        at += len(piece.own)
+        at += len(own)
     hypothesis = together(*pieces)
-    if hypothesis != fit.hypothesis:
-        parameters = hypothesis.parameters(free)
-        z = np.asarray(np.linalg.solve(parameters.root, fit.parameters.root @ fit.z))
-        fit = descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
-    covariance = np.linalg.inv(fit.information)
-    for at, width in widths:
-        column, variance = covariance[:, at].copy(), float(covariance[at, at])
-        held = max(1 / variance - 1, 1e-9)
-        likely = np.exp(_of_widths(float(fit.z[at]) * width, held / width**2))
-        wide = float(likely / likely.sum() @ [1 / (held + (width / w) ** 2) for w in WIDER])
-        covariance += (wide / variance - 1) / variance * np.outer(column, column)
-    return replace(fit, information=np.linalg.inv(covariance)) if widths else fit
+    if hypothesis == fit.hypothesis:
+        return fit
+    parameters = hypothesis.parameters(free)
+    z = np.asarray(np.linalg.solve(parameters.root, fit.parameters.root @ fit.z))
+    return descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+
+
+def of_any_size(fit: Fitted) -> Fitted:
+    """A fit with its sizes in doubt as they are under all widths of their priors, each as likely as the fit makes it.
+
+    A mass that shows by its moment of inertia alone has hardly more than its prior.
+    """
+    covariance, at = np.linalg.inv(fit.information), len(fit.z) - len(fit.hypothesis.own)
+    for piece in fit.hypothesis.pieces:
+        if piece.own and any(p.log for p in piece.own):
+            usual = next(p.spread for p in CATALOGUE[piece.effect].parameters if p.name == piece.own[0].quantity)
+            width = piece.own[0].deviation / usual
+            column, variance = covariance[:, at].copy(), float(covariance[at, at])
+            held = max(1 / variance - 1, 1e-9)
+            likely = np.exp(_of_widths(float(fit.z[at]) * width, held / width**2))
+            wide = float(likely / likely.sum() @ [1 / (held + (width / w) ** 2) for w in WIDER])
+            covariance += (wide / variance - 1) / variance * np.outer(column, column)
+        at += len(piece.own)
+    return replace(fit, information=np.linalg.inv(covariance))
 
 
 def _normal(x: FloatArray, covariance: FloatArray) -> float:
@@ -285,11 +293,11 @@ def recorded_error(robot: Robot, recordings: Sequence[Recorded], *, again: bool 
     return float(np.sqrt(residual @ residual / data))
 
 
-def foreseen(fit: Fitted, kept: Sample) -> Fitted:
-    """A fit on recordings it has not seen, with its posterior as the prior: what it predicts there and how sure.
+def predictive_misfit(fit: Fitted, kept: Sample) -> float:
+    """χ² per datum of recordings a fit has not seen, what it does not know of its parameters beside their noise.
 
-    Twice its cost is rᵀ(Σ + J C Jᵀ)⁻¹r with the posterior covariance C: what a fit does not know of its parameters
-    counts beside the noise. Its evidence is the logarithm of the predictive density. Angles of postures are their own.
+    That is rᵀ(Σ + J C Jᵀ)⁻¹r with the fit's posterior covariance C: the least of ½ χ² + ½ zᵀz with the posterior as
+    prior. Angles of the postures are their own.
     """
     stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
     root = fit.parameters.root
@@ -306,23 +314,8 @@ def foreseen(fit: Fitted, kept: Sample) -> Fitted:
         known = Sprung(known.items, known.covariance, after(fit.parameters.written))
     z = np.zeros(len(known))
     for sample in (kept.thin(50), kept):
-        z, cost, information, converged = minimise(Objective(fit.robot, known, sample), z, 8, 0.1)
-    data = Objective(fit.robot, known, kept).data
-    misfit = (2 * cost - float(z @ z)) / data
-    return Fitted(NONE, known, z, known.values(z), fit.robot, cost, misfit, information, data, converged)
-
-
-def on_both(fit: Fitted, seen: Fitted) -> Fitted:
-    """A fit where it foresees other recordings best (``seen``), its parameters with the angles of their postures."""
-    own = independent([p for p in seen.parameters if p.kind == "posture"])
-    parameters = join(fit.parameters, own)
-    if isinstance(fit.parameters, Sprung):
-        parameters = Sprung(parameters.items, parameters.covariance, join(fit.parameters.written, own))
-    known = dict(zip(fit.parameters.names, fit.values, strict=True))
-    known |= dict(zip(seen.parameters.names, seen.values, strict=True))
-    values = np.array([known[p.name] for p in parameters])
-    z = parameters.coordinates(values)
-    return replace(fit, parameters=parameters, z=z, values=values, robot=parameters.apply(fit.robot, values))
+        z, cost, _, _ = minimise(Objective(fit.robot, known, sample), z, 8, 0.1)
+    return 2 * cost / Objective(fit.robot, known, kept).data
 
 
 def noise_floor(recordings: Sequence[Recorded]) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from twin.diagnose.hypotheses import Hypothesis, companions, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, descend, minimise
+from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
 from twin.diagnose.screen import FAR, Promise, Setting, inflation, screen
 from twin.identify.parameters import Parameters
 from twin.identify.sensitivity import observe_all, poles
@@ -440,12 +440,16 @@ def _alike(one: Hypothesis, other: Hypothesis) -> bool:
 
 
 def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
-    """Every hypothesis in reach of the best, most evidence first; the base model last."""
-    fits = search.finalists
-    return [
-        *(fit for k, fit in enumerate(fits) if k < FEWEST or fits[0].evidence() - fit.evidence() < 10 * REACH),
-        search.base,
+    """Every hypothesis in reach of the best, most evidence first, near ones of their size; the base model last."""
+    fits, free = search.finalists, search.base.parameters
+    near = [fit for fit in fits if fits[0].evidence() - fit.evidence() < REACH]
+    sized = list(spread(lambda k: of_its_size(robot, free, near[k], sample), len(near), search.processes))
+    far = [
+        fit
+        for k, fit in enumerate(fits[len(near) :], len(near))
+        if k < FEWEST or fits[0].evidence() - fit.evidence() < 10 * REACH
     ]
+    return [*sorted(sized, key=lambda fit: -fit.evidence()), *far, search.base]
 
 
 def _varied(promises: Sequence[Promise], count: int) -> list[Promise]:
