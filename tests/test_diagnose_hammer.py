@@ -12,7 +12,7 @@ from twin.diagnose.hypotheses import entry_hypothesis, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, minimise, recorded_error
+from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, minimise, of_any_size, recorded_error
 from twin.diagnose.screen import Setting, _Scan
 from twin.diagnose.search import Search, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
@@ -314,3 +314,18 @@ def test_a_size_is_not_drawn_to_the_usual_one() -> None:
         spread = (1 / 3.0 + w**2, 1 / 3.0 + 1)
         exact = 0.5 * x**2 * (1 / spread[1] - 1 / spread[0]) - 0.5 * np.log(spread[0] / spread[1])
         assert 0 <= exact - gain < 0.5 * (x + 2.0) ** 2 * 3.0 + 1e-9  # short of it by what moving on would gain
+
+
+@pytest.mark.parametrize(("held", "least", "most"), [(1e4, 1.0, 1.01), (0.1, 1.5, 16.0)])
+def test_a_size_that_hardly_shows_is_in_doubt_as_all_its_priors_are(held: float, least: float, most: float) -> None:
+    """A size that recordings hold keeps its interval; one that they do not has more than the usual prior's."""
+    robot = without_limits(load_robot("kr90"))
+    hypothesis = entry_hypothesis(robot, "payload", "link1", {"mass": 40.0, "com": [0.65, 0.0, 0.0]})
+    parameters = independent(hypothesis.own)
+    lever = np.array([1.0, 2.0, 0.0, 0.0])  # a heavier mass is nearer
+    information = np.eye(4) + held * np.diag([1.0, 0.0, 0.0, 0.0]) + 1e3 * np.outer(lever, lever)
+    z = np.array([-0.5, 0.2, 0.0, 0.0])
+    fit = Fitted(hypothesis, parameters, z, parameters.values(z), robot, 0.0, 1.0, information, 100.0, True)
+    before, after = (np.linalg.inv(one.information) for one in (fit, of_any_size(fit)))
+    assert least <= after[0, 0] / before[0, 0] <= most
+    assert np.sqrt(after[1, 1] / before[1, 1]) == pytest.approx(np.sqrt(after[0, 0] / before[0, 0]), rel=0.2)
