@@ -323,9 +323,13 @@ def test_a_size_that_hardly_shows_is_in_doubt_as_all_its_priors_are(held: float,
     hypothesis = entry_hypothesis(robot, "payload", "link1", {"mass": 40.0, "com": [0.65, 0.0, 0.0]})
     parameters = independent(hypothesis.own)
     lever = np.array([1.0, 2.0, 0.0, 0.0])  # a heavier mass is nearer
-    information = np.eye(4) + held * np.diag([1.0, 0.0, 0.0, 0.0]) + 1e3 * np.outer(lever, lever)
+    information = np.eye(4) + held * np.diag([1.0, 0.0, 0.0, 0.0]) + 1e11 * np.outer(lever, lever)
     z = np.array([-0.5, 0.2, 0.0, 0.0])
     fit = Fitted(hypothesis, parameters, z, parameters.values(z), robot, 0.0, 1.0, information, 100.0, True)
-    before, after = (np.linalg.inv(one.information) for one in (fit, of_any_size(fit)))
+    before, after = (one.covariance for one in (fit, of_any_size(fit)))
+    np.linalg.cholesky(after)  # what is held to a millionth stays positive
+    before, after = (
+        np.linalg.solve(parameters.root, one) @ np.linalg.inv(parameters.root.T) for one in (before, after)
+    )
     assert least <= after[0, 0] / before[0, 0] <= most
     assert np.sqrt(after[1, 1] / before[1, 1]) == pytest.approx(np.sqrt(after[0, 0] / before[0, 0]), rel=0.2)

@@ -53,8 +53,7 @@ class Knowledge:
         own = [k for k, name in enumerate(names) if "@" in name and shared(name.partition("@")[0])]
         links = [k for k, p in enumerate(fit.parameters) if p.kind == "link"]
         keep = [*links, *own]
-        root = fit.parameters.root
-        covariance = root @ np.linalg.inv(fit.information) @ root.T * max(1.0, fit.misfit)
+        covariance = fit.covariance
         return cls(
             tuple(names[k] for k in keep), len(links), fit.values[keep], covariance[np.ix_(keep, keep)],
             fit.parameters.covariance[np.ix_(links, links)], np.array([fit.parameters[k].log for k in keep]),

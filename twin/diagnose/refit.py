@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from twin.diagnose.hypotheses import Hypothesis, Sprung, together
 from twin.diagnose.objective import Objective, Sample
@@ -53,6 +54,15 @@ class Fitted:
     information: FloatArray
     data: float
     converged: bool
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Posterior (n, n) of x, the data's variance multiplied by a misfit above one.
+
+        By factors: what recordings hold to a millionth of a deviation would else round to less than nothing.
+        """
+        factor = solve_triangular(np.linalg.cholesky(self.information), self.parameters.root.T, lower=True)
+        return np.asarray(factor.T @ factor) * max(1.0, self.misfit)
 
     def evidence(self, scale: float = 1.0) -> float:
         """Logarithm of the evidence with the data's variance multiplied by ``scale`` (Birge's ratio)."""
@@ -140,18 +150,20 @@ def of_any_size(fit: Fitted) -> Fitted:
 
     A mass that shows by its moment of inertia alone has hardly more than its prior.
     """
-    covariance, at = np.linalg.inv(fit.information), len(fit.z) - len(fit.hypothesis.own)
+    information, at = fit.information.copy(), len(fit.z) - len(fit.hypothesis.own)
     for piece in fit.hypothesis.pieces:
         if piece.own and any(p.log for p in piece.own):
             usual = next(p.spread for p in CATALOGUE[piece.effect].parameters if p.name == piece.own[0].quantity)
             width = piece.own[0].deviation / usual
-            column, variance = covariance[:, at].copy(), float(covariance[at, at])
-            held = max(1 / variance - 1, 1e-9)
+            rest = np.arange(len(fit.z)) != at
+            across = information[at, rest] @ np.linalg.solve(information[np.ix_(rest, rest)], information[rest, at])
+            precision = float(information[at, at] - across)
+            held = max(precision - 1, 1e-9)
             likely = np.exp(_of_widths(float(fit.z[at]) * width, held / width**2))
             wide = float(likely / likely.sum() @ [1 / (held + (width / w) ** 2) for w in WIDER])
-            covariance += (wide / variance - 1) / variance * np.outer(column, column)
+            information[at, at] += 1 / wide - precision  # which takes all that goes with the size along
         at += len(piece.own)
-    return replace(fit, information=np.linalg.inv(covariance))
+    return replace(fit, information=information)
 
 
 def _normal(x: FloatArray, covariance: FloatArray) -> float:
@@ -300,8 +312,7 @@ def predictive_misfit(fit: Fitted, kept: Sample) -> float:
     prior. Angles of the postures are their own.
     """
     stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
-    root = fit.parameters.root
-    covariance = root @ np.linalg.inv(fit.information) @ root.T * max(1.0, fit.misfit)
+    covariance = fit.covariance
     own = recording_parameters(fit.robot, dict.fromkeys(r.setup.name for r in kept.recordings), ())
     own = [p for p in own if p.kind == "posture"]
 

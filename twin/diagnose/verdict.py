@@ -363,9 +363,7 @@ def estimates(fit: Fitted, part: tuple[str, str]) -> dict[str, Any]:
 
 def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
     """Value, unit and 90 % interval of some of a fit's numbers, by the last part of their names."""
-    root = fit.parameters.root
-    covariance = root @ np.linalg.inv(fit.information) @ root.T * max(1.0, fit.misfit)
-    x = root @ fit.z
+    covariance, x = fit.covariance, fit.parameters.root @ fit.z
     found: dict[str, Any] = {}
     for k in indices:
         parameter = fit.parameters[k]
