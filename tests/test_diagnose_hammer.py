@@ -12,7 +12,7 @@ from twin.diagnose.hypotheses import entry_hypothesis, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, minimise, of_any_size, recorded_error
+from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, in_doubt_of_size, minimise, recorded_error
 from twin.diagnose.screen import Setting, _Scan
 from twin.diagnose.search import Search, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
@@ -286,6 +286,22 @@ def test_a_mass_slides_along_its_moment_of_inertia() -> None:
     assert parameters.moved(z, step) - z == pytest.approx(step, rel=1e-4)
 
 
+def test_the_slope_of_a_mass_is_that_where_its_moment_of_inertia_stays() -> None:
+    robot = without_limits(load_robot("kr90"))
+    own = entry_hypothesis(robot, "payload", "link1", {"mass": 40.0, "com": [0.65, 0.1, 0.0]}).own
+    parameters = independent(own)
+    gradient, z = np.array([3.0, -2.0, 0.5, 1.0]), np.array([0.3, 1.0, -0.4, 0.2])
+
+    def ahead(h: float) -> float:
+        mass, *com = parameters.values(z)
+        grown = np.exp(h * own[0].deviation)  # h prior deviations of the logarithm
+        return float(gradient @ parameters.coordinates(np.array([mass * grown, *np.array(com) / np.sqrt(grown)])))
+
+    along = parameters.along(z, gradient)
+    assert along[0] == pytest.approx((ahead(1e-5) - ahead(-1e-5)) / 2e-5, rel=1e-6)
+    assert along[1:] == pytest.approx(gradient[1:])
+
+
 def test_a_bend_is_that_of_both_sides(tmp_path: Path) -> None:
     """Slopes leave the sag of springs out; along a valley that is most of what changes, and is no bend."""
     effect = "payload@link1:mass=200,com=0.3|0|0"
@@ -326,7 +342,7 @@ def test_a_size_that_hardly_shows_is_in_doubt_as_all_its_priors_are(held: float,
     information = np.eye(4) + held * np.diag([1.0, 0.0, 0.0, 0.0]) + 1e11 * np.outer(lever, lever)
     z = np.array([-0.5, 0.2, 0.0, 0.0])
     fit = Fitted(hypothesis, parameters, z, parameters.values(z), robot, 0.0, 1.0, information, 100.0, True)
-    before, after = (one.covariance for one in (fit, of_any_size(fit)))
+    before, after = (one.covariance for one in (fit, in_doubt_of_size(fit)))
     np.linalg.cholesky(after)  # what is held to a millionth stays positive
     before, after = (
         np.linalg.solve(parameters.root, one) @ np.linalg.inv(parameters.root.T) for one in (before, after)

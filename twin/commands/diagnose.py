@@ -27,7 +27,7 @@ from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
-from twin.diagnose.refit import NONE, Fitted, descend, noise_floor, of_any_size
+from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
 from twin.diagnose.search import NEAR_LINES, REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.triage import triage
@@ -262,7 +262,7 @@ def diagnose_campaign(
     answered = word in ("named", "ambiguous")
     if answered:
         best, *others = decision.ranked
-        decision = replace(decision, ranked=[of_any_size(best), *others])
+        decision = replace(decision, ranked=[in_doubt_of_size(best), *others])
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
     settled, *answers = spread(lambda number: _possible(ends[number], base, sample), len(ends), processes)

@@ -145,7 +145,7 @@ def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> F
     return descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
 
 
-def of_any_size(fit: Fitted) -> Fitted:
+def in_doubt_of_size(fit: Fitted) -> Fitted:
     """A fit with its sizes in doubt as they are under all widths of their priors, each as likely as the fit makes it.
 
     A mass that shows by its moment of inertia alone has hardly more than its prior.
