@@ -182,7 +182,7 @@ class Parameters:
         return np.asarray(np.linalg.solve(self.root, x))
 
     def along(self, z: FloatArray, gradient: FloatArray) -> FloatArray:
-        """A gradient (n,) at z, that of an entry's mass m at constant √m c: there :meth:`moved` has valleys straight."""
+        """A gradient (n,) at z, an entry's mass m taken at constant √m c, where :meth:`moved` has valleys straight."""
         if not self._levers:
             return gradient
         x, slope, out = self.root @ z, np.linalg.solve(self.root.T, gradient), gradient.copy()
