@@ -8,13 +8,13 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
-from twin.diagnose.hypotheses import entry_hypothesis, suspects, together
+from twin.diagnose.hypotheses import entry_hypothesis, merged, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.noise import pooled_variance, shared_lines
-from twin.diagnose.objective import Objective, Sample
+from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, in_doubt_of_size, minimise, recorded_error
-from twin.diagnose.screen import Setting, _Scan
-from twin.diagnose.search import Search, converge, explain, settle
+from twin.diagnose.screen import Setting, _beyond_promise, _Scan
+from twin.diagnose.search import Search, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import judge
 from twin.identify.elastic import without_limits
@@ -111,6 +111,22 @@ def test_a_servo_far_softer_than_its_gear_is_named(tmp_path: Path) -> None:
     assert search.error > 0.3
     assert decision.ranked[0].hypothesis.key == "servo_compliance@joint3"
     assert decision.ranked[0].misfit < 1.1
+
+
+def test_springs_make_room_for_a_servo_much_stiffer_than_its_gear(tmp_path: Path) -> None:
+    """The gear makes up for it to first order: a few steps from where it does lead to its size."""
+    options = ("--effect", "servo_compliance@joint1:stiffness=2e8,damping=2.8e4,integral_time=0.39", "--brakes", "off")
+    case = recorded(tmp_path, "--seed", "15", "--postures", "4", *options)
+    search = converge(case.base, case.free, case.sample)
+    assert search.error == 0
+    setting = Setting(case.base, case.free, NONE, search.base.z, case.sample, case.sample.thin(25), 0.0, False)
+    found = {}
+    for site in ("joint1", "joint2"):
+        ((suspect,),) = [variants for variants in looked_at(case, "servo_compliance") if variants[0].site == site]
+        found[site] = _beyond_promise(setting, suspect, suspect, setting.objective(suspect))
+    assert found["joint1"].gain > 10 + found["joint2"].gain
+    stiffness = found["joint1"].parameters.values(found["joint1"].start)[-4]
+    assert 4e7 < stiffness < 1e9  # true is 2e8
 
 
 def test_a_damper_of_fractional_order_is_not_called_structural(tmp_path: Path) -> None:
@@ -217,6 +233,38 @@ def test_resonators_are_scanned_by_the_change_they_make(tmp_path: Path) -> None:
     assert _Scan(setting)._secant(hypothesis) == pytest.approx(
         change, abs=1e-2 * np.abs(change).max()
     )  # the weight sags otherwise
+
+
+def test_factors_are_orthogonal_whatever_the_columns_say_alike() -> None:
+    rng = np.random.default_rng(0)
+    for steepest in (1e5, 1e9):  # the latter beyond Cholesky
+        columns = np.geomspace(1, steepest, 12)[:, None] * (rng.normal(size=(12, 500)) + 3)
+        Q, R = factors(columns)
+        np.testing.assert_allclose(Q.T @ Q, np.eye(12), atol=1e-12)
+        np.testing.assert_allclose(Q @ R, np.vstack([columns.T, np.eye(12)]), atol=1e-12 * steepest)
+        np.testing.assert_allclose(R, np.triu(R), atol=1e-9 * steepest)
+
+
+def test_a_mass_that_hangs_and_one_that_swings_may_be_one(tmp_path: Path) -> None:
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    usual = {effect: CATALOGUE[effect].typical(robot, "link1") for effect in ("payload", "attached_resonator")}
+    load = entry_hypothesis(robot, "payload", "link1", usual["payload"])
+    swing = entry_hypothesis(robot, "attached_resonator", "link3", {**usual["attached_resonator"], "frequency_hz": 12})
+    both = together(load, swing)
+    parameters, z = both.parameters(free), np.linspace(-1, 1, len(free) + len(both.own))
+    values = parameters.values(z)
+    fit = Fitted(both, parameters, z, values, robot, 0.0, 1.0, np.eye(len(z)), 1.0, True)
+    found = merged(swing, load, robot)
+    assert [(one.site, one.entries[0].values["axis"]) for one in found] == [("link1", axis) for axis in "xyz"]
+    alone = found[1].parameters(free)
+    start = dict(zip(alone.names, alone.values(_taken_over(fit, [swing, load], found[1], alone)), strict=True))
+    ends = dict(zip(parameters.names, values, strict=True))
+    key, place = "attached_resonator@link1", [f"[{k}]" for k in range(3)]
+    assert [start[f"{key}.position{k}"] for k in place] == pytest.approx([ends[f"payload@link1.com{k}"] for k in place])
+    assert start[f"{key}.mass"] == pytest.approx(ends["payload@link1.mass"])
+    assert start[f"{key}.frequency_hz"] == pytest.approx(ends["attached_resonator@link3.frequency_hz"])
+    assert start["link2.mass"] == pytest.approx(ends["link2.mass"])
 
 
 class Canyon(Objective):

@@ -252,8 +252,9 @@ def companions(
         found += [("parameter", f"joint{site[4]}.{axis}.stiffness") for axis in "yz"]
     present = {(entry.effect, entry.site) for entry in base.physics}
     hypotheses = []
-    if hypothesis.effect == "attached_resonator":  # where it sits decides which of its axes couples to a joint
-        (entry,) = hypothesis.entries
+    if hypothesis.effect == "attached_resonator":
+        found.append(("payload", site))  # which it is, but near its own frequency
+        (entry,) = hypothesis.entries  # where it sits decides which of its axes couples to a joint
         for number in range(max(1, int(site[4:]) - 1), min(n, int(site[4:]) + 1) + 1):
             link = f"link{number}"
             usual = entry.values if link == site else CATALOGUE[hypothesis.effect].typical(base, link) or {}
@@ -268,3 +269,15 @@ def companions(
             values = CATALOGUE[effect].typical(base, where)
             hypotheses += [entry_hypothesis(base, effect, where, values)] if values else []
     return hypotheses
+
+
+def merged(one: Hypothesis, other: Hypothesis, base: Robot) -> list[Hypothesis]:
+    """A mass that hangs at a link and a mass that swings may be one: it hangs there and swings along any axis."""
+    pieces = {piece.effect: piece for piece in (one, other)}
+    load, swing = pieces.get("payload"), pieces.get("attached_resonator")
+    if load is None or swing is None or not load.site.startswith("link"):
+        return []
+    (entry,) = swing.entries
+    usual = CATALOGUE[swing.effect].typical(base, load.site) or {}
+    there = ({**usual, "frequency_hz": entry.values["frequency_hz"], "axis": axis} for axis in "xyz")
+    return [entry_hypothesis(base, swing.effect, load.site, values) for values in there]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.diagnose.held_law import UnderLaw, receptances
-from twin.diagnose.objective import Objective, Sample
+from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.refit import Fitted
 from twin.identify.sensitivity import observe_all
 from twin.measure.campaign import FloatArray
@@ -140,7 +140,7 @@ def free_blows(fit: Fitted, sample: Sample, site: str) -> tuple[float, FloatArra
 def _left(residual: FloatArray, z: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """An orthonormal basis (data + m, m) of what columns (m, data), the fit's own first, can do within their prior,
     and what is left of a residual."""
-    Q = np.linalg.qr(np.vstack([columns.T, np.eye(len(columns))]))[0]
+    Q, _ = factors(columns)
     rho = np.concatenate([residual, -z, np.zeros(len(columns) - len(z))])
     return Q, rho - Q @ (Q.T @ rho)
 

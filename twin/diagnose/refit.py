@@ -24,6 +24,8 @@ from twin.robot.description import Robot
 NONE = Hypothesis("none", "")
 LARGEST_STEP = 5.0  # length of the first step, in prior deviations
 TURN = 0.75  # of a step: its longest correction for the bend
+STRAIGHT = 0.02  # of a step: a bend that corrects less is not asked for again,
+KEPT = 0.9  # while steps keep so much of what they promise
 HOPE = 5.0  # times the expected gain: more is not hoped for
 SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
@@ -200,7 +202,7 @@ def minimise(
     curvature of value = mean · eˣ itself, ∂²/∂x² = ∂/∂x, is added where it is positive. The region grows as long as the
     model keeps its promises: one that lacks something can want a nuisance at twenty prior deviations.
     """
-    reach, data = LARGEST_STEP, objective.data
+    reach, data, bent = LARGEST_STEP, objective.data, True
     log = np.array([p.log for p in objective.free]) * np.diag(objective.free.root)
     cost, gradient, information = objective(z)
     for _ in range(iterations):
@@ -216,9 +218,10 @@ def minimise(
         along = axes.T @ gradient
         while True:
             step, damping = _within(reach, curvature, axes, along)
-            bend = objective.bend(z, step)
+            bend = objective.bend(z, step) if bent else None
             if bend is not None:
                 turn = -0.5 * axes @ ((axes.T @ bend) / (curvature + damping))
+                bent = bool(np.linalg.norm(turn) > STRAIGHT * np.linalg.norm(step))
                 if np.linalg.norm(turn) < TURN * np.linalg.norm(step):
                     step = step + turn
             end = objective.free.moved(z, step)
@@ -226,10 +229,11 @@ def minimise(
             promised = -float(gradient @ step) - 0.5 * float(step @ information @ step)
             if np.isfinite(trial) and trial < cost:
                 break
-            reach = 0.25 * min(reach, float(np.linalg.norm(step)))
+            reach, bent = 0.25 * min(reach, float(np.linalg.norm(step))), True
             if reach < 1e-6:
                 return z, cost, information, False
         kept = (cost - trial) / max(promised, 1e-300)
+        bent = bent or not KEPT < kept < 1 / KEPT
         if kept < 0.25:
             reach = 0.5 * float(np.linalg.norm(step))
         elif kept > 0.75 and damping > 0:

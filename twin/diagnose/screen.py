@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from twin.diagnose.held_law import respond, with_blows
 from twin.diagnose.hypotheses import Hypothesis, together
-from twin.diagnose.objective import Objective, Sample
+from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.refit import Fitted, minimise
 from twin.identify.parameters import SIX, Parameters
 from twin.identify.sensitivity import observe
@@ -36,6 +36,8 @@ SIZES = (-0.5, 1.0)
 FAR_STARTS = 2  # of an effect's ``sizes`` where the current model is far off
 YIELDING = 5  # iterations in which springs make room for an entry
 YIELDING_POSTURES = 4
+ROOM = 1.01  # of the least cost that is left then
+BEYOND = 6  # iterations after which such an entry near the truth promises what it has gained
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
@@ -105,6 +107,11 @@ class Setting:
         """Derivatives at z of the linear residual on all postures."""
         return Linear(replace(self.objective(self.current), logarithmic=False, weight=[]), self.z)
 
+    @cached_property
+    def floor(self) -> float:
+        """Cost of the current model on the few lines, which it fits better than all."""
+        return minimise(self.objective(self.current, self.few), self.z, BEYOND, 0.5)[1]
+
 
 class Linear:
     """An objective to first order about z: ½ ‖ρ − A δ‖², ρ = [residual; −z], A = [Jᵀ; 1] = Q R.
@@ -115,7 +122,7 @@ class Linear:
 
     def __init__(self, objective: Objective, z: FloatArray) -> None:
         self.residual, J = objective.jacobian(z)
-        self.Q, self.R = np.linalg.qr(np.vstack([J.T, np.eye(len(z))]))
+        self.Q, self.R = factors(J)
         self.z = z
         self.own = self.share(self.residual, -z)
         self.gain = 0.5 * float(self.own @ self.own)
@@ -166,6 +173,8 @@ def screen(
     scan = _Scan(setting) if any(len(variants) > SCANNED for variants in missing) else None
     if not setting.logarithmic:
         setting.linear  # noqa: B018 – once, before the work is spread
+    if not setting.error and any(CATALOGUE[variants[0].effect].ridged for variants in missing):
+        setting.floor  # noqa: B018
 
     def best(number: int) -> list[Promise]:
         variants = missing[number]
@@ -208,6 +217,8 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
         found += _part_promise(setting, hypothesis, suspect, objective.parameters) or _tangent_promise(
             setting, hypothesis, suspect, objective
         )
+    if CATALOGUE[suspect.effect].ridged and not setting.error and max(promise.gain for promise in found) <= 0:
+        found.append(_beyond_promise(setting, hypothesis, suspect, objective))
     if setting.logarithmic:  # the springs make up for what is missing: start from the description too
         z = np.zeros(len(objective.parameters))
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
@@ -226,6 +237,20 @@ def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[fl
     inner = robust.within(z, [k for k, p in enumerate(setting.free) if p.kind == "spring"])
     end, cost, _, _ = minimise(inner, inner.part(z), YIELDING, 0.5)
     return cost, inner.whole(end)
+
+
+def _beyond_promise(setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective) -> Promise:
+    """A few steps from the largest of an entry's sizes for which the springs make room; the smallest has no slope."""
+    sprung, own = CATALOGUE[suspect.effect].sprung, np.eye(len(suspect.own))[0]
+    places = [
+        np.concatenate([setting.z, (size if sprung else -size) * own]) for size in CATALOGUE[suspect.effect].sizes
+    ]
+    ends = [_yielding(setting, objective, place) for place in places]
+    least = min(cost for cost, _ in ends)
+    z = next(z for cost, z in ends if cost <= ROOM * least)
+    few = setting.objective(hypothesis, setting.few)
+    z, cost, _, _ = minimise(few, z, BEYOND, 0.5)
+    return Promise(hypothesis, suspect, objective.parameters, setting.floor - cost, z, z)
 
 
 def _tangent_promise(

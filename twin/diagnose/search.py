@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose.hypotheses import Hypothesis, companions, together
+from twin.diagnose.hypotheses import Hypothesis, companions, merged, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
 from twin.diagnose.screen import FAR, Promise, Setting, inflation, screen
-from twin.identify.parameters import Parameters
+from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import observe_all, poles
 from twin.measure.campaign import FloatArray
 from twin.parallel import spread
@@ -400,38 +400,58 @@ def _reach(search: Search) -> float:
 
 
 def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> list[Fitted]:
-    """The companions of the last thing in a hypothesis, judged beside it."""
+    """What the last thing in a hypothesis is hard to tell from, in its stead."""
     free = search.base.parameters
     *others, last = best.hypothesis.pieces
     postures = [r.setup.q for r in sample.recordings]
+    instead = [(others, companion, [last]) for companion in companions(last, robot, free, postures)]
+    for other in others:
+        rest = [piece for piece in others if piece is not other]
+        instead += [(rest, companion, [last, other]) for companion in merged(last, other, robot)]
     places = []
-    for companion in companions(last, robot, free, postures):
-        hypothesis = together(*others, companion)
+    for rest, companion, gone in instead:
+        hypothesis = together(*rest, companion)
         known, alike = search.fits.get(hypothesis.identity), _alike(companion, last)
-        if companion.key in {piece.key for piece in others}:
+        if companion.key in {piece.key for piece in rest}:
             continue
-        turned = companion.key == last.key
+        turned = companion.key in {piece.key for piece in gone}
         if known is not None and not turned and not (alike and known.cost > best.cost + SLIGHT):
             continue  # an alias may have been fitted worse
         parameters = hypothesis.parameters(free)
-        n = len(parameters) - len(companion.own)
         if companion.scale:
-            simpler = search.fits.get(together(*others).identity, search.base)
+            simpler = search.fits.get(together(*rest).identity, search.base)
             held = simpler.z[[free.names.index(name) for name, _ in companion.scale]]
             if simpler.evidence() + 0.5 * float(held @ held) < best.evidence() - REACH:
                 continue  # more than the price of its prior cannot be gained
             z = np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z))
-        elif alike:
-            z = best.z.copy()
+        elif alike and gone == [last]:
+            z, n = best.z.copy(), len(best.z) - len(companion.own)
             if CATALOGUE[companion.effect].lever and companion.site != last.site:  # its mass and place are others there
                 z[n:] *= [p.quantity in ("frequency_hz", "damping_ratio") for p in companion.own]
         else:
-            z = np.concatenate([best.z[:n], np.zeros(len(companion.own))])
+            z = _taken_over(best, gone, companion, parameters)
         places.append(_Place(hypothesis, parameters, (z,)))
     found = []
     for number in range(0, len(places), ABREAST):
         found += _refits(robot, search, places[number : number + ABREAST], sample)
     return found
+
+
+def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis, parameters: Parameters) -> FloatArray:
+    """Where a companion starts: what stays is as it is, its own numbers are those of what it stands for, the last's
+    first."""
+    fitted = dict(zip(best.parameters.names, best.values, strict=True))
+    known: dict[str, float] = {}
+    for piece in gone:
+        known |= {_role(piece, p): fitted[p.name] for p in piece.own}
+    own = {p.name: known.get(_role(companion, p), p.mean) for p in companion.own}
+    return parameters.coordinates(np.array([own.get(name, fitted.get(name)) for name in parameters.names], float))
+
+
+def _role(piece: Hypothesis, parameter: Parameter) -> str:
+    """What a number is to a mass: how heavy it is, where it hangs."""
+    lever = CATALOGUE[piece.effect].lever
+    return parameter.quantity.replace(lever, "lever") if lever else parameter.quantity
 
 
 def _alike(one: Hypothesis, other: Hypothesis) -> bool:

@@ -150,12 +150,12 @@ def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False) 
         few = coarse(recordings)
         first, _, _, _ = minimise(log_objective(robot, free, few), z, 10, 0.1, free.bound)
         ends = []
-        for start in (z, first):
-            end = start
+        for end in (z, first):
             for temper in TEMPERS:
-                end, *_ = minimise(linear_objective(robot, free, few, temper), end, 10, 0.1, free.bound)
-            ends.append(minimise(linear_objective(robot, free, recordings, exact=True), end, 20, 1e-3, free.bound)[:2])
+                end, cost, *_ = minimise(linear_objective(robot, free, few, temper), end, 10, 0.1, free.bound)
+            ends.append((end, cost))
         z = min(ends, key=lambda end: end[1])[0]
+        z = minimise(linear_objective(robot, free, recordings, exact=True), z, 20, 1e-3, free.bound)[0]
     values = free.values(z)
     predicted = tuple(model_frf(robot, r, free, values) for r in recordings)
     return Judged(tuple(recordings), predicted, free, values, relative_error(recordings, predicted))

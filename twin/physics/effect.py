@@ -89,6 +89,7 @@ class Effect:
         repeatable: several entries may stand at one site.
         lever: the parameter that says where its ``mass`` hangs.
         sizes: prior deviations of the first scale from which a search far from the truth starts, towards null.
+        ridged: there are ridges between its sizes: near the truth too, first order from none finds no way to them.
     """
 
     name: ClassVar[str]
@@ -101,6 +102,7 @@ class Effect:
     sprung: ClassVar[bool] = False
     lever: ClassVar[str] = ""
     sizes: ClassVar[tuple[float, ...]] = (-2.5, -1.0, 1.0)
+    ridged: ClassVar[bool] = False
 
     def check(self, values: Values) -> str | None:
         """What is wrong with the parameters taken together, or ``None``."""

@@ -33,7 +33,8 @@ class ServoCompliance(Effect):
     seen_in = frozenset({"hammer"})
     order = 1
     sprung = True
-    sizes = tuple(np.arange(-3.0, 1.6, 0.5))  # its peaks pass others as it grows soft: a ridge between valleys
+    sizes = tuple(np.arange(-3.0, 1.6, 0.5))
+    ridged = True  # its peaks pass others as it grows soft
 
     def complete(self, robot: "Robot", site: str, given: Values) -> Values:
         drive = robot.drives[axis_of(site)]

@@ -43,6 +43,8 @@ def save(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG; the file is replaced only when all is written."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # laid out now; savefig would do it twice more
     handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         os.fchmod(handle, 0o644)
@@ -104,7 +106,6 @@ def frf_matrix(
                     ax.set_yticks([0, 1])
                     continue
                 for style, H in zip(cycle(_CURVES), frfs.values(), strict=False):
-                    value = H[positive, i, j]
                     value = H[positive, i, j]
                     drawn = _phase(value, quantity) if strip == "phase" else np.abs(value)
                     ax.plot(frequency, drawn, **style)
