@@ -15,7 +15,7 @@ from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, in_doubt_of_size, minimise, recorded_error
 from twin.diagnose.screen import Setting, _beyond_promise, _Scan
 from twin.diagnose.search import Search, _taken_over, converge, explain, settle
-from twin.diagnose.triage import Triage, triage
+from twin.diagnose.triage import Triage, strained, triage
 from twin.diagnose.verdict import judge
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import Parameter as Free
@@ -348,6 +348,25 @@ def test_the_slope_of_a_mass_is_that_where_its_moment_of_inertia_stays() -> None
     along = parameters.along(z, gradient)
     assert along[0] == pytest.approx((ahead(1e-5) - ahead(-1e-5)) / 2e-5, rel=1e-6)
     assert along[1:] == pytest.approx(gradient[1:])
+
+
+def test_a_stiffness_far_off_its_description_is_pointed_out() -> None:
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    at = free.names.index("joint1.z.stiffness")
+    entry = entry_hypothesis(
+        robot, "base_compliance", "base.rz", CATALOGUE["base_compliance"].typical(robot, "base.rz")
+    )
+    parameters = entry.parameters(free)
+    for off, said in ((3.0, 0), (-4.0, 1)):
+        values = parameters.values(np.zeros(len(parameters)))
+        values[at] = free[at].mean * np.exp(off * free[at].deviation)
+        values[-2] = entry.own[0].mean * np.exp(10 * entry.own[0].deviation)  # a size nobody described
+        fit = Fitted(
+            entry, parameters, parameters.coordinates(values), values, robot, 0, 1, np.eye(len(values)), 1, True
+        )
+        found = strained(fit)
+        assert [text.partition(" ")[0] for text in found] == ["joint1.z"] * said
 
 
 def test_a_bend_is_that_of_both_sides(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
 from twin.diagnose.search import NEAR_LINES, REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log, with_evidence
-from twin.diagnose.triage import triage
+from twin.diagnose.triage import strained, triage
 from twin.diagnose.verdict import (
     Candidate,
     Finding,
@@ -281,7 +281,8 @@ def diagnose_campaign(
         source, "frf-campaign", word, missing, decision.none, decision.other,
         given, _limited(before.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
-        [*smallest_visible(settled.robot, settled, few, looked_at), *amplitude_laws], warnings=found.warnings,
+        [*smallest_visible(settled.robot, settled, few, looked_at), *amplitude_laws],
+        warnings=[*found.warnings, *strained(best)],
         finalists=finalists(search.base, fits),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
