@@ -28,7 +28,7 @@ from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
-from twin.diagnose.search import NEAR_LINES, REFIT_LINES, SCREEN_LINES, converge, explain, settle
+from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.triage import strained, triage
 from twin.diagnose.verdict import (
@@ -255,9 +255,7 @@ def diagnose_campaign(
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
     unseen = Sample(tuple(kept), sample.repeat) if kept else None
-    decision = decide(
-        fits, settled, looked_at, kept=unseen, unnamed=lambda fit: free_laws(fit, sample.thin(NEAR_LINES))
-    )
+    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: free_laws(fit, sample))
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     if answered:
