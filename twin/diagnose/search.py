@@ -134,7 +134,7 @@ def _where_it_is(
 
     Screening may have passed it over, or a bent valley have held it up, which the robust logarithmic residual leaves.
     """
-    site, gain = next(iter(free_laws(best, sample.thin(NEAR_LINES)).items()), ("", 0.0))
+    site, gain = next(iter(free_laws(best, sample).items()), ("", 0.0))
     joint = site.partition(".")[0]
     there = [variants for variants in suspects if variants[0].site.partition(".")[0] == joint]
     if gain <= WORTH or not there:
