@@ -8,7 +8,7 @@ An entry's own numbers are found by Gauss–Newton with z eliminated (variable p
 Anal. 10, 1973).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -548,54 +548,60 @@ def _stops(system: System) -> list[list[Stop]]:
 def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, FloatArray]]:
     """Moments at which friction is in doubt, in order: rows, and low-passed torque (rows, b) per unit of friction.
 
-    About a stop or start boxes, each of a row, that together say nothing of it. At a reversal an impulse: the sign
-    changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of their distance, and
-    by what an error of the speed makes of a slow reversal; boxes where that is longer than a row. With ``held``, the
-    share of friction that may be held through a standstill, one more for the time between stop and start.
+    About a stop or start boxes, each of a row or less, that together say nothing of it. At a reversal two of them, or
+    more: the sign changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of their
+    distance, and by what an error of the speed makes of a slow reversal; how late moves its middle, too. Where an axis
+    all but stops and goes on, it may as well have turned back for as long as its speed is less than that error. With
+    ``held``, the share of friction that may be held through a standstill, one more for the time between stop and start.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
     count = len(run.time)
     reach = max(1, int(np.ceil(CREEP_S * run.rate_hz)))
     stops = stops_of(run, joint)
-    events: list[tuple[int, bool]] = [(sample, True) for sample in stops]
     rests = dict(zip(stops[::2], stops[1::2], strict=True)) if held else {}
-    sign = np.sign(run.dense.velocity[:, joint])
-    moving = np.ones(len(sign), bool)
+    events = [(float(sample), CREEP_S, 1.0) for sample in stops]
+    speed, moving = run.dense.velocity[:, joint], np.ones(len(run.dense.time), bool)
     for first, last in zip(stops[::2], stops[1::2], strict=True):
-        moving[first : last + 1] = False
-    fastest = float(np.abs(run.dense.velocity[:, joint]).max())
-    for sample in stops:
-        moving[max(0, sample - reach * step) : sample + reach * step + 1] = False
-    turns = np.flatnonzero((sign[1:] * sign[:-1] < 0) & moving[1:]) + 1
-    events += [(int(sample), False) for sample in turns]
-    events.sort(key=_first)
+        moving[max(0, first - reach * step) : last + reach * step + 1] = False
+    error = SPEED_ERROR * float(np.abs(speed).max())
+    for at, late in _turns(speed, error):
+        if moving[round(at)]:
+            late = np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(late / dense_hz, CREEP_S))
+            events.append((at, float(late), float(np.sqrt(2))))  # both boxes: twice friction for so long
     found = []
-    for sample, stop in events:
-        middle = sample // step
-        end = rests.get(sample, sample)
-        near = slice(max(0, middle - reach - RINGING), min(count - 1, end // step + reach + RINGING + ORDER))
-        here = sample - near.start * step
-        late = CREEP_S
-        if not stop:
-            drift = SPEED_ERROR * fastest / max(abs(run.dense.acceleration[sample, joint]), 1e-9)
-            late = float(np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(drift, CREEP_S)))
-        wide = max(1, int(np.ceil(late * run.rate_hz))) if stop or late * run.rate_hz > 1 else 0
-        boxes = np.zeros(((near.stop - near.start) * step + 1, 2 * wide + (sample in rests) if wide else 1))
-        for k in range(2 * wide):
-            first = here + (k - wide) * step
-            boxes[max(first, 0) : max(first + step, 0), k] = 1.0
-        if sample in rests:
-            boxes[max(here, 0) : end - near.start * step, -1] = held
-        elif not wide and 0 <= here < len(boxes):
-            boxes[here, 0] = 2 * dense_hz * late
+    for at, late, size in sorted(events):
+        end = rests.get(round(at), round(at)) if size == 1 else round(at)
+        near = slice(max(0, round(at) // step - reach - RINGING), min(count - 1, end // step + reach + RINGING + ORDER))
+        here, wide = at - near.start * step, max(1, int(np.ceil(2 * late * run.rate_hz)))
+        ends = here + np.arange(-wide, wide + 1) * late * dense_hz / wide
+        samples = np.arange((near.stop - near.start) * step + 1)[:, None]
+        boxes = size * np.diff(_before(ends - samples), axis=1)
+        if end > round(at):
+            boxes = np.column_stack([boxes, held * ((samples >= here) & (samples < end - near.start * step))])
         columns = lowpass(boxes, dense_hz, *run.bands.fit)[::step]
         found.append((slice(near.start, near.stop + 1), columns))
     return found
 
 
-def _first(event: tuple[int, bool]) -> int:
-    return event[0]
+def _before(x: FloatArray) -> FloatArray:
+    """Share of a unit impulse that lies before x samples of its middle, spread as a line between samples spreads it.
+
+    What lies between two ends so keeps its area and its middle, however short it is.
+    """
+    x = np.clip(x, -1, 1)
+    return np.asarray(0.5 + x - 0.5 * x * np.abs(x))
+
+
+def _turns(speed: FloatArray, error: float) -> Iterator[tuple[float, float]]:
+    """Where an axis turns back, or may have, and how long its speed is within an error of zero there, in samples."""
+    k = np.flatnonzero(np.sign(speed[1:]) * np.sign(speed[:-1]) < 0)
+    rise = speed[k + 1] - speed[k]
+    yield from zip((k - speed[k] / rise).tolist(), (error / np.abs(rise)).tolist(), strict=True)
+    edges = np.diff(np.concatenate([[0], np.abs(speed) < error, [0]]).astype(int))
+    for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        if not np.any((k + 1 >= first) & (k <= last)):
+            yield float(first + np.argmin(np.abs(speed[first:last]))), 0.5 * float(last - first)
 
 
 def _begins(event: tuple[slice, FloatArray]) -> int:
