@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from test_identify_real import emps, needs, tx40
 
 from tools.truth.__main__ import main as truth
+from tools.truth.recording import draw_truth
 from twin.commands.compare import compare_log
 from twin.diagnose.evidence import sentence
 from twin.diagnose.torque import diagnose_log, with_evidence
@@ -166,6 +167,14 @@ def test_presliding_is_in_proportion_to_friction_where_none_was_described(tmp_pa
     log = recorded(tmp_path, "--friction", "lugre")
     (missing,) = diagnose_log(log, kr90.without(["viscous_friction@joint2"])).missing
     assert missing.first.key == "viscous_friction@joint2"
+
+
+@pytest.mark.parametrize("without", [[], ["coulomb_friction@joint2"]])
+def test_a_payload_left_out_is_not_taken_for_dry_friction(tmp_path: Path, kr90: Robot, without: list[str]) -> None:
+    """How much friction has presliding is known before anything is found: 500 kg are slow beside a step of friction."""
+    log = recorded(tmp_path, "--friction", "lugre", "--effect", "payload@link2:mass=500,com=1.2|0|0")
+    sliding = system_of(prepare(log, kr90.without(without), "heavy.h5"), []).base.sliding
+    np.testing.assert_allclose(sliding, draw_truth(3, (), (), log=True).chain.coulomb, rtol=0.02)
 
 
 def test_a_drive_that_turns_two_axes_keeps_the_friction_it_shares(tmp_path: Path, kr90: Robot) -> None:

@@ -385,11 +385,7 @@ class System:
     @cached_property
     def masks(self) -> list[np.ndarray]:
         """Rows (m,) of each run whose whitened residual rests on valid rows only."""
-        out = []
-        for run in self.base.runs:
-            bad = np.cumsum(np.concatenate([np.ones(self.order, int), ~run.valid]))
-            out.append(run.valid & (bad[self.order :] - bad[: -self.order] == 0))
-        return out
+        return [_whole(run.valid, self.order) for run in self.base.runs]
 
     @property
     def count(self) -> int:
@@ -927,7 +923,7 @@ def _rounded(entry: Entry, robot: Robot) -> Entry:
 def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | None = None) -> System:
     """The used runs of a log, whitened by the residual of the richest model there is."""
     base = base_of(prepared.regressor, prepared.used if runs is None else runs)
-    if base.sliding.any():
+    for _ in range(2 * bool(base.sliding.any())):  # the second time beside its own presliding, if none was described
         base = base_of(prepared.regressor, base.runs, _dry_friction(base))
     n = prepared.regressor.robot.axis_count
     system = System(base, np.zeros((n, _order(base.runs) + 1)), base.parameters)
@@ -973,26 +969,45 @@ def _rows(base: Base, joint: int) -> FloatArray:
 def _dry_friction(base: Base) -> FloatArray:
     """A joint's dry friction (n,), N·m (N), as least squares find it, also where none is described.
 
-    At rest, of a parabola in speed: friction that rises and bends with speed else passes for some of it.
+    At rest, of a parabola in speed: friction that rises and bends with speed else passes for some of it. What else the
+    description lacks, a payload, is slow beside a step: rows are weighted by the spectrum of what a first fit leaves.
     """
     found = np.zeros_like(base.friction)
-    valid = np.concatenate([r.valid for r in base.runs])
-    rest = np.concatenate(base.rest)[valid]
+    order, valid = _order(base.runs), [r.valid for r in base.runs]
     for j, scale in enumerate(base.friction):
         described = [k for k, p in enumerate(base.parameters) if p.name == f"coulomb_friction@joint{j + 1}.torque"]
         fastest = span_of(base.runs, j)[2]
-        own = []
-        for run in base.runs:
+        parts = []
+        for k, (run, rest) in enumerate(zip(base.runs, base.rest, strict=True)):
             speed = run.dense.velocity[:, j]
             v = speed / fastest
-            own.append(run.filtered(np.stack([run.dense.sign(speed), v, v * np.abs(v)], -1)))
-        columns = np.column_stack([scale * np.concatenate(own), _rows(base, j)])[valid]
-        ridge = 0.05**2 * np.mean(rest[:, j] ** 2) * np.eye(columns.shape[1])
-        x = np.linalg.solve(columns.T @ columns + ridge, columns.T @ rest[:, j])
+            own = run.filtered(np.stack([run.dense.sign(speed), v, v * np.abs(v)], -1))
+            parts.append(np.column_stack([scale * own, base.design(k, j), rest[:, j]]))
+        rows = np.concatenate([part[use] for part, use in zip(parts, valid, strict=True)])
+        x = _ridged(rows, 0.05**2 * np.mean(rows[:, -1] ** 2))
+        left = [use * (part[:, -1] - part[:, :-1] @ x) for part, use in zip(parts, valid, strict=True)]
+        none = [np.zeros((len(e), 1)) for e in left]
+        whitening = prediction_filter(_correlation(left, none, valid, order))
+        white = (
+            lfilter(whitening, [1.0], part, axis=0)[_whole(use, order)] for part, use in zip(parts, valid, strict=True)
+        )
+        x = _ridged(np.concatenate(list(white)), 1.0)
         found[j] = scale * x[0] + sum(
             base.parameters[k].value(base.parameters[k].deviation * x[3 + k]) for k in described
         )
     return np.maximum(found, 0.0)
+
+
+def _ridged(rows: FloatArray, ridge: float) -> FloatArray:
+    """Least squares of the last column on the others, their numbers held to zero by a ridge."""
+    columns = rows[:, :-1]
+    return np.asarray(np.linalg.solve(columns.T @ columns + ridge * np.eye(columns.shape[1]), columns.T @ rows[:, -1]))
+
+
+def _whole(valid: np.ndarray, order: int) -> np.ndarray:
+    """Rows (m,) whose whitened residual rests on valid rows only."""
+    bad = np.cumsum(np.concatenate([np.ones(order, int), ~valid]))
+    return valid & (bad[order:] - bad[:-order] == 0)
 
 
 def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, FloatArray, FloatArray]:
