@@ -242,21 +242,33 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
         for where, width in (("", PRESLIDING), *((f"@joint{j + 1}", UNLIKE) for j in range(n)))
         for k in range(travels)
     ]
-    ripple, presliding, uneven = [], [], []
+    ripple, none = [], []
     for run in runs:
-        turning, size = np.zeros((2, *run.torque.shape, travels))
-        for j in np.flatnonzero(sliding).tolist():
-            turning[:, j], size[:, j] = presliding_columns(run, j, TRAVELS[robot.axes[j].type])
-        presliding.append(sliding[:, None] * turning)
-        uneven.append(size)
+        none.append(np.zeros((*run.torque.shape, travels)))
         angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
         ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
     own = [*others, *slides[:travels], *waves, *slides[travels:], *offsets]
     parameters = join(Parameters(tuple(links), covariance), independent(own))
-    return Base(
+    base = Base(
         regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction, ripple,
-        sliding, presliding, uneven,
+        np.zeros(n), none, none,
     )  # fmt: skip
+    return _sliding(base, sliding)
+
+
+def _sliding(base: Base, sliding: FloatArray) -> Base:
+    """The same with another dry friction (n,) of which presliding is ordinary."""
+    axes = base.regressor.robot.axes
+    presliding, uneven = [p.copy() for p in base.presliding], [u.copy() for u in base.uneven]
+    for j, (before, now) in enumerate(zip(base.sliding, sliding, strict=True)):
+        for k, run in enumerate(base.runs):
+            if before > 0:
+                presliding[k][:, j] *= now / before
+                uneven[k][:, j] *= now > 0
+            elif now > 0:
+                turning, uneven[k][:, j] = presliding_columns(run, j, TRAVELS[axes[j].type])
+                presliding[k][:, j] = now * turning
+    return replace(base, sliding=sliding, presliding=presliding, uneven=uneven)
 
 
 _LINEAR_EFFECTS = frozenset(
@@ -924,7 +936,7 @@ def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | Non
     """The used runs of a log, whitened by the residual of the richest model there is."""
     base = base_of(prepared.regressor, prepared.used if runs is None else runs)
     for _ in range(2 * bool(base.sliding.any())):  # the second time beside its own presliding, if none was described
-        base = base_of(prepared.regressor, base.runs, _dry_friction(base))
+        base = _sliding(base, _dry_friction(base))
     n = prepared.regressor.robot.axis_count
     system = System(base, np.zeros((n, _order(base.runs) + 1)), base.parameters)
     refer(system, np.zeros(len(base.parameters)))

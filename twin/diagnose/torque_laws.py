@@ -385,7 +385,7 @@ def _coupling(s: _Setting) -> list[Suspect]:
             s.scale("friction[0]", friction[0], 2.0), s.scale("friction[1]", friction[1], 2.0),
         ]  # fmt: skip
         # dry friction turns round elsewhere already at a small ratio, and elsewhere again at one of the other sign
-        starts = [[sign * ratio, inertia, *friction] for ratio in (0.001, 0.01, 1.0) for sign in (-1, 1)]
+        starts = [[sign * ratio, inertia, *friction] for ratio in (0.003, 1.0) for sign in (-1, 1)]
         found += s.suspect(
             {"from": f"joint{j + 1}", "ratio": 0.0, "inertia": inertia, "friction": friction}, own, starts
         )
