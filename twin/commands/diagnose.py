@@ -30,7 +30,7 @@ from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.torque import diagnose_log, with_evidence
-from twin.diagnose.triage import strained, triage
+from twin.diagnose.triage import triage
 from twin.diagnose.verdict import (
     Candidate,
     Finding,
@@ -41,6 +41,7 @@ from twin.diagnose.verdict import (
     judge,
     missing_of,
     rival_of,
+    strained,
 )
 from twin.errors import InputError
 from twin.identify.elastic import Recorded, base_name, prepare, without_limits

@@ -275,9 +275,9 @@ def merged(one: Hypothesis, other: Hypothesis, base: Robot) -> list[Hypothesis]:
     """A mass that hangs at a link and a mass that swings may be one: it hangs there and swings along any axis."""
     pieces = {piece.effect: piece for piece in (one, other)}
     load, swing = pieces.get("payload"), pieces.get("attached_resonator")
-    if load is None or swing is None or not load.site.startswith("link"):
+    if load is None or swing is None:
         return []
-    (entry,) = swing.entries
-    usual = CATALOGUE[swing.effect].typical(base, load.site) or {}
+    (entry,), site = swing.entries, f"link{base.axis_count}" if load.site == "flange" else load.site
+    usual = CATALOGUE[swing.effect].typical(base, site) or {}
     there = ({**usual, "frequency_hz": entry.values["frequency_hz"], "axis": axis} for axis in "xyz")
-    return [entry_hypothesis(base, swing.effect, load.site, values) for values in there]
+    return [entry_hypothesis(base, swing.effect, site, values) for values in there]

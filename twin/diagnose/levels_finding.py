@@ -23,7 +23,7 @@ from twin.diagnose.records import FrfRecord, frf_records
 from twin.diagnose.refit import Fitted, minimise, noise_floor
 from twin.diagnose.search import SCREEN_LINES, Progress, Search
 from twin.diagnose.triage import Triage
-from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of
+from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
 from twin.identify.elastic import Recorded, without_limits
 from twin.identify.elastic_compare import recording_set, relative_error
 from twin.identify.parameters import independent
@@ -90,7 +90,7 @@ def levels_finding(
         source, "frf-campaign", word, [], none, other, given,
         _limited(search.base.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
         _location(source, records, levels.places[0].site), sites,
-        smallest_visible_laws(base, search.base, sample, how), warnings=found.warnings,
+        smallest_visible_laws(base, search.base, sample, how), warnings=[*found.warnings, *strained(best)],
         finalists=finalists(levels.base, levels.fits),
     )  # fmt: skip
     for item in answer.missing if answer else ():

@@ -6,7 +6,8 @@ under their priors, everything the current model has free: stiffness, damping, m
 the projection of nuisance parameters with unfitted tolerances as part of the covariance, and an implausible size pays
 for itself.
 
-Near the truth all this is linear algebra on every line, with the nuisance derivatives of the current model. Where that
+Near the truth all this is linear algebra on every line, with the nuisance derivatives of the current model; an entry
+between whose sizes there are ridges is followed a few steps beyond them. Where the current model
 misses by much more than noise, no first-order model holds to the precision of that noise: the promise is then taken on
 the robust logarithmic residual of a few lines, with derivatives at every place that is tried.
 """
@@ -36,6 +37,7 @@ SIZES = (-0.5, 1.0)
 FAR_STARTS = 2  # of an effect's ``sizes`` where the current model is far off
 YIELDING = 5  # iterations in which springs make room for an entry
 YIELDING_POSTURES = 4
+SLIGHT = 3.0  # ln likelihood that a refit must promise
 ROOM = 1.01  # of the least cost that is left then
 BEYOND = 6  # iterations after which such an entry near the truth promises what it has gained
 SCANNED = 12  # more variants than this are scanned by their secant alone first
@@ -217,7 +219,7 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
         found += _part_promise(setting, hypothesis, suspect, objective.parameters) or _tangent_promise(
             setting, hypothesis, suspect, objective
         )
-    if CATALOGUE[suspect.effect].ridged and not setting.error and max(promise.gain for promise in found) <= 0:
+    if CATALOGUE[suspect.effect].ridged and not setting.error and max(promise.gain for promise in found) <= SLIGHT:
         found.append(_beyond_promise(setting, hypothesis, suspect, objective))
     if setting.logarithmic:  # the springs make up for what is missing: start from the description too
         z = np.zeros(len(objective.parameters))
@@ -250,7 +252,8 @@ def _beyond_promise(setting: Setting, hypothesis: Hypothesis, suspect: Hypothesi
     z = next(z for cost, z in ends if cost <= ROOM * least)
     few = setting.objective(hypothesis, setting.few)
     z, cost, _, _ = minimise(few, z, BEYOND, 0.5)
-    return Promise(hypothesis, suspect, objective.parameters, setting.floor - cost, z, z)
+    noise = 0.5 * len(own) * (setting.few.repeat - setting.sample.repeat)  # what fewer lines let it fit more of that
+    return Promise(hypothesis, suspect, objective.parameters, setting.floor - cost - noise, z, z)
 
 
 def _tangent_promise(

@@ -14,7 +14,7 @@ from twin.diagnose.hypotheses import Hypothesis, companions, merged, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
-from twin.diagnose.screen import FAR, Promise, Setting, inflation, screen
+from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, screen
 from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import observe_all, poles
 from twin.measure.campaign import FloatArray
@@ -29,7 +29,6 @@ REACH = 40.0  # in ln evidence: what is worth converging
 ROUNDS = 3  # things missing at once
 ROUGHLY = 1.05  # on few lines a cost differs from that on all by so much
 SHORT = 0.2  # of what another has gained: less promised is not refitted
-SLIGHT = 3.0  # ln likelihood that a refit must promise
 ABREAST = 2  # refits side by side, on however many cores: what is found must not depend on them
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
 
@@ -400,7 +399,7 @@ def _reach(search: Search) -> float:
 
 
 def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> list[Fitted]:
-    """What the last thing in a hypothesis is hard to tell from, in its stead."""
+    """What the last thing in a hypothesis is hard to tell from, alone or with another of them, in their stead."""
     free = search.base.parameters
     *others, last = best.hypothesis.pieces
     postures = [r.setup.q for r in sample.recordings]
@@ -411,7 +410,8 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
     places = []
     for rest, companion, gone in instead:
         hypothesis = together(*rest, companion)
-        known, alike = search.fits.get(hypothesis.identity), _alike(companion, last)
+        known = search.fits.get(hypothesis.identity)
+        alike = any(_alike(companion, piece) for piece in gone)
         if companion.key in {piece.key for piece in rest}:
             continue
         turned = companion.key in {piece.key for piece in gone}
@@ -438,11 +438,11 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
 
 
 def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis, parameters: Parameters) -> FloatArray:
-    """Where a companion starts: what stays is as it is, its own numbers are those of what it stands for, the last's
-    first."""
+    """Where a companion starts: what stays is as it is, its own numbers are those of what it stands for, rather of the
+    simpler: mass and place of what hangs."""
     fitted = dict(zip(best.parameters.names, best.values, strict=True))
     known: dict[str, float] = {}
-    for piece in gone:
+    for piece in sorted(gone, key=lambda piece: -len(piece.own)):
         known |= {_role(piece, p): fitted[p.name] for p in piece.own}
     own = {p.name: known.get(_role(companion, p), p.mean) for p in companion.own}
     return parameters.coordinates(np.array([own.get(name, fitted.get(name)) for name in parameters.names], float))

@@ -525,9 +525,7 @@ def _stops(system: System) -> list[list[Stop]]:
             place = at + np.cumsum(mask) - 1
             events = stop_columns(run, j, HELD * bool(system.base.sliding[j]))
             if len(system.turning) and np.count_nonzero(system.turning[j]) > 1:  # where its drive turns back, too
-                state = replace(run.dense, **{
-                    name: getattr(run.dense, name) @ system.turning.T for name in ("velocity", "acceleration")
-                })  # fmt: skip
+                state = replace(run.dense, velocity=run.dense.velocity @ system.turning.T)
                 events = sorted([*events, *stop_columns(replace(run, dense=state), j)], key=_begins)
             for near, columns in events:
                 inside = mask[near]
@@ -556,11 +554,12 @@ def _stops(system: System) -> list[list[Stop]]:
 def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, FloatArray]]:
     """Moments at which friction is in doubt, in order: rows, and low-passed torque (rows, b) per unit of friction.
 
-    About a stop or start boxes, each of a row or less, that together say nothing of it. At a reversal two of them, or
-    more: the sign changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of their
-    distance, and by what an error of the speed makes of a slow reversal; how late moves its middle, too. Where an axis
-    all but stops and goes on, it may as well have turned back for as long as its speed is less than that error. With
-    ``held``, the share of friction that may be held through a standstill, one more for the time between stop and start.
+    About a stop or start boxes, each of half a row or less, that together say nothing of it. At a reversal two of them,
+    or more: the sign changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of
+    their distance, and by what an error of the speed makes of a slow reversal; how late moves its middle, too. Where an
+    axis all but stops and goes on, it may as well have turned back for as long as its speed is less than that error,
+    within ``CREEP_S`` of where it is least. With ``held``, the share of friction that may be held through a standstill,
+    one more for the time between stop and start.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
@@ -604,12 +603,15 @@ def _before(x: FloatArray) -> FloatArray:
 def _turns(speed: FloatArray, error: float) -> Iterator[tuple[float, float]]:
     """Where an axis turns back, or may have, and how long its speed is within an error of zero there, in samples."""
     k = np.flatnonzero(np.sign(speed[1:]) * np.sign(speed[:-1]) < 0)
-    rise = speed[k + 1] - speed[k]
-    yield from zip((k - speed[k] / rise).tolist(), (error / np.abs(rise)).tolist(), strict=True)
+    rise = np.abs(speed[k + 1] - speed[k])
+    late = error / rise
     edges = np.diff(np.concatenate([[0], np.abs(speed) < error, [0]]).astype(int))
     for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-        if not np.any((k + 1 >= first) & (k <= last)):
+        within = (k + 1 >= first) & (k < last)
+        late[within] = np.maximum(late[within], 0.5 * (last - first))
+        if not within.any():
             yield float(first + np.argmin(np.abs(speed[first:last]))), 0.5 * float(last - first)
+    yield from zip((k + np.abs(speed[k]) / rise).tolist(), late.tolist(), strict=True)
 
 
 def _begins(event: tuple[slice, FloatArray]) -> int:
@@ -1018,8 +1020,8 @@ def _ridged(rows: FloatArray, ridge: float) -> FloatArray:
 
 def _whole(valid: np.ndarray, order: int) -> np.ndarray:
     """Rows (m,) whose whitened residual rests on valid rows only."""
-    bad = np.cumsum(np.concatenate([np.ones(order, int), ~valid]))
-    return valid & (bad[order:] - bad[:-order] == 0)
+    bad = np.cumsum(np.concatenate([np.ones(order + 1, int), ~valid]))
+    return valid & (bad[order + 1 :] - bad[: -order - 1] == 0)
 
 
 def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -1040,7 +1042,7 @@ def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, Flo
         free = np.concatenate([smooth_columns(r, j, *span_of(base.runs, j)) for r in base.runs])
         stops = []
         for k, run in enumerate(base.runs):
-            doubts = [(near, boxes) for near, boxes in stop_columns(run, j) if boxes.shape[1] > 1]
+            doubts = [(near, boxes) for near, boxes in stop_columns(run, j) if boxes.shape[1] > 2]  # not a step's alone
             for near, boxes in doubts[:MOST_STOPS]:
                 stops.append(np.zeros((len(valid), boxes.shape[1])))
                 stops[-1][(ends[k - 1] if k else 0) :][near] = boxes

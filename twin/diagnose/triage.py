@@ -1,4 +1,4 @@
-"""Before any physics: can the recording be believed, which postures are kept aside to judge by; and the base fit?"""
+"""Before any physics: can the recording be believed, and which postures are kept aside to judge by."""
 
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -6,7 +6,6 @@ from itertools import combinations
 import numpy as np
 
 from twin.diagnose.noise import pooled_variance, shared_lines
-from twin.diagnose.refit import Fitted
 from twin.errors import InputError
 from twin.identify.elastic import Recorded, base_name, prepare
 from twin.measure.campaign import Campaign, frf_variance
@@ -15,7 +14,6 @@ from twin.robot.description import Robot
 
 NEAR = 5  # lines over which disagreement is pooled
 HOMOGENEOUS = 2.0  # linear robots reach 1.4
-STRAINED = 3.5  # prior deviations
 
 
 @dataclass(frozen=True)
@@ -116,19 +114,3 @@ def _spared(names: list[str], recordings: dict[str, Recorded]) -> list[str]:
         gap = {a: min(float(np.linalg.norm(q[a] - q[b])) for b in left if b != a) for a in left}
         held.append(min(left, key=lambda name: gap[name]))
     return held
-
-
-def strained(fit: Fitted) -> list[str]:
-    """Described stiffnesses that a fit takes much further than their description allows, a sentence each.
-
-    What is in series with such a spring, about its axis, may be all that is wrong with it.
-    """
-    found = []
-    for p, value in list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]:
-        off = float(np.log(value / p.mean)) / p.deviation if p.log else 0.0
-        if p.kind == "spring" and p.quantity == "stiffness" and abs(off) > STRAINED:
-            found.append(
-                f"{p.site} comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {abs(off):.1f} standard "
-                "deviations off: either that is wrong, or something in series about the same axis looks like it"
-            )
-    return found

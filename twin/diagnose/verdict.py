@@ -19,6 +19,7 @@ from twin.robot.description import Entry, Robot
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]
 
+STRAINED = 3.5  # prior deviations
 MEANING: dict[Word, str] = {
     "adequate": "adequate: nothing is missing that these recordings could show",
     "named": "named: what is missing stands out, each one effect at one site",
@@ -394,3 +395,21 @@ def _belongs(name: str, part: tuple[str, str], entries: Sequence[Entry]) -> bool
         return True
     effect, site = part
     return name.startswith((f"{effect}@{site}.", f"{effect}@{site}#")) or name.startswith(f"{site}.")
+
+
+def strained(fit: Fitted) -> list[str]:
+    """Described stiffnesses that a fit takes much further than their description allows, a sentence each.
+
+    What is in series with such a spring, about its axis, may be all that is wrong with it.
+    """
+    found, widened = [], dict(fit.hypothesis.scale)
+    for p, value in list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]:
+        if p.quantity != "stiffness" or not p.log:
+            continue
+        off = abs(float(np.log(value / p.mean))) * widened.get(p.name, 1.0) / p.deviation
+        if off > STRAINED:
+            found.append(
+                f"{p.site} comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard "
+                "deviations off: either that is wrong, or something in series about the same axis looks like it"
+            )
+    return found

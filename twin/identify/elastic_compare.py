@@ -34,6 +34,7 @@ from twin.measure.modal_table import ModalTable
 from twin.robot.description import Robot
 
 BANDS = 6  # a recording's frequency range is judged in this many equal bands
+CLOSE, SAME = 10.0, 0.1  # ln likelihood and prior deviations, within which two ends are of equal right, or one
 
 
 @dataclass(frozen=True)
@@ -154,8 +155,11 @@ def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False) 
             for temper in TEMPERS:
                 end, cost, *_ = minimise(linear_objective(robot, free, few, temper), end, 10, 0.1, free.bound)
             ends.append((end, cost))
+        (best, least), (other, more) = sorted(ends, key=lambda end: end[1])
+        apart = more < least + CLOSE and not np.allclose(best, other, atol=SAME)
+        whole = linear_objective(robot, free, recordings, exact=True)
+        ends = [minimise(whole, start, 20, 1e-3, free.bound)[:2] for start in ([best, other] if apart else [best])]
         z = min(ends, key=lambda end: end[1])[0]
-        z = minimise(linear_objective(robot, free, recordings, exact=True), z, 20, 1e-3, free.bound)[0]
     values = free.values(z)
     predicted = tuple(model_frf(robot, r, free, values) for r in recordings)
     return Judged(tuple(recordings), predicted, free, values, relative_error(recordings, predicted))

@@ -43,8 +43,6 @@ def save(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG; the file is replaced only when all is written."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # laid out now; savefig would do it twice more
     handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         os.fchmod(handle, 0o644)
