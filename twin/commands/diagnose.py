@@ -94,6 +94,7 @@ def diagnose(
         options: Any = {"hold_out": held, "seed": seed, "progress": progress}
         if test.kind == "motion-log":
             in_joints(test.content, given)  # axes, units and limits fit
+            options |= {"processes": cores()}
             findings.append(diagnose_log(test.content, told_by.robot if told_by else given, test.source, **options))
         elif test.kind == "frf-campaign":
             options |= {"told_by": told_by, "processes": cores()}

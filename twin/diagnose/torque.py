@@ -60,6 +60,7 @@ def diagnose_log(
     seed: int = 0,
     progress: Progress | None = None,
     bands: Bands | None = None,
+    processes: int = 1,
 ) -> Finding:
     """What a motion log says.
 
@@ -71,6 +72,7 @@ def diagnose_log(
         seed: kept for one signature with the hammer test's; nothing here is random.
         progress: makes progress bars.
         bands: low-passes; what the log allows by default.
+        processes: what can be is spread over so many; what it finds does not depend on it.
 
     Raises:
         InputError: no torque, too short, or runs that are not there.
@@ -95,7 +97,8 @@ def diagnose_log(
     sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
-        list(prepared.held_out), records, where, sites, [*smallest_visible(system, suspects), *_visible(found_plays)],
+        list(prepared.held_out), records, where, sites,
+        [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
             *prepared.notes, *map(_restless, restless), *_told_apart(search), *_bodies(prepared, search, errors)
         ],

@@ -46,6 +46,7 @@ from twin.diagnose.torque_fit import (
 from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
+from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry
@@ -768,43 +769,41 @@ class Judge:
         return self.rest(system, fit)[1]
 
 
-def smallest_visible(system: System, suspects: Sequence[Suspect]) -> list[dict[str, Any]]:
+def smallest_visible(system: System, suspects: Sequence[Suspect], processes: int = 1) -> list[dict[str, Any]]:
     """The size of each suspect from which it would be named: its evidence then outweighs that nothing is missing.
 
     Other numbers of the entry are free beside it; a list's are taken in proportion. A slip element is given by the
-    torque it yields at.
+    torque it yields at. The work is spread over ``processes``.
     """
-    numbers = calibration()
     suspects = [s for s in suspects if s.hypothesis.effect != "discovered"]
-    effects = {s.hypothesis.effect for s in suspects}
-    found = []
-    for suspect in suspects:
-        hypothesis, own = suspect.hypothesis, suspect.hypothesis.own
-        values = suspect.starts[len(suspect.starts) // 2].copy()
-        u = own_prior(own, values)
-        u[list(suspect.sizes)] += 0.3
-        first = suspect.sizes[0] if suspect.sizes else 0
-        others = [k for k in range(len(own)) if k != first and k not in suspect.sizes]
-        trial = evaluate(system, suspect, u, slopes=bool(others))
-        information, _ = system.projected(trial.column)
-        energy = max(float(information[0, 0]), 1e-300)  # of the entry as it is
-        if others:
-            joint = Columns(trial.slopes.joints, np.column_stack([trial.column.rows, trial.slopes.rows[:, others]]))
-            whole, _ = system.projected(joint)
-            inner = whole[1:, 1:] + np.eye(len(others))
-            energy = max(float(whole[0, 0] - whole[0, 1:] @ np.linalg.solve(inner, whole[1:, 0])), 0.05 * energy)
-        sites = sum(s.hypothesis.effect == hypothesis.effect for s in suspects)
-        occam = 0.5 * np.log1p(energy) * max(1, len(own) - 1)
-        needed = numbers["temperature"] * np.log(2 * (len(effects) + 1) * sites) + max(occam, 2.0)
-        ratio = float(np.sqrt(2 * needed / energy))
-        null = CATALOGUE[hypothesis.effect].parameters[0].null
-        parameter, value = own[first], own_values(own, u)[first]
-        name = parameter.quantity.partition("[")[0]
-        size = abs(value - null) * ratio if suspect.sizes else abs(value) * ratio
-        found.append(
-            {
-                "effect": hypothesis.effect, "site": hypothesis.site, "parameter": name, "value": float(size),
-                "unit": parameter.unit,
-            }
-        )  # fmt: skip
-    return found
+    return list(spread(lambda number: _visible_size(system, suspects, number), len(suspects), processes))
+
+
+def _visible_size(system: System, suspects: Sequence[Suspect], number: int) -> dict[str, Any]:
+    numbers, effects = calibration(), {s.hypothesis.effect for s in suspects}
+    suspect = suspects[number]
+    hypothesis, own = suspect.hypothesis, suspect.hypothesis.own
+    values = suspect.starts[len(suspect.starts) // 2].copy()
+    u = own_prior(own, values)
+    u[list(suspect.sizes)] += 0.3
+    first = suspect.sizes[0] if suspect.sizes else 0
+    others = [k for k in range(len(own)) if k != first and k not in suspect.sizes]
+    trial = evaluate(system, suspect, u, slopes=bool(others))
+    information, _ = system.projected(trial.column)
+    energy = max(float(information[0, 0]), 1e-300)  # of the entry as it is
+    if others:
+        joint = Columns(trial.slopes.joints, np.column_stack([trial.column.rows, trial.slopes.rows[:, others]]))
+        whole, _ = system.projected(joint)
+        inner = whole[1:, 1:] + np.eye(len(others))
+        energy = max(float(whole[0, 0] - whole[0, 1:] @ np.linalg.solve(inner, whole[1:, 0])), 0.05 * energy)
+    sites = sum(s.hypothesis.effect == hypothesis.effect for s in suspects)
+    occam = 0.5 * np.log1p(energy) * max(1, len(own) - 1)
+    needed = numbers["temperature"] * np.log(2 * (len(effects) + 1) * sites) + max(occam, 2.0)
+    ratio = float(np.sqrt(2 * needed / energy))
+    null = CATALOGUE[hypothesis.effect].parameters[0].null
+    parameter, value = own[first], own_values(own, u)[first]
+    size = abs(value - null) * ratio if suspect.sizes else abs(value) * ratio
+    return {
+        "effect": hypothesis.effect, "site": hypothesis.site, "parameter": parameter.quantity.partition("[")[0],
+        "value": float(size), "unit": parameter.unit,
+    }  # fmt: skip
