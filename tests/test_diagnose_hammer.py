@@ -245,7 +245,7 @@ def test_factors_are_orthogonal_whatever_the_columns_say_alike() -> None:
         np.testing.assert_allclose(R, np.triu(R), atol=1e-9 * steepest)
 
 
-def test_a_mass_that_hangs_and_one_that_swings_may_be_one(tmp_path: Path) -> None:
+def test_a_mass_that_hangs_and_one_that_swings_may_be_one() -> None:
     robot = without_limits(load_robot("kr90"))
     free = free_parameters(robot, ["p"], ["21X+"])
     usual = {effect: CATALOGUE[effect].typical(robot, "link1") for effect in ("payload", "attached_resonator")}

@@ -253,7 +253,7 @@ def companions(
     present = {(entry.effect, entry.site) for entry in base.physics}
     hypotheses = []
     if hypothesis.effect == "attached_resonator":
-        found.append(("payload", site))  # which it is, but near its own frequency
+        found.append(("payload", site))  # which it is below its own frequency
         (entry,) = hypothesis.entries  # where it sits decides which of its axes couples to a joint
         for number in range(max(1, int(site[4:]) - 1), min(n, int(site[4:]) + 1) + 1):
             link = f"link{number}"
