@@ -150,6 +150,32 @@ def test_the_mix_is_as_promised() -> None:
     assert plan(240, 1) == cases != plan(240, 2)
 
 
+def test_every_effect_so_often_alone_and_the_rest_in_proportion() -> None:
+    cases = plan(1, 3, ("hammer", "levels"), each=6)
+    for recording in ("hammer", "levels"):
+        alone = [_candidates(k, recording, n, np.random.default_rng(s))[0].kind
+                 for k, r, s, n in cases if (k, r) == ("single", recording)]  # fmt: skip
+        assert {kind: alone.count(kind) for kind in SITES[recording]} == dict.fromkeys(SITES[recording], 6)
+    assert {r for _, r, *_ in cases} == {"hammer", "levels"}
+    assert sum(k == "none" for k, *_ in cases) == pytest.approx(len(cases) / 4, abs=1)
+
+
+def test_sizes_are_those_asked_for() -> None:
+    found = [case("single", "log", seed, seed, (2.0, 2.5)).multiples[0] for seed in range(40, 44)]
+    assert all(2.0 <= multiple <= 2.5 for multiple in found)
+
+
+def test_the_temperature_undoes_what_was_claimed_too_surely() -> None:
+    """Probabilities of 0.9 of which nine in ten are right, sharpened by the power three and softened again."""
+    claimed = 0.9**3 / (0.9**3 + 0.1**3)
+    sure = result("named", [("payload", "flange", claimed)], none=1 - claimed)
+    cases = [one(answer("single", PAYLOAD), sure)] * 9 + [one(answer("none"), sure)]
+    factor, losses, errors = score.temperature(cases)
+    assert factor == pytest.approx(3.0, rel=0.05)
+    assert losses[1] < losses[0]
+    assert errors[1] < 0.02 < errors[0]
+
+
 def test_pairs_are_two_effects_that_a_recording_can_show_together() -> None:
     rng = np.random.default_rng(0)
     for number in range(60):
@@ -220,7 +246,7 @@ def test_answers_are_sealed_and_openings_counted(tmp_path: Path) -> None:
     again = make.prepare(tmp_path / "other", 4, None)
     assert {c[0] for c in drawn}.isdisjoint(c[0] for c in again)
     assert drawn != again
-    name, kind, _, seed, number = drawn[0]
+    name, kind, _, seed, number, _ = drawn[0]
     line = make.record(tmp_path, name, kind, "log", seed, number)
     assert set(line) == {"id", "without", "files", "answer"}
     assert set(line["files"]) == {"log.h5"}
@@ -238,9 +264,9 @@ def test_probabilities_not_stated_are_nothing() -> None:
     assert score.brier(found) == 2.0
 
 
-def small(kind: str, recording: str, seed: int, number: int) -> Case:
+def small(kind: str, recording: str, seed: int, number: int, sizes: tuple[float, float]) -> Case:
     """A case as the trial's, but short."""
-    found = case(kind, recording, seed, number)  # type: ignore[arg-type]
+    found = case(kind, recording, seed, number, sizes)  # type: ignore[arg-type]
     if found.campaign:
         c = found.campaign
         test = replace(c.test, lines=48)
@@ -255,7 +281,7 @@ def test_two_cases_from_recording_to_page(tmp_path: Path, monkeypatch: pytest.Mo
     """The command, asked blindly about a null of each kind, names nothing, and the page tells it."""
     monkeypatch.setattr(make, "case", small)
     lines = [make.record(tmp_path, f"0{k}", "none", kind, 40 + k, 0) for k, kind in enumerate(("hammer", "log"))]
-    store.write(tmp_path / "manifest.json", {"format": "twin-trials", "version": 2, "cases": lines})
+    store.write(tmp_path / "manifest.json", {"format": "twin-trials", "version": 2, "sizes": [1, 30], "cases": lines})
     assert not ask.ask(tmp_path, "00", [], deadline=0.0)  # no time left
     assert all(ask.ask(tmp_path, line["id"], line["without"]) for line in lines)
     trials._score(tmp_path, tmp_path / "proof.md", "")

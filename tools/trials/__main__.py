@@ -1,4 +1,4 @@
-"""Trials with concealed physics: `python -m tools.trials make | run | score | prove | real`."""
+"""Trials with concealed physics: `python -m tools.trials make | run | score | prove | calibrate | real`."""
 
 import argparse
 import json
@@ -17,16 +17,19 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from tools.trials import ask, make, real, score, store
+from tools.trials.cases import RECORDINGS, SIZES
 from tools.trials.report import page
+from twin.diagnose.decide import calibration
 from twin.errors import InputError
 
 DEVELOPMENT_SEED = 20
 EXAMPLES = """
-  make    record the cases of a split and seal the answers
-  run     put every recording to `twin diagnose`
-  score   open the answers, write the page
-  prove   all three
-  real    put measured recordings to `twin diagnose`; the file that is written goes into the page by --real
+  make       record the cases of a split and seal the answers
+  run        put every recording to `twin diagnose`
+  score      open the answers, write the page
+  prove      all three
+  calibrate  open the answers, print the temperature under which stated probabilities mean what they say
+  real       put measured recordings to `twin diagnose`; the file that is written goes into the page by --real
 
 Every step goes on where it was interrupted; a result of another version of the engine is asked for again. The
 development split has a fixed seed; the seed of a sealed split is drawn in secret, and its making and every opening of
@@ -35,6 +38,7 @@ its answers are entered in its ledger with the hash of the engine.
   python -m tools.trials prove --split development --cases 60
   python -m tools.trials prove --split sealed --cases 240 --page docs/proof.md
   python -m tools.trials prove --split sealed --cases 240 --minutes 70      # report on what was done by then
+  python -m tools.trials prove --split small --recordings hammer levels --each 6 --sizes 2 6   # every effect six times
   python -m tools.trials run --split sealed --scheduler tcp://HOST:8786  # needs twin[distributed]
   python -m tools.trials real recordings.yaml --out real.json               # see tools/trials/real.py
 """
@@ -97,11 +101,23 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tools.trials", description=__doc__, epilog=EXAMPLES, formatter_class=shape
     )
-    parser.add_argument("step", choices=("make", "run", "score", "prove", "real"))
+    parser.add_argument("step", choices=("make", "run", "score", "prove", "calibrate", "real"))
     parser.add_argument("recordings", nargs="?", type=Path, help="list of measured recordings, for `real`")
     parser.add_argument("--out", type=Path, help="folder of the splits (default out/trials), file of `real`")
     parser.add_argument("--split", default="development", help="development, or any name for a sealed one")
     parser.add_argument("--cases", type=_positive(int), default=240)
+    parser.add_argument(
+        "--each", type=_positive(int), help="every effect so often alone, others in proportion, instead of --cases"
+    )
+    parser.add_argument("--recordings", dest="kinds", nargs="+", choices=tuple(RECORDINGS), default=tuple(RECORDINGS))
+    parser.add_argument(
+        "--sizes",
+        nargs=2,
+        type=_positive(float),
+        default=SIZES,
+        metavar=("LEAST", "LARGEST"),
+        help="multiples of the smallest visible size (default %(default)s)",
+    )
     parser.add_argument("--processes", type=_positive(int), default=os.cpu_count() or 1)
     parser.add_argument("--scheduler", help="address of a Dask scheduler that sees the same folder")
     parser.add_argument("--minutes", type=_positive(float), help="begin no diagnosis later than this after the start")
@@ -111,6 +127,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--page", type=Path, help="Markdown page to write (default: in the split's folder)")
     parser.add_argument("--real", type=Path, help="file of `real`, for the page")
     options = parser.parse_args(arguments)
+    if options.sizes[0] > options.sizes[1]:
+        parser.error("--sizes: expected the smaller first")
     if (options.step == "real") != (options.recordings is not None):
         parser.error("expected a list of recordings after `real`, and after nothing else")
     try:
@@ -127,24 +145,28 @@ def main(arguments: list[str] | None = None) -> None:
     if options.step in ("make", "run", "prove"):
         with executor(options.processes, options.scheduler) as pool:
             if options.step != "run":
-                _make(split, options.cases, DEVELOPMENT_SEED if options.split == "development" else None, pool)
+                seed = DEVELOPMENT_SEED if options.split == "development" else None
+                _make(split, pool, options.cases, seed, options.kinds, options.each or 0, tuple(options.sizes))
             if options.step != "make":
                 _run(split, options.limit, deadline, pool)
+    if options.step == "calibrate":
+        _calibrate(split)
     if options.step in ("score", "prove"):
         _score(split, options.page or split / "proof.md", measured)
 
 
-def _make(split: Path, count: int, seed: int | None, pool: Executor) -> None:
-    if not (split / "answers" / "plan.json").exists():
-        store.entered(split, f"{count} cases drawn")
-    jobs = [(split, *case) for case in make.prepare(split, count, seed)]
-    if len(jobs) != count:
-        print(
-            f"{split}: {len(jobs)} cases were drawn before and stay; another --split for another number",
-            file=sys.stderr,
-        )
+def _make(split: Path, pool: Executor, *drawn: Any) -> None:
+    """Record what `make.prepare` draws."""
+    new = not (split / "answers" / "plan.json").exists()
+    jobs = [(split, *case) for case in make.prepare(split, *drawn)]
+    if new:
+        store.entered(split, f"{len(jobs)} cases drawn")
+    else:
+        print(f"{split}: the {len(jobs)} cases drawn before stay; another --split for others", file=sys.stderr)
     lines = every("record", pool, make.record, jobs)
-    store.write(split / "manifest.json", {"format": "twin-trials", "version": 2, "cases": lines})
+    store.write(
+        split / "manifest.json", {"format": "twin-trials", "version": 2, "sizes": list(jobs[0][-1]), "cases": lines}
+    )
 
 
 def _run(split: Path, limit_s: float, deadline: float | None, pool: Executor) -> None:
@@ -165,36 +187,50 @@ def _run(split: Path, limit_s: float, deadline: float | None, pool: Executor) ->
         print(f"time is up: {sum(not a for a in asked)} cases not asked; the same command goes on", file=sys.stderr)
 
 
-def _score(split: Path, target: Path, measured: str) -> None:
+def _opened(split: Path, why: str) -> tuple[list[score.Scored], dict[str, Any], dict[str, Any], Any]:
+    """Answers beside results: cases, results by id, manifest, ledger. Enters the opening into the ledger."""
     if not (split / "manifest.json").exists():
         sys.exit(f"{split}: no cases yet; make first")
-    manifest = store.read(split / "manifest.json")["cases"]
-    results = {c["id"]: store.read(split / "results" / f"{c['id']}.json") for c in manifest
+    manifest = store.read(split / "manifest.json")
+    results = {c["id"]: store.read(split / "results" / f"{c['id']}.json") for c in manifest["cases"]
                if (split / "results" / f"{c['id']}.json").exists()}  # fmt: skip
     engine = store.engine_hash()
     if any(r["engine"] == engine for r in results.values()):  # what an older one said is not this one's
         results = {name: r for name, r in results.items() if r["engine"] == engine}
     if not results:
         sys.exit(f"{split}: no results yet; run first")
-    for c in manifest:
+    for c in manifest["cases"]:
         if store.sha256(split / "answers" / f"{c['id']}.json") != c["answer"]:
             sys.exit(f"{split}: the answer of {c['id']} is not the one that was sealed")
         for name, digest in c["files"].items():
             if store.sha256(split / "recordings" / c["id"] / name) != digest:
                 sys.exit(f"{split}: recordings/{c['id']}/{name} is not the one that was sealed")
-    ledger = store.entered(split, f"answers opened: score of {len(results)} cases")
+    ledger = store.entered(split, f"answers opened: {why} of {len(results)} cases")
     cases = [
         score.scored(store.read(split / "answers" / f"{c['id']}.json"), results[c["id"]])
-        for c in manifest
+        for c in manifest["cases"]
         if c["id"] in results
     ]
-    without = {c["id"]: c["without"] for c in manifest}
+    return cases, results, manifest, ledger
+
+
+def _score(split: Path, target: Path, measured: str) -> None:
+    cases, results, manifest, ledger = _opened(split, "score")
+    without = {c["id"]: c["without"] for c in manifest["cases"]}
     target.parent.mkdir(parents=True, exist_ok=True)
-    page(target, f"Proof: {split.name} split", cases, results, split, without, ledger, len(manifest), measured)
+    page(target, f"Proof: {split.name} split", cases, results, split, without, ledger, manifest, measured)
     for name, value in score.headline(cases).items():
         print(f"{name:40s} {value:.3g}" if isinstance(value, float) else f"{name:40s} {value}")
     store.write(split / "scores.json", json.loads(json.dumps(score.headline(cases), default=str)))
     print(f"wrote {target}")
+
+
+def _calibrate(split: Path) -> None:
+    cases, *_ = _opened(split, "calibrate")
+    factor, losses, errors = score.temperature(cases)
+    now = calibration()["temperature"]
+    print(f"{len(cases)} cases; temperature of twin/diagnose/calibration.yaml: {now:g} → {now * factor:.2f}")
+    print(f"log score {losses[0]:.3f} → {losses[1]:.3f}, calibration error {errors[0]:.3f} → {errors[1]:.3f}")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ that lacks a spring, friction with memory and dwells come alike with and without
 physics tells. All that a null robot differs by from its description lies within what the description says of itself.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -76,7 +76,7 @@ ENTRIES = (
 )  # what the base model knows of friction and compensator
 MIX = {"none": 0.25, "single": 0.40, "pair": 0.20, "outside": 0.10, "chain": 0.05}
 RECORDINGS = {"hammer": 0.42, "levels": 0.10, "log": 0.38, "both": 0.10}
-SMALLEST, LARGEST = 1.0, 30.0  # multiples of the smallest visible size, uniform in the logarithm
+SIZES = (1.0, 30.0)  # multiples of the smallest visible size, uniform in the logarithm
 CANCELLING = 1 / 3  # share of pairs whose second effect hides the first as well as any of `CANDIDATES` drawn does
 CANDIDATES = 6
 SAME_Q1 = 0.12  # share of hammer tests with one q₁ in all postures: base and joint 1 tilt alike
@@ -140,30 +140,46 @@ class Case:
         return found
 
 
-def plan(count: int, seed: int) -> list[tuple[str, Recording, int, int]]:
-    """(kind, recording, seed, number) of `count` cases in exact shares and random order.
+def plan(
+    count: int, seed: int, recordings: Sequence[str] = tuple(RECORDINGS), each: int = 0
+) -> list[tuple[str, Recording, int, int]]:
+    """(kind, recording, seed, number) of `count` cases in the shares of `MIX`, in random order.
 
+    With `each`, every effect of every recording so many times alone, and the other kinds in their shares beside them.
     The numbers of one kind and recording count on from a random start: they go round the effects.
     """
     rng = np.random.default_rng(seed)
     found: list[tuple[str, Recording, int, int]] = []
-    kinds = _shares(MIX, count)
-    for kind in MIX:
-        number = kinds.count(kind)
-        recordings = ["hammer", "log"] * number if kind == "chain" else _shares(RECORDINGS, number)
+    for kind, number in zip(MIX, _shares(MIX, count), strict=True):
         start = int(rng.integers(1000))
-        for k, r in enumerate(recordings[:number]):
-            found.append((kind, r, int(rng.integers(1, 2**31)), start + recordings[:k].count(r)))  # type: ignore[arg-type]
+        for recording, n in _met(kind, number, recordings, each).items():
+            found += [(kind, recording, int(rng.integers(1, 2**31)), start + k) for k in range(n)]
     return [found[k] for k in rng.permutation(len(found))]
 
 
-def _shares(shares: dict[str, float], count: int) -> list[str]:
-    ends = np.round(np.cumsum(list(shares.values())) * count).astype(int)
-    return [name for name, n in zip(shares, np.diff(ends, prepend=0), strict=True) for _ in range(n)]
+def _met(kind: str, number: int, recordings: Sequence[str], each: int) -> dict[Recording, int]:
+    """How many cases of a kind there are of each recording."""
+    shares = {r: s for r, s in RECORDINGS.items() if r in recordings}
+    if each:  # the measurement chain is met among the effects
+        alone = MIX["single"] + MIX["chain"]
+        share = 1.0 if kind == "single" else 0.0 if kind == "chain" else MIX[kind] / alone
+        return {r: round(each * len(SITES[r]) * share) for r in shares}
+    if kind == "chain":
+        shares = {r: 1.0 for r in shares if r in CHAIN}
+    return dict(zip(shares, _shares(shares, number), strict=True))
 
 
-def case(kind: str, recording: Recording, seed: int, number: int) -> Case:
-    """One case; `number` chooses the effect, so that consecutive numbers meet all of them."""
+def _shares(shares: Mapping[Any, float], count: int) -> list[int]:
+    """`count` in parts as the shares, which need not add up to one."""
+    ends = np.round(np.cumsum(list(shares.values())) / sum(shares.values()) * count).astype(int)
+    return np.diff(ends, prepend=0).tolist()
+
+
+def case(kind: str, recording: Recording, seed: int, number: int, sizes: tuple[float, float] = SIZES) -> Case:
+    """One case; `number` chooses the effect, so that consecutive numbers meet all of them.
+
+    `sizes`: least and largest multiple of the smallest visible size.
+    """
     hidden, looks = (np.random.default_rng([seed, k]) for k in (1, 2))
     candidates = _candidates(kind, recording, number, hidden)
     hits = looks.random() < RAW and recording == "hammer" and not any(e.kind in NOT_IN_TIME for e in candidates)
@@ -175,7 +191,7 @@ def case(kind: str, recording: Recording, seed: int, number: int) -> Case:
     if recording in ("log", "both"):
         motion, missing = _motion(seed, candidates, looks)
         without += missing
-    effects, multiples, hiding = _sized(candidates, campaign, motion, hidden)
+    effects, multiples, hiding = _sized(candidates, campaign, motion, sizes, hidden)
     if campaign:
         shown = tuple(e for e in effects if EFFECTS[e.kind].shows != "log")
         campaign = replace(campaign, truth=replace(campaign.truth, effects=shown))
@@ -216,7 +232,11 @@ def _candidates(kind: str, recording: Recording, number: int, rng: np.random.Gen
 
 
 def _sized(
-    candidates: Sequence[Effect], campaign: Campaign | None, motion: Motion | None, rng: np.random.Generator
+    candidates: Sequence[Effect],
+    campaign: Campaign | None,
+    motion: Motion | None,
+    sizes: tuple[float, float],
+    rng: np.random.Generator,
 ) -> tuple[tuple[Effect, ...], tuple[float, ...], float | None]:
     """The effects, each at a log-uniform multiple of its smallest visible size, and how a pair overlaps."""
     if not candidates:
@@ -243,7 +263,7 @@ def _sized(
         drawn = drawn[:2]
     effects, multiples = [], []
     for e in drawn:
-        multiple = float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
+        multiple = float(np.exp(rng.uniform(*np.log(sizes))))
         truth, signal = where(e)
         if campaign and _by_level(e):
             signal = level_signal(campaign.postures, campaign.test, campaign.points)

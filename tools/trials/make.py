@@ -3,6 +3,7 @@
 import hashlib
 import os
 import secrets
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from tools.trials.cases import Campaign, Case, Motion, case, plan
+from tools.trials.cases import RECORDINGS, SIZES, Campaign, Case, Motion, case, plan
 from tools.trials.store import read, sha256, write
 from tools.truth.effects import Effect
 from tools.truth.motion import write_log
@@ -23,24 +24,34 @@ EDIT = Effect("payload", "flange", {"mass": 15.0, "com": [1.615, -0.041, 0.0]})
 """What is hung on robot and model in the edit test."""
 
 
-def prepare(split: Path, count: int, seed: int | None) -> list[tuple[str, str, str, int, int]]:
-    """(id, kind, recording, seed, number) of every case; drawn once, then read back."""
+def prepare(
+    split: Path,
+    count: int,
+    seed: int | None,
+    recordings: Sequence[str] = tuple(RECORDINGS),
+    each: int = 0,
+    sizes: tuple[float, float] = SIZES,
+) -> list[tuple[str, str, str, int, int, tuple[float, float]]]:
+    """(id, kind, recording, seed, number, sizes) of every case; drawn once, then read back."""
     path = split / "answers" / "plan.json"
     if not path.exists():
         secret = secrets.randbits(60) if seed is None else seed
-        write(path, {"seed": secret, "cases": plan(count, secret), "salt": secrets.token_hex(16)})
+        drawn = plan(count, secret, recordings, each)
+        write(path, {"seed": secret, "cases": drawn, "sizes": sizes, "salt": secrets.token_hex(16)})
     content = read(path)
     return [
-        (hashlib.sha256(f"{content['salt']}/{n}".encode()).hexdigest()[:12], *drawn)
+        (hashlib.sha256(f"{content['salt']}/{n}".encode()).hexdigest()[:12], *drawn, tuple(content["sizes"]))
         for n, drawn in enumerate(content["cases"])
     ]
 
 
-def record(split: Path, name: str, kind: str, recording: str, seed: int, number: int) -> dict[str, Any]:
+def record(
+    split: Path, name: str, kind: str, recording: str, seed: int, number: int, sizes: tuple[float, float] = SIZES
+) -> dict[str, Any]:
     """Write one case unless it is there, and return its line of the manifest."""
     answer, room, edit = split / "answers" / f"{name}.json", split / "recordings" / name, split / "edit" / name
     if not answer.exists():
-        found = _recorded(kind, recording, seed, number, room, edit)
+        found = _recorded(kind, recording, seed, number, sizes, room, edit)
         write(
             answer,
             {
@@ -58,12 +69,14 @@ def record(split: Path, name: str, kind: str, recording: str, seed: int, number:
     return {"id": name, "without": read(answer)["without"], "files": files, "answer": sha256(answer)}
 
 
-def _recorded(kind: str, recording: str, seed: int, number: int, room: Path, edit: Path) -> Case:
+def _recorded(
+    kind: str, recording: str, seed: int, number: int, sizes: tuple[float, float], room: Path, edit: Path
+) -> Case:
     """The case of the seed, written, or of the next seed where an effect drawn shows nowhere in what was to be
     recorded, or the truth code refuses the robot."""
     for later in range(ATTEMPTS):
         try:
-            found = case(kind, recording, seed + later, number)  # type: ignore[arg-type]
+            found = case(kind, recording, seed + later, number, sizes)  # type: ignore[arg-type]
             write_case(found, room)
             write_case(_edited(found), edit)
             return found

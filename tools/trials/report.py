@@ -51,20 +51,22 @@ that are noise. `twin diagnose` is called as a user would, with the recording al
 hash and opened by the scorer only; every opening is listed below.
 
 A *size* is a multiple of the smallest visible size: where the effect, after everything that nobody knows exactly has
-moved to hide it, makes a log-likelihood ratio of 8 (`tools/trials/visible.py`). Sizes are log-uniform from 1 to 30
-times that, which is often far below what one would call a fault: the rates say what the recordings allow, not what a
-workshop meets. *Clear* means twice the smallest visible size or more. Every rate has Wilson's 95 % interval."""
+moved to hide it, makes a log-likelihood ratio of 8 (`tools/trials/visible.py`). Sizes here are log-uniform from
+{sizes[0]:g} to {sizes[1]:g} times that, often far below what one would call a fault: the rates say what the recordings
+allow, not what a workshop meets. *Clear* means twice the smallest visible size or more. Every rate has Wilson's 95 %
+interval."""
 
 
 def page(
     path: Path, title: str, cases: Sequence[Scored], results: dict[str, dict[str, Any]], split: Path,
-    without: dict[str, list[str]], ledger: Sequence[dict[str, str]], drawn: int, real: str = "",
+    without: dict[str, list[str]], ledger: Sequence[dict[str, str]], manifest: dict[str, Any],
+    real: str = "",
 ) -> None:  # fmt: skip
     """Write `path` (Markdown) and figures beside it in a folder of the same name.
 
     `reading.md` in that folder, written by hand, is taken in: its first line tells the engine that it is about.
 
-    `drawn`: number of cases of the split, of which `cases` have a result; `real`: section on measured recordings.
+    `manifest`: of the split, of which `cases` have a result; `real`: section on measured recordings.
     """
     figures = path.with_suffix("")
     figures.mkdir(parents=True, exist_ok=True)
@@ -78,9 +80,10 @@ def page(
     openings = [e for e in ledger if e["why"].startswith("answers opened")]
     parts = [
         f"# {title}", "",
-        f"{len(cases)} of {drawn} cases ({kinds}), judged by engine {', '.join(engines)}"
+        f"{len(cases)} of {len(manifest['cases'])} cases ({kinds}), judged by engine {', '.join(engines)}"
         f"{'' if len(engines) == 1 else ' — **more than one**'}; the answers have been opened {len(openings)} time(s).",
-        "", EXPLAINED, "", "Run it again: `make proof`, or `python -m tools.trials --help`.", "",
+        "", EXPLAINED.format(sizes=manifest["sizes"]), "",
+        "Run it again: `make proof`; other mixes and sizes: `python -m tools.trials --help`.", "",
         "## Scores", "", *_scores(cases), "",
         *_reading(figures / "reading.md", engines),
         "## Where it is weak", "", *_weak(cases), "",

@@ -14,6 +14,7 @@ import numpy as np
 Z95 = 1.959964
 LEVEL = 0.9  # of the credible set
 VISIBLE = 2.0  # multiples of the smallest visible size from which rates are asked for
+LEAST = 1e-3  # probability that an answer left out is taken to have had
 HIDING = -0.2  # cosine between a pair's signatures below which they hide each other
 HELD_ROOM = 1.25  # times the held-out error of the true model, for which the noise floor stands
 EDIT_ROOM = 1.5  # times the held-out error: allowed on the robot that carries another load
@@ -346,6 +347,32 @@ def calibration(claims: Sequence[tuple[bool, float]], bins: int = 10) -> tuple[f
     return float(error), curve
 
 
+def temperature(cases: Sequence[Scored]) -> tuple[float, tuple[float, float], tuple[float, float]]:
+    """Factor on the temperature that makes the right answers most probable (Guo et al., ICML 2017).
+
+    Of nulls and clear effects: one outside the vocabulary has no right answer but "other", which no temperature makes.
+    With the factor, log score and calibration error before and after.
+    """
+    known = [c for c in judged(cases) if c.verdict != "failed"]
+
+    def at(factor: float) -> tuple[float, float]:
+        lost, claims = [], []
+        for c in known:
+            truth = c.truth[0] if c.truth else "none"
+            p = {**masses(c), truth: max(masses(c).get(truth, 0.0), LEAST)}
+            weights = np.array(list(p.values())) ** (1 / factor)
+            stated = dict(zip(p, weights / weights.sum(), strict=True))
+            best = max(stated, key=lambda name: stated[name])
+            lost.append(-np.log(stated[truth]))
+            claims.append((c.right(best, truth) if c.truth else best == "none", stated[best]))
+        return float(np.mean(lost)), calibration(claims)[0]
+
+    factors = np.geomspace(0.3, 10, 60)
+    best = float(factors[int(np.argmin([at(f)[0] for f in factors]))])
+    before, after = at(1.0), at(best)
+    return best, (before[0], after[0]), (before[1], after[1])
+
+
 def masses(c: Scored) -> dict[str, float]:
     """Probability of every answer to a case with one effect or none."""
     found = dict(c.groups[0]) if c.groups else {}
@@ -361,7 +388,7 @@ def brier(c: Scored) -> float:
 def log_score(c: Scored) -> float:
     """−ln of the probability given to the truth, at most ln 1000."""
     truth = c.truth[0] if c.truth else "none"
-    return float(-np.log(max(masses(c).get(truth, 0.0), 1e-3)))
+    return float(-np.log(max(masses(c).get(truth, 0.0), LEAST)))
 
 
 def power(cases: Sequence[Scored], edges: Sequence[float] = (1, 2, 4, 8, 16, 31)) -> list[tuple[float, Rate, Rate]]:
