@@ -21,7 +21,7 @@ from twin.diagnose.joint import Knowledge, pooled, predicted_by, settled_with, s
 from twin.diagnose.joint_reaction import blows
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
-from twin.diagnose.locate import free_laws, mismatch
+from twin.diagnose.locate import mismatch
 from twin.diagnose.modal_table import diagnose_table
 from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.objective import Sample
@@ -257,7 +257,7 @@ def diagnose_campaign(
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
     unseen = Sample(tuple(kept), sample.repeat) if kept else None
-    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: free_laws(fit, sample))
+    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample))
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     if answered:

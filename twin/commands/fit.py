@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from twin.commands.modal import read_recording
 from twin.commands.outputs import Outputs, check_out
@@ -571,7 +571,7 @@ def _perfect_misfit(campaign: Campaign) -> float:
     if not averages:
         return 1.0
     n = min(averages)
-    variance = chi2.ppf((np.arange(1000) + 0.5) / 1000, 2 * (n - 1)) / (2 * n)
+    variance = gammaincinv(n - 1, (np.arange(1000) + 0.5) / 1000) / n  # chi-squared, 2 (n − 1) degrees of freedom
     return float(np.mean(1 / np.maximum(variance, np.quantile(variance, VARIANCE_FLOOR_QUANTILE))))
 
 

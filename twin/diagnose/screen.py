@@ -243,13 +243,13 @@ def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[fl
 
 def _beyond_promise(setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective) -> Promise:
     """A few steps from the largest of an entry's sizes for which the springs make room; the smallest has no slope."""
-    sprung, own = CATALOGUE[suspect.effect].sprung, np.eye(len(suspect.own))[0]
-    places = [
-        np.concatenate([setting.z, (size if sprung else -size) * own]) for size in CATALOGUE[suspect.effect].sizes
-    ]
-    ends = [_yielding(setting, objective, place) for place in places]
+    sprung, own, n = CATALOGUE[suspect.effect].sprung, np.eye(len(suspect.own))[0], len(setting.z)
+    place, ends = setting.z, []
+    for size in sorted(CATALOGUE[suspect.effect].sizes, reverse=True):  # from the smallest: little room at a time
+        ends.append(_yielding(setting, objective, np.concatenate([place[:n], (size if sprung else -size) * own])))
+        place = ends[-1][1]
     least = min(cost for cost, _ in ends)
-    z = next(z for cost, z in ends if cost <= ROOM * least)
+    z = next(z for cost, z in reversed(ends) if cost <= ROOM * least)
     few = setting.objective(hypothesis, setting.few)
     z, cost, _, _ = minimise(few, z, BEYOND, 0.5)
     noise = 0.5 * len(own) * (setting.few.repeat - setting.sample.repeat)  # what fewer lines let it fit more of that

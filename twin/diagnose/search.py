@@ -45,6 +45,7 @@ class Search:
         error: relative error of the base model beyond noise.
         fits: every hypothesis fitted to all lines, by what it says is missing.
         processes: the work is spread over so many.
+        laws: what a law without a name would gain beside a fit, of the fits asked.
     """
 
     base: Fitted
@@ -53,6 +54,15 @@ class Search:
     error: float
     fits: dict[frozenset[str], Fitted] = field(default_factory=dict)
     processes: int = 1
+    laws: list[tuple[Fitted, dict[str, float]]] = field(default_factory=list)
+
+    def lawless(self, fit: Fitted, sample: Sample) -> dict[str, float]:
+        """:func:`free_laws` of a fit on all lines, computed once."""
+        for known, gains in self.laws:
+            if known is fit:
+                return gains
+        self.laws.append((fit, free_laws(fit, sample)))
+        return self.laws[-1][1]
 
     @property
     def finalists(self) -> list[Fitted]:
@@ -133,7 +143,7 @@ def _where_it_is(
 
     Screening may have passed it over, or a bent valley have held it up, which the robust logarithmic residual leaves.
     """
-    site, gain = next(iter(free_laws(best, sample).items()), ("", 0.0))
+    site, gain = next(iter(search.lawless(best, sample).items()), ("", 0.0))
     joint = site.partition(".")[0]
     there = [variants for variants in suspects if variants[0].site.partition(".")[0] == joint]
     if gain <= WORTH or not there:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from twin.identify.elastic import Fit, Recorded, linear_objective, without_limits
 from twin.identify.parameters import Parameter
@@ -19,7 +19,7 @@ from twin.robot.description import Robot
 HELD = 0.5  # posterior over prior deviation below which the data hold a parameter
 SHARP = 0.35  # and, of a scale, the largest deviation of its logarithm
 LARGE_DRIFT = 3.0  # prior deviations
-NINETY = float(norm.ppf(0.95))
+NINETY = float(ndtri(0.95))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
@@ -47,7 +48,8 @@ def save(figure: Figure, path: str | Path) -> None:
     try:
         os.fchmod(handle, 0o644)
         with os.fdopen(handle, "wb") as stream:
-            figure.savefig(stream, format="png", dpi=_DPI)
+            figure.dpi = _DPI
+            FigureCanvasAgg(figure).print_png(stream)  # draws once, savefig twice
         os.replace(aside, path)
     except BaseException:
         os.unlink(aside)
