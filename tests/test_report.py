@@ -354,7 +354,7 @@ def test_a_failing_figure_leaves_the_old_one(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("disk full")
 
-    monkeypatch.setattr(figure, "savefig", fail)
+    monkeypatch.setattr(figures.FigureCanvasAgg, "print_png", fail)
     with pytest.raises(RuntimeError):
         figures.save(figure, path)
     assert path.read_bytes() == b"old"
