@@ -258,6 +258,15 @@ def test_answers_are_sealed_and_openings_counted(tmp_path: Path) -> None:
     assert len(store.entered(tmp_path, "second")) == 2
 
 
+def test_a_beam_has_no_stiffness_of_a_hinge() -> None:
+    hinge = answer("single", ("payload", "flange", 3.0))
+    beam = answer("single", ("payload", "flange", 3.0))
+    beam["effects"][0]["parameters"]["segments"] = 5
+    said = result("named", [("payload", "flange", 0.9)])
+    assert score.scored(hinge, said).intervals
+    assert not score.scored(beam, said).intervals
+
+
 def test_probabilities_not_stated_are_nothing() -> None:
     found = one(answer("single", PAYLOAD), result("named", [("payload", "link1", 1.0)]))
     assert score.log_score(found) == pytest.approx(np.log(1000))
