@@ -8,15 +8,16 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
-from twin.diagnose.hypotheses import entry_hypothesis, merged, suspects, together
+from twin.diagnose.hypotheses import entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
+from twin.diagnose.next_test import next_test
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, in_doubt_of_size, minimise, recorded_error
 from twin.diagnose.screen import Setting, _beyond_promise, _Scan
 from twin.diagnose.search import Search, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
-from twin.diagnose.verdict import judge, strained
+from twin.diagnose.verdict import judge, rival_of, strained
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import Parameter as Free
 from twin.identify.parameters import Parameters, free_parameters, independent
@@ -147,6 +148,40 @@ def test_a_law_without_a_name_near_the_first_makes_it_ambiguous() -> None:
     fit = Fitted(hypothesis, independent([]), nothing, nothing, robot, 0.0, 1.0, np.eye(0), 1.0, True)
     assert judge(Decision([fit], [0.6], 0.0, 0.4, nameless=0.39)) == "ambiguous"
     assert judge(Decision([fit], [0.9], 0.0, 0.1, nameless=0.09)) == "named"
+
+
+def test_base_and_joint_1_turn_about_the_same_axes_while_it_stands() -> None:
+    robot = load_robot("kr90")
+    q = np.deg2rad([[0.0, 70.0, -100.0], [0.0, 135.0, -140.0], [70.0, 70.0, -100.0]])
+    same = same_axes(robot, q[:2])
+    assert same["transverse_compliance@joint1.y"] == same["base_compliance@base.ry"]
+    assert same["transverse_compliance@joint1.x"] == same["base_compliance@base.rx"]
+    quarter = same_axes(robot, [q[0] + [np.pi / 2, 0, 0]] * 2)
+    assert quarter["transverse_compliance@joint1.y"] == quarter["base_compliance@base.rx"]
+    yaw = {"base_compliance@base.rz": "base.rz", "parameter@joint1.z.stiffness": "base.rz"}
+    assert same_axes(robot, q) == yaw  # torsion of joint 1 in any posture
+
+
+def test_a_tilt_that_only_the_height_of_its_hinge_tells_from_another_is_never_one_name(tmp_path: Path) -> None:
+    """With joint 1 as it is in every posture, base tilt comes with tilt of joint 1, and the next test turns joint 1."""
+    options = ("--seed", "12", "--postures", "3", "--effect", "base_compliance@base.ry")  # all three at q₁ = 0
+    case = recorded(tmp_path, *options, hold_out=[])
+    among = looked_at(case, "base_compliance")
+    search = explain(case.base, converge(case.base, case.free, case.sample), case.sample, among)
+    *fits, base = settle(case.base, search, case.sample)
+    axes = same_axes(case.base, [r.setup.q for r in case.sample.recordings])
+    decision = decide(fits, base, among, axes=axes)
+    rival = rival_of(decision)
+    assert decision.ranked[0].hypothesis.key == "base_compliance@base.ry"
+    assert rival is not None
+    assert rival.hypothesis.key == "parameter@joint1.y.stiffness"
+    assert rival.converged
+    assert judge(decision) == "ambiguous"
+    told = decide(fits, base, among)
+    assert decision.alike == pytest.approx(told.probability[0], abs=0.05)  # it is shared, nothing else is changed
+    found = next_test(case.base, decision.ranked[0], rival, case.sample.thin(25))
+    assert found is not None
+    assert abs(found["posture_deg"][0]) > 10
 
 
 def test_two_things_are_found_together(tmp_path: Path) -> None:

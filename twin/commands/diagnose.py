@@ -16,7 +16,7 @@ from twin.commands.simulate import Progress
 from twin.diagnose.decide import calibration, decide, finalists
 from twin.diagnose.edit import check_linear, check_replayed, check_xml, is_nonlinear, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
-from twin.diagnose.hypotheses import Hypothesis, Sprung, entry_hypothesis, suspects, widened
+from twin.diagnose.hypotheses import Hypothesis, Sprung, entry_hypothesis, same_axes, suspects, widened
 from twin.diagnose.joint import Knowledge, pooled, predicted_by, settled_with, shared, together
 from twin.diagnose.joint_reaction import blows
 from twin.diagnose.levels_finding import check_blows, levels_finding
@@ -257,7 +257,8 @@ def diagnose_campaign(
     explain(base, search, sample, looked_at, progress)
     *fits, settled = settle(base, search, sample)
     unseen = Sample(tuple(kept), sample.repeat) if kept else None
-    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample))
+    axes = same_axes(base, [r.setup.q for r in sample.recordings])
+    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample), axes=axes)
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     if answered:

@@ -16,6 +16,7 @@ import numpy as np
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import Fitted, predictive_misfit
+from twin.measure.campaign import FloatArray
 from twin.yamlfile import read_yaml
 
 LINEAR = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
@@ -35,6 +36,7 @@ class Decision:
         ranked: hypotheses fitted to the end, most probable first; ``probability`` of each.
         none, other: probabilities that nothing, or something unnamed, is missing.
         nameless: what of ``other`` is a law without a name that was fitted.
+        alike: probability of the first and of what differs from it by convention alone.
     """
 
     ranked: list[Fitted]
@@ -42,6 +44,7 @@ class Decision:
     none: float
     other: float
     nameless: float = 0.0
+    alike: float = 0.0
 
     @property
     def rivals(self) -> list[int]:
@@ -60,6 +63,7 @@ def decide(
     scale: float | None = None,
     kept: Sample | None = None,
     unnamed: Callable[[Fitted], Mapping[str, float]] | None = None,
+    axes: Mapping[str, str] | None = None,
 ) -> Decision:
     """Probabilities of hypotheses fitted to the same lines as the base model.
 
@@ -72,6 +76,7 @@ def decide(
         scale: factor on the data's variance (Birge's ratio); what the best fit leaves, by default.
         kept: hammer tests that were not used; a name must hold there too.
         unnamed: what a law without a name would gain beside a fit, site by site, in ln evidence.
+        axes: what turns the robot about one axis (:func:`twin.diagnose.hypotheses.same_axes`).
     """
     numbers = calibration()
     sites: dict[str, int] = {}
@@ -89,6 +94,7 @@ def decide(
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
     names, nothing, nameless = weights[:-2], weights[-2], float(weights[-1])
+    names, together = _shared(names, fits, axes) if axes else (names, names)
     order = np.argsort(-names)
     noise = numbers["noise_misfit"] + 2 * float(np.sqrt(2 / max(base.data, 1)))
     if other is None:
@@ -98,12 +104,29 @@ def decide(
             left = max(left, _left(before, after, numbers["held_out_misfit"]))
         other = _other(left, numbers)
     none, known, nameless = (1 - other) * float(nothing), (1 - other) * names, (1 - other) * nameless
+    alike = (1 - other) * float(together[order[0]]) if len(order) else 0.0
     other += nameless
     if none > 0.5 and (
         base.misfit > 2 * noise or (kept and predictive_misfit(base, kept) > numbers["held_out_adequate"])
     ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
-    return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other), nameless)
+    return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other), nameless, alike)
+
+
+def _shared(names: FloatArray, fits: Sequence[Fitted], axes: Mapping[str, str]) -> tuple[FloatArray, FloatArray]:
+    """Probabilities of fits, and those of everything that turns the robot about the same axes as each.
+
+    Half of what such fits hold together is theirs alike: it is as likely that their hinges are where the vocabulary has
+    them, which the recordings may tell apart, as that they are not.
+    """
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for k, fit in enumerate(fits):
+        groups.setdefault(fit.hypothesis.under(axes), []).append(k)
+    shared, whole = names.copy(), names.copy()
+    for members in groups.values():
+        shared[members] = 0.5 * (names[members] + names[members].mean())
+        whole[members] = names[members].sum()
+    return shared, whole
 
 
 def _lawless(

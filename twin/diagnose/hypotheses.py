@@ -5,7 +5,7 @@ that is known, from where a search has to start. A hypothesis may also be a numb
 further from its description than its tolerance says (effect ``parameter``).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,9 +17,11 @@ from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
 from twin.physics.effect import Parameter as Quantity
 from twin.robot.description import Entry, Robot
+from twin.robot.frames import axis_placement, matrix_of
 
 WIDENED = {"stiffness": np.log(3.0), "mass": 0.15, "com": 0.05, "inertia": 0.3, "gain": 0.1, "damping": np.log(20.0)}
 """Prior deviation of a base parameter that is suspected of being wrong beyond its tolerance."""
+SAME = 0.05  # rad: angles of joint 1 that far apart are two
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,10 @@ class Hypothesis:
     def key(self) -> str:
         """``EFFECT@SITE``."""
         return f"{self.effect}@{self.site}"
+
+    def under(self, axes: Mapping[str, str]) -> tuple[str, ...]:
+        """Keys of the pieces, those that turn about the same axis (:func:`same_axes`) under that axis' name."""
+        return tuple(sorted(axes.get(piece.key, piece.key) for piece in self.pieces))
 
     def robot(self, base: Robot) -> Robot:
         """The description with the entries."""
@@ -232,20 +238,16 @@ def companions(
     hypothesis: Hypothesis, base: Robot, parameters: Parameters, postures_q: Sequence[FloatArray]
 ) -> list[Hypothesis]:
     """What a hypothesis is known to be hard to tell from, by mechanics: judged beside it in any case."""
-    n, site = base.axis_count, hypothesis.site
-    turned = any(abs(q[0] - postures_q[0][0]) > 0.05 for q in postures_q)
+    n, site, axes = base.axis_count, hypothesis.site, same_axes(base, postures_q)
     found: list[tuple[str, str]] = []
+    for key, axis in axes.items():
+        if axis == axes.get(hypothesis.key) and key != hypothesis.key:
+            effect, _, where = key.partition("@")
+            found.append((effect, where))
     if hypothesis.effect == "payload":
         last = {"flange": f"link{n}", f"link{n}": "flange"}
         found += [("payload", last[site])] if site in last else []
         found += [("parameter", f"link{n if site == 'flange' else site[4:]}.mass")]
-    elif hypothesis.effect == "base_compliance":
-        found += [("parameter", "joint1.z.stiffness")] if site == "base.rz" else []
-        if not turned and site in ("base.rx", "base.ry"):
-            found += [("transverse_compliance", "joint1.x"), ("transverse_compliance", "joint1.y")]
-            found += [("parameter", "joint1.x.stiffness"), ("parameter", "joint1.y.stiffness")]
-    elif hypothesis.effect == "transverse_compliance" and site.startswith("joint1.") and not turned:
-        found += [("base_compliance", "base.rx"), ("base_compliance", "base.ry")]
     elif hypothesis.effect == "servo_compliance":
         found += [("parameter", f"{site}.z.stiffness")]
     elif hypothesis.effect == "link_flexibility":
@@ -269,6 +271,27 @@ def companions(
             values = CATALOGUE[effect].typical(base, where)
             hypotheses += [entry_hypothesis(base, effect, where, values)] if values else []
     return hypotheses
+
+
+def same_axes(base: Robot, postures_q: Sequence[FloatArray]) -> dict[str, str]:
+    """What turns the robot about one axis in every posture: keys of base and joint 1 → that axis of the base.
+
+    About the axis of joint 1 always. About the others while q₁ is the same: base and joint 1 then differ in the height
+    of a hinge alone, which the vocabulary sets, at the foot of the base and at the origin of link 1. Neither is where a
+    foundation or a bearing gives way.
+    """
+    if base.axes[0].type == "prismatic":
+        return {}
+    turned = any(abs(q[0] - postures_q[0][0]) > SAME for q in postures_q)
+    along = np.abs(matrix_of(axis_placement(base.axes[0], float(postures_q[0][0]))[1]))
+    found: dict[str, str] = {}
+    for number in (2,) if turned else (2, 0, 1):
+        nearest = next(k for k in np.argsort(-along[:, number]) if f"base.r{'xyz'[k]}" not in found.values())
+        axis, coordinate = f"base.r{'xyz'[nearest]}", f"joint1.{'xyz'[number]}"
+        names = [f"base_compliance@{axis}", f"parameter@{coordinate}.stiffness"]
+        names += [f"transverse_compliance@{coordinate}"] if number != 2 else []
+        found |= dict.fromkeys(names, axis)
+    return found
 
 
 def merged(one: Hypothesis, other: Hypothesis, base: Robot) -> list[Hypothesis]:

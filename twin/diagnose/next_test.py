@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.hypotheses import Hypothesis, same_axes
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError
@@ -61,7 +61,8 @@ def smallest_visible(
 def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: int = 0) -> dict[str, Any] | None:
     """The posture, brake state that best separates two fitted hypotheses, with the expected separation.
 
-    Candidates: the recorded postures turned about joint 1, and random ones within the robot's limits.
+    Candidates: the recorded postures turned about joint 1, and random ones within the robot's limits; none in which
+    more turns the robot about one axis than need be (:func:`twin.diagnose.hypotheses.same_axes`).
     """
     rng = np.random.default_rng(seed)
     reference = sample.recordings[0]
@@ -80,6 +81,9 @@ def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: 
         places.append((q, reference.setup.brakes))
     if reference.setup.brakes != "on":
         places += [(r.setup.q, "on") for r in sample.recordings[:3]]
+    seen = [r.setup.q for r in sample.recordings]
+    alike = [sum(piece.key in same_axes(robot, [*seen, q]) for piece in first.hypothesis.pieces) for q, _ in places]
+    places = [place for place, count in zip(places, alike, strict=True) if count == min(alike)]
     best: tuple[float, FloatArray, Brakes | None] | None = None
     for q, brakes in places:
         if any(limit and not limit[0] <= v <= limit[1] for v, limit in zip(q, limits, strict=True)):

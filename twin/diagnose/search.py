@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose.hypotheses import Hypothesis, companions, merged, together
+from twin.diagnose.hypotheses import Hypothesis, Sprung, companions, merged, same_axes, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
@@ -121,6 +121,7 @@ def explain(
     there = _where_it_is(robot, search, best, sample, suspects, progress)
     if _worth(best, there):
         _needed(robot, search, there, sample)
+    _about_the_same_axis(robot, search, sample)
     return search
 
 
@@ -365,6 +366,26 @@ class _Place:
     worth: float = np.inf
 
 
+def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
+    """What turns the robot about the axis of a piece of the answer, in its stead: at convergence, however it fares."""
+    best, free, postures = search.finalists[0], search.base.parameters, [r.setup.q for r in sample.recordings]
+    axes = same_axes(robot, postures)
+    for piece in best.hypothesis.pieces if best.evidence() > search.base.evidence() else ():
+        rest = [other for other in best.hypothesis.pieces if other is not piece]
+        for companion in companions(piece, robot, free, postures) if piece.key in axes else ():
+            hypothesis = together(*rest, companion)
+            parameters = hypothesis.parameters(free)
+            starts = [_taken_over(best, [piece], companion, parameters)]
+            known = search.fits.get(hypothesis.identity)
+            if known is not None:
+                starts.append(known.z)
+            few = sample.thin(REFIT_LINES)
+            near = _nearly(robot, _Place(hypothesis, parameters, tuple(starts)), few, np.inf)
+            fit = _fully(robot, near, sample, np.inf)
+            if known is None or fit.cost < known.cost:
+                search.fits[hypothesis.identity] = fit
+
+
 def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Sample) -> list[Fitted]:
     """Hypotheses at their optimum on all lines, the better of it and what was known of each; side by side."""
     reach, few = _reach(search), sample.thin(REFIT_LINES)
@@ -450,12 +471,18 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
 def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis, parameters: Parameters) -> FloatArray:
     """Where a companion starts: what stays is as it is, its own numbers are those of what it stands for, rather of the
     simpler: mass and place of what hangs."""
-    fitted = dict(zip(best.parameters.names, best.values, strict=True))
+    fitted = dict(zip(_described(best.parameters).names, best.values, strict=True))
     known: dict[str, float] = {}
     for piece in sorted(gone, key=lambda piece: -len(piece.own)):
         known |= {_role(piece, p): fitted[p.name] for p in piece.own}
     own = {p.name: known.get(_role(companion, p), p.mean) for p in companion.own}
-    return parameters.coordinates(np.array([own.get(name, fitted.get(name)) for name in parameters.names], float))
+    names = _described(parameters).names
+    return parameters.coordinates(np.array([own.get(name, fitted.get(name)) for name in names], float))
+
+
+def _described(parameters: Parameters) -> Parameters:
+    """Parameters under the names of the description."""
+    return parameters.written if isinstance(parameters, Sprung) else parameters
 
 
 def _role(piece: Hypothesis, parameter: Parameter) -> str:
@@ -470,14 +497,18 @@ def _alike(one: Hypothesis, other: Hypothesis) -> bool:
 
 
 def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
-    """Every hypothesis in reach of the best, most evidence first, near ones of their size; the base model last."""
+    """Every hypothesis in reach of the best, and what turns the robot about its axes, most evidence first, near ones of
+    their size; the base model last."""
     fits, free = search.finalists, search.base.parameters
+    axes = same_axes(robot, [r.setup.q for r in sample.recordings])
     near = [fit for fit in fits if fits[0].evidence() - fit.evidence() < REACH]
     sized = list(spread(lambda k: of_its_size(robot, free, near[k], sample), len(near), search.processes))
     far = [
         fit
         for k, fit in enumerate(fits[len(near) :], len(near))
-        if k < FEWEST or fits[0].evidence() - fit.evidence() < 10 * REACH
+        if k < FEWEST
+        or fits[0].evidence() - fit.evidence() < 10 * REACH
+        or fit.hypothesis.under(axes) == fits[0].hypothesis.under(axes)
     ]
     return [*sorted(sized, key=lambda fit: -fit.evidence()), *far, search.base]
 

@@ -302,7 +302,7 @@ def _part(record: Record) -> dict[str, Any]:
 
 def judge(decision: Decision) -> Word:
     """The word for a decision."""
-    top = decision.probability[0] if decision.probability else 0.0
+    top = max(decision.alike, *decision.probability[:1], 0.0)
     if decision.none >= max(top, decision.other):
         return "adequate"
     if decision.other > top:
