@@ -82,7 +82,8 @@ def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: 
     if reference.setup.brakes != "on":
         places += [(r.setup.q, "on") for r in sample.recordings[:3]]
     seen = [r.setup.q for r in sample.recordings]
-    alike = [sum(piece.key in same_axes(robot, [*seen, q]) for piece in first.hypothesis.pieces) for q, _ in places]
+    keys = [piece.key for fit in (first, rival) for piece in fit.hypothesis.pieces]
+    alike = [sum(key in same_axes(robot, [*seen, q]) for key in keys) for q, _ in places]
     places = [place for place, count in zip(places, alike, strict=True) if count == min(alike)]
     best: tuple[float, FloatArray, Brakes | None] | None = None
     for q, brakes in places:

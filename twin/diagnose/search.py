@@ -31,6 +31,7 @@ ROUGHLY = 1.05  # on few lines a cost differs from that on all by so much
 SHORT = 0.2  # of what another has gained: less promised is not refitted
 ABREAST = 2  # refits side by side, on however many cores: what is found must not depend on them
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
+LIKELY = 16.0  # ln evidence behind the best within which a fit may be a rival
 
 Progress = Callable[[str, int], Callable[[int], None]]
 
@@ -367,23 +368,22 @@ class _Place:
 
 
 def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
-    """What turns the robot about the axis of a piece of the answer, in its stead: at convergence, however it fares."""
-    best, free, postures = search.finalists[0], search.base.parameters, [r.setup.q for r in sample.recordings]
-    axes = same_axes(robot, postures)
-    for piece in best.hypothesis.pieces if best.evidence() > search.base.evidence() else ():
-        rest = [other for other in best.hypothesis.pieces if other is not piece]
-        for companion in companions(piece, robot, free, postures) if piece.key in axes else ():
-            hypothesis = together(*rest, companion)
-            parameters = hypothesis.parameters(free)
-            starts = [_taken_over(best, [piece], companion, parameters)]
-            known = search.fits.get(hypothesis.identity)
-            if known is not None:
-                starts.append(known.z)
-            few = sample.thin(REFIT_LINES)
-            near = _nearly(robot, _Place(hypothesis, parameters, tuple(starts)), few, np.inf)
-            fit = _fully(robot, near, sample, np.inf)
-            if known is None or fit.cost < known.cost:
-                search.fits[hypothesis.identity] = fit
+    """What turns the robot about an axis of a likely answer, in the stead of its piece and at convergence."""
+    free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
+    axes, (best, *others) = same_axes(robot, postures), search.finalists
+    likely = [best, *(fit for fit in others if len(fit.hypothesis.pieces) == len(best.hypothesis.pieces))]
+    least = max(search.base.evidence(), best.evidence() - LIKELY)
+    for fit in [fit for fit in likely if fit.evidence() > least]:
+        for piece in [piece for piece in fit.hypothesis.pieces if piece.key in axes]:
+            rest = [other for other in fit.hypothesis.pieces if other is not piece]
+            for companion in companions(piece, robot, free, postures):
+                hypothesis = together(*rest, companion)
+                known, parameters = search.fits.get(hypothesis.identity), hypothesis.parameters(free)
+                starts = (_taken_over(fit, [piece], companion, parameters), *([known.z] if known else []))
+                near = _nearly(robot, _Place(hypothesis, parameters, starts), few, np.inf)
+                found = _fully(robot, near, sample, np.inf)
+                if known is None or found.cost < known.cost:
+                    search.fits[hypothesis.identity] = found
 
 
 def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Sample) -> list[Fitted]:
@@ -508,7 +508,7 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
         for k, fit in enumerate(fits[len(near) :], len(near))
         if k < FEWEST
         or fits[0].evidence() - fit.evidence() < 10 * REACH
-        or fit.hypothesis.under(axes) == fits[0].hypothesis.under(axes)
+        or any(fit.hypothesis.under(axes) == other.hypothesis.under(axes) for other in near)
     ]
     return [*sorted(sized, key=lambda fit: -fit.evidence()), *far, search.base]
 
