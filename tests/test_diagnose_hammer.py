@@ -182,6 +182,7 @@ def test_a_tilt_that_only_the_height_of_its_hinge_tells_from_another_is_never_on
     found = next_test(case.base, decision.ranked[0], rival, case.sample.thin(25))
     assert found is not None
     assert abs(found["posture_deg"][0]) > 10
+    assert found["separates"] == ["base_compliance@base.ry", "parameter@joint1.y.stiffness"]
 
 
 def test_two_things_are_found_together(tmp_path: Path) -> None:

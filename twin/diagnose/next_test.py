@@ -101,7 +101,8 @@ def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: 
     gain, q, brakes = best
     degrees = [round(value, 1) for value in robot.degrees(q)]
     state = f", brakes {brakes}" if brakes and brakes != reference.setup.brakes else ""
-    names = [fit.hypothesis.key if fit.hypothesis.pieces else "none" for fit in (first, rival)]
+    sets = [[piece.key for piece in fit.hypothesis.pieces] for fit in (first, rival)]
+    names = [" + ".join(key for key in a if key not in b) or "none" for a, b in (sets, sets[::-1])]
     return {
         "description": f"the same hammer test at q = {degrees}°{state}: it should separate "
         f"{names[0]} from {names[1]} by {gain:.0f} in ln evidence",
