@@ -79,8 +79,8 @@ def diagnose_log(
     """
     prepared = prepare(log, robot, source, hold_out, bands)
     suspects = log_suspects(robot, prepared.used)
-    system = system_of(prepared, suspects)
-    search = explain(system, prepared.kept, suspects, progress)
+    system = system_of(prepared, suspects, processes=processes)
+    search = explain(system, prepared.kept, suspects, progress, processes)
     word, missing, none, other = _answer(search)
     base = search.first.base
     records, errors = log_records(prepared, base, search)
@@ -92,7 +92,7 @@ def diagnose_log(
             robot_after = with_play(robot_after, play)
             missing.append(missing_play(play, robot_after))
             word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
-    restless = disturbances(log, search, source)
+    restless = disturbances(log, search, source, processes)
     where = spots(records, source, prepared.bands.fit[1]) + restless
     sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
     finding = Finding(

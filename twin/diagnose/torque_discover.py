@@ -77,7 +77,7 @@ def discover(system: System, joint: int, most: int = MOST_TERMS) -> tuple[Trial,
             units.append([t * (scale / rms) for t in torque])
             widths.append(scale / rms)
             kept.append(term)
-    whitened = system.whiten([np.stack(rows, -1) for rows in zip(*units, strict=True)])
+    whitened = system.whiten(*units)
     chosen = _match(system, whitened, most)
     if not chosen:
         return None

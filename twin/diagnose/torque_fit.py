@@ -23,6 +23,7 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_laws import (
+    BENT,
     REFERRING,
     TURNING,
     USUAL,
@@ -43,6 +44,7 @@ from twin.identify.regressor import Column, Regressor, body_of, inertial_vector,
 from twin.identify.rigid import nearest_possible
 from twin.measure.campaign import FloatArray
 from twin.measure.signals import lowpass
+from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
@@ -408,12 +410,13 @@ class System:
         """Rows of a joint."""
         return slice(joint * self.count, (joint + 1) * self.count)
 
-    def whiten(self, parts: Sequence[FloatArray]) -> Columns:
-        """Torque (m, n) or (m, n, k) of every run, whitened."""
-        joints = tuple(j for j in range(len(self.whitening)) if any(part[:, j].any() for part in parts))
-        out = [self.whitened(j, [part[:, j] for part in parts]) for j in joints]
-        size = int(np.prod(parts[0].shape[2:], dtype=int))
-        return Columns(joints, np.concatenate(out) if out else np.zeros((0, size)))
+    def whiten(self, *columns: Sequence[FloatArray]) -> Columns:
+        """Columns, each the torque (m, n) of every run, whitened; joint by joint, for most act on one."""
+        axes = range(len(self.whitening))
+        joints = tuple(j for j in axes if any(part[:, j].any() for column in columns for part in column))
+        runs = range(len(self.base.runs))
+        out = [self.whitened(j, [np.stack([c[k][:, j] for c in columns], -1) for k in runs]) for j in joints]
+        return Columns(joints, np.concatenate(out) if out else np.zeros((0, len(columns))))
 
     def whitened(self, joint: int, parts: Sequence[FloatArray]) -> FloatArray:
         """Torque (m,) or (m, k) of a joint in every run, whitened (count, k)."""
@@ -934,7 +937,7 @@ def _rounded(entry: Entry, robot: Robot) -> Entry:
 # --- noise ------------------------------------------------------------------------------------------------------------
 
 
-def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | None = None) -> System:
+def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | None = None, processes: int = 1) -> System:
     """The used runs of a log, whitened by the residual of the richest model there is."""
     base = base_of(prepared.regressor, prepared.used if runs is None else runs)
     for _ in range(2 * bool(base.sliding.any())):  # the second time beside its own presliding, if none was described
@@ -945,7 +948,7 @@ def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | Non
     for _ in range(2):  # the second time with friction, load and torque as fitted
         z = _plain_fit(system)
         refer(system, z)
-    system.whitening, system.level, system.noise = _whitening(system, rich)
+    system.whitening, system.level, system.noise = _whitening(system, rich, processes)
     system.assemble()
     refer(system, system.z)
     return system
@@ -1024,53 +1027,63 @@ def _whole(valid: np.ndarray, order: int) -> np.ndarray:
     return valid & (bad[order + 1 :] - bad[: -order - 1] == 0)
 
 
-def _whitening(system: System, rich: Sequence[Suspect]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    base = system.base
-    n = base.regressor.robot.axis_count
+def _whitening(
+    system: System, rich: Sequence[Suspect], processes: int = 1
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    base, n = system.base, len(system.whitening)
     extra: list[list[FloatArray]] = [[] for _ in range(n)]  # per joint, columns over all runs
     for suspect in rich:
         for column in _shapes(system, suspect):
             for j in range(n):
                 if any(part[:, j].any() for part in column):
                     extra[j].append(np.concatenate([part[:, j] for part in column]))
-    order = system.order
-    out, level, noise = np.zeros((n, order + 1)), np.ones(n), np.ones(n)
+    data = np.concatenate(base.rest)
+    found = spread(lambda j: _noise(base, j, data[:, j], extra[j], system.order), n, processes)
+    filters, level, noise = zip(*found, strict=True)
+    return np.array(filters), np.array(level), np.array(noise)
+
+
+def _noise(
+    base: Base, j: int, data: FloatArray, extra: Sequence[FloatArray], order: int
+) -> tuple[FloatArray, float, float]:
+    """Prediction-error filter (order + 1,) of a joint's noise, its level when filtered so, and its RMS.
+
+    Args:
+        base, j: of a joint, ``data`` (m,) its recorded less described torque, runs together.
+        extra: columns (m,) that a model may have beside those of the base.
+        order: of the filter.
+    """
     valid = np.concatenate([r.valid for r in base.runs])
     ends = np.cumsum([len(r.time) for r in base.runs])[:-1]
-    data = np.concatenate(base.rest)
-    for j in range(n):
-        free = np.concatenate([smooth_columns(r, j, *span_of(base.runs, j)) for r in base.runs])
-        stops = []
-        for k, run in enumerate(base.runs):
-            doubts = [(near, boxes) for near, boxes in stop_columns(run, j) if boxes.shape[1] > 2]  # not a step's alone
-            for near, boxes in doubts[:MOST_STOPS]:
-                stops.append(np.zeros((len(valid), boxes.shape[1])))
-                stops[-1][(ends[k - 1] if k else 0) :][near] = boxes
-        y = data[:, j] * valid
-        usual = USUAL * np.sqrt(
-            np.mean(data[valid, j] ** 2) + np.mean(np.concatenate([r.torque for r in base.runs])[:, j] ** 2)
-        )
-        B = np.column_stack([free, *extra[j], *stops]) * valid[:, None]
-        scale = np.sqrt(np.mean(B**2, axis=0))
-        B = np.column_stack([_rows(base, j) * valid[:, None], usual * (B / np.where(scale > 0, scale, 1))])
-        size, turn = np.linalg.eigh(B.T @ B)
-        keep = size > 1e-9 * size[-1]
-        Q = B @ (turn[:, keep] / np.sqrt(size[keep]))
-        size, along = size[keep], Q.T @ y
-        variance = 1e-2 * float(np.mean(y**2))
-        least = _ridge(size, MOST_FITTED * float(valid.sum()))
-        for _ in range(6):  # of the noise, and how far the data hold each direction against its prior
-            share = size / (size + max(variance, least))
-            e = y - Q @ (share * along)
-            variance = max(float(e @ e) / max(valid.sum() - float(share.sum()), 0.1 * valid.sum()), 1e-300)
-        Q = Q * np.sqrt(1 - (1 - share) ** 2)
-        correlation = _correlation(np.split(e, ends), np.split(Q, ends), np.split(valid, ends), order)
-        out[j] = prediction_filter(correlation)
-        white = np.concatenate([lfilter(out[j], [1.0], part)[order:] for part in np.split(e, ends)])
-        left = max(valid.sum() - float(np.sum(Q**2)), 0.1 * valid.sum())
-        level[j] = float(white @ white) / left
-        noise[j] = np.sqrt(correlation[0])
-    return out, level, noise
+    free = np.concatenate([smooth_columns(r, j, *span_of(base.runs, j)) for r in base.runs])
+    stops = []
+    for k, run in enumerate(base.runs):
+        doubts = [(near, boxes) for near, boxes in stop_columns(run, j) if boxes.shape[1] > 2]  # not a step's alone
+        for near, boxes in doubts[:MOST_STOPS]:
+            stops.append(np.zeros((len(valid), boxes.shape[1])))
+            stops[-1][(ends[k - 1] if k else 0) :][near] = boxes
+    y = data * valid
+    recorded = np.concatenate([r.torque for r in base.runs])[:, j]
+    usual = USUAL * np.sqrt(np.mean(data[valid] ** 2) + np.mean(recorded**2))
+    B = np.column_stack([free, *extra, *stops]) * valid[:, None]
+    scale = np.sqrt(np.mean(B**2, axis=0))
+    B = np.column_stack([_rows(base, j) * valid[:, None], usual * (B / np.where(scale > 0, scale, 1))])
+    size, turn = np.linalg.eigh(B.T @ B)
+    keep = size > 1e-9 * size[-1]
+    Q = B @ (turn[:, keep] / np.sqrt(size[keep]))
+    size, along = size[keep], Q.T @ y
+    variance = 1e-2 * float(np.mean(y**2))
+    least = _ridge(size, MOST_FITTED * float(valid.sum()))
+    for _ in range(6):  # of the noise, and how far the data hold each direction against its prior
+        share = size / (size + max(variance, least))
+        e = y - Q @ (share * along)
+        variance = max(float(e @ e) / max(valid.sum() - float(share.sum()), 0.1 * valid.sum()), 1e-300)
+    Q = Q * np.sqrt(1 - (1 - share) ** 2)
+    correlation = _correlation(np.split(e, ends), np.split(Q, ends), np.split(valid, ends), order)
+    whitening = prediction_filter(correlation)
+    white = np.concatenate([lfilter(whitening, [1.0], part)[order:] for part in np.split(e, ends)])
+    left = max(valid.sum() - float(np.sum(Q**2)), 0.1 * valid.sum())
+    return whitening, float(white @ white) / left, float(np.sqrt(correlation[0]))
 
 
 def _ridge(size: FloatArray, most: float) -> float:
@@ -1094,19 +1107,24 @@ def _shapes(system: System, suspect: Suspect) -> list[list[FloatArray]]:
     return [column for start in few for column in _start_columns(system, suspect, start)]
 
 
-def _start_columns(system: System, suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
-    """The entry's torque (m, n) per run at a start, and what a prior deviation of every size adds to it."""
+def _vanishes(suspect: Suspect) -> bool:
+    """Whether the entry adds nothing at its starts: sizes are where they have no effect."""
     own = suspect.hypothesis.own
-    nothing = suspect.sizes and all(start[k] == own[k].mean for k in suspect.sizes)
-    here = [np.zeros_like(run.torque) for run in system.base.runs]
-    if not nothing:
-        here = system.torque(with_values(suspect.hypothesis, start))
-    columns = [here]
+    return bool(suspect.sizes) and all(start[k] == own[k].mean for start in suspect.starts for k in suspect.sizes)
+
+
+def _start_columns(system: System, suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
+    """The entry's torque (m, n) per run at a start, if any, and what a prior deviation of every size adds."""
+    own = suspect.hypothesis.own
+    here = [] if _vanishes(suspect) else [system.torque(with_values(suspect.hypothesis, start))]
+    columns = list(here)
     for k in suspect.sizes:
         shifted = start.copy()
         shifted[k] += STEPS[1] * own[k].deviation
         moved = system.torque(with_values(suspect.hypothesis, shifted))
-        columns.append([(a - b) / STEPS[1] for a, b in zip(moved, here, strict=True)])
+        for still in here:
+            moved = [a - b for a, b in zip(moved, still, strict=True)]
+        columns.append([part / STEPS[1] for part in moved])
     return columns
 
 
@@ -1207,7 +1225,7 @@ def _whitened(
         moved = u.copy()
         moved[k] += steps[k]
         parts.append([(a - b) / steps[k] for a, b in zip(torque(moved), here, strict=True)])
-    together = system.whiten([np.stack(rows, -1) for rows in zip(*parts, strict=True)])
+    together = system.whiten(*parts)
     return Columns(together.joints, together.rows[:, :1]), Columns(together.joints, together.rows[:, 1:])
 
 
@@ -1225,34 +1243,39 @@ def _gain(system: System, column: Columns, u: FloatArray) -> float:
 def start(system: System, suspect: Suspect) -> Trial:
     """The best of a suspect's starts, sizes solved for; without slopes, to be settled."""
     own, sizes = suspect.hypothesis.own, list(suspect.sizes)
-    width = 1 + len(sizes)
+    first, width = int(not _vanishes(suspect)), int(not _vanishes(suspect)) + len(sizes)
     whitened = system.screened.get(suspect.name)
     if whitened is None:
         columns = [column for values in suspect.starts for column in _start_columns(system, suspect, values)]
-        whitened = system.whiten([np.stack(rows, -1) for rows in zip(*columns, strict=True)])
+        whitened = system.whiten(*columns)
         if whitened.rows.size < LARGEST_KEPT and suspect.hypothesis.effect not in REFERRING:
             system.screened[suspect.name] = whitened
     across = system.across(whitened)
     pulls = whitened.rows.T @ system.on(system.residual, whitened)
-    promised: list[tuple[float, int, FloatArray]] = []
+    promised: list[tuple[float, int, FloatArray, FloatArray]] = []
     for number, values in enumerate(suspect.starts):
         part = slice(number * width, (number + 1) * width)
         C = whitened.rows[:, part]
         information = C.T @ C - across[part] @ system.inverse @ across[part].T
         u = own_prior(own, values)
         if sizes:
-            pull = pulls[part][1:] - information[1:, 0] - u[sizes]
+            pull = pulls[part][first:] - information[first:, :first].sum(axis=1) - u[sizes]
             before = u[sizes]
-            u[sizes] += np.linalg.solve(information[1:, 1:] + np.eye(len(sizes)), pull)
+            u[sizes] += np.linalg.solve(information[first:, first:] + np.eye(len(sizes)), pull)
             u = _inside(suspect, u)
-            weight = np.concatenate([[1.0], u[sizes] - before])
+            weight = np.concatenate([np.ones(first), u[sizes] - before])
         else:  # its numbers in proportion
             weight = np.clip(pulls[part] / information[0], 0.01, 10.0)
             u = own_prior(own, weight[0] * values)
         gain = float(weight @ pulls[part] - 0.5 * weight @ information @ weight - 0.5 * u @ u)
-        promised.append((gain, number, u))
+        promised.append((gain, number, u, weight))
+    promised.sort(key=lambda item: -item[0])
+    if suspect.hypothesis.effect not in BENT:
+        gain, number, u, weight = promised[0]
+        rows = whitened.rows[:, number * width : (number + 1) * width] @ weight[:, None]
+        return Trial(suspect, u, gain, Columns(whitened.joints, rows), Columns(whitened.joints, rows[:, :0]))
     found: list[Trial] = []
-    for gain, _, u in sorted(promised, reverse=True)[:TRIED]:
+    for gain, _, u, _ in promised[:TRIED]:
         found.append(evaluate(system, suspect, u, slopes=False))
         if found[-1].gain > KEPT * gain:  # a law that is not linear keeps its promise only near where it started
             break

@@ -42,6 +42,9 @@ REFERRING = frozenset({"load_dependent_friction", "friction_drift", "torque_cons
 RECORDING = frozenset({"time_delay", "torque_constant"})
 """Of these, what acts on the recorded torque as a whole, whichever laws it is the sum of."""
 
+BENT = frozenset({"joint_coupling", "time_delay"})
+"""Effects whose torque is linear in their size near a start only."""
+
 
 @dataclass
 class State:

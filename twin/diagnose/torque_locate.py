@@ -15,6 +15,7 @@ from twin.diagnose.torque_signal import run_of
 from twin.identify.rigid import Bands, joint_run
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
+from twin.parallel import spread
 
 BANDS = 6
 WIDE_HZ = 40.0  # how far above the fit's band a disturbance is looked for
@@ -53,7 +54,7 @@ def spots(records: Sequence[LogRecord], source: str, stop_hz: float, count: int 
     ]
 
 
-def disturbances(log: MotionLog, search: Search, source: str) -> list[dict[str, Any]]:
+def disturbances(log: MotionLog, search: Search, source: str, processes: int = 1) -> list[dict[str, Any]]:
     """Bands above the fit's in which one run is restless and another is not.
 
     The model has the answer's friction and loads, not its delays and gains: these act on every band alike.
@@ -68,8 +69,10 @@ def disturbances(log: MotionLog, search: Search, source: str) -> list[dict[str, 
     edges = np.linspace(below, 0.9 * WIDE_HZ, WIDE_BANDS + 1)
     z = system.plain(search.after.z)
     entries = [e for e in system.entries(search.after.z) if e.effect not in RECORDING]
-    power = []
-    for run in runs:
+
+    def power(number: int) -> FloatArray:
+        """Of what the model leaves of a run, (bands, joints)."""
+        run = runs[number]
         end = int(min(len(run.time), WIDE_S * run.sample_rate_hz))
         short = replace(
             run, time=run.time[:end], position=run.position[:end], torque=run.torque[:end],  # type: ignore[index]
@@ -90,8 +93,9 @@ def disturbances(log: MotionLog, search: Search, source: str) -> list[dict[str, 
         spectrum = np.abs(np.fft.rfft((rest - rest.mean(axis=0)) * np.hanning(len(rest))[:, None], axis=0)) ** 2
         frequency = np.fft.rfftfreq(len(rest), 1 / wide.rate_hz)
         bins = [(frequency >= low) & (frequency < high) for low, high in pairwise(edges)]
-        power.append([spectrum[inside].sum(axis=0) / len(rest) for inside in bins])
-    P = np.array(power)  # runs, bands, joints
+        return np.array([spectrum[inside].sum(axis=0) / len(rest) for inside in bins])
+
+    P = np.array(list(spread(power, len(runs), processes)))  # runs, bands, joints
     quiet = np.maximum(P.min(axis=0), 1e-300)
     total = float(P.sum())
     places = []

@@ -219,25 +219,26 @@ class Search:
 
 
 def explain(
-    system: System, kept: Sequence[Run], suspects: Sequence[Suspect], progress: Progress | None = None
-) -> Search:
+    system: System, kept: Sequence[Run], suspects: Sequence[Suspect], progress: Progress | None = None,
+    processes: int = 1,
+) -> Search:  # fmt: skip
     """Look for what is missing, one thing after the other; where names do not reach, for a law.
 
     Args:
         system: base model on the rows used.
         kept: runs (or blocks) not used.
         suspects: all that could be missing.
+        processes: what can be is spread over so many.
     """
     plain = system
     progress = progress or (lambda description, total: lambda count: None)
     judge = Judge(system, kept) if kept else None
-    axes = range(len(system.whitening))
-    free = np.array([free_gain(system, j) for j in axes])
+    free = free_gains(system, processes)
     steps: list[Step] = []
     for number in range(ROUNDS):
         known = {s.name for s in system.found}
         open_ = [s for s in suspects if s.name not in known]
-        step = _look(system, open_, progress("screen" if not number else "look for more", len(open_)))
+        step = _look(system, open_, progress("screen" if not number else "look for more", len(open_)), processes)
         step = _first_borne_out(step, steps, open_, judge)
         steps.append(step)
         if not step.accepted:
@@ -251,7 +252,7 @@ def explain(
     first = steps[0]
     system = _pruned(steps, _revised(steps, system, suspects, judge))
     system = with_turning_drives(_all_grown(steps, system, judge))
-    left = np.array([free_gain(system, j) for j in axes])
+    left = free_gains(system, processes)
     search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
@@ -551,7 +552,7 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
         search.law = joint, trial, fit
 
 
-def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None]) -> Step:
+def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None], processes: int) -> Step:
     started = []
     for suspect in suspects:
         started.append(start(system, suspect))
@@ -559,8 +560,8 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
     started.sort(key=lambda trial: -trial.gain)
     trials: dict[str, Trial] = {}
     best_of: dict[str, Fitted] = {}
-    for trial in _varied(started):
-        trial = settle(system, trial)
+    promising = _varied(started)
+    for trial in spread(lambda number: settle(system, promising[number]), len(promising), processes):
         fit = fitted(system, trial)
         key = fit.hypothesis.key
         if key not in best_of or fit.evidence() > best_of[key].evidence():
@@ -648,18 +649,19 @@ def _nothing(decision: Decision) -> Decision:
     return replace(decision, probability=[0.1 * p for p in decision.probability], none=decision.none + 0.9 * left)
 
 
+def free_gains(system: System, processes: int = 1) -> FloatArray:
+    """:func:`free_gain` at every joint (n,)."""
+    _ = system.residual  # once, for all processes
+    return np.array(list(spread(lambda j: free_gain(system, j), len(system.whitening), processes)))
+
+
 def free_gain(system: System, joint: int) -> float:
     """Evidence gained by a free smooth function of a joint's position and velocity."""
     runs = system.base.runs
     middle, half, speed = span_of(runs, joint)
     scale = USUAL * np.sqrt(np.mean(np.concatenate([r.torque[r.valid, joint] for r in runs]) ** 2))
-    parts = []
-    for run in runs:
-        columns = smooth_columns(run, joint, middle, half, speed)
-        rows = np.zeros((*run.torque.shape, columns.shape[1]))
-        rows[:, joint] = columns * scale
-        parts.append(rows)
-    information, pull = system.projected(system.whiten(parts))
+    rows = system.whitened(joint, [scale * smooth_columns(run, joint, middle, half, speed) for run in runs])
+    information, pull = system.projected(Columns((joint,), rows))
     inside = information + np.eye(len(pull))
     return float(0.5 * pull @ np.linalg.solve(inside, pull) - 0.5 * np.linalg.slogdet(inside)[1])
 
