@@ -32,7 +32,7 @@ from twin.diagnose.torque_fit import (
     stop_columns,
     system_of,
     unshrunk,
-    with_turning_drives,
+    with_doubts,
 )
 from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
 from twin.diagnose.torque_locate import around_reversals, state_map
@@ -460,7 +460,7 @@ def test_a_drive_that_turns_with_two_axes_is_in_doubt_where_it_turns_back_itself
     plain = system_of(prepared, [])
     suspect = next(s for s in log_suspects(kr90, prepared.used) if s.name == "joint_coupling@joint1 joint2")
     system = relinearised(extended(plain, settle(plain, start(plain, suspect))))
-    turning = with_turning_drives(system)
+    turning = with_doubts(system)
     assert turning.turning[1, 0] == pytest.approx(-0.02, rel=0.1)
     assert len(turning.stops[1]) > len(system.stops[1])
     assert [len(stops) for stops in turning.stops[::2]] == [len(stops) for stops in system.stops[::2]]

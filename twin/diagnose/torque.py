@@ -19,6 +19,7 @@ from twin.diagnose.torque_fit import (
     system_of,
     that_can_exist,
     with_presliding,
+    worth,
 )
 from twin.diagnose.torque_laws import RECORDING, log_suspects, model_torque, with_values
 from twin.diagnose.torque_locate import disturbances, spots
@@ -34,6 +35,7 @@ from twin.diagnose.torque_search import (
     explain,
     left_out,
     possible,
+    seen_at_rest_only,
     smallest_visible,
 )
 from twin.diagnose.torque_signal import Prepared, Run, prepare
@@ -100,7 +102,8 @@ def diagnose_log(
         list(prepared.held_out), records, where, sites,
         [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
-            *prepared.notes, *map(_restless, restless), *_told_apart(search), *_bodies(prepared, search, errors)
+            *prepared.notes, *map(_restless, restless), *_told_apart(search), *_narrow(search),
+            *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays),
         written=with_presliding(search.system, after.z, robot_after),
@@ -134,6 +137,19 @@ def _restless(spot: dict[str, Any]) -> str:
         f"run '{spot['run']}' is restless at {low:.0f}-{high:.0f} Hz on {spot['site']}, where another run is not and "
         "above the band of the fit: nothing in the model does that, and it is not named"
     )
+
+
+def _narrow(search: Search) -> list[str]:
+    """Of a description that allows too little: which numbers stay farthest from it."""
+    if search.narrow == 1.0:
+        return []
+    described = np.arange(search.plain.base.spread.shape[1])
+    z = search.system.plain(search.after.z)[described]
+    far = ", ".join(search.plain.parameters.names[k] for k in np.argsort(-np.abs(z))[:3])
+    return [
+        f"the description's tolerances are too narrow for this log: with what was found in the model they were taken "
+        f"{search.narrow:.0f} times as wide ({far} are farthest off)"
+    ]
 
 
 def _told_apart(search: Search) -> list[str]:
@@ -188,8 +204,19 @@ def _slips(search: Search) -> dict[str, list[str]]:
                 f"Slip gained {both[-1][slip.key]:.0f} in ln evidence where low-speed friction in its place gained "
                 f"{max(both[-1][low], 0.0):.0f}: the log {tells} them apart."
             )
-        if (beside := next((s for s in search.found if s.key == low), None)) is not None:
-            own.append(f"Low-speed friction is there, too: it is worth {beside.gain:.0f} beside other friction.")
+        beside = next((s for s in search.found if s.key == low), None)
+        if beside is not None and beside.trial is not None:
+            now = worth(search.system, beside.trial.suspect)
+            gains = f"gained {beside.gain:.0f} beside it, and is worth {now:.0f} beside all that was found"
+            text = f"Low-speed friction {gains}"
+            if any(s is beside for s in _at_rest(search)):
+                text += (
+                    ". One sample after most reversals the axis is past its speed already: the log shows that more is "
+                    "held at rest than friction is in motion, which slip may do as well, not how it falls with speed, "
+                    "and does not tell them apart"
+                )
+            own.append(f"{text}.")
+            notes[low] = [own[-1]]
     return notes
 
 
@@ -264,6 +291,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         if found.first.effect == "discovered":
             found = _with_formula(found, step.first)
         missing += _with_coulomb(search, step, found, settled) if found.first.effect == "hysteresis" else [found]
+    missing = [_or_slip(search, one, missing) for one in missing]
     if search.law:
         _, _, fit = search.law
         (found,) = missing_of(Decision([fit], [other], 0.0, other), search.after)
@@ -300,6 +328,8 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
     torque, spread = float(settled.values[at].sum()), float(np.sqrt(deviations @ covariance @ deviations))
     if torque <= 0:  # at rest only
         return [slip]
+    if len(once) == count:  # all of slip that shows is that it holds more at rest than is left of it in motion
+        once = []
     unit = slip.first.parameters["yield_torque"]["unit"]
     number = {"value": torque, "unit": unit, "interval90": [torque - NINETY * spread, torque + NINETY * spread]}
     left = [k for k in range(count) if k not in once]
@@ -310,6 +340,25 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
     coulomb = replace(slip.first, effect="coulomb_friction", site=f"joint{joint + 1}", parameters={"torque": number})
     rest = replace(slip, first=replace(slip.first, parameters=parameters))
     return [Missing(coulomb, slip.probability, (), ""), rest]
+
+
+def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Missing:
+    """Low-speed friction of which the log shows only what it adds at rest, beside slip that was found at its joint.
+
+    Both hold more at rest than friction is in motion, and how the one falls with speed lies between two samples: that
+    the one has the better fit says nothing of which it is, where neither law is exact.
+    """
+    slips = [m for m in missing if m.first.key == f"hysteresis@{found.first.site}.z"]
+    if found.first.key not in (step.key for step in _at_rest(search)) or not slips:
+        return found
+    half = 0.5 * found.probability
+    return replace(found, probability=half, alternatives=((slips[0].first, half), *found.alternatives))
+
+
+def _at_rest(search: Search) -> list[Step]:
+    """Low-speed friction that was found and shows at rest only."""
+    low = (s for s in search.found if s.first.hypothesis.effect == "stribeck_friction" and s.trial is not None)
+    return [s for s in low if s.trial and seen_at_rest_only(search.system, s.trial.suspect)]
 
 
 def _with_formula(found: Missing, fit: Fitted) -> Missing:

@@ -78,6 +78,7 @@ TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
 PRESLIDING, UNLIKE = 0.5, 5e-4  # share of dry friction that does, per travel: common to all joints, and of one alone
 ELEMENTS, SLIGHT = 10, 1e-3  # of slip that presliding is written as, at most, and the share of dry friction worth one
+MISTIMED = 0.02  # rows: a doubt of friction that is late by less is where it was
 HELD = 0.1  # of dry friction that presliding holds through a standstill: doubt, how the axis crept to its rest
 UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero; a rotor's may be all of it
 
@@ -372,6 +373,7 @@ class System:
         recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any.
         stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
         turning: (n, n) speeds of the drives per speed of the axes, where drives were found to turn with other axes too.
+        late: s, by which the stops are, where the torque was found to be recorded late.
     """
 
     base: Base
@@ -390,6 +392,7 @@ class System:
     slopes: dict[str, tuple[FloatArray, Columns]] = field(default_factory=dict)
     recording: FloatArray = field(default_factory=lambda: np.zeros(0))
     turning: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    late: float = 0.0
 
     @property
     def order(self) -> int:
@@ -526,10 +529,11 @@ def _stops(system: System) -> list[list[Stop]]:
         at = 0
         for run, mask in zip(system.base.runs, system.masks, strict=True):
             place = at + np.cumsum(mask) - 1
-            events = stop_columns(run, j, HELD * bool(system.base.sliding[j]))
+            events = stop_columns(run, j, HELD * bool(system.base.sliding[j]), system.late)
             if len(system.turning) and np.count_nonzero(system.turning[j]) > 1:  # where its drive turns back, too
                 state = replace(run.dense, velocity=run.dense.velocity @ system.turning.T)
-                events = sorted([*events, *stop_columns(replace(run, dense=state), j)], key=_begins)
+                drive = stop_columns(replace(run, dense=state), j, recorded_late=system.late)
+                events = sorted([*events, *drive], key=_begins)
             for near, columns in events:
                 inside = mask[near]
                 if not inside.any():
@@ -554,7 +558,7 @@ def _stops(system: System) -> list[list[Stop]]:
     return out
 
 
-def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, FloatArray]]:
+def stop_columns(run: Run, joint: int, held: float = 0.0, recorded_late: float = 0.0) -> list[tuple[slice, FloatArray]]:
     """Moments at which friction is in doubt, in order: rows, and low-passed torque (rows, b) per unit of friction.
 
     About a stop or start boxes, each of half a row or less, that together say nothing of it. At a reversal two of them,
@@ -562,7 +566,7 @@ def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, F
     their distance, and by what an error of the speed makes of a slow reversal; how late moves its middle, too. Where an
     axis all but stops and goes on, it may as well have turned back for as long as its speed is less than that error,
     within ``CREEP_S`` of where it is least. With ``held``, the share of friction that may be held through a standstill,
-    one more for the time between stop and start.
+    one more for the time between stop and start. All of it is in the torque as late as that is recorded, in s.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
@@ -580,9 +584,15 @@ def stop_columns(run: Run, joint: int, held: float = 0.0) -> list[tuple[slice, F
             late = np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(late / dense_hz, CREEP_S))
             events.append((at, float(late), float(np.sqrt(2))))  # both boxes: twice friction for so long
     found = []
+    shift = recorded_late * dense_hz
     for at, late, size in sorted(events):
-        end = rests.get(round(at), round(at)) if size == 1 else round(at)
-        near = slice(max(0, round(at) // step - reach - RINGING), min(count - 1, end // step + reach + RINGING + ORDER))
+        lasting = rests.get(round(at), round(at)) - round(at) if size == 1 else 0
+        at += shift
+        end = round(at) + lasting
+        first, last = round(at) // step - reach - RINGING, end // step + reach + RINGING + ORDER
+        near = slice(max(0, first), min(count - 1, last))
+        if near.start >= near.stop:
+            continue
         here, wide = at - near.start * step, max(1, int(np.ceil(2 * late * run.rate_hz)))
         ends = here + np.arange(-wide, wide + 1) * late * dense_hz / wide
         samples = np.arange((near.stop - near.start) * step + 1)[:, None]
@@ -739,19 +749,21 @@ def _taken(system: System) -> FloatArray:
     return z
 
 
-def with_turning_drives(system: System) -> System:
-    """The same with friction in doubt where drives turn back that were found to turn with other axes too, and refitted.
+def with_doubts(system: System) -> System:
+    """The same with friction in doubt where and when what was found puts it, and refitted.
 
-    Such a drive's dry friction steps where it turns back, not where its axis does: taken for exact there, steps that
-    the encoder cannot time would tell the ratio far too well.
+    A drive that turns with other axes too has dry friction that steps where it turns back, not where its axis does:
+    taken for exact there, steps that the encoder cannot time would tell the ratio far too well. Torque that is recorded
+    late steps late: what a doubt in the wrong place leaves of a reversal looks like low-speed friction.
     """
-    z, turning = system.z, np.eye(len(system.whitening))
-    for entry in system.entries(z):
+    turning, late = np.eye(len(system.whitening)), system.state[0].delay
+    for entry in system.entries(system.z):
         if entry.effect == "joint_coupling":
             turning[axis_of(entry.values["from"]), axis_of(entry.site)] += entry.values["ratio"]
-    if np.array_equal(turning, np.eye(len(turning))):
+    still = turning if np.any(turning != np.eye(len(turning))) else system.turning[:0]
+    if np.array_equal(still, system.turning) and abs(late - system.late) * system.base.runs[0].rate_hz < MISTIMED:
         return system
-    here = replace(system, turning=turning)
+    here = replace(system, turning=still, late=late)
     here.assemble()
     slopes = (system.slopes[suspect.name][1] for suspect in system.found)
     A = here.A.scaled(here.widened).beside(*((columns.joints, columns.rows) for columns in slopes))

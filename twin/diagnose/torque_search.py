@@ -38,12 +38,12 @@ from twin.diagnose.torque_fit import (
     span_of,
     start,
     unshrunk,
-    with_turning_drives,
+    with_doubts,
     with_wider,
     without,
     worth,
 )
-from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns
+from twin.diagnose.torque_laws import REFERRING, USUAL, Suspect, smooth_columns
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.parallel import spread
@@ -151,18 +151,24 @@ class Step:
         Birge's ratio, of priors: where numbers stay far from their description, whatever is missing, it allows too
         little, and what makes up for numbers held back, or relieves their tension, tells so much less.
         """
-        described = np.arange(self.system.base.spread.shape[1])
-        held = float(np.sum(1 - np.diag(np.linalg.inv(self.first.information))[described]))
-        tension = float(np.sum(self.first.z[described] ** 2)) / max(held, 1.0)
-        if tension < STRAINED:
+        strained = too_narrow(self.system, self.first)
+        if not strained.scale:
             return self.gain
-        scale = tuple((self.system.parameters.names[k], float(np.sqrt(tension))) for k in described)
-        wide = with_wider(self.system, Hypothesis("parameter", "description", scale=scale))
+        wide = with_wider(self.system, strained)
         if self.trial is None:
             fit = base_fit(with_wider(wide, self.first.hypothesis), self.first.hypothesis)
         else:
             fit = fitted(wide, refine(wide, evaluate(wide, self.trial.suspect, self.trial.u), SETTLED))
         return fit.evidence() - base_fit(wide).evidence()
+
+
+def too_narrow(system: System, fit: Fitted) -> Hypothesis:
+    """The description's tolerances as wide as a fit of a system shows them to be, where they are far too narrow."""
+    described = np.arange(system.base.spread.shape[1])
+    held = float(np.sum(1 - np.diag(np.linalg.inv(fit.information))[described]))
+    tension = float(np.sum(fit.z[described] ** 2)) / max(held, 1.0)
+    names = [system.parameters.names[k] for k in described] if tension > STRAINED else []
+    return Hypothesis("parameter", "description", scale=tuple((name, float(np.sqrt(tension))) for name in names))
 
 
 @dataclass
@@ -177,6 +183,7 @@ class Search:
         other: the joint where something without a name is likeliest, and the probability that it is there.
         law: what was discovered there, with the joint it is at.
         aside: the base model's columns on the rows kept aside, where there are any.
+        narrow: times as wide as described the tolerances of the description were taken in the end.
     """
 
     plain: System
@@ -189,6 +196,7 @@ class Search:
     other: tuple[int, float] = (0, LEAST_OTHER)
     law: tuple[int, Trial, Fitted] | None = None
     aside: Base | None = None
+    narrow: float = 1.0
 
     @property
     def finalists(self) -> tuple[dict[str, Any], ...]:
@@ -248,16 +256,20 @@ def explain(
             if _borne_out(beside, steps, judge):
                 steps.append(beside)
                 system = accepted(system, beside)
-        system = _all_grown(steps, _pruned(steps, system), judge)
+        system = with_doubts(_all_grown(steps, _pruned(steps, system), judge))
     first = steps[0]
     system = _pruned(steps, _revised(steps, system, suspects, judge))
-    system = with_turning_drives(_all_grown(steps, system, judge))
+    system = with_doubts(_all_grown(steps, system, judge))
     left = free_gains(system, processes)
     search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:
         _locate(search, joint, judge)
+    elif (strained := too_narrow(search.system, search.after)).scale:
+        wide = relinearised(with_wider(search.system, strained))
+        search.system = _pruned(steps, wide)
+        search.after, search.narrow = base_fit(search.system), strained.scale[0][1]
     return search
 
 
@@ -501,22 +513,38 @@ def _pruned(steps: Sequence[Step], system: System) -> System:
 def at_once(system: System, suspect: Suspect) -> list[int]:
     """Which slip elements (their numbers) turn round between two samples of the record after nearly every reversal.
 
-    Of their travel a log shows nothing but what creeps at rest. Never all: the longest stays what it is.
+    Of their travel a log shows nothing but what creeps at rest.
     """
-    joint = axis_of(suspect.hypothesis.site)
-    passed = []
-    for run in system.base.runs:
-        x, sign = run.dense.position[:, joint], run.dense.sign(run.dense.velocity[:, joint])
-        turns = np.flatnonzero(sign[1:] * sign[:-1] < 0)
-        later = turns + max(1, round(1 / (run.sample_hz * (run.dense.time[1] - run.dense.time[0]))))
-        passed.append(np.abs(x[later[later < len(x)]] - x[turns[later < len(x)]]))
-    moved = np.concatenate(passed)
+    moved, _ = _after_reversals(system, axis_of(suspect.hypothesis.site))
     if not moved.size:
         return []
     values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)]).reshape(-1, 2)
     travel = 2 * values[:, 0] / values[:, 1]  # yield torque over stiffness, from one sense of motion to the other
-    once = travel < np.quantile(moved, NEARLY_EVERY)
-    return np.flatnonzero(once & (travel < travel.max())).tolist()
+    return np.flatnonzero(travel < np.quantile(moved, NEARLY_EVERY)).tolist()
+
+
+def seen_at_rest_only(system: System, suspect: Suspect) -> bool:
+    """Whether an axis is past the speed over which its friction falls one sample after most of its reversals.
+
+    Of how friction falls with speed such a record shows nothing, only that more is held at rest than in motion.
+    """
+    _, speed = _after_reversals(system, axis_of(suspect.hypothesis.site))
+    _, velocity = own_values(suspect.hypothesis.own, system.z[system.own(suspect)])
+    return bool(speed.size and np.median(speed) > velocity)
+
+
+def _after_reversals(system: System, joint: int) -> tuple[FloatArray, FloatArray]:
+    """How far a joint has moved one sample of the record after each reversal, and its speed then."""
+    moved, speed = [], []
+    for run in system.base.runs:
+        x, v = run.dense.position[:, joint], run.dense.velocity[:, joint]
+        sign = run.dense.sign(v)
+        later = max(1, round(1 / (run.sample_hz * (run.dense.time[1] - run.dense.time[0]))))
+        turns = np.flatnonzero(sign[1:] * sign[:-1] < 0)
+        turns = turns[turns + later < len(x)]
+        moved.append(np.abs(x[turns + later] - x[turns]))
+        speed.append(np.abs(v[turns + later]))
+    return np.concatenate(moved), np.concatenate(speed)
 
 
 def possible(system: System, step: Step) -> bool:
@@ -533,7 +561,7 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
     for step in search.found:
         if joint in step.joints:
             step.accepted = False
-    system = with_turning_drives(accepted(search.plain, *search.found))
+    system = with_doubts(accepted(search.plain, *search.found))
     search.system, search.after = system, base_fit(system)
     discovered = discover(system, joint)
     if discovered is None:
@@ -708,11 +736,18 @@ class Judge:
         self.system.assemble()
         self.before: tuple[System, tuple[FloatArray, float]] | None = None
 
+    def _align(self, system: System) -> None:
+        """Friction is in doubt where and when it is in the system that is judged."""
+        if not np.array_equal(self.system.turning, system.turning) or self.system.late != system.late:
+            self.system = replace(self.system, turning=system.turning, late=system.late)
+            self.system.assemble()
+
     def rest(self, system: System, fit: Fitted) -> tuple[FloatArray, float]:
         """Whitened residual (N,) of a fit of a system's numbers, its own offsets estimated, and ln predictive density.
 
         Without what is common to all models.
         """
+        self._align(system)
         shared, width = self.base.lasting, len(self.base.parameters)
         own = len(fit.z) - len(system.base.parameters)
         lasting = np.r_[:shared, len(fit.z) - own : len(fit.z)]
@@ -746,8 +781,8 @@ class Judge:
         wide, settled = with_wider(system, fit.hypothesis) if fit.hypothesis.scale else system, fit
         if trial is not None:
             wide = extended(system, trial)
-        if trial is not None and system.found:  # with what was found before where it is beside the new
-            wide = relinearised(wide, SETTLED)
+        if trial is not None and (system.found or fit.hypothesis.effect in REFERRING):
+            wide = relinearised(wide, SETTLED)  # what was found before, or the torques it is made of, beside the new
             settled = base_fit(wide)
         if self.before is None or self.before[0] is not system:  # several are put to one model
             self.before = system, self.rest(system, base)
