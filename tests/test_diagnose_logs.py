@@ -21,11 +21,14 @@ from twin.diagnose.torque_fit import (
     Trial,
     _correlation,
     _rounded,
+    base_fit,
     evaluate,
     extended,
+    fitted,
     own_prior,
     own_values,
     prediction_filter,
+    refine,
     relinearised,
     settle,
     start,
@@ -36,7 +39,7 @@ from twin.diagnose.torque_fit import (
 )
 from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
 from twin.diagnose.torque_locate import around_reversals, state_map
-from twin.diagnose.torque_search import _as_suspected, _with_element, at_once
+from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_once, seen_at_rest_only, too_narrow
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Verdict
 from twin.errors import InputError
@@ -163,6 +166,43 @@ def test_what_of_slip_yields_at_once_is_told_from_what_travels(tmp_path: Path, k
     assert at_once(extended(system, evaluate(system, longer, u)), longer) == [0]
 
 
+def test_friction_that_falls_between_two_samples_of_a_reversal_shows_at_rest_only(tmp_path: Path, kr90: Robot) -> None:
+    """Of a curve over 1 mrad/s an axis that reaches 10 mrad/s within a sample shows nothing; of 0.5 rad/s, much."""
+    prepared = prepare(recorded(tmp_path), kr90, "log")
+    system = system_of(prepared, [])
+    suspect = next(s for s in log_suspects(kr90, prepared.used) if s.name == "stribeck_friction@joint2")
+
+    def beside(velocity: float) -> bool:
+        u = own_prior(suspect.hypothesis.own, np.array([50.0, velocity]))
+        here = extended(system, evaluate(system, suspect, u))
+        here.z = np.r_[system.z, u]
+        return seen_at_rest_only(here, suspect)
+
+    assert beside(1e-3)
+    assert not beside(0.5)
+
+
+def test_a_description_is_too_narrow_where_its_numbers_stay_far_from_it(tmp_path: Path, kr90: Robot) -> None:
+    system = system_of(prepare(recorded(tmp_path), kr90, "log"), [])
+    fit = base_fit(system)
+    assert not too_narrow(system, fit).scale
+    far = replace(fit, z=np.where(np.abs(fit.z) > 0.3, 20 * fit.z, fit.z))
+    scale = dict(too_narrow(system, far).scale)
+    assert set(scale) == set(system.parameters.names[: system.base.spread.shape[1]])
+    assert min(scale.values()) > 5
+
+
+def test_runs_not_used_judge_a_gain_on_the_torques_that_it_settles_on(tmp_path: Path, kr90: Robot) -> None:
+    """A gain of 0.6 is first multiplied with torques that were fitted without it, far too small."""
+    prepared = prepare(recorded(tmp_path, "--effect", "torque_constant@joint1:gain=0.6"), kr90, "log")
+    system = system_of(prepared, [])
+    suspect = next(s for s in log_suspects(kr90, prepared.used) if s.name == "torque_constant@joint1")
+    first = refine(system, evaluate(system, suspect, start(system, suspect).u))
+    judge = Judge(system, prepared.kept)
+    early, late = (judge.gain(system, fitted(system, t), t)[0] for t in (first, settle(system, first)))
+    assert early == pytest.approx(late, rel=0.1)
+
+
 def test_presliding_is_in_proportion_to_friction_where_none_was_described(tmp_path: Path, kr90: Robot) -> None:
     """Bristles carry dry friction alone: viscous friction left out makes no joint turn round unlike the others."""
     log = recorded(tmp_path, "--friction", "lugre")
@@ -194,7 +234,9 @@ def test_a_drive_that_turns_two_axes_keeps_the_friction_it_shares(tmp_path: Path
 CLOCK = np.arange(0, 20, 1 / 200)
 
 
-def doubts(speed_about: Callable[[FloatArray], FloatArray]) -> list[tuple[slice, FloatArray]]:
+def doubts(
+    speed_about: Callable[[FloatArray], FloatArray], recorded_late: float = 0.0
+) -> list[tuple[slice, FloatArray]]:
     """Doubts of friction of an axis whose speed follows a law for 2 s about the middle, and reaches 1 rad/s outside."""
     since = CLOCK - 10.0025
     speed = speed_about(np.clip(since, -2, 2))
@@ -204,7 +246,7 @@ def doubts(speed_about: Callable[[FloatArray], FloatArray]) -> list[tuple[slice,
     none = np.zeros((len(rows.time), 1))
     valid, bands = np.ones(len(none), bool), Bands((8.0, 10.0), (12.0, 15.0))
     run = Run("run", rows.time, rows, motion, motion, none, none, None, valid, bands, 25.0, 250.0)
-    return stop_columns(run, 0)
+    return stop_columns(run, 0, recorded_late=recorded_late)
 
 
 @pytest.mark.parametrize("late", [0.004, 0.02, 0.06, 0.12])
@@ -216,6 +258,13 @@ def test_friction_that_steps_later_than_a_slow_axis_seems_to_turn_back_is_in_dou
     left = step - columns @ np.linalg.lstsq(columns, step, rcond=None)[0]
     assert np.abs(left).max() < 0.05 * np.abs(step).max()
     assert sum(columns.shape[1] for _, columns in doubts(lambda since: 0.5 * since)) == 2
+
+
+def test_friction_is_in_doubt_as_late_as_torque_is_recorded() -> None:
+    """The same columns, three rows of 40 ms later."""
+    ((near, columns),), ((later, moved),) = (doubts(lambda since: 0.5 * since, late) for late in (0.0, 0.12))
+    assert (later.start, later.stop) == (near.start + 3, near.stop + 3)
+    np.testing.assert_allclose(moved, columns, atol=1e-9)
 
 
 def test_an_axis_that_all_but_stops_may_have_turned_back() -> None:
