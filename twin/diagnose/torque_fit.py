@@ -415,10 +415,9 @@ class System:
 
     def whiten(self, *columns: Sequence[FloatArray]) -> Columns:
         """Columns, each the torque (m, n) of every run, whitened; joint by joint, for most act on one."""
-        axes = range(len(self.whitening))
-        joints = tuple(j for j in axes if any(part[:, j].any() for column in columns for part in column))
-        runs = range(len(self.base.runs))
-        out = [self.whitened(j, [np.stack([c[k][:, j] for c in columns], -1) for k in runs]) for j in joints]
+        acting = np.any([part.any(axis=0) for column in columns for part in column], axis=0)
+        joints, runs = tuple(np.flatnonzero(acting).tolist()), range(len(self.base.runs))
+        out = [self.whitened(j, [np.stack([c[k][:, j] for c in columns]).T for k in runs]) for j in joints]
         return Columns(joints, np.concatenate(out) if out else np.zeros((0, len(columns))))
 
     def whitened(self, joint: int, parts: Sequence[FloatArray]) -> FloatArray:
@@ -507,7 +506,8 @@ class System:
         """What entries add (m, n), run by run."""
         out = []
         for run, state in zip(self.base.runs, self.state, strict=True):
-            out.append(sum((entry_torque(run, state, e, e.values) for e in entries), np.zeros_like(run.torque)))
+            parts = [entry_torque(run, state, e, e.values) for e in entries]
+            out.append(parts[0] if len(parts) == 1 else sum(parts, np.zeros_like(run.torque)))
         return out
 
     def across(self, columns: Columns) -> FloatArray:
@@ -1119,16 +1119,10 @@ def _shapes(system: System, suspect: Suspect) -> list[list[FloatArray]]:
     return [column for start in few for column in _start_columns(system, suspect, start)]
 
 
-def _vanishes(suspect: Suspect) -> bool:
-    """Whether the entry adds nothing at its starts: sizes are where they have no effect."""
-    own = suspect.hypothesis.own
-    return bool(suspect.sizes) and all(start[k] == own[k].mean for start in suspect.starts for k in suspect.sizes)
-
-
 def _start_columns(system: System, suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
     """The entry's torque (m, n) per run at a start, if any, and what a prior deviation of every size adds."""
     own = suspect.hypothesis.own
-    here = [] if _vanishes(suspect) else [system.torque(with_values(suspect.hypothesis, start))]
+    here = [] if suspect.vanishes else [system.torque(with_values(suspect.hypothesis, start))]
     columns = list(here)
     for k in suspect.sizes:
         shifted = start.copy()
@@ -1255,7 +1249,8 @@ def _gain(system: System, column: Columns, u: FloatArray) -> float:
 def start(system: System, suspect: Suspect) -> Trial:
     """The best of a suspect's starts, sizes solved for; without slopes, to be settled."""
     own, sizes = suspect.hypothesis.own, list(suspect.sizes)
-    first, width = int(not _vanishes(suspect)), int(not _vanishes(suspect)) + len(sizes)
+    first = int(not suspect.vanishes)
+    width = first + len(sizes)
     whitened = system.screened.get(suspect.name)
     if whitened is None:
         columns = [column for values in suspect.starts for column in _start_columns(system, suspect, values)]

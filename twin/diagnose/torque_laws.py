@@ -7,6 +7,7 @@ from where a search starts. A size that can have either sign, or vanish, has a n
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -70,7 +71,10 @@ class State:
 
     def recorded(self, run: Run, torque: FloatArray | None = None) -> FloatArray:
         """The torque (m, n), or another, as it is recorded."""
-        torque = self.gain * (self.torque - self.turning) + self.turning if torque is None else self.gain * torque
+        if torque is None:
+            torque = self.gain * (self.torque - self.turning) + self.turning
+        elif np.any(self.gain != 1):
+            torque = self.gain * torque
         return np.asarray(delayed(torque, run, self.delay) if self.delay else torque)
 
 
@@ -95,6 +99,12 @@ class Suspect:
         """``EFFECT@SITE`` and the joint a coupling comes from."""
         words = [str(v) for entry in self.hypothesis.entries for v in entry.values.values() if isinstance(v, str)]
         return " ".join([self.hypothesis.key, *words])
+
+    @cached_property
+    def vanishes(self) -> bool:
+        """Whether the entry adds nothing at its starts: sizes are where they have no effect."""
+        means = [self.hypothesis.own[k].mean for k in self.sizes]
+        return bool(self.sizes) and bool(np.all(self.starts[:, list(self.sizes)] == means))
 
 
 def add(run: Run, state: State, entry: Entry) -> None:

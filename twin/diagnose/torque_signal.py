@@ -8,6 +8,7 @@ holds.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
@@ -76,22 +77,46 @@ def thinned(signal: FloatArray, rate_hz: float, step: int, pass_hz: float, stop_
         step: samples per row.
         pass_hz, stop_hz: gain one below, zero above.
     """
-    last = len(signal) - 1
+    circle = _circle(len(signal) - 1, rate_hz, step, pass_hz, stop_hz)
+    ends = (
+        2 * signal[:1] - signal[circle.before : 0 : -1],
+        signal,
+        2 * signal[-1:] - signal[-2 : -2 - circle.after : -1],
+    )
+    extended = np.concatenate(ends)  # by its point reflection; a line through its ends makes it periodic
+    start, rise = extended[:1].copy(), extended[-1:] - extended[:1]
+    broad = (-1, *[1] * (signal.ndim - 1))
+    extended -= start
+    extended -= rise * circle.line.reshape(broad)
+    spectrum = scipy.fft.rfft(extended[:-1], axis=0)[: len(circle.gain)]
+    spectrum *= circle.gain.reshape(broad)
+    filtered = scipy.fft.irfft(spectrum, circle.rows, axis=0)
+    along = circle.line[circle.before :: step][: (len(signal) - 1) // step + 1]
+    return np.asarray(filtered[circle.before // step :][: len(along)] + start + rise * along.reshape(broad))
+
+
+@dataclass(frozen=True)
+class _Circle:
+    """On which a signal is low-passed: samples added ``before`` and ``after`` it, its ``rows``, a line over all samples
+    from zero to one, and the gain of its spectrum's lines."""
+
+    before: int
+    after: int
+    rows: int
+    line: FloatArray
+    gain: FloatArray
+
+
+@lru_cache(maxsize=64)
+def _circle(last: int, rate_hz: float, step: int, pass_hz: float, stop_hz: float) -> _Circle:
     memory = min(last, int(np.ceil(10 * rate_hz / (stop_hz - pass_hz))) * step)
     rows = scipy.fft.next_fast_len(last // step + 2 * memory // step, real=True)
     after = min(last, rows * step - last - memory)
     rows = (last + memory + after) // step
-    ends = 2 * signal[:1] - signal[memory:0:-1], signal, 2 * signal[-1:] - signal[-2 : -2 - after : -1]
-    extended = np.concatenate(ends)  # by its point reflection; a line through its ends makes it periodic
-    start, rise = extended[:1].copy(), extended[-1:] - extended[:1]
-    broad = (-1, *[1] * (signal.ndim - 1))
-    extended -= start + rise * np.linspace(0, 1, len(extended)).reshape(broad)
-    spectrum = scipy.fft.rfft(extended[:-1], axis=0)[: rows // 2 + 1]
-    phase = np.clip((np.arange(len(spectrum)) * rate_hz / rows - pass_hz) / (stop_hz - pass_hz), 0, 1)
-    spectrum *= (0.5 * (1 + np.cos(np.pi * phase)) / step).reshape(broad)
-    filtered = scipy.fft.irfft(spectrum, rows, axis=0)
-    along = (memory // step + np.arange(last // step + 1)) / rows
-    return np.asarray(filtered[memory // step :][: len(along)] + start + rise * along.reshape(broad))
+    lines = np.arange(min((last + memory + after) // 2, rows // 2) + 1)
+    phase = np.clip((lines * rate_hz / rows - pass_hz) / (stop_hz - pass_hz), 0, 1)
+    gain = 0.5 * (1 + np.cos(np.pi * phase)) / step
+    return _Circle(memory, after, rows, np.linspace(0, 1, last + memory + after + 1), gain)
 
 
 def bands_of(log: MotionLog) -> Bands:
