@@ -114,6 +114,7 @@ def test_bristles_at_every_joint_are_a_complete_model_and_a_slower_gear_is_not(t
     assert compare_log(log, found.written).error < 1.3 * found.error["noise_floor"]
     assert compare_log(log, found.robot).error > 3 * found.error["noise_floor"]
     assert Verdict.of(found).robot is found.written
+    assert {e.site for e in found.written.physics if e.effect == "presliding"} == {"joint1", "joint2", "joint3"}
     slip = "hysteresis@joint3.z:stiffness=80000,yield_torque=80"
     missing = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", slip), kr90).missing
     assert [m.first.key for m in missing] == ["hysteresis@joint3.z"]

@@ -125,6 +125,21 @@ def test_slip_elements_that_stick_are_springs(kr90: Robot, elements: int, drives
     np.testing.assert_allclose(found.C, plain.C, atol=1e-6 * np.abs(plain.C).max())
 
 
+@pytest.mark.parametrize("drives", ["held", "free"])
+def test_a_held_rotor_does_not_feel_how_its_friction_turns_round(kr90: Robot, drives: str) -> None:
+    """Presliding is between rotor and housing: a hammer test winds up the gear behind a rotor that stands."""
+    data = kr90.model_dump(mode="json")
+    q = kr90.angles([0, 70, -100])
+    plain = linearise(assemble(kr90, q, drives=drives))
+    slip = {"effect": "presliding", "site": "joint1", "stiffness": [4e6, 2e6], "yield_torque": [20, 40]}
+    found = linearise(assemble(parse_robot({**data, "physics": [*data["physics"], slip]}), q, drives=drives))
+    expected = plain.K.copy()
+    if drives == "free":
+        k = found.coordinates.index("motor1")
+        expected[k, k] += 6e6
+    np.testing.assert_allclose(found.K, expected, atol=2e-7 * np.abs(expected).max())
+
+
 def test_differences_of_steps_are_those_of_mujoco(kr90: Robot) -> None:
     mechanism = assemble(kr90, kr90.angles([0, 70, -100]))
     model = compile_model(mechanism, visual=False, instruments=False)

@@ -163,6 +163,13 @@ def test_mixed_recordings_have_one_error_each(kr90: Robot) -> None:
     assert [part["kind"] for part in verdict.data()["recordings"]] == ["motion-log", "frf-campaign"]
 
 
+def test_where_the_model_misses_is_told_first_of_what_it_does_not_do_for(kr90: Robot) -> None:
+    """A log that the base model does for has its worst spots too, and they are those of noise."""
+    hammer = finding(kr90, [], location=[{"site": "joint3.z"}], missing=[], word="unexplained")
+    log = finding(kr90, [log_record()], location=[{"site": "joint1"}], missing=[], word="adequate")
+    assert [spot["site"] for spot in together([log, hammer], kr90, kr90).location] == ["joint3.z", "joint1"]
+
+
 def test_every_kind_of_recording_is_drawn_and_every_figure_is_in_the_page(kr90: Robot, tmp_path) -> None:
     measured = oscillators(11.0, 20.0)
     used = record(oscillators(12.0, 20.0), measured, measured)

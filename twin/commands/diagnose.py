@@ -100,7 +100,7 @@ def diagnose(
             options |= {"told_by": told_by, "processes": cores()}
             findings.append(diagnose_campaign(test.content, given, test.source, **options))
         else:
-            findings.append(diagnose_table(test.content, told_by.robot if told_by else given, test.source, **options))
+            findings.append(diagnose_table(test.content, told_by.model if told_by else given, test.source, **options))
     verdict = _settled(findings, tests, chosen)
     verdict.origin = provenance(
         recordings, {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
@@ -130,12 +130,6 @@ def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[l
     last = findings[-1]
     for finding, test, held in zip(findings[:-1], tests, chosen, strict=False):
         if test.kind == "motion-log":
-            ordinary = finding.written and len(finding.written.physics) > len(finding.robot.physics)
-            if ordinary and last.source == "frf-campaign":
-                finding.warnings.append(
-                    "presliding of dry friction is left out of robot.yaml: under blows it would be stiffness; "
-                    "what the log says of it is in a diagnosis of the log alone"
-                )
             finding.records = predicted_by(last.robot, test.content, finding, held)
             finding.error = {**finding.error, "after": pooled(finding.records, "after")}
             finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
@@ -242,7 +236,7 @@ def diagnose_campaign(
     if not free_parameters(given, tolerances=False).items:
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
     found = triage(campaign, given, source, hold_out)
-    base = without_limits(told_by.robot if told_by else given)
+    base = without_limits(told_by.model if told_by else given)
     sample, kept = Sample(tuple(found.used), 1 / found.shared), found.kept
     free = _free(base, found.used)
     if told_by and told_by.fit:

@@ -276,7 +276,7 @@ def _sliding(base: Base, sliding: FloatArray) -> Base:
 
 _LINEAR_EFFECTS = frozenset(
     {
-        "viscous_friction", "coulomb_friction", "asymmetric_friction", "stribeck_friction", "hysteresis",
+        "viscous_friction", "coulomb_friction", "presliding", "asymmetric_friction", "stribeck_friction", "hysteresis",
         "gravity_compensator", "cable_stiffness", "torque_ripple", "rotor_inertia", "transverse_compliance",
         "base_compliance", "link_flexibility", "servo_compliance", "structural_damping", "hardening_stiffness",
         "sensor_gain", "sensor_misalignment", "hammer_misalignment", "time_delay", "torque_constant",
@@ -858,7 +858,7 @@ def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Ro
 
 
 def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
-    """The description at z with the fit's ordinary presliding as slip elements, which its Coulomb friction gives up.
+    """The description at z with the fit's ordinary ``presliding``, which its Coulomb friction gives up.
 
     After a reversal a bristle of travel t has turned round by 1 − exp(−x/t), an element of yield torque Y and
     stiffness K by min(K x/(2 Y), 1): elements of all travels together turn as the fitted bristles do, in the least
@@ -893,10 +893,10 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
         left = {"torque": max(coulomb - float(torque[some].sum()), 0.0)}
         physics[dry] = Entry.model_validate({"effect": "coulomb_friction", "site": site, **left})
         slip = {"yield_torque": torque[some].tolist(), "stiffness": (2 * torque / ends)[some].tolist()}
-        at = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("hysteresis", f"{site}.z")), len(physics))
+        at = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("presliding", site)), len(physics))
         if at < len(physics):
             slip = {name: [*physics[at].values[name], *items] for name, items in slip.items()}
-        physics[at : at + 1] = [Entry.model_validate({"effect": "hysteresis", "site": f"{site}.z", **slip})]
+        physics[at : at + 1] = [Entry.model_validate({"effect": "presliding", "site": site, **slip})]
     return robot.model_copy(update={"physics": physics})
 
 

@@ -135,6 +135,11 @@ class Finding:
     apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None
 
+    @property
+    def model(self) -> Robot:
+        """What is written, and what other recordings build on."""
+        return self.written or self.robot
+
 
 @dataclass
 class Verdict:
@@ -163,8 +168,7 @@ class Verdict:
     @classmethod
     def of(cls, finding: Finding) -> "Verdict":
         """The verdict of a single recording."""
-        robot = finding.written or finding.robot
-        return cls([finding], finding.word, finding.missing, finding.none, finding.other, finding.base, robot)
+        return cls([finding], finding.word, finding.missing, finding.none, finding.other, finding.base, finding.model)
 
     @property
     def error(self) -> dict[str, Any]:
@@ -180,8 +184,9 @@ class Verdict:
 
     @property
     def location(self) -> list[dict[str, Any]]:
-        """Where the base model misses, recording by recording."""
-        return [spot for finding in self.findings for spot in finding.location]
+        """Where the base model misses, recording by recording; first those that it does not do for."""
+        told = sorted(self.findings, key=lambda finding: finding.word == "adequate")
+        return [spot for finding in told for spot in finding.location]
 
     @property
     def next_test(self) -> dict[str, Any] | None:

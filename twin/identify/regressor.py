@@ -237,6 +237,7 @@ LINEAR: dict[str, tuple[str, ...]] = {
     "asymmetric_friction": ("torque_difference", "viscous_difference"),
     "stribeck_friction": ("static_excess",),
     "hysteresis": ("yield_torque",),
+    "presliding": ("yield_torque",),
     "gravity_compensator": ("coefficients",),
     "cable_stiffness": ("stiffness", "stiffness·rest"),
     "torque_ripple": ("amplitude·cos", "amplitude·sin"),
@@ -428,7 +429,7 @@ def _units(entry: Entry) -> list[tuple[Column, Entry]]:
             amplitude, phase = values["amplitude"], values["phase"]
             add("amplitude·cos", "N·m", amplitude * np.cos(phase), amplitude=1.0, phase=0.0)
             add("amplitude·sin", "N·m", amplitude * np.sin(phase), amplitude=1.0, phase=np.pi / 2)
-        case "hysteresis":
+        case "hysteresis" | "presliding":
             limits = np.maximum(values["yield_torque"], SINGULAR)
             stiffness = np.maximum(values["stiffness"], SINGULAR)
             for k, travel in enumerate(limits / stiffness):
@@ -459,7 +460,7 @@ def _written(entry: Entry, found: dict[str, float]) -> dict[str, Any]:
         case "torque_ripple":
             cosine, sine = found[at + "amplitude·cos"], found[at + "amplitude·sin"]
             return {"amplitude": float(np.hypot(cosine, sine)), "phase": float(np.arctan2(sine, cosine))}
-        case "hysteresis":
+        case "hysteresis" | "presliding":
             limits = np.array([max(found[column.name], 0.0) for column, _ in _units(entry)])
             described = np.maximum(entry.values["yield_torque"], SINGULAR)
             travel = described / np.maximum(entry.values["stiffness"], SINGULAR)

@@ -17,6 +17,7 @@ from twin.physics.joint_coupling import JointCoupling
 from twin.physics.link_flexibility import LinkFlexibility
 from twin.physics.load_dependent_friction import LoadDependentFriction
 from twin.physics.payload import Payload
+from twin.physics.presliding import Presliding
 from twin.physics.rotor_inertia import RotorInertia
 from twin.physics.sensor_gain import SensorGain
 from twin.physics.sensor_misalignment import SensorMisalignment
@@ -44,6 +45,7 @@ CATALOGUE: dict[str, Effect] = {
         Hysteresis(),
         ViscousFriction(),
         CoulombFriction(),
+        Presliding(),
         AsymmetricFriction(),
         StribeckFriction(),
         LoadDependentFriction(),

@@ -11,7 +11,7 @@ from twin.physics.effect import Effect, Parameter, Values, axis_of
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
-    from twin.robot.mechanism import Mechanism
+    from twin.robot.mechanism import Joint, Mechanism
 
 
 class Hysteresis(Effect):
@@ -31,9 +31,13 @@ class Hysteresis(Effect):
             return "stiffness and yield_torque: expected lists of one length"
         return None
 
+    def joint(self, mechanism: "Mechanism", site: str) -> "Joint | None":
+        """The joint that the elements act on, if there is one."""
+        return mechanism.motor(axis_of(site)) or mechanism.joint(site)
+
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         axis = axis_of(site)
-        joint = mechanism.motor(axis) or mechanism.joint(site)
+        joint = self.joint(mechanism, site)
         if joint is None:
             return
         start = 0.0 if joint.elastic else float(mechanism.q[axis])  # unslipped where the motion begins
