@@ -14,6 +14,7 @@ from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from twin.commands.compare import compare_log
 from twin.diagnose.evidence import sentence
+from twin.diagnose.joint import pooled, predicted_by
 from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
@@ -114,6 +115,8 @@ def test_bristles_at_every_joint_are_a_complete_model_and_a_slower_gear_is_not(t
     assert compare_log(log, found.written).error < 1.3 * found.error["noise_floor"]
     assert compare_log(log, found.robot).error > 3 * found.error["noise_floor"]
     assert Verdict.of(found).robot is found.written
+    again = pooled(predicted_by(found.written, log, found, found.held_out), "after")
+    assert again["held_out"] == pytest.approx(found.error["after"]["held_out"], rel=0.1)
     assert {e.site for e in found.written.physics if e.effect == "presliding"} == {"joint1", "joint2", "joint3"}
     slip = "hysteresis@joint3.z:stiffness=80000,yield_torque=80"
     missing = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", slip), kr90).missing

@@ -13,7 +13,9 @@ import numpy as np
 from twin.diagnose.decide import calibration
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.refit import Fitted
+from twin.diagnose.torque import predicted_torque
 from twin.diagnose.torque_fit import base_of
+from twin.diagnose.torque_laws import RECORDING
 from twin.diagnose.torque_signal import prepare
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word
 from twin.identify.parameters import Parameters, entry_parameter, independent, join
@@ -151,17 +153,23 @@ def pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None
 
 
 def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None) -> list[LogRecord]:
-    """A log's records with ``after`` the torque of a description as it is; only offsets are re-estimated."""
+    """A log's records with ``after`` the torque of a description as it is, beside what the log's fit held for ordinary.
+
+    Ordinary ripple stays as it was fitted, what was found of the recording as well; only offsets are re-estimated.
+    """
     prepared = prepare(log, robot, finding.recording, hold_out)
-    found = []
+    recording = [e for e in finding.robot.physics if e.effect in RECORDING and e not in finding.given.physics]
+    fit, found = finding.fit, []
+    fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
     records = {(r.name, r.held_out): r for r in finding.records if isinstance(r, LogRecord)}
     for held, runs in ((False, prepared.used), (True, prepared.kept)):
+        if not runs:
+            continue
         base = base_of(prepared.regressor, runs)
+        ripple = [fitted.get(p.name, 0.0) * p.name.startswith("ordinary_ripple@") for p in base.parameters]
+        z = np.array(ripple) / [p.deviation for p in base.parameters]
         for k, run in enumerate(runs):
             record = records[run.name, held]
-            torque = base.matrix[k] @ base.described + base.known[k]
-            rest = (record.measured - torque)[record.valid]
-            weight = base.offset**2 * len(rest)
-            torque = torque + rest.mean(axis=0) * weight / (weight + np.var(rest, axis=0))
+            torque = predicted_torque(base, k, z, recording, record.valid)
             found.append(replace(record, predicted={**record.predicted, "after": torque}))
     return found

@@ -406,7 +406,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
             continue
         for k, run in enumerate(runs):
             settled = run.valid & _settled(run)
-            predicted = {stage: _predicted(columns, k, z, found, settled) for stage, z, found in stages}
+            predicted = {stage: predicted_torque(columns, k, z, found, settled) for stage, z, found in stages}
             records.append(
                 LogRecord(
                     run.name, held, run.time, run.motion.position, run.motion.velocity, run.torque, settled,
@@ -441,7 +441,7 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any]) -> list[
     for k, run in enumerate(prepared.used):
         settled = run.valid & _settled(run)
         torque = run.torque[settled]
-        missed = torque - _predicted(search.plain.base, k, last.plain(z), entries, settled)[settled]
+        missed = torque - predicted_torque(search.plain.base, k, last.plain(z), entries, settled)[settled]
         rest, whole = rest + np.sum(missed**2, axis=0), whole + np.sum(torque**2, axis=0)
     error = float(np.sqrt(np.mean(rest / np.maximum(whole, 1e-300))))
     if error < WORSE * errors["after"]["train"]:
@@ -453,7 +453,7 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any]) -> list[
     ]
 
 
-def _predicted(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], valid: np.ndarray) -> FloatArray:
+def predicted_torque(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], valid: np.ndarray) -> FloatArray:
     """Torque (m, n) of run k, its offsets estimated under their prior."""
     run = base.runs[k]
     known = np.zeros(len(base.parameters))
