@@ -368,8 +368,11 @@ def test_a_recording_acts_on_the_sum_of_all_laws_whichever_was_found_first(tmp_p
 def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> None:
     """Torque 4 ms late looks like friction that follows the load at every joint until the delay is in the model."""
     effects = ("--effect", "load_dependent_friction@joint2:coefficient=0.02", "--effect", "time_delay@log:delay=0.004")
-    found = diagnose_log(recorded(tmp_path, *effects), kr90)
+    log = recorded(tmp_path, *effects)
+    found = diagnose_log(log, kr90)
     assert {m.first.key for m in found.missing} == {"load_dependent_friction@joint2", "time_delay@log"}
+    again = pooled(predicted_by(found.model, log, found, found.held_out), "after")  # compared as it was recorded
+    assert again["held_out"] == pytest.approx(found.error["after"]["held_out"], rel=0.1)
 
 
 def test_a_large_payload_is_not_drawn_towards_a_usual_one(tmp_path: Path, kr90: Robot) -> None:

@@ -128,12 +128,14 @@ def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[l
     if len(findings) == 1:
         return Verdict.of(findings[0])
     last = findings[-1]
+    told_by = next((finding for finding in reversed(findings[:-1]) if finding.following), None)
+    robot = told_by.following(last.robot) if told_by and told_by.following else last.robot
     for finding, test, held in zip(findings[:-1], tests, chosen, strict=False):
         if test.kind == "motion-log":
-            finding.records = predicted_by(last.robot, test.content, finding, held)
+            finding.records = predicted_by(robot, test.content, finding, held)
             finding.error = {**finding.error, "after": pooled(finding.records, "after")}
             finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
-    return together(findings, last.base, last.robot)
+    return together(findings, last.base, robot)
 
 
 def _grouped(recordings: Sequence[str | Path]) -> list[tuple[Source, list[Path]]]:

@@ -155,10 +155,12 @@ def pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None
 def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None) -> list[LogRecord]:
     """A log's records with ``after`` the torque of a description as it is, beside what the log's fit held for ordinary.
 
-    Ordinary ripple stays as it was fitted, what was found of the recording as well; only offsets are re-estimated.
+    Ordinary ripple stays as it was fitted; what was found of the recording acts on the torque, which is compared as it
+    was recorded. Only offsets are re-estimated.
     """
-    prepared = prepare(log, robot, finding.recording, hold_out)
     recording = [e for e in finding.robot.physics if e.effect in RECORDING and e not in finding.given.physics]
+    robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
+    prepared = prepare(log, robot, finding.recording, hold_out)
     fit, found = finding.fit, []
     fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
     records = {(r.name, r.held_out): r for r in finding.records if isinstance(r, LogRecord)}

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from twin.diagnose.torque_fit import (
     Base,
     System,
     base_fit,
+    own_prior,
     profiled,
+    robot_of,
     stops_of,
     system_of,
     that_can_exist,
@@ -41,10 +44,13 @@ from twin.diagnose.torque_search import (
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
+from twin.identify.parameters import entry_parameter
+from twin.identify.regressor import inertial_vector
 from twin.identify.rigid import Bands
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
+from twin.physics import CATALOGUE
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 
@@ -89,11 +95,11 @@ def diagnose_log(
     after, _ = _after(search)
     robot_after = after.robot
     found_plays = _plays(search)
-    for play in found_plays:
-        if play.seen:
-            robot_after = with_play(robot_after, play)
-            missing.append(missing_play(play, robot_after))
-            word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
+    gaps = [play for play in found_plays if play.seen]
+    for play in gaps:
+        robot_after = with_play(robot_after, play)
+        missing.append(missing_play(play, robot_after))
+        word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
     restless = disturbances(log, search, source, processes)
     where = spots(records, source, prepared.bands.fit[1]) + restless
     sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
@@ -107,12 +113,46 @@ def diagnose_log(
         ],
         fit=after, finalists=_finalists(search, found_plays),
         written=with_presliding(search.system, after.z, robot_after),
+        following=partial(_following, search.system, after, gaps),
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
     finding.apart = _slips(search) | _late(search)
     finding.missing = with_evidence(finding)
     return finding
+
+
+def _following(system: System, fit: Fitted, gaps: Sequence[Play], robot: Robot) -> Robot:
+    """A description whose links and payloads another recording has settled, the rest where the log then has it.
+
+    To a log the weight of a payload and the torque of a compensator are nearly one: where the other recording moves the
+    one, what the log holds of both together must not be lost. Everything is normal about the fit, so that the rest
+    moves to its mean given links and payloads.
+    """
+    links = system.base.links
+    vectors = np.concatenate([inertial_vector(*link.inertial) for link in robot.links])
+    spread = system.base.spread[: len(vectors), :links] * system.plain(np.ones(len(fit.z)))[:links]
+    there = system.base.values(system.plain(fit.z))[: len(vectors)]
+    at, moved = list(range(links)), np.linalg.lstsq(spread, vectors - there, rcond=None)[0].tolist()
+    present = {f"{entry.effect}@{entry.site}" for entry in robot.physics}
+    for suspect in system.found:
+        hypothesis, own = suspect.hypothesis, system.own(suspect)
+        if _shown_by_blows(hypothesis.effect) and hypothesis.key in present:
+            values = np.array([entry_parameter(robot, parameter.name).mean for parameter in hypothesis.own])
+            at += own
+            moved += (own_prior(hypothesis.own, values) - fit.z[own]).tolist()
+    covariance = np.linalg.inv(fit.information)[:, at]
+    z = fit.z + covariance @ np.linalg.solve(covariance[at], moved)
+    values = np.array([p.value(x) for p, x in zip(fit.parameters, fit.parameters.root @ z, strict=True)])
+    log = robot_of(system, z, with_values(fit.hypothesis, values[fit.own]))
+    log = with_presliding(system, z, reduce(with_play, gaps, log))
+    physics = [entry for entry in robot.physics if _shown_by_blows(entry.effect)]
+    physics += [entry for entry in log.physics if not _shown_by_blows(entry.effect)]
+    return robot.model_copy(update={"drives": log.drives, "physics": physics})
+
+
+def _shown_by_blows(effect: str) -> bool:
+    return "hammer" in CATALOGUE[effect].seen_in
 
 
 def with_evidence(finding: Finding) -> list[Missing]:

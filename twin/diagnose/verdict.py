@@ -4,7 +4,7 @@ Whatever the recording (hammer test, modal table, motion log), an engine hands o
 :class:`Verdict` is one finding, or several settled on one model.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -102,6 +102,8 @@ class Finding:
         given, base, robot: the description as it came, refitted, and with the answer.
         apart: ``EFFECT@SITE`` → sentences on how far an answer can be told from what does nearly the same.
         written: ``robot`` with what the fit held for ordinary and the description has no number for, if anything.
+        following: a description whose links and payloads another recording has settled → the same, with the rest where
+            this one then has it.
         error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
         held_out: names of postures or runs not used.
         records: the recording beside the three models.
@@ -134,6 +136,7 @@ class Finding:
     finalists: tuple[dict[str, Any], ...] = ()
     apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None
+    following: Callable[[Robot], Robot] | None = None
 
     @property
     def model(self) -> Robot:
