@@ -44,6 +44,7 @@ from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Verdict
 from twin.errors import InputError
+from twin.identify.regressor import inertia_six
 from twin.identify.rigid import Bands
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
@@ -535,6 +536,30 @@ def test_an_answer_is_told_of_its_joint_and_its_rivals_whichever_model_is_looked
     assert again.evidence.startswith("Without cable_stiffness at joint1 the torque of joint1 in run")
     assert "→ 25.00%" in again.evidence
     assert again.evidence.endswith("The log tells them apart.")
+
+
+def test_the_rest_of_a_log_follows_where_links_are_settled_by_another_recording(
+    tmp_path: Path, drifting: Finding
+) -> None:
+    """An arm 3 % heavier, beside what the log says, weighs like a compensator that unloads it more."""
+    log = recorded(tmp_path, "--effect", "cable_stiffness@joint1:stiffness=60,rest=0.3")
+    links = list(drifting.model.links)
+    mass, _, inertia = links[1].inertial
+    links[1] = links[1].model_copy(update={"mass": 1.03 * mass, "inertia": inertia_six(1.03 * inertia)})
+    heavier = drifting.model.model_copy(update={"links": links})
+    assert drifting.following is not None
+    followed = drifting.following(heavier)
+    assert followed.links == links
+    fit = drifting.error["after"]["train"]
+    stiff, freed = (
+        pooled(predicted_by(robot, log, drifting, drifting.held_out), "after")["train"] for robot in (heavier, followed)
+    )
+    assert freed < 1.1 * fit < 1.3 * fit < stiff
+    (was,), (now,) = (
+        [e.values["coefficients"][0] for e in robot.physics if e.effect == "gravity_compensator"]
+        for robot in (heavier, followed)
+    )
+    assert now < was < 0
 
 
 def test_evidence_is_about_the_joint_that_an_answer_acts_on(drifting: Finding) -> None:
