@@ -14,7 +14,7 @@ from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from twin.commands.compare import compare_log
 from twin.diagnose.evidence import sentence
-from twin.diagnose.joint import pooled, predicted_by
+from twin.diagnose.joint import followed, pooled, predicted_by
 from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
@@ -548,18 +548,22 @@ def test_the_rest_of_a_log_follows_where_links_are_settled_by_another_recording(
     links[1] = links[1].model_copy(update={"mass": 1.03 * mass, "inertia": inertia_six(1.03 * inertia)})
     heavier = drifting.model.model_copy(update={"links": links})
     assert drifting.following is not None
-    followed = drifting.following(heavier)
-    assert followed.links == links
+    followed_robot = drifting.following(heavier)
+    assert followed_robot.links == links
     fit = drifting.error["after"]["train"]
-    stiff, freed = (
-        pooled(predicted_by(robot, log, drifting, drifting.held_out), "after")["train"] for robot in (heavier, followed)
-    )
+    judged = [predicted_by(robot, log, drifting, drifting.held_out) for robot in (heavier, followed_robot)]
+    stiff, freed = (pooled(records, "after")["train"] for records in judged)
     assert freed < 1.1 * fit < 1.3 * fit < stiff
     (was,), (now,) = (
         [e.values["coefficients"][0] for e in robot.physics if e.effect == "gravity_compensator"]
-        for robot in (heavier, followed)
+        for robot in (heavier, followed_robot)
     )
     assert now < was < 0
+    (answer,) = drifting.missing
+    moved = followed(answer, drifting.model, followed_robot).first.parameters["stiffness"]
+    (entry,) = [e for e in followed_robot.physics if e.effect == "cable_stiffness"]
+    assert moved["value"] == entry.values["stiffness"] != answer.first.parameters["stiffness"]["value"]
+    assert np.ptp(moved["interval90"]) == pytest.approx(np.ptp(answer.first.parameters["stiffness"]["interval90"]))
 
 
 def test_evidence_is_about_the_joint_that_an_answer_acts_on(drifting: Finding) -> None:

@@ -17,7 +17,7 @@ from twin.diagnose.decide import calibration, decide, finalists
 from twin.diagnose.edit import check_linear, check_replayed, check_xml, is_nonlinear, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import Hypothesis, Sprung, entry_hypothesis, same_axes, suspects, widened
-from twin.diagnose.joint import Knowledge, pooled, predicted_by, settled_with, shared, together
+from twin.diagnose.joint import Knowledge, followed, pooled, predicted_by, settled_with, shared, together
 from twin.diagnose.joint_reaction import blows
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
@@ -134,6 +134,7 @@ def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[l
         if test.kind == "motion-log":
             finding.records = predicted_by(robot, test.content, finding, held)
             finding.error = {**finding.error, "after": pooled(finding.records, "after")}
+            finding.missing = [followed(m, finding.model, robot) for m in finding.missing]
             finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
     return together(findings, last.base, robot)
 

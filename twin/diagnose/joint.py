@@ -140,6 +140,23 @@ def together(findings: Sequence[Finding], base: Robot, robot: Robot) -> Verdict:
     return Verdict(list(findings), word, missing, none, other, base, robot)
 
 
+def followed(missing: Missing, before: Robot, after: Robot) -> Missing:
+    """A log's answer with numbers and intervals moved as its entry moves from one description to another."""
+    first = missing.first
+    key = first.effect, first.site
+    was, now = ([e.values for e in robot.physics if (e.effect, e.site) == key] for robot in (before, after))
+    if shared(first.effect) or len(was) != 1 or len(now) != 1:
+        return missing
+    parameters = {}
+    for name, item in first.parameters.items():
+        start, end = (np.array(values[0].get(name, np.nan), float) for values in (was, now))
+        if start.shape != end.shape or start.shape != np.shape(item["value"]) or not np.allclose(start, item["value"]):
+            return missing  # the entry holds more than the answer
+        ends = np.array(item["interval90"]) + (end - start)[..., None]
+        parameters[name] = {**item, "value": end.tolist(), "interval90": ends.tolist()}
+    return replace(missing, first=replace(first, parameters=parameters))
+
+
 def pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None]:
     """Error of a log at a stage, on what was used and on what was not: RMS over joints, runs together."""
     found: dict[str, float | None] = {}
