@@ -8,6 +8,7 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
+from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.held_law import UnderLaw
 from twin.diagnose.joint_laws import Cubic, Drag, Gap, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
@@ -327,3 +328,11 @@ def test_a_step_across_a_gap_keeps_mean_and_moment() -> None:
     assert (start + end) / 2 == pytest.approx(np.trapezoid(g, u), rel=1e-6)
     assert start / 6 + end / 3 == pytest.approx(np.trapezoid(u * g, u), rel=1e-6)
     assert Gap().line((at[0], at[0] + 1e-7), torque, np.array([k]), np.array([[2 * half]])) is None
+
+
+def test_a_law_is_hit_where_it_was_found_last(kr90: Robot) -> None:
+    """Slip that a log found is followed by what else it holds: the blows' check is of the law that they found."""
+    slip = Entry.model_validate({"effect": "hysteresis", "site": "joint1.z", "stiffness": [1e5], "yield_torque": [9.0]})
+    dry = Entry.model_validate({"effect": "presliding", "site": "joint1", "stiffness": [1e5], "yield_torque": [9.0]})
+    assert is_nonlinear(kr90.model_copy(update={"physics": [*kr90.physics, slip]}))
+    assert not is_nonlinear(kr90.model_copy(update={"physics": [*kr90.physics, slip, dry]}))
