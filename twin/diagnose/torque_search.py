@@ -581,9 +581,19 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
 
 
 def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None], processes: int) -> Step:
-    started = []
-    for suspect in suspects:
-        started.append(start(system, suspect))
+    started, kept = [], set(system.screened)
+    _ = system.residual  # once, for all processes
+
+    def begin(number: int) -> tuple[Trial, Columns | None]:
+        """Of a suspect, and its columns where they are new: a process that keeps them keeps them for itself."""
+        trial = start(system, suspects[number])
+        name = trial.suspect.name
+        return trial, None if name in kept else system.screened.get(name)
+
+    for trial, columns in spread(begin, len(suspects), processes):
+        if columns is not None:
+            system.screened[trial.suspect.name] = columns
+        started.append(trial)
         tick(1)
     started.sort(key=lambda trial: -trial.gain)
     trials: dict[str, Trial] = {}
