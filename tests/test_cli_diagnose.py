@@ -232,3 +232,23 @@ def test_files_that_hold_nothing_to_compare_are_refused(
     refused(twin("diagnose", small.test, small.test), "given twice")
     refused(twin("diagnose", tmp_path / "absent.h5"), "no such file")
     refused(twin("diagnose", small.test, "--without", "magnetism"), "magnetism")
+
+
+def test_one_model_does_for_a_hammer_test_and_a_log_of_friction_that_turns_round(
+    tmp_path: Path, twin_once: Callable[..., SimpleNamespace]
+) -> None:
+    """Presliding is in the model that is written, and stiffens no joint behind a held rotor."""
+    hammer, log = tmp_path / "hammer.h5", tmp_path / "log.h5"
+    assert truth(["campaign", "--out", str(hammer), "--seed", "12", "--lines", "40", "--nominal", *POSTURES]) == 0
+    motion = ["--runs", "3", "--seconds", "30", "--dwells", "1", "--friction", "lugre", "--nominal"]
+    assert truth(["log", "--out", str(log), "--seed", "12", *motion]) == 0
+    printed = twin_once("diagnose", log, hammer, "-o", tmp_path / "out", "--hold-out", "rigid", "--json")
+    assert printed.code == 0, printed.err
+    data = json.loads(printed.out)
+    assert data["verdict"] == "adequate"
+    after, floor = data["error"]["after"], data["error"]["noise_floor"]
+    assert after["held_out"][str(log)] < 1.2 * floor[str(log)]
+    assert after["train"][str(hammer)] < 1.1 * floor[str(hammer)]
+    assert all(check["passed"] for check in data["checks"])
+    robot = load_robot(str(tmp_path / "out" / "robot.yaml"))
+    assert {e.site for e in robot.physics if e.effect == "presliding"} == {"joint1", "joint2", "joint3"}
