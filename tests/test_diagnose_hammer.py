@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -160,6 +162,22 @@ def test_base_and_joint_1_turn_about_the_same_axes_while_it_stands() -> None:
     assert quarter["transverse_compliance@joint1.y"] == quarter["base_compliance@base.rx"]
     yaw = {"base_compliance@base.rz": "base.rz", "parameter@joint1.z.stiffness": "base.rz"}
     assert same_axes(robot, q) == yaw  # torsion of joint 1 in any posture
+
+
+def test_an_axis_that_is_likelier_comes_first_however_many_share_it() -> None:
+    """Two about one axis share what they hold: 0.54 and nothing become 0.40 and 0.13, and stay before 0.46."""
+    axes = {"a@base": "x", "b@joint1": "x"}
+
+    def fit(key: str, evidence: float) -> Any:
+        piece = SimpleNamespace(effect="one")
+        hypothesis = SimpleNamespace(pieces=(piece,), key=key, under=lambda axes: (axes.get(key, key),))
+        return SimpleNamespace(hypothesis=hypothesis, misfit=1.0, data=1e4, evidence=lambda scale: evidence)
+
+    fits = [fit("c@link1", 100.0), fit("a@base", 100.3), fit("b@joint1", 50.0)]
+    decision = decide(fits, fit("none", 0.0), [[SimpleNamespace(effect="one")]], other=0.0, axes=axes)  # type: ignore[list-item]
+    assert [one.hypothesis.key for one in decision.ranked] == ["a@base", "c@link1", "b@joint1"]
+    assert decision.probability[0] < decision.probability[1]
+    assert decision.alike > decision.probability[1]
 
 
 def test_a_tilt_that_only_the_height_of_its_hinge_tells_from_another_is_never_one_name(tmp_path: Path) -> None:

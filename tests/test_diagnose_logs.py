@@ -4,6 +4,8 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from test_identify_real import emps, needs, tx40
 
 from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
+from twin.commands import diagnose
 from twin.commands.compare import compare_log
+from twin.diagnose import torque
 from twin.diagnose.evidence import sentence
 from twin.diagnose.joint import followed, pooled, predicted_by
 from twin.diagnose.torque import diagnose_log, with_evidence
@@ -42,7 +46,7 @@ from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_t
 from twin.diagnose.torque_locate import around_reversals, state_map
 from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_once, seen_at_rest_only, too_narrow
 from twin.diagnose.torque_signal import Run, prepare, thinned
-from twin.diagnose.verdict import Finding, Verdict
+from twin.diagnose.verdict import Finding, Missing, Verdict
 from twin.errors import InputError
 from twin.identify.regressor import inertia_six
 from twin.identify.rigid import Bands
@@ -372,8 +376,44 @@ def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> N
     log = recorded(tmp_path, *effects)
     found = diagnose_log(log, kr90)
     assert {m.first.key for m in found.missing} == {"load_dependent_friction@joint2", "time_delay@log"}
-    again = pooled(predicted_by(found.model, log, found, found.held_out), "after")  # compared as it was recorded
-    assert again["held_out"] == pytest.approx(found.error["after"]["held_out"], rel=0.1)
+    # compared as it was recorded, also where another recording has moved what was found by nothing worth telling
+    moved = [
+        e.model_copy(update={"delay": (1 + 1e-9) * e.values["delay"]}) if e.effect == "time_delay" else e
+        for e in found.model.physics
+    ]
+    for robot in (found.model, found.model.model_copy(update={"physics": moved})):
+        again = pooled(predicted_by(robot, log, found, found.held_out), "after")
+        assert again["held_out"] == pytest.approx(found.error["after"]["held_out"], rel=0.1)
+
+
+def test_a_second_log_keeps_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The model of all is the last log's, which stands on the first: nothing of it follows the first one's numbers."""
+    told: dict[str, Any] = {}
+    monkeypatch.setattr(diagnose, "predicted_by", lambda *_: [])
+    monkeypatch.setattr(diagnose, "pooled", lambda *_: {})
+    monkeypatch.setattr(diagnose, "with_evidence", lambda finding: [])
+    monkeypatch.setattr(diagnose, "together", lambda findings, base, robot: told.update(robot=robot))
+    first, last = (
+        SimpleNamespace(
+            following=lambda robot: "the first log's", error={}, missing=[], robot=name, model=name, base=""
+        )
+        for name in ("first", "last")
+    )
+    tests = [SimpleNamespace(kind="motion-log", content=None)] * 2
+    diagnose._settled([first, last], tests, [None, None])  # type: ignore[arg-type, list-item]
+    assert told["robot"] == "last"
+
+
+def test_low_speed_friction_or_slip_lists_each_once() -> None:
+    low, slip = (SimpleNamespace(key=key, site="joint2") for key in ("stribeck_friction@joint2", "hysteresis@joint2.z"))
+    other = SimpleNamespace(key="coulomb_friction@joint2")
+    search = SimpleNamespace(system=None, found=[])
+    found = Missing(low, 0.6, ((slip, 0.3), (other, 0.05)), "")  # type: ignore[arg-type]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torque, "_at_rest", lambda _: [low])
+        said = torque._or_slip(search, found, [found, Missing(slip, 0.9, (), "")])  # type: ignore[arg-type]
+    assert [c.key for c, _ in said.alternatives] == ["hysteresis@joint2.z", "coulomb_friction@joint2"]
+    assert said.probability == said.alternatives[0][1] == pytest.approx(0.45)
 
 
 def test_a_large_payload_is_not_drawn_towards_a_usual_one(tmp_path: Path, kr90: Robot) -> None:

@@ -150,7 +150,8 @@ def plan(
     """
     rng = np.random.default_rng(seed)
     found: list[tuple[str, Recording, int, int]] = []
-    for kind, number in zip(MIX, _shares(MIX, count), strict=True):
+    mix = {k: share for k, share in MIX.items() if k != "chain" or any(r in CHAIN for r in recordings)}
+    for kind, number in zip(mix, _shares(mix, count), strict=True):
         start = int(rng.integers(1000))
         for recording, n in _met(kind, number, recordings, each).items():
             found += [(kind, recording, int(rng.integers(1, 2**31)), start + k) for k in range(n)]

@@ -40,7 +40,7 @@ def prepare(
         write(path, {"seed": secret, "cases": drawn, "sizes": sizes, "salt": secrets.token_hex(16)})
     content = read(path)
     return [
-        (hashlib.sha256(f"{content['salt']}/{n}".encode()).hexdigest()[:12], *drawn, tuple(content["sizes"]))
+        (hashlib.sha256(f"{content['salt']}/{n}".encode()).hexdigest()[:12], *drawn, tuple(content.get("sizes", SIZES)))
         for n, drawn in enumerate(content["cases"])
     ]
 

@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tools.trials import baselines, score
+from tools.trials.cases import SIZES
 from tools.trials.score import Rate, Scored
 
 WANTED: dict[str, tuple[str, float]] = {  # sign: at most, at least
@@ -82,7 +83,7 @@ def page(
         f"# {title}", "",
         f"{len(cases)} of {len(manifest['cases'])} cases ({kinds}), judged by engine {', '.join(engines)}"
         f"{'' if len(engines) == 1 else ' — **more than one**'}; the answers have been opened {len(openings)} time(s).",
-        "", EXPLAINED.format(sizes=manifest["sizes"]), "",
+        "", EXPLAINED.format(sizes=manifest.get("sizes", SIZES)), "",
         "Run it again: `make proof`; other mixes and sizes: `python -m tools.trials --help`.", "",
         "## Scores", "", *_scores(cases), "",
         *_reading(figures / "reading.md", engines),

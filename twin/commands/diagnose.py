@@ -130,6 +130,8 @@ def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[l
     last = findings[-1]
     told_by = next((finding for finding in reversed(findings[:-1]) if finding.following), None)
     robot = told_by.following(last.robot) if told_by and told_by.following else last.robot
+    if tests[-1].kind == "motion-log":  # it stands on what the others found, all numbers fitted
+        robot = last.model
     for finding, test, held in zip(findings[:-1], tests, chosen, strict=False):
         if test.kind == "motion-log":
             finding.records = predicted_by(robot, test.content, finding, held)
@@ -450,7 +452,8 @@ def _check(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> None:
 def _hit(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> list[dict[str, Any]]:
     """A nonlinear answer stepped under the blows of a campaign with force levels; none where there is neither."""
     robot = load_robot(folder / "robot.yaml")
-    campaigns = [test for test in tests if test.kind == "frf-campaign"] if is_nonlinear(robot) else []
+    hit = is_nonlinear(robot) and all(test.kind != "motion-log" for test in tests)  # what a log found is not
+    campaigns = [test for test in tests if test.kind == "frf-campaign"] if hit else []
     found = [check_blows(robot, test.content, prepare(test.content, robot, test.source)) for test in campaigns]
     return [check for check in found if check]
 

@@ -95,7 +95,8 @@ def decide(
     weights /= weights.sum()
     names, nothing, nameless = weights[:-2], weights[-2], float(weights[-1])
     names, together = _shared(names, fits, axes) if axes else (names, names)
-    order = np.argsort(-names)
+    first = np.lexsort((-names, -together))[:1]  # what is likeliest on the axis that is
+    order = np.concatenate([first, np.setdiff1d(np.argsort(-names, stable=True), first, assume_unique=True)])
     noise = numbers["noise_misfit"] + 2 * float(np.sqrt(2 / max(base.data, 1)))
     if other is None:
         left = _left(base.misfit, best_misfit, noise)

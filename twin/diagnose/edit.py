@@ -93,7 +93,7 @@ def check_xml(mjcf: Path, robot: Robot, q: np.ndarray, brakes: Any) -> dict[str,
 
 
 def is_nonlinear(robot: Robot) -> bool:
-    """Whether what was found last answers differently to different force levels; what a log found is not hit."""
+    """Whether what was found last answers differently to different force levels."""
     return any(entry.effect in NONLINEAR for entry in robot.physics[-1:])
 
 

@@ -276,9 +276,9 @@ def companions(
 def same_axes(base: Robot, postures_q: Sequence[FloatArray]) -> dict[str, str]:
     """What turns the robot about one axis in every posture: keys of base and joint 1 → that axis of the base.
 
-    About the axis of joint 1 always. About the others while q₁ is the same: base and joint 1 then differ in the height
-    of a hinge alone, which the vocabulary sets, at the foot of the base and at the origin of link 1. Neither is where a
-    foundation or a bearing gives way.
+    About the axis of joint 1 always. About the others while q₁ is the same, the nearest two as one: base and joint 1
+    then differ in the height of a hinge, which the vocabulary sets at the foot of the base and at the origin of link 1,
+    and by q₁ in its direction, which it sets, too. Neither is where a foundation or a bearing gives way.
     """
     if base.axes[0].type == "prismatic":
         return {}

@@ -175,7 +175,9 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
     Ordinary ripple stays as it was fitted; what was found of the recording acts on the torque, which is compared as it
     was recorded. Only offsets are re-estimated.
     """
-    recording = [e for e in finding.robot.physics if e.effect in RECORDING and e not in finding.given.physics]
+    new = [e for e in finding.robot.physics if e not in finding.given.physics]
+    found_there = {(e.effect, e.site) for e in new if e.effect in RECORDING}  # the numbers may have moved since
+    recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
     robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
     prepared = prepare(log, robot, finding.recording, hold_out)
     fit, found = finding.fit, []

@@ -376,10 +376,13 @@ def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
     for fit in [fit for fit in likely if fit.evidence() > least]:
         for piece in [piece for piece in fit.hypothesis.pieces if piece.key in axes]:
             rest = [other for other in fit.hypothesis.pieces if other is not piece]
-            for companion in companions(piece, robot, free, postures):
+            there = {other.key for other in rest}  # both may be missing, but neither twice
+            for companion in [c for c in companions(piece, robot, free, postures) if c.key not in there]:
                 hypothesis = together(*rest, companion)
                 known, parameters = search.fits.get(hypothesis.identity), hypothesis.parameters(free)
-                starts = (_taken_over(fit, [piece], companion, parameters), *([known.z] if known else []))
+                starts: tuple[FloatArray, ...] = (_taken_over(fit, [piece], companion, parameters),)
+                if known and known.parameters.names == parameters.names:
+                    starts = (*starts, known.z)
                 near = _nearly(robot, _Place(hypothesis, parameters, starts), few, np.inf)
                 found = _fully(robot, near, sample, np.inf)
                 if known is None or found.cost < known.cost:

@@ -134,7 +134,8 @@ def _following(system: System, fit: Fitted, gaps: Sequence[Play], robot: Robot) 
     spread = system.base.spread[: len(vectors), :links] * system.plain(np.ones(len(fit.z)))[:links]
     there = system.base.values(system.plain(fit.z))[: len(vectors)]
     at, moved = list(range(links)), np.linalg.lstsq(spread, vectors - there, rcond=None)[0].tolist()
-    present = {f"{entry.effect}@{entry.site}" for entry in robot.physics}
+    keys = [f"{entry.effect}@{entry.site}" for entry in robot.physics]
+    present = {key for key in keys if keys.count(key) == 1}  # of two loads at one place, which one moved is not told
     for suspect in system.found:
         hypothesis, own = suspect.hypothesis, system.own(suspect)
         if _shown_by_blows(hypothesis.effect) and hypothesis.key in present:
@@ -247,8 +248,8 @@ def _slips(search: Search) -> dict[str, list[str]]:
         beside = next((s for s in search.found if s.key == low), None)
         if beside is not None and beside.trial is not None:
             now = worth(search.system, beside.trial.suspect)
-            gains = f"gained {beside.gain:.0f} beside it, and is worth {now:.0f} beside all that was found"
-            text = f"Low-speed friction {gains}"
+            gains = f"gained {beside.gain:.0f} when it was found, and is worth {now:.0f} beside all that was found"
+            text = f"Low-speed friction at {site} {gains}"
             if any(s is beside for s in _at_rest(search)):
                 text += (
                     ". One sample after most reversals the axis is past its speed already: the log shows that more is "
@@ -360,6 +361,9 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
     suspect = step.trial.suspect
     once, own = at_once(system, suspect), system.own(suspect)
     count = len(own) // 2
+    if len(once) == count and not dry:  # the longest stays what it is: all of the torque is told of one of both
+        travel = np.divide(*(slip.first.parameters[name]["value"] for name in ("yield_torque", "stiffness")))
+        once.remove(int(np.argmax(travel)))
     if not once:
         return [slip]
     at = [own[2 * k] for k in once] + [k for s in dry if s.trial for k in system.own(s.trial.suspect)]
@@ -391,8 +395,10 @@ def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Miss
     slips = [m for m in missing if m.first.key == f"hysteresis@{found.first.site}.z"]
     if found.first.key not in (step.key for step in _at_rest(search)) or not slips:
         return found
-    half = 0.5 * found.probability
-    return replace(found, probability=half, alternatives=((slips[0].first, half), *found.alternatives))
+    slip = slips[0].first
+    others = tuple((c, p) for c, p in found.alternatives if c.key != slip.key)
+    half = 0.5 * (found.probability + sum(p for c, p in found.alternatives if c.key == slip.key))
+    return replace(found, probability=half, alternatives=((slip, half), *others))
 
 
 def _at_rest(search: Search) -> list[Step]:
