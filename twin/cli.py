@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from twin.errors import InputError
+from twin.memory import keep_memory
 
 # Matrices here are small: threads inside a product cost more than they gain. Parallel work is over records and cases.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -403,6 +404,7 @@ def _show(result: Any, json: bool) -> None:
 
 def main() -> None:
     """Entry point: bad input ends in one line on standard error and exit code 2."""
+    keep_memory()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters is no reason to lose a result

@@ -125,14 +125,13 @@ class Linear:
     def __init__(self, objective: Objective, z: FloatArray) -> None:
         self.residual, J = objective.jacobian(z)
         self.Q, self.R = factors(J)
-        self.z = z
-        self.own = self.share(self.residual, -z)
+        self.offset = z @ self.Q[len(self.residual) :]  # what the prior holds back
+        self.own = self.share(self.residual) - self.offset
         self.gain = 0.5 * float(self.own @ self.own)
 
-    def share(self, vectors: FloatArray, prior: FloatArray | None = None) -> FloatArray:
-        """What the step can make of vectors (data,) or (m, data): (n,) or (n, m); ``prior`` (n,) continues them."""
-        along = (vectors @ self.Q[: vectors.shape[-1]]).T
-        return np.asarray(along if prior is None else along + prior @ self.Q[len(self.residual) :])
+    def share(self, vectors: FloatArray) -> FloatArray:
+        """What the step can make of vectors (data,) or (m, data): (n,) or (n, m)."""
+        return np.asarray((vectors @ self.Q[: vectors.shape[-1]]).T)
 
     def step(self, share: FloatArray) -> FloatArray:
         """δ (n,) that makes a share (n,)."""
@@ -316,7 +315,8 @@ def _near_promise(
 ) -> Promise:
     base, n, m = setting.linear, len(setting.z), len(suspect.own)
     residual, D = objective.within(z, range(n, n + m)).jacobian(z[n:])
-    own, share, rho, along = z[n:], base.share(D), base.share(residual, -base.z), D @ residual
+    shares = base.share(np.vstack([D, residual]))  # at once: they read all of Q
+    own, share, rho, along = z[n:], shares[:, :m], shares[:, m] - base.offset, D @ residual
     change = np.linalg.solve(D @ D.T - share.T @ share + np.eye(m), along - share.T @ rho - own)
     step = np.asarray(np.concatenate([base.step(rho - share @ change), change]), float)
     loss = 0.5 * float(residual @ residual + z @ z) - before

@@ -702,8 +702,8 @@ def contract(slopes_: Observed, transform: FloatArray) -> Observed:
 
 def frf(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
     """H(s) = sᵖ R J_r Z(s)⁻¹ J_eᵀ, (nf, nr, ne), R the channels' gains and delays."""
-    X_e = np.linalg.solve(_dynamic(seen, s), np.broadcast_to(seen.J_e.T, (len(s), *seen.J_e.T.shape)))
-    return _record(seen, s, power) * (seen.J_r @ X_e)
+    X_r = np.linalg.solve(_dynamic(seen, s), np.broadcast_to(seen.J_r.T, (len(s), *seen.J_r.T.shape)))
+    return _record(seen, s, power) * (X_r.swapaxes(1, 2) @ seen.J_e.T)
 
 
 def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> tuple[ComplexArray, ComplexArray]:
@@ -712,33 +712,22 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
     ∂H = sᵖR [∂J_r Z⁻¹J_eᵀ + J_r Z⁻¹∂J_eᵀ − J_r Z⁻¹ ∂Z Z⁻¹J_eᵀ] + H ∂R/R.
     """
     nf, nr, nv, ne, n = len(s), len(seen.J_r), seen.M.shape[0], len(seen.J_e), len(rate.M)
-    both = np.concatenate([seen.J_r, seen.J_e]).T
-    X = np.linalg.solve(_dynamic(seen, s), np.broadcast_to(both, (nf, *both.shape)))
-    X_r, X_e = np.ascontiguousarray(X[:, :, :nr].swapaxes(1, 2)), np.ascontiguousarray(X[:, :, nr:])
+    inverse = np.linalg.inv(_dynamic(seen, s))
+    X_r, X_e = seen.J_r @ inverse, (inverse.reshape(-1, nv) @ seen.J_e.T).reshape(nf, nv, ne)
     record = _record(seen, s, power)
-    H = record * (seen.J_r @ X_e)
-    slope = np.zeros((n, nf, nr, ne), complex)
-    pull = -record * X_r
-    coordinate, alone = _one_spring(rate)
-    if alone.size:
-        own = coordinate[alone]
-        sprung = (m[alone, own, own] for m in _matrices(rate))
-        through = pull[:, :, own] * sum(_factors(s)[k][:, None] * m for k, m in enumerate(sprung))[:, None]
-        for k, p in enumerate(alone):
-            np.multiply(through[:, :, k, None], X_e[:, None, own[k]], out=slope[p])
-    dense = np.setdiff1d(np.flatnonzero(_moves(rate)), alone)
-    if dense.size:
-        parts = [(m[dense], k) for k, m in enumerate(_matrices(rate)) if m[dense].any()]
-        factor = _factors(s)[:, :, None, None]
-        left = np.zeros((nf, nr, dense.size, nv), complex)
-        if parts:
-            columns = np.concatenate([m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts])
-            flat = np.concatenate([factor[k] * pull for _, k in parts], axis=2)
-            left = (flat.reshape(nf * nr, -1) @ columns).reshape(left.shape)
-        for k, J_r in enumerate(rate.J_r[dense]):
-            if J_r.any():
-                left[:, :, k] += record * J_r
-        slope[dense] = (left.reshape(nf, nr * dense.size, nv) @ X_e).reshape(nf, nr, -1, ne).transpose(2, 0, 1, 3)
+    H, pull = record * (X_r @ seen.J_e.T), -record * X_r
+    parts = [
+        (m.transpose(1, 0, 2).reshape(nv, -1), factor)
+        for m, factor in zip(_matrices(rate), _factors(s), strict=True)
+        if m.any()
+    ]
+    left = np.zeros((nf, nr, n, nv), complex)
+    if parts:
+        flat = np.concatenate([factor[:, None, None] * pull for _, factor in parts], axis=2)
+        left = (flat.reshape(nf * nr, -1) @ np.concatenate([m for m, _ in parts])).reshape(left.shape)
+    for p in np.flatnonzero(rate.J_r.any(axis=(1, 2))):
+        left[:, :, p] += record * rate.J_r[p]
+    slope = (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
     some = np.flatnonzero(rate.J_e.any(axis=(1, 2)))
     if some.size:
         turned = pull.reshape(nf * nr, nv) @ rate.J_e[some].transpose(2, 0, 1).reshape(nv, -1)
@@ -746,21 +735,6 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
     for p in np.flatnonzero(rate.gain.any(axis=1) | rate.delay.any(axis=1)):
         slope[p] += H * (rate.gain[p] / seen.gain - s[:, None] * rate.delay[p])[:, :, None]
     return H, slope
-
-
-def _moves(rate: Observed) -> NDArray[np.bool_]:
-    """(n,) which parameters change M, C, K, loss or the responses' rows."""
-    arrays = (*_matrices(rate), rate.J_r)
-    return np.asarray(np.any([array.any(axis=(1, 2)) for array in arrays], axis=0))
-
-
-def _one_spring(rate: Observed) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Parameters of one coordinate's spring or damper alone: coordinate (n,) of each, and which they are."""
-    size = sum(np.abs(m) for m in _matrices(rate))
-    diagonal = np.diagonal(size, axis1=1, axis2=2)
-    alone = (np.count_nonzero(size, axis=(1, 2)) == 1) & (np.count_nonzero(diagonal, axis=1) == 1)
-    alone &= ~rate.J_r.any(axis=(1, 2))
-    return np.argmax(diagonal, axis=1), np.flatnonzero(alone)
 
 
 def _dynamic(seen: Observed, s: ComplexArray) -> ComplexArray:
