@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tools.truth.__main__ import main as truth
+from twin.commands.compare import compare_hammer
 from twin.diagnose.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
 from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.held_law import UnderLaw
@@ -63,6 +64,19 @@ def test_stepped_blows_are_the_truth_codes(
     )
     for r, H in zip(recordings, stepped.predicted(np.zeros(0)), strict=True):
         assert np.linalg.norm(H - r.frf) < tolerance * np.linalg.norm(r.frf)
+
+
+def test_compare_strikes_a_robot_with_a_law_of_amplitude_in_time(kr90: Robot, tmp_path: Path) -> None:
+    """Linearised it would miss by what the law does. A law half as hard under blows 1.4 times as long gives the same
+    FRFs, and how long they were belongs to the recording."""
+    campaign = recorded(tmp_path, "hardening_stiffness@joint1.z:cubic=3e13", "--nominal", "--no-sag", "--postures", "1")
+    for cubic in (3e13, 1.5e13):
+        law = Entry.model_validate({"effect": "hardening_stiffness", "site": "joint1.z", "cubic": cubic})
+        robot = kr90.model_copy(update={"physics": [law, *kr90.physics]})  # wherever the entry stands
+        found = compare_hammer(robot, campaign, "c.h5")
+        assert found.noise_floor is not None
+        assert found.error < 1.3 * found.noise_floor
+    assert compare_hammer(kr90, campaign, "c.h5").error > 5 * found.noise_floor
 
 
 @pytest.mark.parametrize(("law", "sizes"), [(Cubic(), [1e13]), (Gap(), [5e-5]), (SLIP, [1e5] * 5)])

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from twin.commands.compare import compare
+from twin.commands.compare import compare, compare_hammer
 from twin.commands.fit import fit
 from twin.errors import InputError
 from twin.identify.elastic import fit_frf, minimise, prepare
-from twin.identify.elastic_compare import compare_frf, judge, noise_floor
+from twin.identify.elastic_compare import judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
 from twin.identify.parameters import free_parameters
 from twin.identify.uncertainty import combinations, estimates, profile
@@ -228,10 +228,10 @@ def test_modes_that_cross_are_paired_by_their_deflections(kr90: Robot) -> None:
 def test_compare_is_at_the_noise_for_the_fitted_robot_and_far_from_it_for_the_described(
     measured: SimpleNamespace, kr90: Robot, tmp_path: Path
 ) -> None:
-    fitted = compare_frf(measured.fit.robot, measured.campaign)
+    fitted = compare_hammer(measured.fit.robot, measured.campaign, "c.h5")
     assert fitted.error < 1.1 * (fitted.noise_floor or 0)
-    assert compare_frf(kr90, measured.campaign).error > 20 * fitted.error
-    as_is = compare_frf(measured.fit.robot, measured.campaign, as_is=True)
+    assert compare_hammer(kr90, measured.campaign, "c.h5").error > 20 * fitted.error
+    as_is = compare_hammer(measured.fit.robot, measured.campaign, "c.h5", as_is=True)
     assert as_is.error > 3 * fitted.error
     assert not as_is.estimated
     parts = fitted.parts
@@ -239,6 +239,20 @@ def test_compare_is_at_the_noise_for_the_fitted_robot_and_far_from_it_for_the_de
     assert {part["posture"] for part in whole} == set(read_campaign(measured.path).postures)
     assert len([part for part in parts if part["channel"]]) == 4 * 69
     assert min(p["error"] for p in whole) <= fitted.error <= max(p["error"] for p in whole)
+
+
+def test_a_channel_without_coherence_counts_for_nothing_in_compare(measured: SimpleNamespace) -> None:
+    """A sensor that fell off in one blow says nothing of the robot."""
+    rng = np.random.default_rng(8)
+    postures = {}
+    for name, p in measured.campaign.postures.items():
+        H, coherence = p.frf.copy(), p.coherence.copy()
+        H[:, :, 3] = np.median(np.abs(H)) * (rng.normal(size=H.shape[:2]) + 1j * rng.normal(size=H.shape[:2]))
+        coherence[:, :, 3] = rng.uniform(0, 0.3, size=H.shape[:2])
+        postures[name] = replace(p, frf=H, coherence=coherence)
+    whole = compare_hammer(measured.fit.robot, measured.campaign, "c.h5").error
+    spoilt = compare_hammer(measured.fit.robot, replace(measured.campaign, postures=postures), "c.h5").error
+    assert spoilt == pytest.approx(whole, rel=0.1)
 
 
 def test_bounded_descent_ends_where_bounded_least_squares_does() -> None:
@@ -288,7 +302,7 @@ def test_raw_hits_and_one_channel_pair_are_fitted(tmp_path: Path, kr90: Robot) -
 def test_without_coherence_every_line_counts_the_same(measured: SimpleNamespace, kr90: Robot) -> None:
     """The contract's error: RMS of the residual over RMS of the data, in the FRFs' own unit."""
     bare = {name: replace(p, coherence=None) for name, p in measured.campaign.postures.items()}
-    found = compare_frf(kr90, replace(measured.campaign, postures=bare), as_is=True)
+    found = compare_hammer(kr90, replace(measured.campaign, postures=bare), "c.h5", as_is=True)
     data, residual = 0.0, 0.0
     for r, H in zip(found.judged.recordings, found.judged.predicted, strict=True):
         data += np.sum(np.abs(r.frf) ** 2)

@@ -12,10 +12,14 @@ from twin.commands.identify import check_low_pass, in_joints
 from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
+from twin.diagnose.joint_reaction import blows
+from twin.diagnose.struck import amplitude_entries, judge_struck
+from twin.diagnose.triage import believed
 from twin.errors import InputError
-from twin.identify.elastic_compare import Comparison, compare_frf, compare_modes
+from twin.identify.elastic_compare import Comparison, compare_modes, comparison, judge
 from twin.identify.regressor import Regressor
 from twin.identify.rigid import TOO_SHORT, Bands, Rows, motion_of_run, rows_of
+from twin.measure.campaign import Campaign
 from twin.measure.hdf5 import Node
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
@@ -134,7 +138,7 @@ def compare(
         elif kind == "modal-table":
             found = compare_modes(loaded, read_modal_table(path), str(path))
         else:
-            found = compare_frf(loaded, read_recording([path]), str(path), as_is=as_is)
+            found = compare_hammer(loaded, read_recording([path]), str(path), as_is)
             tests.append((path, found))
         errors[str(path)] = found.error
         parts += list(found.parts)
@@ -151,6 +155,15 @@ def compare(
                 _draw_frfs(found, outputs, Path(path).stem)
             write_json(outputs("compare.json"), result.data())
     return result
+
+
+def compare_hammer(robot: Robot, campaign: Campaign, source: str, as_is: bool = False) -> Comparison:
+    """Compare a robot with a hammer test as a diagnosis does: channels without coherence left out; linearised, or the
+    blows stepped in time where the robot has one law of amplitude and the recording says how hard they were."""
+    recordings = list(believed(campaign, robot, source)[0].values())
+    laws, how = amplitude_entries(robot), blows(campaign)
+    struck = judge_struck(robot, recordings, how, as_is=as_is) if len(laws) == 1 and how else None
+    return comparison(robot, struck or judge(robot, recordings, as_is=as_is), source)
 
 
 def recording_kind(path: str | Path) -> tuple[str, str | None]:

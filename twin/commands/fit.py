@@ -22,7 +22,7 @@ from twin.identify.elastic import (
     within_limits,
     without_limits,
 )
-from twin.identify.elastic_compare import Comparison, comparison, expected_error
+from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
     ModalObjective,
     ModalPosture,
@@ -274,18 +274,18 @@ def _fit_campaign(
 
     fitted = run(train)
     final = _checked(fitted.parameters.apply(described, fitted.values))
-    comparisons = {"fitted": comparison(final, train, source)}
+    comparisons = {"fitted": comparison(final, judge(final, train), source)}
     error: dict[str, float | None] = {"train": comparisons["fitted"].error, "held_out": None}
     expected: dict[str, float | None] = {"noise_floor": comparisons["fitted"].noise_floor, "held_out": None}
     if rest:
-        comparisons["held out"] = comparison(final, rest, source)
+        comparisons["held out"] = comparison(final, judge(final, rest), source)
         error["held_out"] = comparisons["held out"].error
         expected["held_out"] = expected_error(final, fitted, rest) if noise_stated(recordings) else None
     left_out = {}
     for name in left:
         other = run([r for r in recordings if r.setup.name != name])
         changed = other.parameters.apply(described, other.values)
-        judged = comparison(changed, [r for r in recordings if r.setup.name == name], source)
+        judged = comparison(changed, judge(changed, [r for r in recordings if r.setup.name == name]), source)
         left_out[name] = judged.error
     found = estimates(fitted)
     result = FitResult(

@@ -50,17 +50,28 @@ class Triage:
         return [str(check) for check in self.checks if not check.passed]
 
 
-def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | None) -> Triage:
-    """Check a campaign and divide its postures.
+def believed(campaign: Campaign, robot: Robot, source: str) -> tuple[dict[str, Recorded], float]:
+    """Recordings by group with their variance pooled over lines, in which a channel that has no coherence counts for
+    nothing; and how many lines share their noise.
 
     Raises:
-        InputError: the recording does not fit the robot, or names to hold out are not there.
+        InputError: the recording does not fit the robot.
     """
     recordings, shared = {}, shared_lines(list(campaign.postures.values()))
     for name, recorded in prepare(campaign, robot, source).items():
         variance = pooled_variance(campaign.postures[name], shared)
         lines = np.isin(campaign.postures[name].frequency, recorded.frequency)
         recordings[name] = replace(recorded, variance=variance[lines])
+    return recordings, shared
+
+
+def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | None) -> Triage:
+    """Check a campaign and divide its postures.
+
+    Raises:
+        InputError: the recording does not fit the robot, or names to hold out are not there.
+    """
+    recordings, shared = believed(campaign, robot, source)
     names = list(dict.fromkeys(r.setup.name for r in recordings.values()))
     groups = {group: base_name(campaign, group) for group in campaign.postures}
     checks: list[Check] = []

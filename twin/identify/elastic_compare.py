@@ -23,13 +23,12 @@ from twin.identify.elastic import (
     minimise,
     model_frf,
     noise_stated,
-    prepare,
     without_limits,
 )
 from twin.identify.elastic_modal import PairedMode, frequency_error, modal_postures, predict_modes
 from twin.identify.parameters import Parameters, independent, join, recording_parameters
 from twin.identify.uncertainty import posterior
-from twin.measure.campaign import Campaign, ComplexArray, FloatArray
+from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.robot.description import Robot
 
@@ -97,24 +96,9 @@ class Comparison:
         return "\n".join(lines)
 
 
-def compare_frf(robot: Robot, campaign: Campaign, source: str = "recording", *, as_is: bool = False) -> Comparison:
-    """Compare a robot with a hammer test.
-
-    Args:
-        robot: the description.
-        campaign: the recording.
-        source: its name.
-        as_is: leave posture angles and channel gains as stated.
-
-    Raises:
-        InputError: the recording does not belong to a robot of this kind.
-    """
-    return comparison(robot, list(prepare(campaign, robot, source).values()), source, as_is=as_is)
-
-
-def comparison(robot: Robot, recordings: Sequence[Recorded], source: str, *, as_is: bool = False) -> Comparison:
-    """Compare a robot with recordings that have been prepared, see :func:`compare_frf`."""
-    judged = judge(robot, recordings, as_is=as_is)
+def comparison(robot: Robot, judged: Judged, source: str) -> Comparison:
+    """What :func:`judge` found of a robot, in parts."""
+    recordings = judged.recordings
     weighted = noise_stated(recordings)
     parts: list[dict[str, Any]] = []
     for r, H in zip(judged.recordings, judged.predicted, strict=True):
