@@ -13,12 +13,12 @@ from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.held_law import UnderLaw
 from twin.diagnose.joint_laws import Cubic, Drag, Gap, Law, Slip
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
-from twin.diagnose.levels import Levels, decide_levels, explain_levels
+from twin.diagnose.levels import Levels, _settling, decide_levels, explain_levels, fit_law, point, with_law
 from twin.diagnose.levels_finding import check_blows
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, descend
+from twin.diagnose.refit import NONE, descend, minimise
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import estimates_of
@@ -229,6 +229,28 @@ def test_slip_dissipates_the_area_of_its_loop() -> None:
         g.append(torque[0])
     last = slice(20000, None)
     assert np.trapezoid(np.array(g)[last], x[last]) == pytest.approx(4 * 1e6 * 1e-5 * 4e-5, rel=1e-3)
+
+
+def test_slip_is_settled_from_where_it_was_found(kr90: Robot, tmp_path: Path) -> None:
+    """With the yields sought too it begins as what was found, and moving them is worth a step where they are wrong."""
+    slip = "hysteresis@joint2.z:stiffness=1e5|1e5|1e5|1e5|1e5,yield_torque=0.1|0.3|1|3|10"
+    campaign = recorded(tmp_path, slip, "--nominal", "--no-sag", "--postures", "1")
+    recordings = tuple(r.every(8) for r in prepare(campaign, kr90).values())
+    robot, free = without_limits(kr90), free_parameters(kr90, tolerances=False)
+    base = descend(robot, NONE, free, Sample(recordings), np.zeros(len(free)), tempered=0, linear=0)
+    wrong = Slip(tuple(1.2 * np.array(SLIP.reach)))
+    stepped, hypothesis = with_law(robot, base, wrong, "joint2.z", Sample(recordings), blows(campaign) or {})
+    z = point(stepped, free.values(np.zeros(len(free))), np.full(5, 1e5))
+    fit = fit_law(stepped, hypothesis, z)
+    law = wrong.settling()
+    hypothesis, parameters, z = _settling(law, 5, fit, free)
+    freed = replace(stepped, law=law, parameters=parameters, closely=True)
+    assert freed.cost(z) == pytest.approx(fit.cost, rel=1e-9)
+    assert [p.name for p in hypothesis.own][-2:] == ["hysteresis@joint2.z.reach[4]", "hysteresis@joint2.z.pulse"]
+    end, cost, *_ = minimise(freed, z, 6, 0.1)
+    assert fit.cost - cost > 20
+    entry = law.entry(freed.own(end)[0])
+    assert np.divide(entry["yield_torque"], entry["stiffness"])[2] < 0.95 * wrong.reach[2]
 
 
 def test_steps_follow_a_smooth_torque_by_parabolas() -> None:

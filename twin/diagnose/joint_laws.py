@@ -5,7 +5,7 @@ that the weight a joint carries presses a gap shut and shifts the working point 
 relaxed at rest.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from twin.identify.parameters import Parameter
 from twin.measure.campaign import FloatArray
 
 REACH = np.geomspace(0.01, 2.6, 13)  # deflections at which slip elements yield, over one that one blow in ten exceeds
+NEXT = 0.25  # prior deviation of the logarithm of a yield: half the way to the next
 SPREAD = 1.5  # prior deviation of the logarithm of every size
 USUAL_DEFLECTION = 5e-5  # rad: of a joint under a blow
 USUAL_OMEGA = 2 * np.pi * 12.0  # rad/s: at which it swings
@@ -87,6 +88,10 @@ class Law:
 
     def at(self, amplitude: float) -> "Law":
         """The law as it is sought where blows deflect the joint by ``amplitude``."""
+        return self
+
+    def settling(self) -> "Law":
+        """The law as it is settled, once it is found: with more sizes after its own, if it has such."""
         return self
 
     def sizes(self, k: float, amplitude: float) -> FloatArray:
@@ -193,6 +198,9 @@ class Slip(Law):
     def at(self, amplitude: float) -> "Slip":
         return Slip(tuple(amplitude * REACH))
 
+    def settling(self) -> Law:
+        return SlipAnywhere(self.reach)
+
     def entry(self, sizes: FloatArray, larger: float = 1.0) -> dict[str, float | list[float]]:
         values = [float(v) for v in sizes]
         yields = [k * x * larger for k, x in zip(values, self.reach, strict=True)]
@@ -205,13 +213,7 @@ class Slip(Law):
     def torque(
         self, x: FloatArray, k: FloatArray, sizes: FloatArray, state: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        limit, new = np.array(self.reach)[:, None], np.empty_like(state)
-        strained = new[:-1]
-        np.add(state[:-1], x - state[-1], out=strained)
-        np.minimum(strained, limit, out=strained)
-        np.maximum(strained, -limit, out=strained)
-        new[-1] = x
-        return np.einsum("pe,pe->e", sizes, strained), new
+        return _slipped(x, sizes, np.array(self.reach)[:, None], state)
 
     def usual(self, k: float) -> FloatArray:
         return np.full(len(self.reach), 0.15 * k / len(self.reach))
@@ -220,6 +222,57 @@ class Slip(Law):
         steps = np.arange(len(self.reach)) / (len(self.reach) - 1)
         shapes = [tilt**steps / np.sum(tilt**steps) for tilt in (0.1, 1.0, 10.0)]
         return np.array([share * k * shape for share in (0.01, 0.03, 0.1, 0.3) for shape in shapes])
+
+
+@dataclass(frozen=True)
+class SlipAnywhere(Slip):
+    """The same with the yields sought too, from where stiffnesses were found: a few elements bend as many do only
+    where they yield in the right places.
+
+    The sizes are stiffnesses, then the deflections at which they yield.
+    """
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*super().names, *(f"reach[{i}]" for i in range(len(self.reach))))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return (*super().units, *["rad"] * len(self.reach))
+
+    def settling(self) -> Law:
+        return self
+
+    def parameters(self, key: str, k: float) -> tuple[Parameter, ...]:
+        found = super().parameters(key, k)
+        start = len(self.reach)
+        return (*found[:start], *(replace(p, deviation=NEXT) for p in found[start:]))
+
+    def usual(self, k: float) -> FloatArray:
+        return np.concatenate([super().usual(k), self.reach])
+
+    def entry(self, sizes: FloatArray, larger: float = 1.0) -> dict[str, float | list[float]]:
+        stiffness, reach = np.split(sizes, 2)
+        return {"stiffness": stiffness.tolist(), "yield_torque": (stiffness * reach * larger).tolist()}
+
+    def torque(
+        self, x: FloatArray, k: FloatArray, sizes: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        stiffness, limit = np.split(sizes, 2)
+        return _slipped(x, stiffness, limit, state)
+
+
+def _slipped(
+    x: FloatArray, stiffness: FloatArray, limit: FloatArray, state: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Torque of elements (m, c) that are strained no further than their limit, and the new memory."""
+    new = np.empty_like(state)
+    strained = new[:-1]
+    np.add(state[:-1], x - state[-1], out=strained)
+    np.minimum(strained, limit, out=strained)
+    np.maximum(strained, -limit, out=strained)
+    new[-1] = x
+    return np.einsum("pe,pe->e", stiffness, strained), new
 
 
 LAWS: tuple[Law, ...] = (Cubic(), Gap(), Slip())

@@ -45,7 +45,7 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, CLOSE, SETTLING, LINEAR = 8, 10, 4, 8, 5, 6, 15  # iterations
+LOCATING, ROUGH, RACING, LAST, CLOSE, SETTLING, LINEAR = 8, 10, 4, 8, 5, 10, 15  # iterations
 ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
@@ -468,16 +468,25 @@ def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray) -> Fitted
     return _fitted(objective, hypothesis, *minimise(fine, z, CLOSE, COARSE_GAIN))
 
 
-def settled(levels: Levels, fit: Fitted, objective: Stepped, sample: Sample, blow: dict[str, Blow]) -> Fitted:
+def settled(
+    levels: Levels, fit: Fitted, objective: Stepped, sample: Sample, blow: dict[str, Blow]
+) -> tuple[Fitted, Stepped]:
     """A fit carried on over all lines of its blows: what it says of recordings it has not seen hangs on every one.
 
     Args:
         levels: what it was found from; ``objective`` what predicts with it.
         sample: recordings as they are; ``blow`` how each was hit.
 
+    Returns:
+        The fit, and what predicts with it.
+
     Where the law was found under a window and does not hold to the ends of the decays, the window stays.
     """
     labels = {r.group: r.setup.excitation.label for r in objective.sample.recordings}
+    hypothesis, z = fit.hypothesis, fit.z
+    if (law := objective.law.settling()) is not objective.law:
+        hypothesis, parameters, z = _settling(law, len(objective.law.names), fit, levels.base.parameters)
+        objective = replace(objective, law=law, parameters=parameters)
 
     def all_of(sample: Sample, blow: dict[str, Blow], temper: float = 0.0) -> Stepped:
         told = [
@@ -490,9 +499,20 @@ def settled(levels: Levels, fit: Fitted, objective: Stepped, sample: Sample, blo
     every = all_of(sample, blow)
     if levels.window:
         allowed = all_of(sample, blow, HOLDS)
-        if not 2 * allowed.cost(fit.z) <= EXPLAINS * allowed.data:
+        if not 2 * allowed.cost(z) <= EXPLAINS * allowed.data:
             every = all_of(levels.whole, levels.blow)
-    return _fitted(every, fit.hypothesis, *minimise(every, fit.z, SETTLING, FINE_GAIN))
+    return _fitted(every, hypothesis, *minimise(every, z, SETTLING, FINE_GAIN)), every
+
+
+def _settling(law: Law, known: int, fit: Fitted, free: Parameters) -> tuple[Hypothesis, Parameters, FloatArray]:
+    """A fit's hypothesis, parameters and coordinates with those sizes of a law that come after the ``known`` ones."""
+    *others, piece = fit.hypothesis.pieces
+    added = law.parameters(piece.own[0].name.rpartition(".")[0], 1.0)[known:]
+    own = (*piece.own[:known], *added, *piece.own[known:])
+    hypothesis, at = together(*others, replace(piece, own=own)), len(fit.z) - len(piece.own) + known
+    parameters = hypothesis.parameters(free)
+    values = np.concatenate([fit.values[:at], [p.mean for p in added], fit.values[at:]])
+    return hypothesis, parameters, parameters.coordinates(values)
 
 
 def _fitted(

@@ -83,7 +83,7 @@ def levels_finding(
     how = blows(campaign) or {}
     records, errors = frf_records(without_limits(given), search.base, search.base, found.used, found.kept)
     if answer:
-        records, errors["after"] = _stepped_records(records, answer.objective, answer.best, found.used, found.kept, how)
+        records, errors["after"] = stepped_records(records, answer.objective, answer.best, found.used, found.kept, how)
     errors["noise_floor"] = noise_floor(sample.recordings)
     sites = {place.site: levels.places[-1].cost - place.cost for place in levels.places}
     finding = Finding(
@@ -142,7 +142,7 @@ def _answer(
         if beside.decision and judge(beside.decision) in ("named", "ambiguous"):
             law = missing_of(replace(decision, ranked=[best, *decision.ranked[1:]]), levels.base)[0]
             objective = beside.objectives[0]
-            both = settled(levels, beside.fits[0], objective, sample, how)
+            both, objective = settled(levels, beside.fits[0], objective, sample, how)
             also = replace(beside.decision, ranked=[both, *beside.fits[1:]])
             others = [m for m in missing_of(also, best) if m.first.key != law.first.key]
             believed = (1 - also.other) / max(1 - decision.other, 1e-9)
@@ -156,7 +156,7 @@ def _answer(
             if judge(beside.decision) == "ambiguous":
                 word = "ambiguous"
             return _Answer(word, [law, *others], both, objective, decision.none, also.other, beside)
-    best = settled(levels, best, objective, sample, how)
+    best, objective = settled(levels, best, objective, sample, how)
     law = missing_of(replace(decision, ranked=[best, *decision.ranked[1:]]), levels.base)[0]
     law = replace(law, first=replace(law.first, parameters=_as_entered(law.first.parameters, objective, best)))
     return _Answer(word, [law], best, objective, decision.none, decision.other, None)
@@ -196,28 +196,31 @@ def levels_sentence(levels: Levels) -> str:
 
 
 def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> dict[str, Any]:
-    """The law's own numbers for blows as long as these were, and not the blows', with what is not known of their
-    momentum, to a power of which sizes are in proportion; slip's yield torques beside its stiffnesses."""
-    entry: dict[str, Any] = objective.law.entry(*objective.own(fit.z))
-    parameters = dict(parameters)
-    covariance = np.linalg.inv(fit.information) * max(1.0, fit.misfit)
-    longer = [len(fit.z) - 1] if parameters.pop("pulse", None) else []  # unless raw hits tell it
-    known = not longer
-
-    def ends(value: float, own: int, power: float) -> list[float]:
-        weight = np.array([1.0, *[power] * len(longer)]) * [fit.parameters[k].deviation for k in (own, *longer)]
-        variance = weight @ covariance[np.ix_([own, *longer], [own, *longer])] @ weight
-        spread = NINETY * float(np.sqrt(variance + (0.0 if known else (power * FORM) ** 2)))
-        return [value * float(np.exp(side * spread)) for side in (-1, 1)]
-
+    """The law's own numbers as they are in its entry, for blows as long as these were, and not the blows', with what is
+    not known of their momentum."""
+    sizes, longer = objective.own(fit.z)
+    entry: dict[str, Any] = objective.law.entry(sizes, longer)
+    known = "pulse" not in parameters  # raw hits tell it
     first = len(objective.base)
-    if "yield_torque" in entry:
-        yields = [ends(value, first + k, 1.0) for k, value in enumerate(entry["yield_torque"])]
-        parameters["yield_torque"] = {"value": entry["yield_torque"], "unit": "N·m", "interval90": yields}
-        return parameters
-    ((name, value),) = entry.items()
-    parameters[name] = {**parameters[name], "value": value, "interval90": ends(value, first, objective.law.power)}
-    return parameters
+    rows = [*range(first, first + len(sizes)), *([] if known else [len(fit.z) - 1])]
+    covariance = fit.covariance[np.ix_(rows, rows)]
+    little = 1e-6
+
+    def numbers(name: str, moved: FloatArray, larger: float) -> FloatArray:
+        return np.log(np.atleast_1d(objective.law.entry(moved, larger)[name]))
+
+    found = {}
+    for name, value in entry.items():
+        at = numbers(name, sizes, longer)
+        slopes = [numbers(name, sizes * (1 + little * one), longer) - at for one in np.eye(len(sizes))]
+        power = (numbers(name, sizes, longer * (1 + little)) - at) / little
+        weight = np.array(slopes).T / little
+        weight = weight if known else np.column_stack([weight, power])
+        variance = np.einsum("vp,pq,vq->v", weight, covariance, weight) + (0.0 if known else (power * FORM) ** 2)
+        ends = np.exp(at[:, None] + np.outer(NINETY * np.sqrt(variance), [-1, 1])).tolist()
+        unit = "N·m" if name == "yield_torque" else objective.law.units[0]
+        found[name] = {"value": value, "unit": unit, "interval90": ends if np.ndim(value) else ends[0]}
+    return found
 
 
 def _limited(robot: Robot, given: Robot) -> Robot:
@@ -256,7 +259,7 @@ def law_of(robot: Robot) -> tuple[Law, FloatArray, Robot]:
     return law, np.array([values[law.names[0]]]), robot
 
 
-def _stepped_records(
+def stepped_records(
     records: Sequence[FrfRecord],
     objective: Stepped,
     fit: Fitted,
@@ -312,7 +315,8 @@ def check_blows(robot: Robot, campaign: Campaign, recordings: dict[str, Recorded
         return None
 
     def change(a: ComplexArray, b: ComplexArray) -> FloatArray:
-        return np.asarray(np.linalg.norm(b - a, axis=(0, 1)) / np.linalg.norm(a, axis=(0, 1)))
+        size = np.linalg.norm(a, axis=(0, 1))  # nothing at a point that is held
+        return np.asarray(np.divide(np.linalg.norm(b - a, axis=(0, 1)), size, out=np.zeros_like(size), where=size > 0))
 
     low, high = max(pairs, key=lambda pair: float(np.median(change(pair[0].frf, pair[1].frf))))
     column = int(np.argmax(change(low.frf, high.frf)))
