@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tools.trials import __main__ as trials
-from tools.trials import ask, make, real, score, store
+from tools.trials import ask, make, real, reference, score, store
 from tools.trials.baselines import metadata
 from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campaign, _candidates, case, plan
 from tools.trials.naive import best_correlated
@@ -397,6 +397,27 @@ def test_the_error_left_is_told_over_the_noise_floor() -> None:
     found = score.headline([one(answer("single", PAYLOAD), result("named", [("payload", "flange", 0.9)]))])
     assert found["held-out error over its noise floor, median"] == pytest.approx(1.1)
     assert str(found["held-out error ≤ 1.25 × its noise floor"]).startswith("1/1")
+
+
+def test_the_error_left_is_told_over_the_true_models() -> None:
+    found = result("named", [("payload", "flange", 0.9)])
+    cases = [score.scored(answer("single", PAYLOAD), found, reference) for reference in (None, 0.02, 0.005)]
+    after = found["diagnosis"]["error"]["after"]["held_out"]
+    assert score.over_reference(cases[0]) is None
+    assert score.over_reference(cases[1]) == pytest.approx(after / 0.02)
+    assert score.headline(cases)["held-out error ≤ 1.25 × the true model's"].n == 2
+
+
+def test_a_true_model_is_what_the_vocabulary_can_say() -> None:
+    known = {"effect": "backlash", "site": "joint1.z", "parameters": {"gap": 1e-5}}
+    beam = {"effect": "link_flexibility", "site": "link1.y", "parameters": {"stiffness": 1e7, "segments": 5}}
+    drag = {"effect": "eddy_current_damper", "site": "joint1.z", "parameters": {"coefficient": 1.0}}
+    assert [(e.effect, e.site, e.values) for e in reference.described([known]) or []] == [
+        ("backlash", "joint1.z", {"gap": 1e-5})
+    ]
+    assert reference.described([]) == []
+    assert reference.described([beam]) is None
+    assert reference.described([known, drag]) is None
 
 
 def test_what_was_written_by_hand_stays_and_tells_its_engine(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Trials with concealed physics: `python -m tools.trials make | run | score | prove | calibrate | real`."""
+"""Trials with concealed physics: `python -m tools.trials make | run | refer | score | prove | calibrate | real`."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from tools.trials import ask, make, real, score, store
+from tools.trials import ask, make, real, reference, score, store
 from tools.trials.cases import RECORDINGS, SIZES
 from tools.trials.report import page
 from twin.diagnose.decide import calibration
@@ -26,6 +26,7 @@ DEVELOPMENT_SEED = 20
 EXAMPLES = """
   make       record the cases of a split and seal the answers
   run        put every recording to `twin diagnose`
+  refer      open the answers, refit the true models of hammer tests: what held-out errors are compared to
   score      open the answers, write the page
   prove      all three
   calibrate  open the answers, print the temperature under which stated probabilities mean what they say
@@ -101,7 +102,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tools.trials", description=__doc__, epilog=EXAMPLES, formatter_class=shape
     )
-    parser.add_argument("step", choices=("make", "run", "score", "prove", "calibrate", "real"))
+    parser.add_argument("step", choices=("make", "run", "refer", "score", "prove", "calibrate", "real"))
     parser.add_argument("recordings", nargs="?", type=Path, help="list of measured recordings, for `real`")
     parser.add_argument("--out", type=Path, help="folder of the splits (default out/trials), file of `real`")
     parser.add_argument("--split", default="development", help="development, or any name for a sealed one")
@@ -149,6 +150,9 @@ def main(arguments: list[str] | None = None) -> None:
                 _make(split, pool, options.cases, seed, options.kinds, options.each or 0, tuple(options.sizes))
             if options.step != "make":
                 _run(split, options.limit, deadline, pool)
+    if options.step == "refer":
+        with executor(options.processes, options.scheduler) as pool:
+            _refer(split, pool)
     if options.step == "calibrate":
         _calibrate(split)
     if options.step in ("score", "prove"):
@@ -187,6 +191,11 @@ def _run(split: Path, limit_s: float, deadline: float | None, pool: Executor) ->
         print(f"time is up: {sum(not a for a in asked)} cases not asked; the same command goes on", file=sys.stderr)
 
 
+def _refer(split: Path, pool: Executor) -> None:
+    cases, *_ = _opened(split, "refer")
+    every("refer", pool, reference.refer, [(split, c.name) for c in cases if c.recording in ("hammer", "levels")])
+
+
 def _opened(split: Path, why: str) -> tuple[list[score.Scored], dict[str, Any], dict[str, Any], Any]:
     """Answers beside results: cases, results by id, manifest, ledger. Enters the opening into the ledger."""
     if not (split / "manifest.json").exists():
@@ -207,7 +216,9 @@ def _opened(split: Path, why: str) -> tuple[list[score.Scored], dict[str, Any], 
                 sys.exit(f"{split}: recordings/{c['id']}/{name} is not the one that was sealed")
     ledger = store.entered(split, f"answers opened: {why} of {len(results)} cases")
     cases = [
-        score.scored(store.read(split / "answers" / f"{c['id']}.json"), results[c["id"]])
+        score.scored(
+            store.read(split / "answers" / f"{c['id']}.json"), results[c["id"]], reference.kept(split, c["id"])
+        )
         for c in manifest["cases"]
         if c["id"] in results
     ]

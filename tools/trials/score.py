@@ -16,7 +16,7 @@ LEVEL = 0.9  # of the credible set
 VISIBLE = 2.0  # multiples of the smallest visible size from which rates are asked for
 LEAST = 1e-3  # probability that an answer left out is taken to have had
 HIDING = -0.2  # cosine between a pair's signatures below which they hide each other
-HELD_ROOM = 1.25  # times the held-out error of the true model, for which the noise floor stands
+HELD_ROOM = 1.25  # times the held-out error of the true model, or of noise alone
 EDIT_ROOM = 1.5  # times the held-out error: allowed on the robot that carries another load
 
 
@@ -33,6 +33,7 @@ class Scored:
         location: sites that the residual, and a law without a name, were located at.
         circumstances: what the recording is like, whatever it conceals.
         overlap: cosine between a pair's signatures.
+        reference: held-out error of the true model refitted, where that was done.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Scored:
     complaint: str = ""
     circumstances: dict[str, Any] = field(default_factory=dict)
     overlap: float | None = None
+    reference: float | None = None
 
     @property
     def named(self) -> list[str]:
@@ -124,8 +126,11 @@ def aliases(hypothesis: str, same_q1: bool = False) -> set[str]:
     return set().union({hypothesis}, *(pair for pair in pairs if hypothesis in pair))
 
 
-def scored(answer: dict[str, Any], result: dict[str, Any]) -> Scored:
-    """Truth and result put side by side. A command that failed has said nothing: no verdict, all mass on `other`."""
+def scored(answer: dict[str, Any], result: dict[str, Any], reference: float | None = None) -> Scored:
+    """Truth and result put side by side, and the error of the true model.
+
+    A command that failed has said nothing: no verdict, all mass on `other`.
+    """
     effects = sorted(answer["effects"], key=lambda e: -e["multiple"])
     d = result["diagnosis"] or {"verdict": "failed", "effects": [], "probabilities": {"none": 0.0, "other": 1.0}}
     groups = tuple(
@@ -146,7 +151,7 @@ def scored(answer: dict[str, Any], result: dict[str, Any]) -> Scored:
         d.get("error") or {}, intervals, values, " ".join(location),
         next(iter(numbers(result.get("edit_error"))), None), float(result["wall_s"]),
         "" if result["diagnosis"] else _last_line(result.get("complaint", "")),
-        answer.get("circumstances", {}), answer.get("overlap"),
+        answer.get("circumstances", {}), answer.get("overlap"), reference,
     )  # fmt: skip
 
 
@@ -231,6 +236,7 @@ def headline(cases: Sequence[Scored]) -> dict[str, Any]:
     sure = judged(cases)
     held = [g for c in clear if (g := _gain(c)) is not None]
     over = [r for c in clear if (r := over_floor(c, "after")) is not None]
+    true = [r for c in clear if (r := over_reference(c)) is not None]
     edited = [c for c in cases if c.edit_error is not None and numbers(c.error.get("after", {}).get("held_out"))]
     inside = [low <= c.true_values[key] <= high for c in [*clear, *pairs] for key, (low, high) in c.intervals.items()]
     return {
@@ -264,6 +270,8 @@ def headline(cases: Sequence[Scored]) -> dict[str, Any]:
         "held-out gain over the true model's": float(np.median(held)) if held else np.nan,
         "held-out error over its noise floor, median": float(np.median(over)) if over else np.nan,
         f"held-out error ≤ {HELD_ROOM:g} × its noise floor": _rate([r <= HELD_ROOM for r in over]),
+        "held-out error over the true model's, median": float(np.median(true)) if true else np.nan,
+        f"held-out error ≤ {HELD_ROOM:g} × the true model's": _rate([r <= HELD_ROOM for r in true]),
         "edit test passed": rate(
             edited, lambda c: c.edit_error <= EDIT_ROOM * max(numbers(c.error["after"]["held_out"]))
         ),
@@ -334,6 +342,12 @@ def over_floor(c: Scored, stage: str) -> float | None:
     """
     floor, row = numbers(c.error.get("noise_floor")), numbers((c.error.get(stage) or {}).get("held_out"))
     return max(e / f for e, f in zip(row, floor, strict=True)) if floor and len(row) == len(floor) else None
+
+
+def over_reference(c: Scored) -> float | None:
+    """Held-out error over that of the true model refitted."""
+    row = numbers((c.error.get("after") or {}).get("held_out"))
+    return max(row) / c.reference if row and c.reference else None
 
 
 def calibration(claims: Sequence[tuple[bool, float]], bins: int = 10) -> tuple[float, list[tuple[float, Rate]]]:
