@@ -15,9 +15,9 @@ from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import next_test
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample, factors
-from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, in_doubt_of_size, minimise, recorded_error
-from twin.diagnose.screen import Setting, _beyond_promise, _Scan
-from twin.diagnose.search import Search, _taken_over, converge, explain, settle
+from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, minimise, recorded_error
+from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
+from twin.diagnose.search import Search, _about_the_same_axis, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import judge, rival_of, strained
 from twin.identify.elastic import without_limits
@@ -197,10 +197,71 @@ def test_a_tilt_that_only_the_height_of_its_hinge_tells_from_another_is_never_on
     assert judge(decision) == "ambiguous"
     told = decide(fits, base, among)
     assert decision.alike == pytest.approx(told.probability[0], abs=0.05)  # it is shared, nothing else is changed
-    found = next_test(case.base, decision.ranked[0], rival, case.sample.thin(25))
+    robot = load_robot("kr90")  # with its limits, which the base model is without
+    found = next_test(robot, decision.ranked[0], rival, case.sample.thin(25))
     assert found is not None
     assert abs(found["posture_deg"][0]) > 10
+    robot.check_posture(np.deg2rad(found["posture_deg"]))
     assert found["separates"] == ["base_compliance@base.ry", "parameter@joint1.y.stiffness"]
+
+
+def test_a_partner_about_the_same_axis_is_fitted_though_a_richer_answer_leads_by_a_hair(tmp_path: Path) -> None:
+    """The simpler wins by its prior: it was named alone."""
+    options = ("--seed", "12", "--postures", "3", "--effect", "base_compliance@base.ry")
+    case = recorded(tmp_path, *options, hold_out=[])
+    search = converge(case.base, case.free, case.sample)
+    tilt = next(h for h, *_ in looked_at(case, "base_compliance") if h.site == "base.ry")
+    both = together(tilt, next(h for h, *_ in looked_at(case, "sensor_gain")))
+    for hypothesis in (tilt, both):
+        parameters = hypothesis.parameters(case.free)
+        start = np.concatenate([search.base.z, np.zeros(len(hypothesis.own))])
+        search.fits[hypothesis.identity] = descend(case.base, hypothesis, parameters, case.sample, start)
+    simple, rich = search.fits.values()
+    lead = 2 * (simple.evidence() - rich.evidence() + 0.1) / rich.data
+    search.fits[both.identity] = replace(rich, misfit=rich.misfit - lead)
+    assert search.finalists[0].hypothesis == both
+    _about_the_same_axis(case.base, search, case.sample)
+    assert frozenset({"parameter@joint1.y.stiffness"}) in search.fits
+
+
+def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_path: Path) -> None:
+    """ln p(used) + ln p(held out | used) = ln p(all): of a tilt that two postures hardly show, the third tells."""
+    found = {}
+    for stiffness in ("2.5e9", "7.3e9"):
+        effect = f"base_compliance@base.rx:stiffness={stiffness},damping=1e6"
+        case = recorded(tmp_path, "--seed", "13", "--postures", "3", "--effect", effect)
+        kept = Sample(tuple(case.found.kept))
+        tilt = next(h for h, *_ in looked_at(case, "base_compliance") if h.site == "base.rx")
+        base = converge(case.base, case.free, case.sample).base
+        start = tilt.of_size(base.z, 0.01)
+        fit = descend(case.base, tilt, tilt.parameters(case.free), case.sample, start, tempered=0)
+        later = foreseen(fit, kept).evidence() - foreseen(base, kept).evidence()
+        found[stiffness] = case, kept, base, fit, fit.evidence() - base.evidence(), later
+    case, kept, base, fit, used, later = found["2.5e9"]
+    recordings = (*case.sample.recordings, *kept.recordings)
+    free = free_parameters(case.base, [r.setup.name for r in recordings], case.campaign.response.label)
+    known = dict(zip(fit.parameters.names, fit.z, strict=True))
+    z = np.array([known.get(name, 0.0) for name in free.names])
+    nothing = descend(case.base, NONE, free, Sample(recordings), z, tempered=0)
+    z = np.concatenate([z, fit.z[-2:]])
+    both = descend(case.base, fit.hypothesis, fit.hypothesis.parameters(free), Sample(recordings), z, tempered=0)
+    assert later > 30
+    assert used + later == pytest.approx(both.evidence() - nothing.evidence(), rel=0.05)
+    case, kept, base, fit, used, later = found["7.3e9"]
+    assert decide([fit], base, looked_at(case)).none > 0.4
+    decision = decide([fit], base, looked_at(case), kept=kept)
+    assert decision.none < 0.05
+    assert judge(decision) != "adequate"
+
+
+def test_a_size_far_from_the_usual_promises_what_evidence_makes_of_it() -> None:
+    robot = load_robot("kr90")
+    values = CATALOGUE["base_compliance"].typical(robot, "base.ry")
+    tilt = entry_hypothesis(robot, "base_compliance", "base.ry", values)
+    far, near = np.array([4.0, 0.0]), np.array([0.5, 0.0])
+    promise = Promise(tilt, tilt, independent([]), 1.0, far, far)
+    assert _of_any_size(promise).gain == pytest.approx(1.0 + 0.5 * 4**2 * (1 - 1 / 16) - np.log(4))
+    assert _of_any_size(replace(promise, start=near)).gain == 1.0
 
 
 def test_two_things_are_found_together(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def diagnose(
         recordings: hammer tests (universal files belong together), motion logs, modal tables.
         robot: shipped name, ``robot.yaml`` or URDF; wins over the recordings'.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
-        hold_out: postures or runs not used, by name; by default those the others cover best.
+        hold_out: postures or runs not fitted to, by name; by default those the others cover best.
         out: folder for the new model, report, figures and diagnosis.json; ``None`` writes nothing.
         seed: of the starts.
         progress: makes progress bars.
@@ -228,7 +228,7 @@ def diagnose_campaign(
         campaign: as recorded.
         given: the description, removals applied.
         source: the file, for messages.
-        hold_out: postures not to use; chosen when ``None``.
+        hold_out: postures not to fit to; chosen when ``None``.
         seed: of the starts.
         progress: makes progress bars.
         told_by: what another recording of the same robot said. Its answer is in the model, what it knows of links and
@@ -292,7 +292,7 @@ def diagnose_campaign(
     if word == "ambiguous" or (word == "unexplained" and likely):
         # where the rival has no name, what shows the first most tells most
         rival = rival_of(decision) if answered else None
-        finding.next_test = next_test(base, decision.ranked[0], rival or settled, few, seed)
+        finding.next_test = next_test(given, decision.ranked[0], rival or settled, few, seed)
     return finding
 
 

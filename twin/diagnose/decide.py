@@ -7,7 +7,7 @@ development cases. What the best entry leaves of the misfit tells whether the tr
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.objective import Sample
-from twin.diagnose.refit import Fitted, predictive_misfit
+from twin.diagnose.refit import Fitted, foreseen
+from twin.diagnose.search import REACH
 from twin.measure.campaign import FloatArray
 from twin.yamlfile import read_yaml
 
@@ -74,7 +75,8 @@ def decide(
         handicap: evidence taken off each fit, where a simpler one is within reach.
         other: probability that something unnamed is missing, where the engine has a better measure than the misfit.
         scale: factor on the data's variance (Birge's ratio); what the best fit leaves, by default.
-        kept: hammer tests that were not used; a name must hold there too.
+        kept: hammer tests that were not fitted to; how well each fit foretells them counts in its evidence, and a name
+            must hold there.
         unnamed: what a law without a name would gain beside a fit, site by site, in ln evidence.
         axes: what turns the robot about one axis (:func:`twin.diagnose.hypotheses.same_axes`).
     """
@@ -84,12 +86,15 @@ def decide(
         sites[variants[0].effect] = sites.get(variants[0].effect, 0) + 1
     best_misfit = min([base.misfit, *(fit.misfit for fit in fits)])
     scale = max(1.0, best_misfit) if scale is None else scale
-    logs = []
-    for fit, less in zip(fits, handicap or [0.0] * len(fits), strict=True):
-        pieces = fit.hypothesis.pieces or (fit.hypothesis,)
-        prior = sum(np.log((1 - numbers["none"]) / (len(sites) + 1) / sites.get(p.effect, 10)) for p in pieces)
-        logs.append((fit.evidence(scale) - base.evidence(scale) - less) / numbers["temperature"] + prior)
-    lawless = _lawless(fits, base, logs, unnamed, len(sites), numbers) if unnamed else -np.inf
+    gains = np.array([fit.evidence(scale) - base.evidence(scale) for fit in fits])
+    unseen = cache(lambda k: foreseen(fits[k] if k < len(fits) else base, kept)) if kept else None
+    later = _later(gains, scale, unseen) if unseen else np.zeros(len(fits))
+    priors = np.array([_prior(fit.hypothesis, sites, numbers["none"]) for fit in fits])
+    used = (gains - (0.0 if handicap is None else np.asarray(handicap))) / numbers["temperature"] + priors
+    logs = used + later / numbers["temperature"]
+    both, before = (np.logaddexp.reduce([*some, np.log(numbers["none"])]) for some in (logs, used))
+    foretold = max(float(both - before), 0.0)
+    lawless = _lawless(fits, base, logs, foretold, unnamed, len(sites), numbers) if unnamed else -np.inf
     weights = np.array([*logs, np.log(numbers["none"]), lawless])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
@@ -100,15 +105,15 @@ def decide(
     noise = numbers["noise_misfit"] + 2 * float(np.sqrt(2 / max(base.data, 1)))
     if other is None:
         left = _left(base.misfit, best_misfit, noise)
-        if kept and len(order) and nothing < 0.5:
-            before, after = (predictive_misfit(fit, kept) for fit in (base, fits[order[0]]))
+        if unseen and len(order) and nothing < 0.5:
+            before, after = (_misfit(unseen(k)) for k in (len(fits), int(order[0])))
             left = max(left, _left(before, after, numbers["held_out_misfit"]))
         other = _other(left, numbers)
     none, known, nameless = (1 - other) * float(nothing), (1 - other) * names, (1 - other) * nameless
     alike = (1 - other) * float(together[order[0]]) if len(order) else 0.0
     other += nameless
     if none > 0.5 and (
-        base.misfit > 2 * noise or (kept and predictive_misfit(base, kept) > numbers["held_out_adequate"])
+        base.misfit > 2 * noise or (unseen and _misfit(unseen(len(fits))) > numbers["held_out_adequate"])
     ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
     return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other), nameless, alike)
@@ -130,19 +135,46 @@ def _shared(names: FloatArray, fits: Sequence[Fitted], axes: Mapping[str, str]) 
     return shared, whole
 
 
+def _prior(hypothesis: Hypothesis, sites: Mapping[str, int], none: float) -> float:
+    """Logarithm of a prior: every effect alike, and every site of it."""
+    pieces = hypothesis.pieces or (hypothesis,)
+    return float(sum(np.log((1 - none) / (len(sites) + 1) / sites.get(p.effect, 10)) for p in pieces))
+
+
+def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> FloatArray:
+    """What ln evidence fits gain over the base model, the last of ``unseen``, by recordings that none was fitted to.
+
+    Those out of the race gain what the best does.
+    """
+    if not len(gains):
+        return gains
+    nothing, best = unseen(len(gains)).evidence(scale), int(np.argmax(gains))
+    later = np.full(len(gains), unseen(best).evidence(scale) - nothing)
+    for k in np.flatnonzero(gains > max(gains[best], 0.0) - REACH):
+        later[k] = unseen(int(k)).evidence(scale) - nothing
+    return later
+
+
+def _misfit(unseen: Fitted) -> float:
+    """χ² per datum of recordings that were not fitted to, doubt of the fit's parameters beside their noise."""
+    return 2 * unseen.cost / unseen.data
+
+
 def _lawless(
     fits: Sequence[Fitted],
     base: Fitted,
-    logs: Sequence[float],
+    logs: FloatArray,
+    foretold: float,
     unnamed: Callable[[Fitted], Mapping[str, float]],
     effects: int,
     numbers: Mapping[str, float],
 ) -> float:
     """Logarithm of the weight of a law without a name, alone or beside the best answer: one effect more, at any site.
 
-    Alone it is known to first order only, which holds near the truth.
+    Alone it is known to first order only, which holds near the truth. Recordings that were not fitted to it is taken to
+    foretell as well as nothing and the names together: ``foretold``, over the base model.
     """
-    models = [(0.0, base)] if base.misfit < LINEAR else []
+    models = [(foretold, base)] if base.misfit < LINEAR else []
     if len(logs):
         best = int(np.argmax(logs))
         models.append((logs[best], fits[best]))

@@ -98,7 +98,7 @@ def levels_finding(
         law = item.first.effect in {law.effect for law in LAWS}
         finding.missing.append(replace(item, evidence=f"{levels_sentence(levels)} {seen}" if law else seen))
     if answer and word == "ambiguous":
-        finding.next_test = _next_test(given, base, levels, decision, answer, sample, how, seed)
+        finding.next_test = _next_test(given, levels, decision, answer, sample, how, seed)
     return finding
 
 
@@ -164,7 +164,6 @@ def _answer(
 
 def _next_test(
     given: Robot,
-    base: Robot,
     levels: Levels,
     decision: Decision,
     answer: _Answer,
@@ -177,7 +176,7 @@ def _next_test(
         return next_blows(given, levels, decision.ranked[0], rival_of(decision), sample, how, seed)
     rival = rival_of(answer.beside.decision)
     few = sample.thin(SCREEN_LINES)
-    return next_test(base, answer.beside.decision.ranked[0], rival, few, seed) if rival else None
+    return next_test(given, answer.beside.decision.ranked[0], rival, few, seed) if rival else None
 
 
 def levels_sentence(levels: Levels) -> str:

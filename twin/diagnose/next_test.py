@@ -63,6 +63,9 @@ def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: 
 
     Candidates: the recorded postures turned about joint 1, and random ones within the robot's limits; none in which
     more turns the robot about one axis than need be (:func:`twin.diagnose.hypotheses.same_axes`).
+
+    Args:
+        robot: the description with its limits, which fitted models are without.
     """
     rng = np.random.default_rng(seed)
     reference = sample.recordings[0]

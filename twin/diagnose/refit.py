@@ -309,11 +309,12 @@ def recorded_error(robot: Robot, recordings: Sequence[Recorded], *, again: bool 
     return float(np.sqrt(residual @ residual / data))
 
 
-def predictive_misfit(fit: Fitted, kept: Sample) -> float:
-    """χ² per datum of recordings a fit has not seen, what it does not know of its parameters beside their noise.
+def foreseen(fit: Fitted, kept: Sample) -> Fitted:
+    """Recordings a fit has not seen, what it does not know of its parameters beside their noise.
 
-    That is rᵀ(Σ + J C Jᵀ)⁻¹r with the fit's posterior covariance C: the least of ½ χ² + ½ zᵀz with the posterior as
-    prior. Angles of the postures are their own.
+    The posterior of the fit, of covariance C, is their prior, so that the least cost is ½ rᵀ(Σ + J C Jᵀ)⁻¹r, and the
+    evidence is that of the recordings given what the fit has seen: with its own it makes that of all (the chain rule
+    of probability), and nothing is fitted to both. Angles of the postures are their own.
     """
     stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
     covariance = fit.covariance
@@ -327,10 +328,8 @@ def predictive_misfit(fit: Fitted, kept: Sample) -> float:
     known = after(fit.parameters)
     if isinstance(fit.parameters, Sprung):
         known = Sprung(known.items, known.covariance, after(fit.parameters.written))
-    z = np.zeros(len(known))
-    for sample in (kept.thin(50), kept):
-        z, cost, _, _ = minimise(Objective(fit.robot, known, sample), z, 8, 0.1)
-    return 2 * cost / Objective(fit.robot, known, kept).data
+    few = descend(fit.robot, NONE, known, kept.thin(50), np.zeros(len(known)), tempered=0, linear=8, tolerance=0.1)
+    return descend(fit.robot, NONE, known, kept, few.z, tempered=0, linear=8, tolerance=0.1)
 
 
 def noise_floor(recordings: Sequence[Recorded]) -> float:

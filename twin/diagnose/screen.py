@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from twin.diagnose.held_law import respond, with_blows
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.objective import Objective, Sample, factors
-from twin.diagnose.refit import Fitted, minimise
+from twin.diagnose.refit import WIDER, Fitted, minimise
 from twin.identify.parameters import SIX, Parameters
 from twin.identify.sensitivity import observe
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
@@ -182,6 +182,8 @@ def screen(
         if scan and len(variants) > SCANNED:
             variants = scan.best(variants)
         found = [max(_promises(setting, h, before), key=lambda promise: promise.gain) for h in variants]
+        if not present:  # beside what was found, it would rather let masses in that swing in the noise
+            found = [_of_any_size(promise) for promise in found]
         most = max(promise.gain for promise in found)
         return [promise for promise in found if promise.gain >= most - (1 - NEARLY) * abs(most)]
 
@@ -191,6 +193,15 @@ def screen(
         if progress:
             progress(1)
     return sorted(found, key=lambda promise: -promise.gain)
+
+
+def _of_any_size(promise: Promise) -> Promise:
+    """A promise with its size under the width of its prior that makes it likeliest, as evidence has it."""
+    own = promise.suspect.own
+    if not any(p.log for p in own):
+        return promise
+    size = float(promise.start[-len(own)])
+    return replace(promise, gain=promise.gain + max(0.5 * size**2 * (1 - 1 / w**2) - np.log(w) for w in WIDER))
 
 
 def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Promise]:

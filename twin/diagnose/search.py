@@ -109,11 +109,12 @@ def explain(
     best = search.base
     for number in range(ROUNDS):
         found = _round(robot, search, best, sample, suspects, progress)
-        if not found or not _worth(best, found[0]):
+        if not found or found[0].evidence() <= best.evidence():
             break
-        simpler = _without_last(robot, search, best, found[0], sample)
-        if not _worth(simpler, found[0]):  # it had only not converged
-            best = simpler
+        before, best = best, _without_last(robot, search, best, found[0], sample)
+        if not _worth(before, found[0]):  # recordings that are not fitted to may yet bear it out
+            break
+        if not _worth(best, found[0]):  # it had only not converged
             continue
         best = max([found[0], *_everywhere(robot, search, found, sample, suspects)], key=lambda fit: fit.evidence())
         if number:
@@ -371,7 +372,7 @@ def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
     """What turns the robot about an axis of a likely answer, in the stead of its piece and at convergence."""
     free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
     axes, (best, *others) = same_axes(robot, postures), search.finalists
-    likely = [best, *(fit for fit in others if len(fit.hypothesis.pieces) == len(best.hypothesis.pieces))]
+    likely = [best, *(fit for fit in others if len(fit.hypothesis.pieces) <= len(best.hypothesis.pieces))]
     least = max(search.base.evidence(), best.evidence() - LIKELY)
     for fit in [fit for fit in likely if fit.evidence() > least]:
         for piece in [piece for piece in fit.hypothesis.pieces if piece.key in axes]:

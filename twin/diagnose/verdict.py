@@ -35,7 +35,7 @@ class Candidate:
 
     Attributes:
         effect, site: as in the vocabulary, or ``parameter`` or ``discovered``.
-        ln_bayes_factor: over the base model refitted to the same recording.
+        ln_bayes_factor: over the base model refitted to the same recording, of what both were fitted to.
         robot: the description with it, refitted.
         parameters: name → ``value``, ``unit``, ``interval90``; lists where the parameter is a list.
         formula: of a discovered law.
