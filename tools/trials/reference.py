@@ -17,13 +17,14 @@ from tools.trials.cases import SIZES, case
 from tools.trials.store import engine_hash, read, write
 from twin.commands.modal import read_recording
 from twin.diagnose.blow import COARSE_HZ
-from twin.diagnose.joint_laws import LAWS
+from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.joint_reaction import Stepped, blows
-from twin.diagnose.levels_finding import law_of, stepped_records
+from twin.diagnose.levels_finding import stepped_records
 from twin.diagnose.objective import Sample
 from twin.diagnose.records import frf_records
 from twin.diagnose.refit import minimise
 from twin.diagnose.search import converge
+from twin.diagnose.struck import law_of
 from twin.diagnose.triage import triage
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import free_parameters
@@ -71,7 +72,7 @@ def held_out_error(split: Path, name: str) -> float | None:
     source = split / "recordings" / name / "frf.h5"
     campaign = read_recording([source])
     given = load_robot(campaign.robot or "kr90").without(answer["without"])
-    laws = [entry for entry in entries if entry.effect in {law.effect for law in LAWS}]
+    laws = [entry for entry in entries if entry.effect in AMPLITUDE]
     given = given.model_copy(update={"physics": [*given.physics, *(e for e in entries if e not in laws)]})
     base, found = without_limits(given), triage(campaign, given, str(source), None)
     sample = Sample(tuple(found.used), 1 / found.shared)
@@ -83,7 +84,7 @@ def held_out_error(split: Path, name: str) -> float | None:
         drawn = case(answer["kind"], answer["recording"], answer["seed"], answer["number"], _sizes(split))
         assert drawn.campaign is not None
         how = {g: replace(b, pulse_s=drawn.campaign.test.pulse_s) for g, b in (blows(campaign) or {}).items()}
-        law, sizes, plain = law_of(base.model_copy(update={"physics": [*base.physics, law_entry]}))
+        law, sizes, _, plain = law_of(base.model_copy(update={"physics": [*base.physics, law_entry]}))
         stepped = Stepped(plain, free, sample, law=law, site=law_entry.site, blow=how, fixed=sizes)
         z = refitted(stepped, [np.zeros(len(free)), search.robust, search.base.z])
         robot = free.apply(plain, free.values(z))
@@ -96,14 +97,13 @@ def held_out_error(split: Path, name: str) -> float | None:
 def refitted(objective: Stepped, starts: Sequence[FloatArray]) -> FloatArray:
     """Coordinates of the best fit from some starts, a law's numbers held."""
     few = replace(objective, sample=objective.sample.thin(LINES))
-    rough = replace(few, temper=TEMPERS[0], rate_hz=COARSE_HZ)
-    ends = [minimise(rough, z, ITERATIONS, 0.5)[:2] for z in starts]
+    ends = []
+    for z in starts:
+        for temper in TEMPERS:
+            z = minimise(replace(few, temper=temper, rate_hz=COARSE_HZ), z, ITERATIONS, 0.5)[0]
+        ends.append(minimise(replace(few, closely=True), z, ITERATIONS, 0.1)[:2])
     z = min(ends, key=lambda end: end[1])[0]
-    for temper in TEMPERS[1:]:
-        z = minimise(replace(rough, temper=temper), z, ITERATIONS, 0.5)[0]
-    for closely in (replace(few, closely=True), replace(objective, closely=True)):
-        z = minimise(closely, z, ITERATIONS, 0.1)[0]
-    return z
+    return minimise(replace(objective, closely=True), z, 2 * ITERATIONS, 0.1)[0]
 
 
 def _sizes(split: Path) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.records import FrfRecord, Stage
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import independent
@@ -32,7 +33,6 @@ from twin.robot.mechanism import assemble
 LINEAR = 1e-6  # relative difference allowed between MuJoCo and the algebra
 REPLAYED = 0.05  # the same of torque after the low-pass: an elastic robot under servos does not follow exactly
 REPLAYED_S, LOW_PASS = 20.0, (3.0, 4.0)  # how much of a run is stepped; Hz
-NONLINEAR = frozenset({"hardening_stiffness", "backlash", "hysteresis"})
 LINES = 60  # per posture are compared
 EDIT_SHARE = 0.05  # of the robot's mass is the payload of the edit test
 EDIT_MODES = 4
@@ -94,7 +94,7 @@ def check_xml(mjcf: Path, robot: Robot, q: np.ndarray, brakes: Any) -> dict[str,
 
 def is_nonlinear(robot: Robot) -> bool:
     """Whether what was found last answers differently to different force levels."""
-    return any(entry.effect in NONLINEAR for entry in robot.physics[-1:])
+    return any(entry.effect in AMPLITUDE for entry in robot.physics[-1:])
 
 
 def check_replayed(description: Path, run: MotionRun, source: str) -> dict[str, Any]:

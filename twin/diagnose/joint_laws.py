@@ -276,6 +276,8 @@ def _slipped(
 
 
 LAWS: tuple[Law, ...] = (Cubic(), Gap(), Slip())
+AMPLITUDE = frozenset(law.effect for law in LAWS)
+"""Effects that answer differently to different force levels."""
 
 
 @dataclass(frozen=True)

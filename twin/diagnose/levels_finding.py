@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.blow import COARSE_HZ
 from twin.diagnose.decide import Decision, finalists
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
-from twin.diagnose.joint_laws import LAWS, Law, Slip
+from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
 from twin.diagnose.levels_beside import Beside, explain_beside
@@ -20,8 +19,9 @@ from twin.diagnose.next_test import next_test
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, frf_records
-from twin.diagnose.refit import Fitted, minimise, noise_floor
+from twin.diagnose.refit import Fitted, noise_floor
 from twin.diagnose.search import SCREEN_LINES, Progress, Search
+from twin.diagnose.struck import law_of, settle
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
 from twin.identify.elastic import Recorded, without_limits
@@ -34,7 +34,6 @@ from twin.model.hammer import HammerTest, simulate_hits
 from twin.robot.description import Axis, Robot
 from twin.robot.mechanism import assemble
 
-JUDGED_LINES, AGAIN = 25, 8  # lines and iterations of what belongs to held-out recordings themselves
 FORM = 0.05
 """Deviation of the logarithm of a blow's momentum, its peak and spectrum known: a half sine has 1.06 times a
 haversine's, and 1.2 times a triangle's."""
@@ -95,7 +94,7 @@ def levels_finding(
     )  # fmt: skip
     for item in answer.missing if answer else ():
         seen = sentence(item.first.title, records, errors, finding.held_out)
-        law = item.first.effect in {law.effect for law in LAWS}
+        law = item.first.effect in AMPLITUDE
         finding.missing.append(replace(item, evidence=f"{levels_sentence(levels)} {seen}" if law else seen))
     if answer and word == "ambiguous":
         finding.next_test = _next_test(given, levels, decision, answer, sample, how, seed)
@@ -246,18 +245,6 @@ def _location(source: str, records: Sequence[FrfRecord], site: str) -> list[dict
 # --- the law on whole recordings --------------------------------------------------------------------------------------
 
 
-def law_of(robot: Robot) -> tuple[Law, FloatArray, Robot]:
-    """The law of a robot's last entry, its sizes, and the robot without it."""
-    *physics, entry = robot.physics
-    values = entry.model_extra or {}
-    robot = robot.model_copy(update={"physics": physics})
-    if entry.effect == "hysteresis":
-        sizes = np.array(values["stiffness"])
-        return Slip(tuple(np.array(values["yield_torque"]) / sizes)), sizes, robot
-    law = next(law for law in LAWS if law.effect == entry.effect)
-    return law, np.array([values[law.names[0]]]), robot
-
-
 def stepped_records(
     records: Sequence[FrfRecord],
     objective: Stepped,
@@ -268,8 +255,8 @@ def stepped_records(
 ) -> tuple[list[FrfRecord], dict[str, float | None]]:
     """Records with the law's prediction as ``after``, and its errors; on held-out recordings posture angles and gains
     are estimated again, nothing else."""
-    law, sizes, robot = law_of(fit.robot)
-    site, own = objective.site, objective.base
+    law, sizes, site, robot = law_of(fit.robot)
+    own = objective.base
     longer = objective.own(fit.z)[1]
     blow = {group: replace(b, pulse_s=b.pulse_s * longer) for group, b in blow.items()}
     belongs = [k for k, p in enumerate(own) if p.kind in ("posture", "sag", "gain")]
@@ -280,12 +267,7 @@ def stepped_records(
     if kept:
         free = recording_set(robot, kept)
         judged = Stepped(robot, free, Sample(tuple(kept)), law=law, site=site, blow=blow, fixed=sizes)
-        z = np.zeros(len(free))
-        few = Sample(tuple(kept)).thin(JUDGED_LINES)
-        for temper in (0.1, 0.02):
-            z, *_ = minimise(replace(judged, sample=few, temper=temper, rate_hz=COARSE_HZ), z, AGAIN, 0.1)
-        z, *_ = minimise(replace(judged, sample=few, closely=True), z, AGAIN, 0.1)
-        rest = judged.predicted(z)
+        rest = judged.predicted(settle(judged))
         error["held_out"] = relative_error(kept, rest)
         predicted = [*predicted, *rest]
     shown = [replace(r, predicted={**r.predicted, "after": H}) for r, H in zip(records, predicted, strict=True)]
@@ -319,8 +301,7 @@ def check_blows(robot: Robot, campaign: Campaign, recordings: dict[str, Recorded
 
     low, high = max(pairs, key=lambda pair: float(np.median(change(pair[0].frf, pair[1].frf))))
     column = int(np.argmax(change(low.frf, high.frf)))
-    law, sizes, plain = law_of(robot)
-    site = robot.physics[-1].site
+    law, sizes, site, plain = law_of(robot)
     none = independent([])
     expected = Stepped(
         without_limits(plain), none, Sample((low, high)), law=law, site=site, blow=blow, fixed=sizes

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from twin.diagnose.blow import COARSE_HZ
-from twin.diagnose.joint_laws import LAWS, Law, Slip
+from twin.diagnose.joint_laws import AMPLITUDE, LAWS, Law, Slip
 from twin.diagnose.joint_reaction import PULSE_SPREAD, Blow, Stepped
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import minimise
@@ -24,7 +24,7 @@ EXACTLY = 0.02  # to which it is
 
 def amplitude_entries(robot: Robot) -> list[Entry]:
     """The robot's entries that answer differently to different force levels."""
-    return [entry for entry in robot.physics if entry.effect in {law.effect for law in LAWS}]
+    return [entry for entry in robot.physics if entry.effect in AMPLITUDE]
 
 
 def law_of(robot: Robot) -> tuple[Law, FloatArray, str, Robot]:
