@@ -10,7 +10,7 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
-from twin.diagnose.hypotheses import entry_hypothesis, merged, same_axes, suspects, together
+from twin.diagnose.hypotheses import companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import next_test
 from twin.diagnose.noise import pooled_variance, shared_lines
@@ -222,6 +222,26 @@ def test_a_partner_about_the_same_axis_is_fitted_though_a_richer_answer_leads_by
     assert search.finalists[0].hypothesis == both
     _about_the_same_axis(case.base, search, case.sample)
     assert frozenset({"parameter@joint1.y.stiffness"}) in search.fits
+
+
+def test_of_two_that_turn_about_one_axis_neither_is_tried_twice(tmp_path: Path) -> None:
+    """Both may be missing; one in the other's stead would be there beside itself."""
+    case = recorded(tmp_path, "--seed", "12", "--postures", "3", "--effect", "base_compliance@base.ry", hold_out=[])
+    base = converge(case.base, case.free, case.sample).base
+    tilt = next(h for h, *_ in looked_at(case, "base_compliance") if h.site == "base.ry")
+    postures = [r.setup.q for r in case.sample.recordings]
+    axes = same_axes(case.base, postures)
+    partner = next(h for h in companions(tilt, case.base, case.free, postures) if axes[h.key] == axes[tilt.key])
+    both = together(tilt, partner)
+    parameters = both.parameters(case.free)
+    start = np.concatenate([base.z, np.zeros(len(parameters) - len(base.z))])
+    search = Search(base, [], base.z, 0.0)
+    search.fits[both.identity] = descend(case.base, both, parameters, case.sample, start)
+    _about_the_same_axis(case.base, search, case.sample)
+    assert all(
+        len({piece.key for piece in fit.hypothesis.pieces}) == len(fit.hypothesis.pieces)
+        for fit in search.fits.values()
+    )
 
 
 def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_path: Path) -> None:
