@@ -98,6 +98,14 @@ def test_a_hose_pack_is_named_measured_and_put_back(drifting: Finding) -> None:
     assert drifting.error["after"]["held_out"] < drifting.error["before"]["held_out"]
 
 
+def test_what_a_log_says_does_not_depend_on_how_many_processes_look(drifting: Finding, tmp_path: Path) -> None:
+    options = ("--effect", "cable_stiffness@joint1:stiffness=60,rest=0.3")
+    other = diagnose_log(recorded(tmp_path, *options), load_robot("kr90"), "cable.h5", processes=2)
+    assert other.missing[0].probability == drifting.missing[0].probability
+    assert other.missing[0].first.parameters == drifting.missing[0].first.parameters
+    assert other.error == drifting.error
+
+
 def test_dry_friction_left_out_is_named_and_its_level_found(tmp_path: Path, kr90: Robot) -> None:
     """The truth's bristles are not the catalogue's sign: alike at all joints they are Coulomb friction all the same."""
     log = recorded(tmp_path, "--friction", "lugre", "--nominal")
