@@ -8,6 +8,7 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.commands.compare import compare_hammer
+from twin.commands.diagnose import diagnose_campaign
 from twin.diagnose.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
 from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.held_law import UnderLaw
@@ -21,7 +22,7 @@ from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, descend, minimise
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
-from twin.diagnose.verdict import estimates_of
+from twin.diagnose.verdict import Finding, estimates_of
 from twin.identify.elastic import prepare, without_limits
 from twin.identify.parameters import Parameter, free_parameters, independent, join
 from twin.identify.sensitivity import Observed
@@ -372,3 +373,26 @@ def test_a_law_is_hit_where_it_was_found_last(kr90: Robot) -> None:
     dry = Entry.model_validate({"effect": "presliding", "site": "joint1", "stiffness": [1e5], "yield_torque": [9.0]})
     assert is_nonlinear(kr90.model_copy(update={"physics": [*kr90.physics, slip]}))
     assert not is_nonlinear(kr90.model_copy(update={"physics": [*kr90.physics, slip, dry]}))
+
+
+def test_a_law_that_is_described_is_no_answer_and_what_is_missing_beside_it_is(kr90: Robot, tmp_path: Path) -> None:
+    """The robot that a diagnosis has written lacks nothing; another law than the robot's is said not to be borne out."""
+    options = ("--nominal", "--no-sag", "--postures", "2", "--spacing-hz", "0.25", "--lines", "90")
+    campaign = recorded(tmp_path, "hardening_stiffness@joint2.z:cubic=1e13", *options)
+
+    def told(effect: str, site: str, **values: float) -> Finding:
+        law = Entry.model_validate({"effect": effect, "site": site, **values})
+        robot = kr90.model_copy(update={"physics": [*kr90.physics, law]})
+        return diagnose_campaign(campaign, robot, "c.h5", hold_out=[])
+
+    found = told("hardening_stiffness", "joint2.z", cubic=1e13)
+    assert found.word == "adequate"
+    assert not found.missing
+    assert found.none > 0.9
+    for stage in ("as_given", "before", "after"):
+        assert found.error[stage]["train"] < 1.5 * found.error["noise_floor"]
+    assert [entry.effect for entry in found.robot.physics][-1] == "hardening_stiffness"
+    other = told("backlash", "joint1.z", gap=1e-6)
+    assert [missing.first.key for missing in other.missing] == ["hardening_stiffness@joint2.z"]
+    assert not [entry for entry in other.robot.physics if entry.effect == "backlash"]
+    assert any("backlash@joint1.z, as described, is not borne out" in warning for warning in other.warnings)

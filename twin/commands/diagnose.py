@@ -29,6 +29,7 @@ from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
+from twin.diagnose.struck import without_laws
 from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import (
@@ -246,10 +247,14 @@ def diagnose_campaign(
     free = _free(base, found.used)
     if told_by and told_by.fit:
         free = Knowledge.of(told_by.fit).on(free, base)
-    search = converge(base, free, sample, seed=seed, processes=processes)
-    law = found.nonlinear and not told_by
-    if law and (answer := levels_finding(campaign, given, base, source, found, search, progress, seed)):
-        return answer
+    if found.nonlinear and not told_by:
+        plain = without_laws(base)  # a law that is described is found again, or another
+        search = converge(plain, _free(plain, found.used), sample, seed=seed, processes=processes)
+        answer = levels_finding(campaign, given, plain, source, found, search, progress, seed)
+        if answer:
+            return answer
+    if not found.nonlinear or told_by or plain is not base:
+        search = converge(base, free, sample, seed=seed, processes=processes)
     band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
     brakes = [r.setup.brakes for r in found.recordings.values()]
     looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)

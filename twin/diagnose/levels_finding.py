@@ -18,10 +18,10 @@ from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.next_test import next_test
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
-from twin.diagnose.records import FrfRecord, frf_records
+from twin.diagnose.records import FrfRecord, Stage, frf_records
 from twin.diagnose.refit import Fitted, noise_floor
 from twin.diagnose.search import SCREEN_LINES, Progress, Search
-from twin.diagnose.struck import law_of, settle
+from twin.diagnose.struck import amplitude_entries, judge_struck, law_of, settle, without_laws
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
 from twin.identify.elastic import Recorded, without_limits
@@ -54,7 +54,7 @@ def levels_finding(
 
     Args:
         campaign: as recorded.
-        given: the description as it came; ``base`` the one that was fitted, without limits.
+        given: the description as it came; ``base`` the one that was fitted, without limits and laws of amplitude.
         source: the file.
         found: its triage.
         search: the base model, converged.
@@ -80,19 +80,37 @@ def levels_finding(
     if answer:
         best, none, other = answer.best, answer.none, answer.other
     how = blows(campaign) or {}
-    records, errors = frf_records(without_limits(given), search.base, search.base, found.used, found.kept)
+    records, errors = frf_records(without_limits(without_laws(given)), search.base, search.base, found.used, found.kept)
     if answer:
         records, errors["after"] = stepped_records(records, answer.objective, answer.best, found.used, found.kept, how)
     errors["noise_floor"] = noise_floor(sample.recordings)
+    missing, before, notes = list(answer.missing) if answer else [], search.base.robot, []
+    if answer and amplitude_entries(given):
+        described = {f"{entry.effect}@{entry.site}" for entry in amplitude_entries(given)}
+        if len(described) == 1:
+            records, errors["as_given"] = _struck_as_given(records, given, found, how)
+        missing = [m for m in missing if not described & {m.first.key, *(rival.key for rival, _ in m.rivals)}]
+        if len(missing) == len(answer.missing):
+            notes = [f"{', '.join(sorted(described))}, as described, is not borne out and left out of the new model"]
+        else:  # the law that is described is what was refitted, and no answer
+            alone, objective = best, answer.objective
+            if missing and answer.beside and answer.beside.decision:
+                word, alone, objective = judge(answer.beside.decision), answer.beside.law, levels.objectives[0]
+            else:
+                word, none = "adequate", 1 - other
+            records, errors["before"] = stepped_records(
+                records, objective, alone, found.used, found.kept, how, stage="before"
+            )
+            before = alone.robot
     sites = {place.site: levels.places[-1].cost - place.cost for place in levels.places}
     finding = Finding(
         source, "frf-campaign", word, [], none, other, given,
-        _limited(search.base.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
+        _limited(before, given), _limited(best.robot, given), errors, list(found.held_out), records,
         _location(source, records, levels.places[0].site), sites,
-        smallest_visible_laws(base, search.base, sample, how), warnings=[*found.warnings, *strained(best)],
+        smallest_visible_laws(base, search.base, sample, how), warnings=[*found.warnings, *notes, *strained(best)],
         finalists=finalists(levels.base, levels.fits),
     )  # fmt: skip
-    for item in answer.missing if answer else ():
+    for item in missing:
         seen = sentence(item.first.title, records, errors, finding.held_out)
         law = item.first.effect in AMPLITUDE
         finding.missing.append(replace(item, evidence=f"{levels_sentence(levels)} {seen}" if law else seen))
@@ -252,8 +270,9 @@ def stepped_records(
     used: Sequence[Recorded],
     kept: Sequence[Recorded],
     blow: dict[str, Blow],
+    stage: Stage = "after",
 ) -> tuple[list[FrfRecord], dict[str, float | None]]:
-    """Records with the law's prediction as ``after``, and its errors; on held-out recordings posture angles and gains
+    """Records with the law's prediction as a stage, and its errors; on held-out recordings posture angles and gains
     are estimated again, nothing else."""
     law, sizes, site, robot = law_of(fit.robot)
     own = objective.base
@@ -270,8 +289,21 @@ def stepped_records(
         rest = judged.predicted(settle(judged))
         error["held_out"] = relative_error(kept, rest)
         predicted = [*predicted, *rest]
-    shown = [replace(r, predicted={**r.predicted, "after": H}) for r, H in zip(records, predicted, strict=True)]
-    return shown, error
+    return _with(records, stage, predicted), error
+
+
+def _struck_as_given(
+    records: Sequence[FrfRecord], given: Robot, found: Triage, blow: dict[str, Blow]
+) -> tuple[list[FrfRecord], dict[str, float | None]]:
+    """Records with the prediction of a description that has one law, and its errors."""
+    parts = [judge_struck(given, some, blow) if some else None for some in (found.used, found.kept)]
+    predicted = [H for part in parts if part for H in part.predicted]
+    train, held_out = (part.error if part else None for part in parts)
+    return _with(records, "as_given", predicted), {"train": train, "held_out": held_out}
+
+
+def _with(records: Sequence[FrfRecord], stage: Stage, predicted: Sequence[ComplexArray]) -> list[FrfRecord]:
+    return [replace(r, predicted={**r.predicted, stage: H}) for r, H in zip(records, predicted, strict=True)]
 
 
 # --- MuJoCo -----------------------------------------------------------------------------------------------------------

@@ -27,6 +27,13 @@ def amplitude_entries(robot: Robot) -> list[Entry]:
     return [entry for entry in robot.physics if entry.effect in AMPLITUDE]
 
 
+def without_laws(robot: Robot) -> Robot:
+    """The robot without these; itself, where it has none."""
+    laws = amplitude_entries(robot)
+    rest = [entry for entry in robot.physics if entry not in laws]
+    return robot.model_copy(update={"physics": rest}) if laws else robot
+
+
 def law_of(robot: Robot) -> tuple[Law, FloatArray, str, Robot]:
     """The law of a robot's last entry of amplitude, its sizes, its site, and the robot without it."""
     entry = amplitude_entries(robot)[-1]
