@@ -15,6 +15,7 @@ from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import next_test
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.objective import Objective, Sample, factors
+from twin.diagnose.physical import physical
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, minimise, recorded_error
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
 from twin.diagnose.search import Search, _about_the_same_axis, _taken_over, converge, explain, settle
@@ -24,8 +25,11 @@ from twin.identify.elastic import without_limits
 from twin.identify.parameters import Parameter as Free
 from twin.identify.parameters import Parameters, free_parameters, independent
 from twin.measure.campaign import Campaign, FloatArray, PostureFRF, read_campaign
+from twin.model.linear import linearise
+from twin.model.modes import modes
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot, load_robot
+from twin.robot.mechanism import assemble
 
 SHORT = ("--spacing-hz", "0.5", "--lines", "48", "--coherence", "estimated")
 
@@ -553,3 +557,16 @@ def test_a_size_that_hardly_shows_is_in_doubt_as_all_its_priors_are(held: float,
     )
     assert least <= after[0, 0] / before[0, 0] <= most
     assert np.sqrt(after[1, 1] / before[1, 1]) == pytest.approx(np.sqrt(after[0, 0] / before[0, 0]), rel=0.2)
+
+
+def test_a_damper_that_has_run_away_is_written_as_one_that_holds_its_joint(kr90: Robot) -> None:
+    """1e78 N·m·s/rad is what a fit of a wrong model once left; MuJoCo has no numbers for it."""
+    physics = list(kr90.physics)
+    k = next(k for k, entry in enumerate(physics) if entry.effect == "transverse_compliance")
+    physics[k] = physics[k].model_copy(update={"damping": 1e78})
+    axes = [kr90.axes[0].model_copy(update={"damping": 1e78}), *kr90.axes[1:]]
+    robot = physical(kr90.model_copy(update={"physics": physics, "axes": axes}))
+    found = modes(linearise(assemble(without_limits(robot), np.zeros(3), brakes="on"))).frequency_hz
+    assert np.isfinite(found).all()
+    assert physical(robot) is robot
+    assert physical(kr90) is kr90
