@@ -247,13 +247,13 @@ def diagnose_campaign(
     free = _free(base, found.used)
     if told_by and told_by.fit:
         free = Knowledge.of(told_by.fit).on(free, base)
-    if found.nonlinear and not told_by:
-        plain = without_laws(base)  # a law that is described is found again, or another
-        search = converge(plain, _free(plain, found.used), sample, seed=seed, processes=processes)
-        answer = levels_finding(campaign, given, plain, source, found, search, progress, seed)
-        if answer:
-            return answer
-    if not found.nonlinear or told_by or plain is not base:
+    law = found.nonlinear and not told_by
+    plain = without_laws(base) if law else base  # a law that is described is found again, or another
+    known = free if plain is base else _free(plain, found.used)
+    search = converge(plain, known, sample, seed=seed, processes=processes)
+    if law and (answer := levels_finding(campaign, given, plain, source, found, search, progress, seed)):
+        return answer
+    if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
     band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
     brakes = [r.setup.brakes for r in found.recordings.values()]
