@@ -369,9 +369,17 @@ def test_resonators_are_scanned_by_the_change_they_make(tmp_path: Path) -> None:
     setting = Setting(case.base, case.free, NONE, z, case.sample, case.sample, 0.1, False)
     with_it = replace(setting.objective(hypothesis))
     change = setting.objective(NONE).residual(z) - with_it.residual(np.concatenate([z, np.zeros(len(hypothesis.own))]))
-    assert _Scan(setting)._secant(hypothesis) == pytest.approx(
-        change, abs=1e-2 * np.abs(change).max()
-    )  # the weight sags otherwise
+    held, sprung, factor = _Scan(setting)._secants([hypothesis], 1.0, 0)
+    secant = np.ascontiguousarray(held + factor[0][:, None, None] * sprung).reshape(-1).view(float)
+    assert secant == pytest.approx(change, abs=1e-2 * np.abs(change).max())  # the weight sags otherwise
+    # the gain that is told from line-by-line products is that of the secant itself
+    scan = _Scan(setting)
+    share = scan.linear.share(secant)
+    along, across = secant @ scan.linear.residual - share @ scan.linear.own, secant @ secant - share @ share
+    others = [
+        entry_hypothesis(case.base, "attached_resonator", "link2", {**values, "frequency_hz": f}) for f in (8, 20)
+    ]
+    assert scan._gains([*others, hypothesis], 1.0)[2] == pytest.approx(along * abs(along) / across, rel=1e-9)
 
 
 def test_factors_are_orthogonal_whatever_the_columns_say_alike() -> None:
@@ -413,7 +421,7 @@ class Canyon(Objective):
 
     def __init__(self) -> None:
         self.parameters = independent(Free(name, "1", "gain", False, 0.0, 1.0, "") for name in ("gain.a", "gain.b"))
-        self.among, self.rows, self.calls = None, [], 0
+        self.free, self.rows, self.calls = self.parameters, [], 0
 
     @property
     def data(self) -> int:

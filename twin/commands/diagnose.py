@@ -320,9 +320,9 @@ def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     described = robot.model_copy(update={"links": base.links})
     few, fits = sample.thin(REFIT_LINES), []
     for start, z, logarithmic in ((robot, free.coordinates(values), 0), (described, np.zeros(len(free)), 25)):
-        fits.append((descend(start, NONE, free, few, z, logarithmic=logarithmic, linear=25), start))
+        fits.append((descend(start, NONE, free, few, z, logarithmic=logarithmic, linear=5), start))
     best, start = min(fits, key=lambda pair: pair[0].cost)
-    return replace(descend(start, NONE, free, sample, best.z, tempered=0, linear=10), hypothesis=fit.hypothesis)
+    return replace(descend(start, NONE, free, sample, best.z, tempered=0, linear=25), hypothesis=fit.hypothesis)
 
 
 def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, seed: int) -> Fitted:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
 from twin.diagnose.joint_laws import LAWS, NO_LOAD, Law
-from twin.diagnose.objective import Changes, Sample, rates
-from twin.identify.elastic import LOG_SPREAD, Recorded
+from twin.diagnose.objective import Changes, Cost, rates
+from twin.identify.elastic import Recorded
 from twin.identify.parameters import Parameters
 from twin.identify.sensitivity import Observed, contract, moving, observe
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
@@ -29,70 +29,6 @@ STAYED = 2.0  # prior deviations, over which the law's torque keeps what its der
 WORTH_SPREADING = 20  # strikes per recording: fewer are stepped by one process
 WEIGHED = 0.1  # prior deviations, of differences of the load on a joint
 AHEAD = 0.1  # of a step: where its bend is looked at
-
-
-@dataclass
-class Cost:
-    """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz; with ``logarithmic``, Cauchy's robust sum of squares of ln(H/H(z)).
-
-    Attributes:
-        robot: the description before values are applied.
-        weight: 1/σ per recording (nf, nr, ne); zero where a line is not used.
-    """
-
-    robot: Robot
-    parameters: Parameters
-    sample: Sample
-    temper: float = 0.0
-    logarithmic: bool = False
-    weight: list[FloatArray] = field(default_factory=list, init=False)
-
-    def __post_init__(self) -> None:
-        self.weight = []
-        for r in self.sample.recordings:
-            size = np.abs(r.frf) ** 2
-            if self.logarithmic:
-                relative = np.divide(r.variance, size, out=np.full(size.shape, np.inf), where=size > 0)
-                weight = 1 / np.sqrt(LOG_SPREAD**2 + relative)
-            else:
-                weight = 1 / np.sqrt(r.variance + self.temper**2 * size)
-            self.weight.append(np.sqrt(self.sample.repeat) * weight)
-
-    @property
-    def free(self) -> Parameters:
-        """The parameters that z stands for."""
-        return self.parameters
-
-    @property
-    def data(self) -> float:
-        """Number of real data that the lines stand for."""
-        return 2 * self.sample.repeat * sum(int(np.count_nonzero(w)) for w in self.weight)
-
-    def cost(self, z: FloatArray) -> float:
-        """Prior included."""
-        raise NotImplementedError
-
-    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
-        raise NotImplementedError
-
-    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
-        """Not known."""
-        return None
-
-    def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Residual, what pulls on the parameters, and ∂ residual / ∂ H."""
-        if not self.logarithmic:
-            e = np.asarray((r.frf - H) * w, complex)
-            return e, e, -w.astype(complex)
-        ratio = np.divide(r.frf, H, out=np.ones_like(H), where=(H != 0) & (r.frf != 0))
-        e = np.asarray(np.log(ratio) * w, complex)
-        size = np.abs(e) / np.sqrt(self.sample.repeat)
-        soft = np.where(size > 1e-9, np.sqrt(np.log1p(size**2)) / np.maximum(size, 1e-9), 1.0)
-        weight = 1 / np.sqrt(1 + size**2)  # iteratively reweighted: slope of the robust sum
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.where(H != 0, -1 / H, 0)
-        return e * soft, e * weight, inverse * w * weight
 
 
 # --- how it was hit ---------------------------------------------------------------------------------------------------
@@ -382,13 +318,14 @@ class Stepped(Cost):
             dH = np.zeros((len(z), *r.frf.shape), complex)
             dH[:n] = view.slopes(R, dR[:n])
             dH[n:] = -view.out[:, :, None] * dR[n:, :, None, :]
-            e, pull, factor = self._error(r, view.reacting(R), w)
-            cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
+            own, pulled, factor = self.pull(r, view.reacting(R), w)
+            cost += own
             J = (dH * factor).reshape(len(z), -1).view(float)
-            gradient += J @ np.ascontiguousarray(pull).reshape(-1).view(float)
+            e = np.ascontiguousarray(pulled).reshape(-1).view(float)
+            gradient += J @ e
             information += J @ J.T
             if not self.logarithmic:
-                self.rows.append((np.ascontiguousarray(e).reshape(-1).view(float), J))
+                self.rows.append((e, J))
         return cost, gradient, information
 
     def _reactions(self, z: FloatArray, joints: _Postures) -> list[tuple[ComplexArray, ComplexArray]]:
@@ -508,7 +445,7 @@ class Stepped(Cost):
         total = np.zeros(len(z))
         ahead = self.predicted(z + AHEAD * step)
         for r, H, w, (e, G) in zip(self.sample.recordings, ahead, self.weight, self.rows, strict=True):
-            there = np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float)
+            there = np.ascontiguousarray((r.frf - H) * w).reshape(-1).view(float)
             total += G @ (2 / AHEAD * ((there - e) / AHEAD - step @ G))
         return total if np.isfinite(total).all() else None
 
@@ -527,10 +464,7 @@ class Stepped(Cost):
         """Costs at several z, stepped side by side; infinite where a trial diverges."""
         found = []
         for z, predicted in zip(points, self.predicted_at(points), strict=True):
-            parts = [
-                self._error(r, H, w)[0] for r, H, w in zip(self.sample.recordings, predicted, self.weight, strict=True)
-            ]
-            cost = 0.5 * float(z @ z + sum(np.sum(e.real**2 + e.imag**2) for e in parts))
+            cost = 0.5 * float(z @ z) + self.loss(predicted)
             found.append(cost if np.isfinite(cost) else np.inf)
         return found
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from twin.diagnose.held_law import respond, respond_slopes
 from twin.diagnose.hypotheses import Sprung
-from twin.identify.elastic import LOG_SPREAD, Recorded
+from twin.identify.elastic import Recorded
 from twin.identify.parameters import SIX, Parameters
+from twin.identify.residual import loss, pull, weights
 from twin.identify.sensitivity import (
     Observed,
     Setup,
@@ -37,6 +38,14 @@ class Sample:
 
     recordings: tuple[Recorded, ...]
     repeat: float = 1.0
+    _weights: dict[tuple[float, bool], list[FloatArray]] = field(default_factory=dict, compare=False, repr=False)
+
+    def weights(self, temper: float, logarithmic: bool) -> list[FloatArray]:
+        """√repeat/σ per recording (nf, nr, ne), see :func:`twin.identify.residual.weights`; computed once."""
+        if (temper, logarithmic) not in self._weights:
+            some = (weights(r.frf, r.variance, temper, logarithmic) for r in self.recordings)
+            self._weights[temper, logarithmic] = [np.sqrt(self.repeat) * w for w in some]
+        return self._weights[temper, logarithmic]
 
     def thin(self, lines: int) -> "Sample":
         """About so many lines of every recording, with the weight of all."""
@@ -49,15 +58,14 @@ class Sample:
 
 
 @dataclass
-class Objective:
-    """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz; with ``logarithmic``, Cauchy's robust sum of squares of ln(H/H(z)).
+class Cost:
+    """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz; with ``logarithmic`` the robust
+    sum of :mod:`twin.identify.residual`.
 
     Attributes:
         robot: the description before values are applied.
         weight: 1/σ per recording (nf, nr, ne); zero where a line is not used.
-        sagging: whether springs give way under the weight, by 1e-3 rad; roughly right without, at half the work.
-        held, among: with ``among``, z holds those coordinates alone and the others are as in ``held``.
-        rows: residual, its derivatives and by what, where a linear one was evaluated last; recording by recording.
+        free: the parameters that z stands for.
     """
 
     robot: Robot
@@ -65,33 +73,61 @@ class Objective:
     sample: Sample
     temper: float = 0.0
     logarithmic: bool = False
-    weight: list[FloatArray] = field(default_factory=list)
-    sagging: bool = True
-    held: FloatArray | None = None
-    among: tuple[int, ...] | None = None
-    rows: list[tuple[FloatArray, FloatArray, NDArray[np.intp]]] = field(default_factory=list)
+    weight: list[FloatArray] = field(init=False)
+    free: Parameters = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.weight:
-            return
-        for r in self.sample.recordings:
-            size = np.abs(r.frf) ** 2
-            if self.logarithmic:
-                relative = np.divide(r.variance, size, out=np.full(size.shape, np.inf), where=size > 0)
-                weight = 1 / np.sqrt(LOG_SPREAD**2 + relative)
-            else:
-                weight = 1 / np.sqrt(r.variance + self.temper**2 * size)
-            self.weight.append(np.sqrt(self.sample.repeat) * weight)
+        self.weight, self.free = self.sample.weights(self.temper, self.logarithmic), self.parameters
 
     @property
     def data(self) -> float:
         """Number of real data that the lines stand for."""
         return 2 * self.sample.repeat * sum(int(np.count_nonzero(w)) for w in self.weight)
 
-    @property
-    def free(self) -> Parameters:
-        """The parameters that z stands for."""
-        return self.parameters if self.among is None else self.parameters.select(self.among)
+    def loss(self, predicted: Sequence[ComplexArray]) -> float:
+        """The cost of predictions, without the prior."""
+        return sum(
+            loss(r.frf, H, w, self.logarithmic, self.sample.repeat)
+            for r, H, w in zip(self.sample.recordings, predicted, self.weight, strict=True)
+        )
+
+    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
+        """Not known."""
+        return None
+
+    def cost(self, z: FloatArray) -> float:
+        """Prior included."""
+        raise NotImplementedError
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
+        raise NotImplementedError
+
+    def pull(
+        self, r: Recorded, H: ComplexArray, w: FloatArray
+    ) -> tuple[float, ComplexArray, ComplexArray | FloatArray]:
+        """Of one recording: cost, residual as it pulls on the parameters, and its derivative ∂/∂H."""
+        return pull(r.frf, H, w, self.logarithmic, self.sample.repeat)
+
+
+@dataclass
+class Objective(Cost):
+    """The cost of a robot that is linear.
+
+    Attributes:
+        sagging: whether springs give way under the weight, by 1e-3 rad; roughly right without, at half the work.
+        held, among: with ``among``, z holds those coordinates alone and the others are as in ``held``.
+        rows: residual, its derivatives and by what, where a linear one was evaluated last; recording by recording.
+    """
+
+    sagging: bool = True
+    held: FloatArray | None = None
+    among: tuple[int, ...] | None = None
+    rows: list[tuple[FloatArray, FloatArray, NDArray[np.intp]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.free = self.parameters if self.among is None else self.parameters.select(self.among)
 
     def within(self, z: FloatArray, among: Sequence[int]) -> "Objective":
         """The same with everything but some coordinates held at z; those must be independent of the others a priori.
@@ -148,24 +184,22 @@ class Objective:
         """Prior included; infinite where a value is."""
         if not np.isfinite(self.parameters.values(self.whole(z))).all():
             return np.inf
-        cost = 0.5 * float(self.whole(z) @ self.whole(z))
-        for r, H, w in zip(self.sample.recordings, self.predicted(z), self.weight, strict=True):
-            e = self._error(r, H, w)[0]
-            cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
-        return cost
+        whole = self.whole(z)
+        return 0.5 * float(whole @ whole) + self.loss(self.predicted(z))
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
         cost, gradient, information = 0.5 * float(self.whole(z) @ self.whole(z)), z.copy(), np.eye(len(z))
         self.rows.clear()
         for r, w, (H, dH, moves) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
-            e, pull, factor = self._error(r, H, w)
-            cost += 0.5 * float(np.sum(e.real**2 + e.imag**2))
+            own, pulled, factor = self.pull(r, H, w)
+            cost += own
             G = np.multiply(dH, factor, order="C").reshape(len(moves), -1).view(float)
-            gradient[moves] += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
+            e = np.ascontiguousarray(pulled).reshape(-1).view(float)
+            gradient[moves] += G @ e
             information[np.ix_(moves, moves)] += G @ G.T
             if not self.logarithmic:
-                self.rows.append((np.ascontiguousarray(e).reshape(-1).view(float), G, moves))
+                self.rows.append((e, G, moves))
         return cost, gradient, information
 
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
@@ -178,24 +212,9 @@ class Objective:
             self.sample.recordings, ahead, behind, self.weight, self.rows, strict=True
         ):
             # both sides: slopes leave the sag of springs out, which along a valley is most of what changes
-            plus, minus = (np.ascontiguousarray(self._error(r, H, w)[0]).reshape(-1).view(float) for H in sides)
+            plus, minus = (np.ascontiguousarray((r.frf - H) * w).reshape(-1).view(float) for H in sides)
             total[moves] += G @ ((plus - 2 * e + minus) / h**2)
         return total
-
-    def _error(self, r: Recorded, H: ComplexArray, w: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Residual, what pulls on the parameters, and ∂ residual / ∂ H."""
-        if not self.logarithmic:
-            e = np.asarray((r.frf - H) * w, complex)
-            return e, e, -w.astype(complex)
-        ratio = np.divide(r.frf, H, out=np.ones_like(H), where=(H != 0) & (r.frf != 0))
-        repeat = np.sqrt(self.sample.repeat)
-        e = np.asarray(np.log(ratio) * w, complex)
-        size = np.abs(e) / repeat
-        soft = np.where(size > 1e-9, np.sqrt(np.log1p(size**2)) / np.maximum(size, 1e-9), 1.0)
-        weight = 1 / np.sqrt(1 + size**2)  # iteratively reweighted: slope of the robust sum
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.where(H != 0, -1 / H, 0)
-        return e * soft, e * weight, inverse * w * weight
 
     def _slopes(self, z: FloatArray) -> Iterator[tuple[ComplexArray, ComplexArray, NDArray[np.intp]]]:
         """Prediction, its derivatives (m, …) with respect to the m coordinates that move it, and which those are."""
@@ -239,7 +258,7 @@ class Objective:
         found = []
         for seen, model, rate in self._linear:
             pairs = zip(seen.arrays()[:5], rate.arrays()[:5], strict=True)  # M, C, K, loss, integral
-            moved = [one + np.tensordot(change, slope, axes=1) for one, slope in pairs]
+            moved = [one + (change @ slope.reshape(len(slope), -1)).reshape(one.shape) for one, slope in pairs]
             found.append((Observed.of((*moved, *seen.arrays()[5:])), model))
         return found
 

@@ -176,8 +176,7 @@ def _normal(x: FloatArray, covariance: FloatArray) -> float:
 class Descended(Protocol):
     """A cost over prior coordinates, as :class:`Objective` is one."""
 
-    @property
-    def free(self) -> Parameters: ...
+    free: Parameters
 
     @property
     def data(self) -> float: ...

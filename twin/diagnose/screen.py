@@ -15,6 +15,7 @@ the robust logarithmic residual of a few lines, with derivatives at every place 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -43,7 +44,6 @@ BEYOND = 6  # iterations after which such an entry near the truth promises what 
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
-SCANNED_AT_ONCE = 16
 SCANNED_MASSES = (1.0, 0.01)  # of the usual one: a heavy one loads the robot, a light one shows at its own frequency
 SMALL = 1e-6  # of the usual size, where the derivative with respect to it is taken
 LEAST = 1e-4  # of the usual size: less is nothing
@@ -107,7 +107,7 @@ class Setting:
     @cached_property
     def linear(self) -> "Linear":
         """Derivatives at z of the linear residual on all postures."""
-        return Linear(replace(self.objective(self.current), logarithmic=False, weight=[]), self.z)
+        return Linear(replace(self.objective(self.current), logarithmic=False), self.z)
 
     @cached_property
     def floor(self) -> float:
@@ -139,9 +139,14 @@ class Linear:
 
 
 def inflation(fit: Fitted, base: Robot, sample: Sample) -> float:
-    """Relative model error τ at which a model's χ² per datum is one, from 0 (it is noise already) to 1."""
-    plain = Objective(fit.hypothesis.robot(base), fit.parameters, sample)
-    power = [np.abs(r.frf - H) ** 2 for r, H in zip(sample.recordings, plain.predicted(fit.z), strict=True)]
+    """:func:`model_error` of a fit."""
+    return model_error(Objective(fit.hypothesis.robot(base), fit.parameters, sample), fit.z)
+
+
+def model_error(plain: Objective, z: FloatArray) -> float:
+    """Relative error τ beside noise with which a model's χ² per datum is one at z, from 0 (noise is all) to 1."""
+    sample = plain.sample
+    power = [np.abs(r.frf - H) ** 2 for r, H in zip(sample.recordings, plain.predicted(z), strict=True)]
 
     def chi2(temper: float) -> float:
         total = sum(
@@ -245,7 +250,7 @@ def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[fl
     some = replace(
         setting.few, recordings=setting.few.recordings[:: -(-len(setting.few.recordings) // YIELDING_POSTURES)]
     )
-    robust = replace(objective, sample=some, temper=0.0, logarithmic=True, weight=[], sagging=False)
+    robust = replace(objective, sample=some, temper=0.0, logarithmic=True, sagging=False)
     inner = robust.within(z, [k for k, p in enumerate(setting.free) if p.kind == "spring"])
     end, cost, _, _ = minimise(inner, inner.part(z), YIELDING, 0.5)
     return cost, inner.whole(end)
@@ -275,7 +280,7 @@ def _tangent_promise(
     """
     base, n, first = setting.linear, len(setting.z), suspect.own[0]
     small = suspect.of_size(setting.z, SMALL)
-    _, (row,) = replace(objective, logarithmic=False, weight=[]).within(small, [n]).jacobian(small[n:][:1])
+    _, (row,) = replace(objective, logarithmic=False).within(small, [n]).jacobian(small[n:][:1])
     tangent = row * (-1 if first.quantity == "stiffness" else 1) / (SMALL * first.deviation)
     share = base.share(tangent)
     along, across = float(tangent @ base.residual - share @ base.own), float(tangent @ tangent - share @ share)
@@ -367,8 +372,12 @@ def _promise(
 class _Scan:
     """Secants of many resonators against the projected residual, the amplitude free.
 
-    A mass on a spring at a point p takes the force D u_p, along its axis D = m s² (c s + k)/(m s² + c s + k), across it
-    m s², so that H′ − H = −H_rp (1 + D H_pp)⁻¹ D H_pe: one prediction serves all frequencies and axes.
+    A mass on a spring at a point p takes the force D u_p, D⁻¹ = 1/(m s²) + δ eeᵀ with δ = 1/(c s + k) along its axis e,
+    so that H′ − H = −H_rp (D⁻¹ + H_pp)⁻¹ H_pe. With B that inverse for δ = 0, a mass without a spring,
+
+        H′ − H = −H_rp B H_pe + a H_rp B e eᵀB H_pe,    a = δ/(1 + δ eᵀB e):
+
+    one prediction serves all frequencies and axes, and of a frequency only the line-by-line factor a is left.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -380,44 +389,70 @@ class _Scan:
         self.objective = Objective(setting.current.robot(setting.base), parameters, self.sample, temper)
         self.linear = Linear(self.objective, setting.z)
         self.seen: dict[tuple[str, tuple[float, ...]], list[ComplexArray]] = {}
+        self.columns, at = [], 0  # residual and Q (nf, nr ne, 1 + n), conjugated
+        for r in self.sample.recordings:
+            data = slice(at, at + 2 * r.frf.size)
+            at = data.stop
+            rows = np.column_stack([self.linear.residual[data], self.linear.Q[data]])  # real, imaginary part in turn
+            self.columns.append((rows[0::2] - 1j * rows[1::2]).reshape(len(r.s), r.frf[0].size, -1))
 
     def best(self, variants: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The most promising variants, one for every word (an axis) among the parameters."""
+        alike: dict[tuple[Any, ...], list[Hypothesis]] = {}
+        for hypothesis in variants:
+            values = hypothesis.entries[0].values
+            own = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items() if key != "frequency_hz"}
+            alike.setdefault(tuple(own.items()), []).append(hypothesis)
         scores: dict[str, tuple[float, Hypothesis]] = {}
-        base, residual = self.linear, self.linear.residual
-        for start in range(0, len(variants), SCANNED_AT_ONCE):
-            some = variants[start : start + SCANNED_AT_ONCE]
-            secants = np.array([self._secant(hypothesis, share) for hypothesis in some for share in SCANNED_MASSES])
-            share = base.share(secants)
-            along = secants @ residual - base.own @ share
-            across = np.sum(secants**2, axis=1) - np.sum(share**2, axis=0)
-            gains = along * np.abs(along) / np.maximum(across, 1e-300)
-            for hypothesis, gain in zip(some, gains.reshape(len(some), -1).max(axis=1), strict=True):
-                words = "".join(str(v) for v in hypothesis.entries[0].values.values() if isinstance(v, str))
-                if words not in scores or gain > scores[words][0]:
-                    scores[words] = float(gain), hypothesis
+        for some in alike.values():
+            gains = np.max([self._gains(some, share) for share in SCANNED_MASSES], axis=0)
+            words = "".join(str(v) for v in some[0].entries[0].values.values() if isinstance(v, str))
+            k = int(np.argmax(gains))
+            if words not in scores or gains[k] > scores[words][0]:
+                scores[words] = float(gains[k]), some[k]
         ranked = sorted(scores.values(), key=lambda item: -item[0])
         return [hypothesis for _, hypothesis in ranked[:SCANNED_KEPT]]
 
-    def _secant(self, hypothesis: Hypothesis, share: float = 1.0) -> FloatArray:
-        """Change of the weighted FRFs (data,) over ``share``, by a resonator of so much of its usual mass."""
-        values = hypothesis.entries[0].values
-        mass, omega = share * values["mass"], 2 * np.pi * values["frequency_hz"]
-        place, axis = tuple(values["position"]), "xyz".index(values["axis"])
-        key = hypothesis.site, place
+    def _gains(self, variants: Sequence[Hypothesis], share: float) -> FloatArray:
+        """What each promises (m,), its amplitude free and signed: resonators that differ in frequency alone."""
+        own = self.linear.own
+        along, across = np.zeros(len(variants)), np.zeros(len(variants))
+        shares = np.zeros((len(variants), len(own)))
+        for k, columns in enumerate(self.columns):
+            held, sprung, factor = self._secants(variants, share, k)
+            flat = np.stack([held, sprung], axis=1).reshape(len(held), 2, -1)
+            seen = flat @ columns  # (nf, 2, 1 + n)
+            products = flat.conj() @ flat.swapaxes(1, 2)  # (nf, 2, 2)
+            found = seen[:, 0].sum(axis=0).real + (factor @ seen[:, 1]).real
+            along += found[:, 0]
+            shares += found[:, 1:]
+            across += products[:, 0, 0].real.sum() + 2 * (factor @ products[:, 0, 1]).real
+            across += np.abs(factor) ** 2 @ products[:, 1, 1].real
+        along -= shares @ own
+        across -= np.sum(shares**2, axis=1)
+        return np.asarray(along * np.abs(along) / np.maximum(across, 1e-300))
+
+    def _secants(
+        self, variants: Sequence[Hypothesis], share: float, k: int
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Change of the weighted FRFs of a recording over ``share``, by resonators of so much of their usual mass: what
+        all have in common (nf, nr, ne), and what each (m, nf) multiplies (nf, nr, ne)."""
+        values = variants[0].entries[0].values
+        mass, place = share * values["mass"], tuple(values["position"])
+        key = variants[0].site, place
         if key not in self.seen:
             self.seen[key] = self._receptance(*key)
-        parts = []
-        for r, X, w in zip(self.sample.recordings, self.seen[key], self.objective.weight, strict=True):
-            nr, ne = len(r.setup.response.label), len(r.setup.excitation.label)
-            spring = 2 * values["damping_ratio"] * omega * mass * r.s + mass * omega**2
-            stiffness = np.repeat((mass * r.s**2)[:, None], 3, axis=1)  # across its axis it is carried along
-            stiffness[:, axis] *= spring / (mass * r.s**2 + spring)
-            out, into, own = X[:, :nr, ne:], X[:, nr:, :ne], X[:, nr:, ne:]
-            reaction = np.linalg.solve(np.eye(3) + stiffness[:, :, None] * own, stiffness[:, :, None] * into)
-            change = -(r.s**r.power)[:, None, None] * (out @ reaction)
-            parts.append(np.asarray(change / share * w, complex).reshape(-1).view(float))
-        return np.concatenate(parts)
+        r, X, weight = self.sample.recordings[k], self.seen[key][k], self.objective.weight[k]
+        nr, ne = len(r.setup.response.label), len(r.setup.excitation.label)
+        out, into, own = X[:, :nr, ne:], X[:, nr:, :ne], X[:, nr:, ne:]
+        free = (1 / (mass * r.s**2))[:, None, None] * np.eye(3)
+        held = np.linalg.inv(free + own)  # B
+        e = "xyz".index(values["axis"])
+        omega = 2 * np.pi * np.array([h.entries[0].values["frequency_hz"] for h in variants])[:, None]
+        give = 1 / (mass * (2 * values["damping_ratio"] * omega * r.s + omega**2))  # δ
+        sprung = (out @ held[:, :, [e]]) @ (held[:, [e]] @ into)
+        scale = weight * (r.s**r.power / share)[:, None, None]
+        return -scale * (out @ held @ into), scale * sprung, np.asarray(give / (1 + give * held[:, e, e]))
 
     def _receptance(self, body: str, place: tuple[float, ...]) -> list[ComplexArray]:
         """Receptances with the point's three axes as further responses and excitations."""

@@ -14,7 +14,7 @@ from twin.diagnose.hypotheses import Hypothesis, Sprung, companions, merged, sam
 from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
-from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, screen
+from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
 from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import observe_all, poles
 from twin.measure.campaign import FloatArray
@@ -81,17 +81,21 @@ def converge(
     places = np.zeros((starts, len(parameters)))
     places[1:, elastic] = rng.normal(size=(starts - 1, len(elastic)))
 
-    def end(number: int) -> tuple[float, FloatArray, Fitted]:
+    def robustly(number: int) -> tuple[float, FloatArray]:
         objective = Objective(robot, parameters, few, logarithmic=True, sagging=False)
         coarse = objective.within(places[number], elastic)
         z = coarse.whole(minimise(coarse, coarse.part(places[number]), 25, 0.5)[0])
         z, cost, _, _ = minimise(objective, z, 25, 0.5)
-        return cost, z, descend(robot, NONE, parameters, more, z, tempered=8, linear=15)
+        return cost, z
 
-    found = list(spread(end, starts, processes))
-    robust = min(found, key=lambda start: start[0])[1]
-    ends = sorted((fit for _, _, fit in found), key=lambda fit: fit.cost)
-    error = inflation(ends[0], robot, more)
+    def end(number: int) -> Fitted:
+        return descend(robot, NONE, parameters, more, found[number][1], tempered=8, linear=15)
+
+    found = sorted(spread(robustly, starts, processes), key=lambda start: start[0])
+    robust, plain = found[0][1], Objective(robot, parameters, more)
+    far = model_error(plain, robust) > FAR  # which optimum of a wrong model is the better says nothing
+    ends = sorted(spread(end, 1 if far else starts, processes), key=lambda fit: fit.cost)
+    error = model_error(plain, ends[0].z)
     steps = 15 if error < FAR else 5  # far off, the last digit of a wrong model says nothing
     base = descend(robot, NONE, parameters, sample, ends[0].z, tempered=0, linear=steps, tolerance=0.02)
     return Search(base, ends[1:], robust, error, processes=processes)
@@ -183,7 +187,8 @@ def _without_last(robot: Robot, search: Search, simpler: Fitted, richer: Fitted,
     """The simpler hypothesis fitted again from where the richer one ended: a valley may not have been followed out."""
     place = _Place(simpler.hypothesis, simpler.parameters, (richer.z[: len(simpler.z)],))
     near = richer.cost + REACH * max(1.0, richer.misfit)
-    fit = _fully(robot, _nearly(robot, place, sample.thin(REFIT_LINES), ROUGHLY * near), sample, near)
+    roughly = _nearly(robot, place, sample.thin(REFIT_LINES), ROUGHLY * near)
+    fit = _fully(robot, roughly, sample, near) if roughly.cost < ROUGHLY * near else simpler
     if fit.cost >= simpler.cost:
         return simpler
     if simpler.hypothesis is NONE:
@@ -340,8 +345,10 @@ def _halve(
     for promise, (cost, z) in zip(candidates, spread(near, len(candidates), processes), strict=True):
         ends.append((cost, promise, z))
         tick(1)
-    ends.sort(key=lambda end: end[0])
-    ends = ends[:FINALISTS]
+    before = setting.objective(setting.current).cost(setting.z)
+    least = min(cost for cost, _, _ in ends)
+    behind = max(REACH, (1 - SHORT) * (before - least))  # gained much less than another
+    ends = [end for end in sorted(ends, key=lambda end: end[0])[:FINALISTS] if end[0] - least < behind]
 
     def at(number: int) -> tuple[FloatArray, float, FloatArray, bool]:
         return minimise(setting.objective(ends[number][1].hypothesis), ends[number][2], 20, 0.3)

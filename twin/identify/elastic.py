@@ -14,6 +14,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.residual import pull, weights
 from twin.identify.sensitivity import Observed, Setup, contract, frf, frf_slopes, observe, sag_slopes, slopes
 from twin.measure.campaign import (
     QUANTITIES,
@@ -29,7 +30,6 @@ from twin.robot.description import Robot
 
 COARSE = 8  # starts see every eighth line, and at least COARSE_LINES
 COARSE_LINES = 25
-LOG_SPREAD = 0.3  # neper and rad: scale of the robust logarithmic residual
 TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
 UNKNOWN_NOISE = 0.02  # of a channel's RMS: variance where the recording states none; the fit then scales it
 LIMIT_SLACK = 0.02  # rad (m): an encoder's zero is not that of the limits
@@ -214,42 +214,23 @@ def linear_objective(
     robot: Robot, parameters: Parameters, recordings: Sequence[Recorded], temper: float = 0.0, exact: bool = False
 ) -> Objective:
     """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz; ``exact`` where the last digits of the optimum count."""
-    weights = [1 / np.sqrt(r.variance + (temper * np.abs(r.frf)) ** 2) for r in recordings]
-
-    def residual(r: Recorded, H: ComplexArray, k: int) -> tuple[ComplexArray, ComplexArray]:
-        return (r.frf - H) * weights[k], -weights[k].astype(complex)
-
-    return _objective(robot, parameters, recordings, residual, exact)
+    return _objective(robot, parameters, recordings, temper, False, exact)
 
 
 def log_objective(robot: Robot, parameters: Parameters, recordings: Sequence[Recorded]) -> Objective:
-    """Cauchy's robust sum of squares of ln(H/H(z)): as far as it bends, a peak pulls from anywhere."""
-    quality = []
-    for r in recordings:
-        size = np.abs(r.frf) ** 2
-        relative = np.divide(r.variance, size, out=np.full(size.shape, np.inf), where=size > 0)
-        quality.append(1 / np.sqrt(LOG_SPREAD**2 + relative))
-
-    def residual(r: Recorded, H: ComplexArray, k: int) -> tuple[ComplexArray, ComplexArray]:
-        ratio = np.divide(r.frf, H, out=np.ones_like(H), where=(H != 0) & (r.frf != 0))
-        e = np.log(ratio) * quality[k]
-        size = np.abs(e)
-        soft = np.where(size > 1e-9, np.sqrt(np.log1p(size**2)) / np.maximum(size, 1e-9), 1.0)
-        weight = 1 / np.sqrt(1 + size**2)  # iteratively reweighted: slope of the robust sum
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.where(H != 0, -1 / H, 0)
-        return np.stack([e * soft, e * weight]), inverse * quality[k] * weight
-
-    return _objective(robot, parameters, recordings, residual)
+    """The robust sum of logarithms, see :mod:`twin.identify.residual`."""
+    return _objective(robot, parameters, recordings, 0.0, True)
 
 
 def _objective(
     robot: Robot,
     parameters: Parameters,
     recordings: Sequence[Recorded],
-    residual: Callable[[Recorded, ComplexArray, int], tuple[ComplexArray, ComplexArray]],
+    temper: float,
+    logarithmic: bool,
     exact: bool = False,
 ) -> Objective:
+    weight = [weights(r.frf, r.variance, temper, logarithmic) for r in recordings]
     slow: dict[tuple[str, bytes, str | None], Observed] = {}  # what sag adds to the slopes, from the first evaluation
 
     def evaluate(z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
@@ -270,12 +251,10 @@ def _objective(
                 cache[key] = seen, contract(rate, transform)
             seen, rate = cache[key]
             H, dH = frf_slopes(seen, rate, r.s, r.power)
-            e, factor = residual(r, H, k)
-            own, pull = (e[0], e[1]) if e.ndim == 4 else (e, e)
-            cost += 0.5 * float(np.sum(own.real**2 + own.imag**2))
-            dH *= factor
-            G = np.ascontiguousarray(dH).reshape(len(z), -1).view(float)
-            gradient += G @ np.ascontiguousarray(pull).reshape(-1).view(float)
+            own, pulled, factor = pull(r.frf, H, weight[k], logarithmic)
+            cost += own
+            G = np.multiply(dH, factor, order="C").reshape(len(z), -1).view(float)
+            gradient += G @ np.ascontiguousarray(pulled).reshape(-1).view(float)
             information += G @ G.T
         return cost, gradient, information
 

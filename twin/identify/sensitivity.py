@@ -697,7 +697,13 @@ def moving(rate: Observed) -> NDArray[np.intp]:
 
 def contract(slopes_: Observed, transform: FloatArray) -> Observed:
     """Derivatives along other coordinates: ``transform`` (n, m) holds ∂ value / ∂ coordinate."""
-    return Observed.of(np.tensordot(transform.T, array, axes=1) for array in slopes_.arrays())
+    arrays = slopes_.arrays()
+    flat = transform.T @ np.concatenate([array.reshape(len(array), -1) for array in arrays], axis=1)  # in one product
+    ends = np.cumsum([0, *(array[0].size for array in arrays)])
+    return Observed.of(
+        flat[:, a:b].reshape(len(flat), *array.shape[1:])
+        for array, a, b in zip(arrays, ends[:-1], ends[1:], strict=True)
+    )
 
 
 def frf(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
