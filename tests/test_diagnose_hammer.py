@@ -71,7 +71,7 @@ def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> N
     decision, base, search = diagnosed(case)
     assert decision.none > 0.9
     assert 0.8 < base.misfit < 1.1
-    assert search.others[0].misfit == pytest.approx(search.base.misfit, rel=0.1)  # both starts reach one minimum
+    assert not search.others  # all starts reach one minimum
 
 
 def test_a_foundation_that_tilts_is_named(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ from twin.diagnose.verdict import (
     Missing,
     Source,
     Verdict,
+    elsewhere,
     estimates_of,
     judge,
     missing_of,
@@ -287,7 +288,7 @@ def diagnose_campaign(
         given, _limited(before.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         [*smallest_visible(settled.robot, settled, few, looked_at), *amplitude_laws],
-        warnings=[*found.warnings, *strained(best)],
+        warnings=[*found.warnings, *elsewhere(search.base, search.others), *strained(best)],
         finalists=finalists(search.base, fits),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]

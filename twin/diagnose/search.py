@@ -15,6 +15,7 @@ from twin.diagnose.locate import free_laws
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
+from twin.identify.elastic import AGREEMENT
 from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import observe_all, poles
 from twin.measure.campaign import FloatArray
@@ -41,7 +42,7 @@ class Search:
     """What was fitted.
 
     Attributes:
-        base: the base model's optimum; ``others`` its other starts, best first.
+        base: the base model's optimum; ``others`` where other starts end elsewhere.
         robust: (n,) the base model's optimum of the logarithmic residual.
         error: relative error of the base model beyond noise.
         fits: every hypothesis fitted to all lines, by what it says is missing.
@@ -72,33 +73,48 @@ class Search:
 
 
 def converge(
-    robot: Robot, parameters: Parameters, sample: Sample, starts: int = 2, seed: int = 0, processes: int = 1
+    robot: Robot, parameters: Parameters, sample: Sample, starts: int = 4, seed: int = 0, processes: int = 1
 ) -> Search:
-    """The base model from the description and from springs and dampers drawn from their prior."""
+    """The base model from the description and from springs and dampers drawn from their prior.
+
+    Starts that springs and dampers alone bring to one robust cost are at one optimum.
+    """
     rng = np.random.default_rng(seed)
     elastic = NONE.coarse(parameters)
     few, more = sample.thin(SCREEN_LINES), sample.thin(REFIT_LINES)
     places = np.zeros((starts, len(parameters)))
     places[1:, elastic] = rng.normal(size=(starts - 1, len(elastic)))
+    robustly = Objective(robot, parameters, few, logarithmic=True, sagging=False)
 
-    def robustly(number: int) -> tuple[float, FloatArray]:
-        objective = Objective(robot, parameters, few, logarithmic=True, sagging=False)
-        coarse = objective.within(places[number], elastic)
-        z = coarse.whole(minimise(coarse, coarse.part(places[number]), 25, 0.5)[0])
-        z, cost, _, _ = minimise(objective, z, 25, 0.5)
-        return cost, z
+    def roughly(number: int) -> tuple[FloatArray, float]:
+        coarse = robustly.within(places[number], elastic)
+        z, cost, _, _ = minimise(coarse, coarse.part(places[number]), 25, 0.5)
+        return coarse.whole(z), cost
+
+    def closely(number: int) -> tuple[FloatArray, float]:
+        return minimise(robustly, apart[number][0], 25, 0.5)[:2]
 
     def end(number: int) -> Fitted:
-        return descend(robot, NONE, parameters, more, found[number][1], tempered=8, linear=15)
+        return descend(robot, NONE, parameters, more, found[number][0], tempered=8, linear=15)
 
-    found = sorted(spread(robustly, starts, processes), key=lambda start: start[0])
-    robust, plain = found[0][1], Objective(robot, parameters, more)
+    def on_all(fit: Fitted, steps: int) -> Fitted:
+        return descend(robot, NONE, parameters, sample, fit.z, tempered=0, linear=steps, tolerance=0.02)
+
+    apart: list[tuple[FloatArray, float]] = []
+    for z, cost in sorted(spread(roughly, starts, processes), key=lambda start: start[1]):
+        if not apart or cost - apart[-1][1] > AGREEMENT:
+            apart.append((z, cost))
+    found = sorted(spread(closely, len(apart), processes), key=lambda start: start[1])
+    robust, plain = found[0][0], Objective(robot, parameters, more)
     far = model_error(plain, robust) > FAR  # which optimum of a wrong model is the better says nothing
-    ends = sorted(spread(end, 1 if far else starts, processes), key=lambda fit: fit.cost)
+    ends = sorted(spread(end, 1 if far else len(found), processes), key=lambda fit: fit.cost)
     error = model_error(plain, ends[0].z)
     steps = 15 if error < FAR else 5  # far off, the last digit of a wrong model says nothing
-    base = descend(robot, NONE, parameters, sample, ends[0].z, tempered=0, linear=steps, tolerance=0.02)
-    return Search(base, ends[1:], robust, error, processes=processes)
+    base, others = on_all(ends[0], steps), [on_all(fit, 15) for fit in ends[1:]]
+    base, *others = sorted([base, *others], key=lambda fit: fit.cost)
+    away = [fit.z - base.z for fit in others]
+    others = [fit for fit, d in zip(others, away, strict=True) if 0.5 * d @ base.information @ d > AGREEMENT]
+    return Search(base, others, robust, error, processes=processes)
 
 
 def explain(

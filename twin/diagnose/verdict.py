@@ -405,6 +405,15 @@ def _belongs(name: str, part: tuple[str, str], entries: Sequence[Entry]) -> bool
     return name.startswith((f"{effect}@{site}.", f"{effect}@{site}#")) or name.startswith(f"{site}.")
 
 
+def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
+    """Optima of the base model beside the best, a sentence each."""
+    return [
+        f"another start of the base model's fit ends at {fit.misfit:.3g} times the variance of the noise, the best at "
+        f"{base.misfit:.3g}: what its springs and dampers come out at depends on where a fit starts"
+        for fit in others
+    ]
+
+
 def strained(fit: Fitted) -> list[str]:
     """Described stiffnesses that a fit takes much further than their description allows, a sentence each.
 
