@@ -38,6 +38,7 @@ SIZES = (-0.5, 1.0)
 FAR_STARTS = 2  # of an effect's ``sizes`` where the current model is far off
 YIELDING = 5  # iterations in which springs make room for an entry
 YIELDING_POSTURES = 4
+AHEAD = 1.5  # times the least cost of other sizes: with more, a size is no start
 SLIGHT = 3.0  # ln likelihood that a refit must promise
 ROOM = 1.01  # of the least cost that is left then
 BEYOND = 6  # iterations after which such an entry near the truth promises what it has gained
@@ -217,13 +218,14 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     found = []
     starts: list[tuple[float, FloatArray]] = []
     sizes = (0.0,) if size is None else CATALOGUE[suspect.effect].sizes if setting.error > 0 else SIZES
-    for deviation in sizes:
+    for deviation in sorted(sizes, reverse=True):  # from the smallest
         own = np.zeros(len(suspect.own))
         if size is not None:
             own[size] = deviation if CATALOGUE[suspect.effect].sprung else -deviation
         z = np.concatenate([setting.z, own])
         if setting.error > 0 and size is not None:
-            starts.append(_yielding(setting, objective, z))
+            least = min((cost for cost, _ in starts), default=np.inf)
+            starts.append(_yielding(setting, objective, z, AHEAD * least))
         elif setting.logarithmic:  # at null: there is nothing to make room for
             starts.append((0.0, z))
         else:
@@ -236,15 +238,18 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
         )
     if CATALOGUE[suspect.effect].ridged and not setting.error and max(promise.gain for promise in found) <= SLIGHT:
         found.append(_beyond_promise(setting, hypothesis, suspect, objective))
-    if setting.logarithmic:  # the springs make up for what is missing: start from the description too
+    if setting.logarithmic and size is not None:  # springs make up for what is missing: from the description too
         z = np.zeros(len(objective.parameters))
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
     return found
 
 
-def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[float, FloatArray]:
+def _yielding(
+    setting: Setting, objective: Objective, z: FloatArray, hopeless: float = np.inf
+) -> tuple[float, FloatArray]:
     """Cost and z after the springs have made room for an entry, its size held: a servo shares its joint with the gear.
 
+    It is given up where the cost will not come below ``hopeless``.
     The robust logarithmic residual of few lines and postures serves from any distance.
     """
     some = replace(
@@ -252,7 +257,7 @@ def _yielding(setting: Setting, objective: Objective, z: FloatArray) -> tuple[fl
     )
     robust = replace(objective, sample=some, temper=0.0, logarithmic=True, sagging=False)
     inner = robust.within(z, [k for k, p in enumerate(setting.free) if p.kind == "spring"])
-    end, cost, _, _ = minimise(inner, inner.part(z), YIELDING, 0.5)
+    end, cost, _, _ = minimise(inner, inner.part(z), YIELDING, 0.5, hopeless)
     return cost, inner.whole(end)
 
 

@@ -95,9 +95,9 @@ def converge(
         return minimise(robustly, apart[number][0], 25, 0.5)[:2]
 
     def end(number: int) -> Fitted:
-        return descend(robot, NONE, parameters, more, found[number][0], tempered=8, linear=15)
+        return descend(robot, NONE, parameters, more, found[number][0], tempered=8, linear=steps)
 
-    def on_all(fit: Fitted, steps: int) -> Fitted:
+    def on_all(fit: Fitted) -> Fitted:
         return descend(robot, NONE, parameters, sample, fit.z, tempered=0, linear=steps, tolerance=0.02)
 
     apart: list[tuple[FloatArray, float]] = []
@@ -106,12 +106,11 @@ def converge(
             apart.append((z, cost))
     found = sorted(spread(closely, len(apart), processes), key=lambda start: start[1])
     robust, plain = found[0][0], Objective(robot, parameters, more)
-    far = model_error(plain, robust) > FAR  # which optimum of a wrong model is the better says nothing
+    far = model_error(plain, robust) > FAR  # which optimum of a wrong model is the better, its last digit say nothing
+    steps = 5 if far else 15
     ends = sorted(spread(end, 1 if far else len(found), processes), key=lambda fit: fit.cost)
     error = model_error(plain, ends[0].z)
-    steps = 15 if error < FAR else 5  # far off, the last digit of a wrong model says nothing
-    base, others = on_all(ends[0], steps), [on_all(fit, 15) for fit in ends[1:]]
-    base, *others = sorted([base, *others], key=lambda fit: fit.cost)
+    base, *others = sorted([on_all(fit) for fit in ends], key=lambda fit: fit.cost)
     away = [fit.z - base.z for fit in others]
     others = [fit for fit, d in zip(others, away, strict=True) if 0.5 * d @ base.information @ d > AGREEMENT]
     return Search(base, others, robust, error, processes=processes)
