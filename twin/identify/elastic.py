@@ -9,13 +9,25 @@ every eighth line; the best ends on all lines.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from twin.errors import InputError
 from twin.identify.parameters import Parameters, free_parameters
 from twin.identify.residual import pull, weights
-from twin.identify.sensitivity import Observed, Setup, contract, frf, frf_slopes, observe, sag_slopes, slopes
+from twin.identify.sensitivity import (
+    Observed,
+    Setup,
+    contract,
+    frf,
+    frf_slopes,
+    moving,
+    observe,
+    observe_all,
+    sag_slopes,
+    slopes,
+)
 from twin.measure.campaign import (
     QUANTITIES,
     Campaign,
@@ -231,6 +243,7 @@ def _objective(
     exact: bool = False,
 ) -> Objective:
     weight = [weights(r.frf, r.variance, temper, logarithmic) for r in recordings]
+    setups = {(r.setup.name, r.setup.q.tobytes(), r.setup.brakes): r.setup for r in recordings}
     slow: dict[tuple[str, bytes, str | None], Observed] = {}  # what sag adds to the slopes, from the first evaluation
 
     def evaluate(z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
@@ -238,24 +251,28 @@ def _objective(
         changed = parameters.apply(robot, values)
         transform = parameters.transform(values)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
-        cache: dict[tuple[str, bytes, str | None], tuple[Observed, Observed]] = {}
+        changes: dict[tuple[Any, ...], Any] = {}
+        found = {}
+        models = observe_all(changed, list(setups.values()), parameters, values)
+        for (key, setup), (seen, model) in zip(setups.items(), models, strict=True):
+            some = np.array(parameters.seen_in(setup.name))
+            rate = slopes(changed, setup, parameters, values, seen, model, changes, some)
+            if exact:
+                if key not in slow:
+                    slow[key] = sag_slopes(changed, setup, parameters, values, model)
+                rate = Observed.of(a + b[some] for a, b in zip(rate.arrays(), slow[key].arrays(), strict=True))
+            columns = np.flatnonzero(transform[some].any(axis=0))
+            rate = contract(rate, transform[np.ix_(some, columns)])
+            felt = moving(rate)
+            found[key] = seen, Observed.of(array[felt] for array in rate.arrays()), columns[felt]
         for k, r in enumerate(recordings):
-            key = (r.setup.name, r.setup.q.tobytes(), r.setup.brakes)
-            if key not in cache:
-                seen, model = observe(changed, r.setup, parameters, values)
-                rate = slopes(changed, r.setup, parameters, values, seen, model)
-                if exact:
-                    if key not in slow:
-                        slow[key] = sag_slopes(changed, r.setup, parameters, values, model)
-                    rate = Observed.of(a + b for a, b in zip(rate.arrays(), slow[key].arrays(), strict=True))
-                cache[key] = seen, contract(rate, transform)
-            seen, rate = cache[key]
+            seen, rate, moves = found[r.setup.name, r.setup.q.tobytes(), r.setup.brakes]
             H, dH = frf_slopes(seen, rate, r.s, r.power)
             own, pulled, factor = pull(r.frf, H, weight[k], logarithmic)
             cost += own
-            G = np.multiply(dH, factor, order="C").reshape(len(z), -1).view(float)
-            gradient += G @ np.ascontiguousarray(pulled).reshape(-1).view(float)
-            information += G @ G.T
+            G = np.multiply(dH, factor, order="C").reshape(len(moves), -1).view(float)
+            gradient[moves] += G @ np.ascontiguousarray(pulled).reshape(-1).view(float)
+            information[np.ix_(moves, moves)] += G @ G.T
         return cost, gradient, information
 
     return evaluate
