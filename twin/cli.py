@@ -15,6 +15,8 @@ from twin.memory import keep_memory
 
 # Matrices here are small: threads inside a product cost more than they gain. Parallel work is over records and cases.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Nothing here draws with MuJoCo: importing it need not look for a display.
+os.environ.setdefault("MUJOCO_GL", "disable")
 
 app = typer.Typer(
     help="A MuJoCo digital twin of milling robots: simulate, fit, identify and diagnose soft joints.",

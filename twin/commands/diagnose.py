@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from twin.commands.compare import recording_kind
-from twin.commands.identify import in_joints
 from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.simulate import Progress
@@ -30,7 +29,6 @@ from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.struck import without_laws
-from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import (
     Candidate,
@@ -95,6 +93,9 @@ def diagnose(
         told_by = findings[-1] if findings else None
         options: Any = {"hold_out": held, "seed": seed, "progress": progress}
         if test.kind == "motion-log":
+            from twin.commands.identify import in_joints
+            from twin.diagnose.torque import diagnose_log  # and SciPy's signals, a third of what there is to import
+
             in_joints(test.content, given)  # axes, units and limits fit
             options |= {"processes": cores()}
             findings.append(diagnose_log(test.content, told_by.robot if told_by else given, test.source, **options))
@@ -136,6 +137,8 @@ def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[l
         robot = last.model
     for finding, test, held in zip(findings[:-1], tests, chosen, strict=False):
         if test.kind == "motion-log":
+            from twin.diagnose.torque import with_evidence
+
             finding.records = predicted_by(robot, test.content, finding, held)
             finding.error = {**finding.error, "after": pooled(finding.records, "after")}
             finding.missing = [followed(m, finding.model, robot) for m in finding.missing]

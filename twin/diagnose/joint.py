@@ -13,10 +13,6 @@ import numpy as np
 from twin.diagnose.decide import calibration
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque import predicted_torque
-from twin.diagnose.torque_fit import base_of
-from twin.diagnose.torque_laws import RECORDING
-from twin.diagnose.torque_signal import prepare
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word
 from twin.identify.parameters import Parameters, entry_parameter, independent, join
 from twin.measure.campaign import FloatArray
@@ -175,6 +171,11 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
     Ordinary ripple stays as it was fitted; what was found of the recording acts on the torque, which is compared as it
     was recorded. Only offsets are re-estimated.
     """
+    from twin.diagnose.torque import predicted_torque
+    from twin.diagnose.torque_fit import base_of
+    from twin.diagnose.torque_laws import RECORDING
+    from twin.diagnose.torque_signal import prepare
+
     new = [e for e in finding.robot.physics if e not in finding.given.physics]
     found_there = {(e.effect, e.site) for e in new if e.effect in RECORDING}  # the numbers may have moved since
     recording = [e for e in robot.physics if (e.effect, e.site) in found_there]

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from twin.errors import InputError
 from twin.measure.campaign import (
@@ -247,6 +246,8 @@ def _band(posture: PostureFRF, fmin: float | None, fmax: float | None) -> tuple[
         return float(low), float(min(fmax, frequency[-1]))
     if posture.coherence is None:
         return float(low), float(frequency[-1])
+    from scipy.ndimage import median_filter
+
     # A hammer stops exciting somewhere: above it the coherence of all channels falls for good.
     typical = np.median(posture.coherence.reshape(frequency.size, -1), axis=1)
     usable = median_filter(typical, size=min(25, frequency.size)) > USABLE_COHERENCE

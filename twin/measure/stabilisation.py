@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.poles import Poles
@@ -78,6 +77,8 @@ def clusters(stabilisation: Chart) -> list[Cluster]:
     Kept are stable poles (all symbols but o and f) of plausible damping; average-linkage groups of them that appear
     in a fair share of the orders are physical.
     """
+    from scipy.cluster.hierarchy import fcluster, linkage
+
     keep = [
         (np.array([c in "dvs" for c in marks], dtype=bool))
         & (found.damping > DAMPING_RANGE[0])
