@@ -1,6 +1,9 @@
 """``twin diagnose`` as a user runs it, on recordings of the truth code: what it answers, writes and refuses."""
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -252,3 +255,12 @@ def test_one_model_does_for_a_hammer_test_and_a_log_of_friction_that_turns_round
     assert all(check["passed"] for check in data["checks"])
     robot = load_robot(str(tmp_path / "out" / "robot.yaml"))
     assert {e.site for e in robot.physics if e.effect == "presliding"} == {"joint1", "joint2", "joint3"}
+
+
+def test_what_a_hammer_test_has_no_use_for_is_not_imported() -> None:
+    code = (
+        "import sys, twin.cli, twin.commands.diagnose; print({'scipy.signal', 'scipy.stats', 'glfw'} & {*sys.modules})"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert run.stdout.strip() == "set()"

@@ -129,6 +129,20 @@ def test_meshes_hold_the_compiled_surfaces(milling, recorded):
         assert drawn.bounds == pytest.approx(file.bounds, abs=1e-5)
 
 
+def test_a_box_is_drawn_with_sharp_edges_and_a_ball_round():
+    import trimesh
+
+    box = trimesh.creation.box((1, 2, 3))
+    skin = scene._skin(box.vertices, box.faces)
+    assert len(skin.vertices) == 24  # every corner three times
+    assert skin.normals[skin.triangles] == pytest.approx(np.repeat(box.face_normals[:, None], 3, axis=1))
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    skin = scene._skin(ball.vertices, ball.faces)
+    assert len(skin.vertices) == len(ball.vertices)
+    assert skin.normals == pytest.approx(skin.vertices, abs=5e-3)
+    assert skin.vertices[skin.triangles] == pytest.approx(ball.triangles)
+
+
 def test_no_drawn_turn_is_wild(milling):
     mechanism, found = milling
     stage = scene.stage(mechanism)

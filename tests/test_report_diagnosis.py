@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import find_peaks
 
-from twin.diagnose.evidence import best_spot, off_by, sentence
+from twin.diagnose.evidence import PROMINENCE, _summits, best_spot, off_by, sentence
 from twin.diagnose.joint import Knowledge, pooled, settled_with, together
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord
@@ -59,6 +60,15 @@ def test_a_peak_the_model_does_not_have_is_said_to_be_missing() -> None:
     absent = record(oscillators(20.0), oscillators(11.0, 20.0), oscillators(11.0, 20.0))
     text = sentence("attached_resonator at link3", [absent], ERRORS, [])
     assert "no peak in the measured band near mode 1 at 11.00 Hz" in text
+
+
+def test_peaks_are_those_that_stand_out_on_both_sides() -> None:
+    rng = np.random.default_rng(0)
+    for size in (0.2, 0.5, 1.0, 3.0):
+        for count in (2, 3, 20, 300):
+            noise = size * rng.normal(size=count)
+            for level in (noise, np.cumsum(noise)):
+                assert _summits(level.tolist()) == find_peaks(level, prominence=PROMINENCE)[0].tolist()
 
 
 def test_where_no_peak_moves_the_sentence_tells_the_residual() -> None:

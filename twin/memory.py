@@ -2,7 +2,10 @@
 page, a tenth of the time of a fit whose derivatives are some megabytes large."""
 
 import ctypes
+import gc
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 TRIM, MMAP = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of malloc.h
 KEPT = 1 << 29  # bytes
@@ -19,3 +22,16 @@ def keep_memory() -> None:
         return
     mallopt(TRIM, KEPT)
     mallopt(MMAP, LARGE)
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Cycles among objects are not looked for meanwhile: in modules and figures, which are all cycles and live to the
+    end, the search takes a tenth of the time of importing and drawing them."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()

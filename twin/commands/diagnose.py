@@ -49,6 +49,7 @@ from twin.identify.parameters import Parameters, free_parameters
 from twin.measure.campaign import Campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import read_motion_log
+from twin.memory import uncollected
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.parallel import cores, spread
@@ -420,7 +421,8 @@ def _finish(verdict: Verdict, tests: Sequence[_Test], out: Path | None) -> None:
         name("robot.xml")
         _check(verdict, tests, name.stage)
         verdict.model = {"robot": "robot.yaml", "mjcf": "robot.xml"}
-        _write_report(verdict, name)
+        with uncollected():
+            _write_report(verdict, name)
         page = name("diagnosis.json")
         verdict.files = list(name.files)
         write_json(page, verdict.data())
@@ -447,20 +449,20 @@ def _posture(verdict: Verdict) -> tuple[np.ndarray, Any]:
 
 def _check(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> None:
     """The edit test: the written model, read again, in MuJoCo."""
+    written = load_robot(folder / "robot.yaml")
     for finding, test in zip(verdict.findings, tests, strict=True):
         if test.kind == "motion-log":
             name = next((name for name in test.names if name in finding.held_out), test.names[0])
-            verdict.checks.append(check_replayed(folder / "robot.yaml", test.content.runs[name], test.source))
+            verdict.checks.append(check_replayed(written, test.content.runs[name], test.source))
     frfs = [r for finding in verdict.findings for r in finding.records if isinstance(r, FrfRecord)]
     if frfs:
-        verdict.checks += _hit(verdict, tests, folder) or [check_linear(folder / "robot.yaml", frfs)]
+        verdict.checks += _hit(written, tests) or [check_linear(written, frfs)]
         verdict.payload_edit = payload_edit(verdict.base, verdict.robot, frfs)
-    verdict.checks.append(check_xml(folder / "robot.xml", load_robot(folder / "robot.yaml"), *_posture(verdict)))
+    verdict.checks.append(check_xml(folder / "robot.xml", written, *_posture(verdict)))
 
 
-def _hit(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> list[dict[str, Any]]:
+def _hit(robot: Robot, tests: Sequence[_Test]) -> list[dict[str, Any]]:
     """A nonlinear answer stepped under the blows of a campaign with force levels; none where there is neither."""
-    robot = load_robot(folder / "robot.yaml")
     hit = is_nonlinear(robot) and all(test.kind != "motion-log" for test in tests)  # what a log found is not
     campaigns = [test for test in tests if test.kind == "frf-campaign"] if hit else []
     found = [check_blows(robot, test.content, prepare(test.content, robot, test.source)) for test in campaigns]

@@ -27,7 +27,7 @@ from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
-from twin.robot.description import Entry, Robot, load_robot
+from twin.robot.description import Entry, Robot
 from twin.robot.mechanism import assemble
 
 LINEAR = 1e-6  # relative difference allowed between MuJoCo and the algebra
@@ -38,14 +38,14 @@ EDIT_SHARE = 0.05  # of the robot's mass is the payload of the edit test
 EDIT_MODES = 4
 
 
-def check_linear(description: Path, records: Sequence[FrfRecord]) -> dict[str, Any]:
+def check_linear(robot: Robot, records: Sequence[FrfRecord]) -> dict[str, Any]:
     """The written description, linearised by MuJoCo, against the algebra that found it.
 
     Args:
-        description: ``robot.yaml`` as written.
+        robot: ``robot.yaml`` as written, read again.
         records: postures and channels to predict.
     """
-    robot = without_limits(load_robot(description))
+    robot = without_limits(robot)
     worst = 0.0
     for record in {r.posture: r for r in records}.values():
         lines = record.frequency[:: max(1, len(record.frequency) // LINES)]
@@ -97,9 +97,9 @@ def is_nonlinear(robot: Robot) -> bool:
     return any(entry.effect in AMPLITUDE for entry in robot.physics[-1:])
 
 
-def check_replayed(description: Path, run: MotionRun, source: str) -> dict[str, Any]:
-    """The written description time-stepped along a run under servos against its inverse dynamics, after a low-pass."""
-    robot = load_robot(description)
+def check_replayed(robot: Robot, run: MotionRun, source: str) -> dict[str, Any]:
+    """The written description, read again, time-stepped along a run under servos against its inverse dynamics, after a
+    low-pass."""
     count = round(min(REPLAYED_S, run.time[-1] - run.time[0]) * run.sample_rate_hz)
     series = {field.name: getattr(run, field.name) for field in fields(run)}
     first: dict[str, Any] = {name: v[:count] for name, v in series.items() if isinstance(v, np.ndarray)}

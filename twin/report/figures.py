@@ -49,7 +49,8 @@ def save(figure: Figure, path: str | Path) -> None:
         os.fchmod(handle, 0o644)
         with os.fdopen(handle, "wb") as stream:
             figure.dpi = _DPI
-            FigureCanvasAgg(figure).print_png(stream)  # draws once, savefig twice
+            # draws once, savefig twice; a tenth larger than need be, in two thirds of the time
+            FigureCanvasAgg(figure).print_png(stream, pil_kwargs={"compress_level": 3})
         os.replace(aside, path)
     except BaseException:
         os.unlink(aside)
