@@ -181,8 +181,31 @@ def case(kind: str, recording: Recording, seed: int, number: int, sizes: tuple[f
 
     `sizes`: least and largest multiple of the smallest visible size.
     """
-    hidden, looks = (np.random.default_rng([seed, k]) for k in (1, 2))
+    hidden = np.random.default_rng([seed, 1])
     candidates = _candidates(kind, recording, number, hidden)
+    campaign, motion, without = _recorded(recording, seed, candidates)
+    effects, multiples, hiding = _sized(candidates, campaign, motion, sizes, hidden)
+    if campaign:
+        shown = tuple(e for e in effects if EFFECTS[e.kind].shows != "log")
+        campaign = replace(campaign, truth=replace(campaign.truth, effects=shown))
+    if motion:
+        shown = tuple(e for e in effects if recording == "log" or EFFECTS[e.kind].shows in ("log", "both"))
+        motion = replace(motion, truth=replace(motion.truth, effects=shown))
+    return Case(seed, kind, recording, effects, multiples, hiding, tuple(without), campaign, motion)
+
+
+def struck(kind: str, recording: Recording, seed: int, number: int) -> HammerTest:
+    """How the robot of a case with a hammer test is struck, of whatever size its effects are."""
+    campaign, *_ = _recorded(recording, seed, _candidates(kind, recording, number, np.random.default_rng([seed, 1])))
+    assert campaign is not None
+    return campaign.test
+
+
+def _recorded(
+    recording: Recording, seed: int, candidates: Sequence[Effect]
+) -> tuple[Campaign | None, Motion | None, list[str]]:
+    """What is recorded of the robot without its effects, and entries that its base model is to be without."""
+    looks = np.random.default_rng([seed, 2])
     hits = looks.random() < RAW and recording == "hammer" and not any(e.kind in NOT_IN_TIME for e in candidates)
     campaign = motion = None
     without: list[str] = []
@@ -192,14 +215,7 @@ def case(kind: str, recording: Recording, seed: int, number: int, sizes: tuple[f
     if recording in ("log", "both"):
         motion, missing = _motion(seed, candidates, looks)
         without += missing
-    effects, multiples, hiding = _sized(candidates, campaign, motion, sizes, hidden)
-    if campaign:
-        shown = tuple(e for e in effects if EFFECTS[e.kind].shows != "log")
-        campaign = replace(campaign, truth=replace(campaign.truth, effects=shown))
-    if motion:
-        shown = tuple(e for e in effects if recording == "log" or EFFECTS[e.kind].shows in ("log", "both"))
-        motion = replace(motion, truth=replace(motion.truth, effects=shown))
-    return Case(seed, kind, recording, effects, multiples, hiding, tuple(without), campaign, motion)
+    return campaign, motion, without
 
 
 NOT_IN_TIME = ("structural_damping", "fractional_damper", "time_delay", "servo_compliance")

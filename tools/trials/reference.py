@@ -1,7 +1,8 @@
 """The true model refitted: the held-out error that an answer's is compared to.
 
 What is concealed is put into the description as it truly is, everything is fitted as ``twin diagnose`` fits it, on the
-postures it uses. A law of amplitude is held at its true numbers and stepped, after blows of their true length.
+postures it uses. A law of amplitude is held at its true numbers and stepped, after blows of their true length. The fit
+starts from the robot that was struck: its optimum is next to that, and no search for it can fail.
 
 SPLIT/references/ID.json     the error, and the engine that fitted
 """
@@ -13,27 +14,24 @@ from typing import Any
 
 import numpy as np
 
-from tools.trials.cases import SIZES, case
+from tools.trials.cases import struck
 from tools.trials.store import engine_hash, read, write
 from twin.commands.modal import read_recording
-from twin.diagnose.blow import COARSE_HZ
 from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.joint_reaction import Stepped, blows
-from twin.diagnose.levels_finding import stepped_records
 from twin.diagnose.objective import Sample
-from twin.diagnose.records import frf_records
-from twin.diagnose.refit import minimise
-from twin.diagnose.search import converge
-from twin.diagnose.struck import law_of
+from twin.diagnose.physical import physical
+from twin.diagnose.refit import NONE, descend, minimise
+from twin.diagnose.struck import judge_struck, law_of
 from twin.diagnose.triage import triage
 from twin.identify.elastic import without_limits
-from twin.identify.parameters import free_parameters
+from twin.identify.elastic_compare import judge
+from twin.identify.parameters import SIX, Parameters, free_parameters
 from twin.measure.campaign import FloatArray
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry, load_robot
 
-LINES, ITERATIONS = 30, 15
-TEMPERS = (0.1, 0.03, 0.01)  # relative model error, on the way to none
+ITERATIONS, GAIN = 20, 0.1  # in ln likelihood: less is not waited for
 
 
 def refer(split: Path, name: str) -> None:
@@ -63,6 +61,23 @@ def described(effects: Sequence[dict[str, Any]]) -> list[Entry] | None:
     return found
 
 
+def true_values(parameters: Parameters, truth: dict[str, Any]) -> FloatArray:
+    """What the robot struck has of the numbers (n,) that a fit may change; a concealed entry's are as described."""
+    chain = truth["chain"]
+    known = {"posture.sag": float(truth["sag"])}
+    for i, (link, k, c) in enumerate(zip(chain["links"], chain["stiffness"], chain["damping"], strict=True), 1):
+        for a, stiffness, damping in zip("zxy", k, c, strict=True):
+            if stiffness is not None:  # else what is concealed is all there is
+                known |= {f"joint{i}.{a}.stiffness": stiffness, f"joint{i}.{a}.damping": damping}
+        known |= {f"link{i}.mass": link["mass"]}
+        known |= {f"link{i}.com.{a}": value for a, value in zip("xyz", link["com"], strict=True)}
+        known |= {f"link{i}.inertia.{a}{b}": link["inertia"]["xyz".index(a)]["xyz".index(b)] for a, b in SIX}
+    for name, angles in truth["posture_error"].items():
+        known |= {f"posture.{name}.q{i}": value for i, value in enumerate(angles, 1)}
+    known |= {f"gain.{label}": value for label, value in truth["gain"].items()}
+    return np.array([known.get(p.name, p.mean) for p in parameters])
+
+
 def held_out_error(split: Path, name: str) -> float | None:
     """Of the true model, refitted to the hammer test of a case; ``None`` where there is none, or no such model."""
     answer = read(split / "answers" / f"{name}.json")
@@ -75,37 +90,19 @@ def held_out_error(split: Path, name: str) -> float | None:
     laws = [entry for entry in entries if entry.effect in AMPLITUDE]
     given = given.model_copy(update={"physics": [*given.physics, *(e for e in entries if e not in laws)]})
     base, found = without_limits(given), triage(campaign, given, str(source), None)
+    if not found.kept:
+        return None
     sample = Sample(tuple(found.used), 1 / found.shared)
     free = free_parameters(base, dict.fromkeys(r.setup.name for r in found.used), found.used[0].setup.response.label)
-    search = converge(base, free, sample)
-    records, errors = frf_records(base, search.base, search.base, found.used, found.kept)
-    error: dict[str, float | None] = errors["after"]
-    for law_entry in laws:
-        drawn = case(answer["kind"], answer["recording"], answer["seed"], answer["number"], _sizes(split))
-        assert drawn.campaign is not None
-        how = {g: replace(b, pulse_s=drawn.campaign.test.pulse_s) for g, b in (blows(campaign) or {}).items()}
-        law, sizes, _, plain = law_of(base.model_copy(update={"physics": [*base.physics, law_entry]}))
-        stepped = Stepped(plain, free, sample, law=law, site=law_entry.site, blow=how, fixed=sizes)
-        z = refitted(stepped, [np.zeros(len(free)), search.robust, search.base.z])
-        robot = free.apply(plain, free.values(z))
-        robot = robot.model_copy(update={"physics": [*robot.physics, law_entry]})
-        fit = replace(search.base, z=z, values=free.values(z), robot=robot)
-        _, error = stepped_records(records, stepped, fit, found.used, found.kept, how)
-    return error["held_out"]
-
-
-def refitted(objective: Stepped, starts: Sequence[FloatArray]) -> FloatArray:
-    """Coordinates of the best fit from some starts, a law's numbers held."""
-    few = replace(objective, sample=objective.sample.thin(LINES))
-    ends = []
-    for z in starts:
-        for temper in TEMPERS:
-            z = minimise(replace(few, temper=temper, rate_hz=COARSE_HZ), z, ITERATIONS, 0.5)[0]
-        ends.append(minimise(replace(few, closely=True), z, ITERATIONS, 0.1)[:2])
-    z = min(ends, key=lambda end: end[1])[0]
-    return minimise(replace(objective, closely=True), z, 2 * ITERATIONS, 0.1)[0]
-
-
-def _sizes(split: Path) -> tuple[float, float]:
-    low, high = read(split / "answers" / "plan.json").get("sizes", SIZES)
-    return low, high
+    z = free.coordinates(true_values(free, answer["truth"]["campaign"]))
+    if not laws:
+        fit = descend(base, NONE, free, sample, z, tempered=0, linear=ITERATIONS, tolerance=GAIN)
+        return judge(physical(fit.robot), found.kept).error
+    (entry,) = laws
+    pulse_s = struck(answer["kind"], answer["recording"], answer["seed"], answer["number"]).pulse_s
+    how = {group: replace(b, pulse_s=pulse_s, known=True) for group, b in (blows(campaign) or {}).items()}
+    law, sizes, site, _ = law_of(base.model_copy(update={"physics": [*base.physics, entry]}))
+    objective = Stepped(base, free, sample, law=law, site=site, blow=how, fixed=sizes, closely=True)
+    z, *_ = minimise(objective, z, ITERATIONS, GAIN)
+    robot = free.apply(base, free.values(z))
+    return judge_struck(robot.model_copy(update={"physics": [*robot.physics, entry]}), found.kept, how).error
