@@ -13,14 +13,18 @@ import pytest
 from tools.trials import __main__ as trials
 from tools.trials import ask, make, real, reference, score, store
 from tools.trials.baselines import metadata
-from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campaign, _candidates, case, plan
+from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campaign, _candidates, case, plan, struck
 from tools.trials.naive import best_correlated
 from tools.trials.report import _reading
 from tools.trials.score import Rate, Scored
 from tools.trials.visible import SEEN, hammer_signal, level_signal, multiple_of_visible, overlap, scaled
 from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
-from tools.truth.recording import Posture
+from tools.truth.recording import HammerTest, Posture, draw_postures, draw_truth, plain, write_campaign
+from twin.commands.modal import read_recording
+from twin.diagnose.objective import Objective, Sample
+from twin.identify.elastic import prepare, without_limits
+from twin.identify.parameters import free_parameters
 from twin.robot.description import load_robot
 
 ERROR = {
@@ -412,12 +416,42 @@ def test_a_true_model_is_what_the_vocabulary_can_say() -> None:
     known = {"effect": "backlash", "site": "joint1.z", "parameters": {"gap": 1e-5}}
     beam = {"effect": "link_flexibility", "site": "link1.y", "parameters": {"stiffness": 1e7, "segments": 5}}
     drag = {"effect": "eddy_current_damper", "site": "joint1.z", "parameters": {"coefficient": 1.0}}
-    assert [(e.effect, e.site, e.values) for e in reference.described([known]) or []] == [
+    assert [(e.effect, e.site, e.values) for e in reference.described([known], {}) or []] == [
         ("backlash", "joint1.z", {"gap": 1e-5})
     ]
-    assert reference.described([]) == []
-    assert reference.described([beam]) is None
-    assert reference.described([known, drag]) is None
+    assert reference.described([], {}) == []
+    assert reference.described([beam], {}) is None
+    assert reference.described([known, drag], {}) is None
+
+
+def test_a_reference_starts_at_the_robot_that_was_struck(tmp_path: Path) -> None:
+    postures = draw_postures(3, np.random.default_rng(1))
+    hidden = (
+        Effect("transverse_compliance", "joint2.y", {"stiffness": 2e7, "damping": 50.0}),
+        Effect("servo_compliance", "joint2", {"stiffness": 2e6, "damping": 80.0}),
+    )
+    truth = draw_truth(11, (), postures, Tolerances())
+    truth.chain.stiffness[1, 2] = np.inf
+    truth = replace(truth, effects=hidden)
+    exact = HammerTest(lines=40, noise=1e-9, scatter=1e-7)
+    write_campaign(tmp_path / "frf.h5", truth, postures, exact, np.random.default_rng(2))
+    robot = load_robot("kr90").without(["transverse_compliance@joint2.y"])
+    entries = reference.described(
+        [{"effect": e.kind, "site": e.site, "parameters": e.parameters} for e in hidden], plain(truth.chain)
+    )
+    robot = without_limits(robot.model_copy(update={"physics": [*robot.physics, *(entries or [])]}))
+    used = list(prepare(read_recording([tmp_path / "frf.h5"]), robot, "").values())
+    free = free_parameters(robot, [p.name for p in postures], used[0].setup.response.label)
+    values = reference.true_values(free, plain(truth))
+    predicted = Objective(robot, free, Sample(tuple(used))).predicted(free.coordinates(values))
+    for r, H in zip(used, predicted, strict=True):
+        np.testing.assert_allclose(H, r.frf, atol=1e-5 * float(np.abs(r.frf).max()))
+
+
+def test_how_a_case_is_struck_is_known_without_sizing_its_effects() -> None:
+    drawn = case("none", "levels", 5, 0).campaign
+    assert drawn is not None
+    assert struck("none", "levels", 5, 0) == drawn.test
 
 
 def test_what_was_written_by_hand_stays_and_tells_its_engine(tmp_path: Path) -> None:

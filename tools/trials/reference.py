@@ -49,15 +49,19 @@ def kept(split: Path, name: str) -> float | None:
     return error
 
 
-def described(effects: Sequence[dict[str, Any]]) -> list[Entry] | None:
-    """Entries of a description that are what is concealed; ``None`` where it holds what none can say: a link that bends
-    as a beam, a cascade servo, a law outside the vocabulary."""
+def described(effects: Sequence[dict[str, Any]], chain: dict[str, Any]) -> list[Entry] | None:
+    """Entries of a description that are what is concealed in a chain; ``None`` where it holds what none can say: a link
+    that bends as a beam, a law outside the vocabulary."""
     found = []
     for e in effects:
         known = {p.name for p in CATALOGUE[e["effect"]].parameters} if e["effect"] in CATALOGUE else set()
         if not set(e["parameters"]) <= known:
             return None
-        found.append(Entry(effect=e["effect"], site=e["site"], **e["parameters"]))
+        values = e["parameters"]
+        if e["effect"] == "servo_compliance":  # which sets its rotor free, whose inertia is not the description's
+            i = int(e["site"].removeprefix("joint")) - 1
+            values = {"inertia": chain["gear_ratio"][i] ** 2 * chain["rotor_inertia"][i], **values}
+        found.append(Entry(effect=e["effect"], site=e["site"], **values))
     return found
 
 
@@ -81,8 +85,11 @@ def true_values(parameters: Parameters, truth: dict[str, Any]) -> FloatArray:
 def held_out_error(split: Path, name: str) -> float | None:
     """Of the true model, refitted to the hammer test of a case; ``None`` where there is none, or no such model."""
     answer = read(split / "answers" / f"{name}.json")
-    entries = described(answer["effects"])
-    if answer["recording"] not in ("hammer", "levels") or entries is None:
+    if answer["recording"] not in ("hammer", "levels"):
+        return None
+    truth = answer["truth"]["campaign"]
+    entries = described(answer["effects"], truth["chain"])
+    if entries is None:
         return None
     source = split / "recordings" / name / "frf.h5"
     campaign = read_recording([source])
@@ -94,7 +101,7 @@ def held_out_error(split: Path, name: str) -> float | None:
         return None
     sample = Sample(tuple(found.used), 1 / found.shared)
     free = free_parameters(base, dict.fromkeys(r.setup.name for r in found.used), found.used[0].setup.response.label)
-    z = free.coordinates(true_values(free, answer["truth"]["campaign"]))
+    z = free.coordinates(true_values(free, truth))
     if not laws:
         fit = descend(base, NONE, free, sample, z, tempered=0, linear=ITERATIONS, tolerance=GAIN)
         return judge(physical(fit.robot), found.kept).error
