@@ -73,6 +73,11 @@ class Promise:
     start: FloatArray
     fallback: FloatArray
 
+    @property
+    def sized(self) -> bool:
+        """Whether the suspect has a size that is never zero: its promise is to first order about a size, not null."""
+        return any(p.log for p in self.suspect.own)
+
 
 @dataclass(frozen=True)
 class Setting:

@@ -5,7 +5,7 @@ long as the evidence grows; then every thing found is taken out in turn and the 
 place, since one thing may have been found in the stead of another. All finalists end on all lines, at convergence.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -324,7 +324,10 @@ def _round(
         starts = _halve(setting, _varied(promises, CANDIDATES), progress, search.processes)
     else:
         likely = _varied(promises, FINALISTS)
-        kept = [p for k, p in enumerate(likely) if every or k == 0 or p.gain > least]
+        # what has no size, as a gain, is promised what it brings: it must be worth something
+        kept = [
+            p for k, p in enumerate(likely) if every or k == 0 or p.gain > (least if p.sized else max(least, WORTH))
+        ]
         starts = [(p, [p.start, p.fallback]) for p in kept]
     found: list[Fitted] = []
     tick = progress("refit", len(starts))
@@ -415,21 +418,32 @@ def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
 def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Sample) -> list[Fitted]:
     """Hypotheses at their optimum on all lines, the better of it and what was known of each; side by side."""
     reach, few = _reach(search), sample.thin(REFIT_LINES)
+    worth = min((one.worth for one in places), default=np.inf)
 
     def near(number: int) -> Fitted:
         return _nearly(robot, places[number], few, ROUGHLY * min(places[number].worth, reach))
 
-    nearly = list(spread(near, len(places), search.processes))
+    nearly = _best_of_each(spread(near, len(places), search.processes))
     best = min((ROUGHLY * fit.cost + REACH * max(1.0, fit.misfit) for fit in nearly), default=np.inf)
 
     def end(number: int) -> Fitted:
-        return _fully(robot, nearly[number], sample, min(places[number].worth, reach, best))
+        return _fully(robot, nearly[number], sample, min(worth, reach, best))
 
-    for one, fit in zip(places, spread(end, len(places), search.processes), strict=True):
-        known = search.fits.get(one.hypothesis.identity)
+    for fit in spread(end, len(nearly), search.processes):
+        known = search.fits.get(fit.hypothesis.identity)
         if known is None or fit.cost < known.cost:
-            search.fits[one.hypothesis.identity] = fit
+            search.fits[fit.hypothesis.identity] = fit
     return [search.fits[one.hypothesis.identity] for one in places]
+
+
+def _best_of_each(fits: Iterable[Fitted]) -> list[Fitted]:
+    """One fit of every hypothesis: of variants, those that others beat on a few lines are not fitted to all."""
+    best: dict[frozenset[str], Fitted] = {}
+    for fit in fits:
+        known = best.get(fit.hypothesis.identity)
+        if known is None or fit.cost < known.cost:
+            best[fit.hypothesis.identity] = fit
+    return list(best.values())
 
 
 def _nearly(robot: Robot, one: _Place, few: Sample, hopeless: float) -> Fitted:
