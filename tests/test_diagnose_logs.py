@@ -399,7 +399,7 @@ def test_a_second_log_keeps_what_it_found(monkeypatch: pytest.MonkeyPatch) -> No
     told: dict[str, Any] = {}
     monkeypatch.setattr(diagnose, "predicted_by", lambda *_: [])
     monkeypatch.setattr(diagnose, "pooled", lambda *_: {})
-    monkeypatch.setattr(diagnose, "with_evidence", lambda finding: [])
+    monkeypatch.setattr(torque, "with_evidence", lambda finding: [])
     monkeypatch.setattr(diagnose, "together", lambda findings, base, robot: told.update(robot=robot))
     first, last = (
         SimpleNamespace(
