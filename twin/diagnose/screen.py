@@ -36,6 +36,7 @@ from twin.robot.mechanism import fuse
 SIZES = (-0.5, 1.0)
 """Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""
 FAR_STARTS = 2  # of an effect's ``sizes`` where the current model is far off
+SPARSE = 0.2  # of the lines: fewer are taken by themselves
 YIELDING = 5  # iterations in which springs make room for an entry
 YIELDING_POSTURES = 4
 AHEAD = 1.5  # times the least cost of other sizes: with more, a size is no start
@@ -137,6 +138,10 @@ class Linear:
 
     def share(self, vectors: FloatArray) -> FloatArray:
         """What the step can make of vectors (data,) or (m, data): (n,) or (n, m)."""
+        if vectors.ndim > 1:
+            touched = np.flatnonzero(vectors.any(axis=0))  # of one channel, a few: little of Q is read
+            if len(touched) < SPARSE * vectors.shape[-1]:
+                return np.asarray((vectors[:, touched] @ self.Q[touched]).T)
         return np.asarray((vectors @ self.Q[: vectors.shape[-1]]).T)
 
     def step(self, share: FloatArray) -> FloatArray:
@@ -235,6 +240,7 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
             starts.append((0.0, z))
         else:
             found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
+    starts = [start for start in starts if start[0] <= AHEAD * min(cost for cost, _ in starts)]
     for _, z in sorted(starts, key=lambda start: start[0])[:FAR_STARTS]:
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
     if size is not None and not setting.logarithmic:
@@ -341,8 +347,8 @@ def _near_promise(
 ) -> Promise:
     base, n, m = setting.linear, len(setting.z), len(suspect.own)
     residual, D = objective.within(z, range(n, n + m)).jacobian(z[n:])
-    shares = base.share(np.vstack([D, residual]))  # at once: they read all of Q
-    own, share, rho, along = z[n:], shares[:, :m], shares[:, m] - base.offset, D @ residual
+    shares = base.share(np.vstack([D, residual - base.residual]))  # at once: they may read all of Q
+    own, share, rho, along = z[n:], shares[:, :m], shares[:, m] + base.own, D @ residual
     change = np.linalg.solve(D @ D.T - share.T @ share + np.eye(m), along - share.T @ rho - own)
     step = np.asarray(np.concatenate([base.step(rho - share @ change), change]), float)
     loss = 0.5 * float(residual @ residual + z @ z) - before

@@ -107,7 +107,7 @@ def converge(
     found = sorted(spread(closely, len(apart), processes), key=lambda start: start[1])
     robust, plain = found[0][0], Objective(robot, parameters, more)
     far = model_error(plain, robust) > FAR  # which optimum of a wrong model is the better, its last digit say nothing
-    steps = 5 if far else 15
+    steps = 3 if far else 15
     ends = sorted(spread(end, 1 if far else len(found), processes), key=lambda fit: fit.cost)
     error = model_error(plain, ends[0].z)
     base, *others = sorted([on_all(fit) for fit in ends], key=lambda fit: fit.cost)
@@ -202,7 +202,8 @@ def _without_last(robot: Robot, search: Search, simpler: Fitted, richer: Fitted,
     """The simpler hypothesis fitted again from where the richer one ended: a valley may not have been followed out."""
     place = _Place(simpler.hypothesis, simpler.parameters, (richer.z[: len(simpler.z)],))
     near = richer.cost + REACH * max(1.0, richer.misfit)
-    roughly = _nearly(robot, place, sample.thin(REFIT_LINES), ROUGHLY * near)
+    lines = SCREEN_LINES if simpler is search.base and search.error > FAR else REFIT_LINES
+    roughly = _nearly(robot, place, sample.thin(lines), ROUGHLY * near)
     fit = _fully(robot, roughly, sample, near) if roughly.cost < ROUGHLY * near else simpler
     if fit.cost >= simpler.cost:
         return simpler
@@ -321,7 +322,9 @@ def _round(
     thinned = lines.repeat / sample.repeat  # fewer lines promise as many times the noise
     least = max(SLIGHT * thinned, RACE * promises[0].gain)
     if error > 0:
-        starts = _halve(setting, _varied(promises, CANDIDATES), progress, search.processes)
+        likely = _varied(promises, CANDIDATES)
+        likely = [p for k, p in enumerate(likely) if k < FINALISTS or p.gain > RACE * promises[0].gain]
+        starts = _halve(setting, likely, progress, search.processes)
     else:
         likely = _varied(promises, FINALISTS)
         # what has no size, as a gain, is promised what it brings: it must be worth something
@@ -433,11 +436,11 @@ def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Samp
         known = search.fits.get(fit.hypothesis.identity)
         if known is None or fit.cost < known.cost:
             search.fits[fit.hypothesis.identity] = fit
-    return [search.fits[one.hypothesis.identity] for one in places]
+    return [search.fits[identity] for identity in dict.fromkeys(one.hypothesis.identity for one in places)]
 
 
 def _best_of_each(fits: Iterable[Fitted]) -> list[Fitted]:
-    """One fit of every hypothesis: of variants, those that others beat on a few lines are not fitted to all."""
+    """One fit of every hypothesis: of its variants, the one that is ahead."""
     best: dict[frozenset[str], Fitted] = {}
     for fit in fits:
         known = best.get(fit.hypothesis.identity)

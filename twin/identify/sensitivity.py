@@ -728,12 +728,14 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
         if m.any()
     ]
     left = np.zeros((nf, nr, n, nv), complex)
+    moved = bool(parts) or rate.J_r.any()
     if parts:
         flat = np.concatenate([factor[:, None, None] * pull for _, factor in parts], axis=2)
         left = (flat.reshape(nf * nr, -1) @ np.concatenate([m for m, _ in parts])).reshape(left.shape)
     for p in np.flatnonzero(rate.J_r.any(axis=(1, 2))):
         left[:, :, p] += record * rate.J_r[p]
-    slope = (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
+    slope = left.reshape(nf, nr * n, nv) @ X_e if moved else np.zeros((nf, nr * n, ne), complex)
+    slope = slope.reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
     some = np.flatnonzero(rate.J_e.any(axis=(1, 2)))
     if some.size:
         turned = pull.reshape(nf * nr, nv) @ rate.J_e[some].transpose(2, 0, 1).reshape(nv, -1)
