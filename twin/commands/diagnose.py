@@ -27,6 +27,7 @@ from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
+from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, converge, explain, settle
 from twin.diagnose.struck import without_laws
 from twin.diagnose.triage import triage
@@ -314,7 +315,8 @@ def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
 def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     """A fit whose links are bodies that can exist: if they are not, the rest is fitted again with links that are.
 
-    Those are the nearest to the fitted ones, or the described ones, whichever explains the recordings better.
+    Those are the nearest to the fitted ones, or the described ones, whichever explains the recordings better; of a fit
+    that is far off they are the described ones.
     """
     robot = physical(fit.robot)
     if robot is fit.robot:
@@ -324,7 +326,10 @@ def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     values = np.array([fit.values[written.names.index(name)] for name in free.names])
     described = robot.model_copy(update={"links": base.links})
     few, fits = sample.thin(REFIT_LINES), []
-    for start, z, logarithmic in ((robot, free.coordinates(values), 0), (described, np.zeros(len(free)), 25)):
+    starts = [(described, np.zeros(len(free)), 25)]
+    if inflation(fit, base, few) <= FAR:
+        starts.append((robot, free.coordinates(values), 0))
+    for start, z, logarithmic in starts:
         fits.append((descend(start, NONE, free, few, z, logarithmic=logarithmic, linear=5), start))
     best, start = min(fits, key=lambda pair: pair[0].cost)
     return replace(descend(start, NONE, free, sample, best.z, tempered=0, linear=25), hypothesis=fit.hypothesis)

@@ -87,12 +87,14 @@ def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None) -> d
     objective = Objective(fit.robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
     Q, rho = _left(residual, fit.z, J if aside is None else np.vstack([J, aside]))
-    by_value = np.linalg.solve(fit.parameters.transform(fit.values).T, J)
+    by_z = np.linalg.inv(fit.parameters.transform(fit.values).T)
     ends = np.cumsum([0, *(2 * w.size for w in objective.weight)])
     found: dict[str, float] = {}
     for k, parameter in enumerate(fit.parameters):
-        slope = by_value[k] * fit.values[k]
-        if parameter.kind != "spring" or parameter.quantity != "stiffness" or not slope.any():
+        if parameter.kind != "spring" or parameter.quantity != "stiffness":
+            continue
+        slope = by_z[k] @ J * fit.values[k]
+        if not slope.any():
             continue
         postures = np.zeros((len(sample.recordings), len(slope)))
         bends, half = np.zeros((4, len(slope))), np.zeros((1, len(slope)))

@@ -27,6 +27,7 @@ TURN = 0.75  # of a step: its longest correction for the bend
 STRAIGHT = 0.02  # of a step: a bend that corrects less is not asked for again,
 KEPT = 0.9  # while steps keep so much of what they promise
 HOPE = 5.0  # times the expected gain: more is not hoped for
+ASTRAY = 100.0  # times the variance of noise: how badly such a fit foretells needs no last digit
 SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
 WIDER = (1.0, 2.0, 4.0)
@@ -327,8 +328,9 @@ def foreseen(fit: Fitted, kept: Sample) -> Fitted:
     known = after(fit.parameters)
     if isinstance(fit.parameters, Sprung):
         known = Sprung(known.items, known.covariance, after(fit.parameters.written))
-    few = descend(fit.robot, NONE, known, kept.thin(50), np.zeros(len(known)), tempered=0, linear=8, tolerance=0.1)
-    return descend(fit.robot, NONE, known, kept, few.z, tempered=0, linear=8, tolerance=0.1)
+    steps = 8 if fit.misfit < ASTRAY else 2
+    few = descend(fit.robot, NONE, known, kept.thin(50), np.zeros(len(known)), tempered=0, linear=steps, tolerance=0.1)
+    return descend(fit.robot, NONE, known, kept, few.z, tempered=0, linear=steps, tolerance=0.1)
 
 
 def noise_floor(recordings: Sequence[Recorded]) -> float:
