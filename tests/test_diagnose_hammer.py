@@ -10,7 +10,7 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
-from twin.diagnose.hypotheses import companions, entry_hypothesis, merged, same_axes, suspects, together
+from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import next_test
 from twin.diagnose.noise import pooled_variance, shared_lines
@@ -20,7 +20,7 @@ from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
 from twin.diagnose.search import Search, _about_the_same_axis, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
-from twin.diagnose.verdict import judge, rival_of, strained
+from twin.diagnose.verdict import elsewhere, judge, rival_of, strained
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import Parameter as Free
 from twin.identify.parameters import Parameters, free_parameters, independent
@@ -72,6 +72,9 @@ def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> N
     assert decision.none > 0.9
     assert 0.8 < base.misfit < 1.1
     assert not search.others  # all starts reach one minimum
+    assert not elsewhere(search.base, search.others)
+    (said,) = elsewhere(search.base, [replace(search.base, misfit=3.0)])
+    assert "3 times the variance" in said
 
 
 def test_a_foundation_that_tilts_is_named(tmp_path: Path) -> None:
@@ -276,6 +279,29 @@ def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_p
     decision = decide([fit], base, looked_at(case), kept=kept)
     assert decision.none < 0.05
     assert judge(decision) != "adequate"
+
+
+@pytest.mark.parametrize(("bare", "named", "told"), [(1.126, 1.122, False), (5.0, 4.0, True)])
+def test_scatter_of_few_lines_that_were_held_out_is_not_held_against_a_name(
+    monkeypatch: pytest.MonkeyPatch, bare: float, named: float, told: bool
+) -> None:
+    """480 data have χ² of 1 ± 0.06 each: 1.12 is noise, with the answer as without; four times the noise is not."""
+    gain = entry_hypothesis(load_robot("kr90"), "sensor_gain", "sensor:21Z+", {"gain": 1.0})
+
+    def fitted(evidence: float, misfit: float, data: int, hypothesis: Hypothesis) -> Any:
+        def weigh(scale: float = 1.0) -> float:
+            return evidence
+
+        return SimpleNamespace(
+            evidence=weigh, misfit=misfit, cost=0.5 * misfit * data, data=data, hypothesis=hypothesis
+        )
+
+    base, fit = fitted(0.0, 1.27, 2880, NONE), fitted(600.0, 0.84, 2880, gain)
+    unseen = {NONE.key: fitted(0.0, bare, 480, NONE), gain.key: fitted(0.0, named, 480, gain)}
+    monkeypatch.setattr("twin.diagnose.decide.foreseen", lambda fit, kept: unseen[fit.hypothesis.key])
+    decision = decide([fit], base, [[gain]], kept=Sample(()))
+    assert (decision.other > 0.9) == told
+    assert (decision.probability[0] > 0.9) != told
 
 
 def test_a_size_far_from_the_usual_promises_what_evidence_makes_of_it() -> None:

@@ -102,12 +102,12 @@ def decide(
     names, together = _shared(names, fits, axes) if axes else (names, names)
     first = np.lexsort((-names, -together))[:1]  # what is likeliest on the axis that is
     order = np.concatenate([first, np.setdiff1d(np.argsort(-names, stable=True), first, assume_unique=True)])
-    noise = numbers["noise_misfit"] + 2 * float(np.sqrt(2 / max(base.data, 1)))
+    noise = numbers["noise_misfit"] + _scatter(base)
     if other is None:
         left = _left(base.misfit, best_misfit, noise)
         if unseen and len(order) and nothing < 0.5:
-            before, after = (_misfit(unseen(k)) for k in (len(fits), int(order[0])))
-            left = max(left, _left(before, after, numbers["held_out_misfit"]))
+            bare, named = (unseen(k) for k in (len(fits), int(order[0])))
+            left = max(left, _left(_misfit(bare), _misfit(named), numbers["held_out_misfit"] + _scatter(named)))
         other = _other(left, numbers)
     none, known, nameless = (1 - other) * float(nothing), (1 - other) * names, (1 - other) * nameless
     alike = (1 - other) * float(together[order[0]]) if len(order) else 0.0
@@ -153,6 +153,11 @@ def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> 
     for k in np.flatnonzero(gains > max(gains[best], 0.0) - REACH):
         later[k] = unseen(int(k)).evidence(scale) - nothing
     return later
+
+
+def _scatter(fit: Fitted) -> float:
+    """Two standard deviations of χ² per datum, of noise alone."""
+    return 2 * float(np.sqrt(2 / max(fit.data, 1)))
 
 
 def _misfit(unseen: Fitted) -> float:
