@@ -16,8 +16,6 @@ from uuid import uuid4
 
 import mujoco
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from twin.errors import InputError
 from twin.model.linear import posture_state
@@ -599,31 +597,13 @@ def _skins(mechanism: Mechanism, model: mujoco.MjModel) -> dict[str, Skin]:
 
 
 def _skin(vertices: np.ndarray, triangles: np.ndarray) -> Skin:
-    """Vertices split along creases, so that edges look sharp and round surfaces smooth.
+    """Vertices split along creases, so that edges look sharp and round surfaces smooth."""
+    import trimesh
 
-    Facets that meet at less than a crease are one surface. Its normals are the mean of its facets' normals, weighted by
-    the facets' angles there (Thürrner and Wüthrich, J. Graphics Tools 3, 43, 1998).
-    """
-    corners = vertices[triangles]
-    side = np.roll(corners, -1, axis=1) - corners  # from a corner to the next
-    side /= np.maximum(np.linalg.norm(side, axis=2, keepdims=True), 1e-300)
-    normal = np.cross(side[:, 0], side[:, 1])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    angle = np.arccos(np.clip(-np.sum(side * np.roll(side, 1, axis=1), axis=2), -1, 1))
-    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    edge = ends[:, 0].astype(np.int64) * len(vertices) + ends[:, 1]
-    order = np.argsort(edge, kind="stable")
-    _, start, count = np.unique(edge[order], return_index=True, return_counts=True)
-    one, other = (order[start[count == 2] + k] // 3 for k in (0, 1))  # facets on both sides of an edge
-    smooth = np.sum(normal[one] * normal[other], axis=1) > np.cos(_CREASE_RAD)
-    links = coo_array((smooth[smooth], (one[smooth], other[smooth])), shape=(len(triangles),) * 2)
-    surface = connected_components(links, directed=False)[1].astype(np.int64)
-    own, index = np.unique(surface[:, None] * len(vertices) + triangles, return_inverse=True)
-    index = index.reshape(triangles.shape)
-    normals = np.zeros((len(own), 3))
-    np.add.at(normals, index, angle[:, :, None] * normal[:, None, :])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    return Skin(vertices[own % len(vertices)], normals, index)
+    smooth = trimesh.graph.smooth_shade(
+        trimesh.Trimesh(vertices, triangles, process=False), angle=_CREASE_RAD, facet_minarea=None
+    )  # fmt: skip
+    return Skin(np.asarray(smooth.vertices), np.asarray(smooth.vertex_normals), np.asarray(smooth.faces))
 
 
 def _from_z(vector: np.ndarray) -> np.ndarray:
