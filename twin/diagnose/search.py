@@ -95,9 +95,10 @@ def converge(
         return minimise(robustly, apart[number][0], 25, 0.5)[:2]
 
     def end(number: int) -> Fitted:
-        return descend(robot, NONE, parameters, more, found[number][0], tempered=8, linear=steps)
+        return descend(robot, NONE, parameters, more, found[number][0], tempered=8, linear=3 if far else 15)
 
     def on_all(fit: Fitted) -> Fitted:
+        steps = 3 if error > FAR else 15  # the end may be near though the robust optimum was not
         return descend(robot, NONE, parameters, sample, fit.z, tempered=0, linear=steps, tolerance=0.02)
 
     apart: list[tuple[FloatArray, float]] = []
@@ -107,7 +108,6 @@ def converge(
     found = sorted(spread(closely, len(apart), processes), key=lambda start: start[1])
     robust, plain = found[0][0], Objective(robot, parameters, more)
     far = model_error(plain, robust) > FAR  # which optimum of a wrong model is the better, its last digit say nothing
-    steps = 3 if far else 15
     ends = sorted(spread(end, 1 if far else len(found), processes), key=lambda fit: fit.cost)
     error = model_error(plain, ends[0].z)
     base, *others = sorted([on_all(fit) for fit in ends], key=lambda fit: fit.cost)

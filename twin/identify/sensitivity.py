@@ -11,6 +11,7 @@ everything outboard by one screw: all derivatives are exact. Parameters of other
 central differences of these small matrices. ``twin.model.linear`` gives the same matrices by MuJoCo.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -699,7 +700,7 @@ def contract(slopes_: Observed, transform: FloatArray) -> Observed:
     """Derivatives along other coordinates: ``transform`` (n, m) holds ∂ value / ∂ coordinate."""
     arrays = slopes_.arrays()
     flat = transform.T @ np.concatenate([array.reshape(len(array), -1) for array in arrays], axis=1)  # in one product
-    ends = np.cumsum([0, *(array[0].size for array in arrays)])
+    ends = np.cumsum([0, *(math.prod(array.shape[1:]) for array in arrays)])
     return Observed.of(
         flat[:, a:b].reshape(len(flat), *array.shape[1:])
         for array, a, b in zip(arrays, ends[:-1], ends[1:], strict=True)
