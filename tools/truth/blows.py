@@ -99,29 +99,46 @@ def nonlinear_frf(
     """Receptances (nf, nr, nb) of nonlinear structures, one per posture, each struck by the same forces (nt, nb).
 
     Response = linear response to the blow + linear response to the nonlinear joint torques g(t). Only g needs time
-    stepping, in the modes of the linear part and for all postures at once; the rest is done in frequency.
+    stepping, in the modes of the linear part and for all postures at once; the rest is done in frequency. Stepping
+    ends with the record, where motion lingers: so what a law adds to its spring at rest belongs to the linear part,
+    and what a slip or a play has shifted at the end stays shifted.
     """
+    linear = [_at_rest(structure) for structure in structures]
     together = max(1, 400 // len(excitations[0]))  # columns that fit in the cache, and in memory as time goes
     g: list[Array] = []
     for i in range(0, len(structures), together):
         chosen = slice(i, i + together)
-        g += joint_torques(structures[chosen], excitations[chosen], force, rate_hz, samples)
+        g += joint_torques(structures[chosen], linear[chosen], excitations[chosen], force, rate_hz, samples)
     s = decay + 2j * np.pi * frequency
     blow = transform(force, rate_hz, frequency, decay)[:, None, :]
     found = []
-    for structure, response, excitation, torque in zip(structures, responses, excitations, g, strict=True):
+    for structure, response, excitation, torque in zip(linear, responses, excitations, g, strict=True):
         joints = np.eye(len(structure.names))[list(structure.laws)]
-        reaction = transform(torque, rate_hz, frequency, decay) / blow
-        linear = structure.receptance(s, response, excitation)
-        found.append(linear - structure.receptance(s, response, joints) @ reaction)
+        shifted = torque[-1] * (np.exp(-s * samples / rate_hz) / (1 - np.exp(-s / rate_hz)) / rate_hz)[:, None, None]
+        reaction = (transform(torque, rate_hz, frequency, decay) + shifted) / blow
+        plain = structure.receptance(s, response, excitation)
+        found.append(plain - structure.receptance(s, response, joints) @ reaction)
     return found
 
 
+def _at_rest(structure: Structure) -> Structure:
+    """With the stiffness that laws add at vanishing amplitude, where they add any; a free play takes some away."""
+    k = structure.stiffness.copy()
+    for joint, law in structure.laws.items():
+        k[joint, joint] += max(0.0, law.tangent(structure.preload[joint])[0])
+    return replace(structure, stiffness=k)
+
+
 def joint_torques(
-    structures: list[Structure], excitations: list[Array], force: Array, rate_hz: float, samples: int
+    structures: list[Structure],
+    linear: list[Structure],
+    excitations: list[Array],
+    force: Array,
+    rate_hz: float,
+    samples: int,
 ) -> list[Array]:
-    """Torques (samples, nlaw, nb) that the nonlinear joints of each structure add to their springs after a blow."""
-    parts = [_modal(structure, rows, rate_hz) for structure, rows in zip(structures, excitations, strict=True)]
+    """Torques (samples, nlaw, nb) that nonlinear joints add to the springs of each linear part after a blow."""
+    parts = [_modal(structure, rows, rate_hz) for structure, rows in zip(linear, excitations, strict=True)]
     modes = max(part[0].shape[0] for part in parts)
 
     def side_by_side(index: int) -> Array:
@@ -135,7 +152,7 @@ def joint_torques(
     columns = fade.shape[1]
     waves = np.tile(force, (1, len(structures)))
     each = np.repeat(np.arange(len(structures)), [len(rows) for rows in excitations])
-    laws, rest, states, offset = [], [], [], []
+    laws, rest, states, offset, added = [], [], [], [], []
     for m in range(len(structures[0].laws)):
         by_posture = [list(structure.laws.items())[m] for structure in structures]
         laws.append(replace(by_posture[0][1], k=np.array([law.k for _, law in by_posture])[each]))
@@ -145,6 +162,9 @@ def joint_torques(
         value, state = laws[m].extra(rest[m], np.zeros(columns), laws[m].start((columns,)))
         offset.append(value)
         states.append(state)
+        joint = [j for j, _ in by_posture]
+        stiffer = [b.stiffness[j, j] - a.stiffness[j, j] for a, b, j in zip(structures, linear, joint, strict=True)]
+        added.append(np.array(stiffer)[each])
 
     count = len(laws)
     # φ and φ̇ of joint a answer a torque at joint b at the end of the same step, (2, a, b, column).
@@ -166,7 +186,7 @@ def joint_torques(
         for _ in range(2):
             x, v = free + np.einsum("xabc,bc->xac", own, g)
             new = [law.extra(rest[m] + x[m], v[m], states[m]) for m, law in enumerate(laws)]
-            g = np.array([value - offset[m] for m, (value, _) in enumerate(new)])
+            g = np.array([value - offset[m] - added[m] * x[m] for m, (value, _) in enumerate(new)])
         states = [state for _, state in new]
         for b in range(count):
             z += torque_late[:, b] * g[b]

@@ -74,7 +74,7 @@ def _drive(pole: ComplexArray, pulse_s: float, steps: int, rate_hz: float = RATE
 
 
 def transform(s: ComplexArray, g: FloatArray, rate_hz: float = RATE_HZ) -> ComplexArray:
-    """Transform (nf, ne) of the parabolas through samples g (nt, ne)."""
+    """Transform (nf, ne) of the parabolas through samples g (nt, ne), which stays as it ends: a play, a slip shifts."""
     real, imaginary = _transform(s.tobytes(), len(g), rate_hz)
     return np.asarray(real @ g + 1j * (imaginary @ g))
 
@@ -85,7 +85,9 @@ def _transform(line: bytes, samples: int, rate_hz: float) -> tuple[FloatArray, F
     s = np.frombuffer(line, complex)
     half = s / (2 * rate_hz)
     hold = (np.sinh(half) / half) ** 2 / (1 + half**2 / 3) / rate_hz
-    matrix = hold[:, None] * np.exp(-s[:, None] * (np.arange(samples) / rate_hz))
+    matrix = np.exp(-s[:, None] * (np.arange(samples) / rate_hz))
+    matrix[:, -1] /= 1 - np.exp(-s / rate_hz)
+    matrix *= hold[:, None]
     return np.ascontiguousarray(matrix.real), np.ascontiguousarray(matrix.imag)
 
 

@@ -201,6 +201,10 @@ class Slip(Law):
     def settling(self) -> Law:
         return SlipAnywhere(self.reach)
 
+    def tangent(self, rest: FloatArray, sizes: FloatArray) -> FloatArray:
+        """All elements stick."""
+        return np.asarray(sizes[: len(self.reach)].sum(axis=0))
+
     def entry(self, sizes: FloatArray, larger: float = 1.0) -> dict[str, float | list[float]]:
         values = [float(v) for v in sizes]
         yields = [k * x * larger for k, x in zip(values, self.reach, strict=True)]

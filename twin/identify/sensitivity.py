@@ -699,8 +699,10 @@ def moving(rate: Observed) -> NDArray[np.intp]:
 def contract(slopes_: Observed, transform: FloatArray) -> Observed:
     """Derivatives along other coordinates: ``transform`` (n, m) holds ∂ value / ∂ coordinate."""
     arrays = slopes_.arrays()
-    flat = transform.T @ np.concatenate([array.reshape(len(array), -1) for array in arrays], axis=1)  # in one product
-    ends = np.cumsum([0, *(math.prod(array.shape[1:]) for array in arrays)])
+    sizes = [math.prod(array.shape[1:]) for array in arrays]
+    rows = [array.reshape(len(array), size) for array, size in zip(arrays, sizes, strict=True)]
+    flat = transform.T @ np.concatenate(rows, axis=1)  # in one product
+    ends = np.cumsum([0, *sizes])
     return Observed.of(
         flat[:, a:b].reshape(len(flat), *array.shape[1:])
         for array, a, b in zip(arrays, ends[:-1], ends[1:], strict=True)
