@@ -38,6 +38,7 @@ from twin.robot.description import Entry, Robot
 
 LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
 FINAL_LINES, BLOWS = 40, 12  # lines and excitations that finalists are fitted to
+ALIKE = 3  # sizes whose equivalent stiffnesses are most like those seen: a law's start is one of them
 SITES, SITE_REACH, LAW_REACH, NEAR = 2, 1.3, 4.0, 1.5  # sites, laws racing and at their end, in reach of the best
 FAR_OFF = 10.0  # χ² per datum above which the last digit of a wrong model says nothing
 WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
@@ -305,15 +306,18 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Seque
         amplitude = _amplitude(objective, place.z)
         objective = replace(objective, law=law.at(amplitude), rate_hz=COARSE_HZ)
         sizes = law.sizes(k, amplitude)
+        least = np.array([-0.8 * k, -0.9 * c])
         scored = [
-            (*_likeness(seen, certainty, found), size)
+            (*_likeness(seen, certainty, found, least), size)
             for size, found in zip(sizes, objective.equivalents(place.z, list(sizes)), strict=True)
         ]
-        score, shift, size = min(scored, key=lambda item: item[0])
-        shift = shift if np.isfinite(score) else np.zeros(2)
-        start = values.copy()
-        start[row], start[damper] = max(k + shift[0], 0.2 * k), max(c + shift[1], 0.1 * c)
-        trials.append((objective, hypothesis, point(objective, start, size)))
+        points = []
+        for score, shift, size in sorted(scored, key=lambda item: item[0])[:ALIKE]:
+            start = values.copy()
+            start[[row, damper]] += shift if np.isfinite(score) else 0.0
+            points.append(point(objective, start, size))
+        # the joint's rest under its load, and with it the law, moves with the spring
+        trials.append((objective, hypothesis, points[int(np.argmin(objective.costs(points)))]))
     return trials
 
 
@@ -409,9 +413,10 @@ def _race(
         if not ends:  # none can be stepped
             break
         ends.sort(key=lambda item: item[0])
-        explained = 2 * ends[0][0] < EXPLAINS * trials[0][0].data
-        if explained or reached == 1:
-            trials = [trial for cost, trial in ends if cost < LAW_REACH * ends[0][0]]
+        enough = 0.5 * EXPLAINS * trials[0][0].data
+        explained = ends[0][0] < enough
+        if explained or reached == 1:  # all that explain as much as is asked stay: they have only begun
+            trials = [trial for cost, trial in ends if cost < max(enough, LAW_REACH * ends[0][0])]
         if not explained:
             break
         reached = temper
@@ -531,15 +536,16 @@ def _fitted(
 
 
 def _likeness(
-    seen: Sequence[FloatArray], certainty: Sequence[FloatArray], found: Sequence[FloatArray]
+    seen: Sequence[FloatArray], certainty: Sequence[FloatArray], found: Sequence[FloatArray], least: FloatArray
 ) -> tuple[float, FloatArray]:
-    """How far a law's equivalents are from those seen, and the shift (2,) of the joint's own spring that fits best."""
+    """How far a law's equivalents are from those seen, and the shift (2,) of the joint's own spring that fits best,
+    no less than ``least``: a spring stays one, whatever a law adds at rest."""
     gap = np.concatenate([a - b for a, b in zip(seen, found, strict=True)], axis=1)
     spread = np.concatenate(list(seen), axis=1).std(axis=1)
     tolerance = np.diag((0.1 * spread + 1e-12) ** 2)
     matrices = np.concatenate([inverse2(matrix) for matrix in certainty], axis=2) + tolerance[:, :, None]
     weight = inverse2(matrices)
-    shift = np.linalg.solve(weight.sum(axis=2), np.einsum("pqe,qe->p", weight, gap))
+    shift = np.maximum(np.linalg.solve(weight.sum(axis=2), np.einsum("pqe,qe->p", weight, gap)), least)
     left = gap - shift[:, None]
     score = float(np.einsum("pe,pqe,qe->", left, weight, left))
     return (score if np.isfinite(score) else np.inf), shift
