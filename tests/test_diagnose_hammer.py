@@ -18,7 +18,7 @@ from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.physical import physical
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, minimise, recorded_error
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
-from twin.diagnose.search import Search, _about_the_same_axis, _taken_over, converge, explain, settle
+from twin.diagnose.search import Search, _about_the_same_axis, _best_of_each, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, judge, rival_of, strained
 from twin.identify.elastic import without_limits
@@ -157,6 +157,18 @@ def test_a_law_without_a_name_near_the_first_makes_it_ambiguous() -> None:
     fit = Fitted(hypothesis, independent([]), nothing, nothing, robot, 0.0, 1.0, np.eye(0), 1.0, True)
     assert judge(Decision([fit], [0.6], 0.0, 0.4, nameless=0.39)) == "ambiguous"
     assert judge(Decision([fit], [0.9], 0.0, 0.1, nameless=0.09)) == "named"
+
+
+def test_of_a_hypothesis_from_several_starts_the_best_fit_is_kept() -> None:
+    robot, nothing = load_robot("kr90"), np.zeros(0)
+
+    def fit(site: str, cost: float) -> Fitted:
+        values = CATALOGUE["base_compliance"].typical(robot, site)
+        hypothesis = entry_hypothesis(robot, "base_compliance", site, values)
+        return Fitted(hypothesis, independent([]), nothing, nothing, robot, cost, 1.0, np.eye(0), 1.0, True)
+
+    kept = _best_of_each([fit("base.rx", 3.0), fit("base.ry", 5.0), fit("base.rx", 2.0), fit("base.ry", 6.0)])
+    assert [(one.hypothesis.site, one.cost) for one in kept] == [("base.rx", 2.0), ("base.ry", 5.0)]
 
 
 def test_base_and_joint_1_turn_about_the_same_axes_while_it_stands() -> None:

@@ -150,6 +150,16 @@ def test_frfs_are_those_of_the_model(full: Robot) -> None:
         np.testing.assert_allclose(frf(seen, S, power), expected, atol=1e-6 * np.abs(expected).max())
 
 
+def test_nothing_free_has_no_slopes(full: Robot) -> None:
+    """Derivatives along no coordinates of no parameters keep their shapes."""
+    none = free_parameters(full).select([])
+    seen, _ = observe(full, setup_of(full), none, np.zeros(0))
+    empty = Observed.of(np.zeros((0, *array.shape)) for array in seen.arrays())
+    assert [array.shape for array in contract(empty, np.zeros((0, 0))).arrays()] == [
+        (0, *a.shape) for a in seen.arrays()
+    ]
+
+
 def everything(robot: Robot) -> Parameters:
     entries = [
         "payload@flange.mass", "payload@flange.com[2]", "attached_resonator@link3.mass",

@@ -121,6 +121,19 @@ def test_two_ways_through_time_agree():
     assert apart(plain, frf) > 0.02  # the laws do act
 
 
+def test_what_a_law_does_after_the_record_is_not_cut_off():
+    """The torque of a stiffer or shifted joint goes on; where its record ends is nothing that an FRF knows of."""
+    texts = ("hysteresis@joint1.z:stiffness=3e5|3e5,yield_torque=5|15", "hardening_stiffness@joint3.z:cubic=1e14")
+    structure = assemble(KR90, np.deg2rad(MILLING.q_deg), tuple(parse(t) for t in texts))
+    response, excitation = rows(Truth(KR90), structure)
+    force, frequency = half_sine(np.full(23, 500.0), 0.008, 4096.0), HammerTest().frequency
+    longer, shorter = (
+        nonlinear_frf([structure], [response], [excitation], force, 4096.0, samples, frequency, 0.0)[0]
+        for samples in (4 * 4096 * 8, 4096 * 8)
+    )
+    assert apart(longer, shorter) < 1e-6  # without the law's tangent in the linear part 4e-3
+
+
 def test_raw_hits_hold_the_frf_they_came_from(tmp_path):
     file, _ = campaign(tmp_path / "c.h5", "--nominal", "--posture", "milling=0,70,-100", "--hits", "2")
     group = file["postures/milling"]

@@ -21,11 +21,13 @@ from twin.diagnose.objective import Sample
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
 from twin.diagnose.search import REFIT_LINES, WORTH, Progress, Search, one_more
+from twin.measure.campaign import FloatArray
 from twin.robot.description import Robot
 
 LINES = 40  # of every recording
 FINALISTS = 2  # fitted again with the law stepped
 PROMISING = 0.8  # of the best one's gain
+DOUBT = 0.02  # of the noise's variance: less that hangs on the length of steps is not looked at
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,12 @@ def explain_beside(
     law, stepped = levels.fits[0], levels.objectives[0]
     if law.misfit > FAR_OFF:
         return Beside(law, None, [], [])
+    doubted = _doubted(stepped, law.z)
+    if doubted is not stepped.sample:
+        whole = _doubted(replace(stepped, sample=levels.whole, blow=levels.blow), law.z)
+        stepped = replace(stepped, sample=doubted)
+        levels = replace(levels, objectives=[stepped, *levels.objectives[1:]], whole=whole)
+        law = fit_law(stepped, law.hypothesis, law.z)
     n = len(base.parameters)
     found = _found(robot, base, levels, law, suspects, progress)
     if not found:
@@ -97,6 +105,18 @@ def explain_beside(
     decision = decide(beside, alone, suspects, handicap=handicap, unnamed=unnamed)
     order = [next(item for item in again if item[0] is fit) for fit in decision.ranked]
     return Beside(law, decision, [item[1] for item in order], [item[2] for item in order])
+
+
+def _doubted(stepped: Stepped, z: FloatArray) -> Sample:
+    """The recordings with what steps twice as long change added to their noise, where that is no small part of it: a
+    play that is open throws the end of a decay about, and a partner would explain how the steps fell."""
+    fine, coarse = (replace(stepped, rate_hz=rate).predicted(z) for rate in (stepped.rate_hz, stepped.rate_hz / 2))
+    error = [np.abs(a - b) ** 2 for a, b in zip(fine, coarse, strict=True)]
+    recordings = stepped.sample.recordings
+    if max(float(np.mean(e / r.variance)) for e, r in zip(error, recordings, strict=True)) < DOUBT:
+        return stepped.sample
+    louder = tuple(replace(r, variance=r.variance + e) for r, e in zip(recordings, error, strict=True))
+    return replace(stepped.sample, recordings=louder)
 
 
 def _both(robot: Robot, base: Fitted, stepped: Stepped, law: Fitted, fit: Fitted) -> tuple[Fitted, Stepped]:
