@@ -1,4 +1,4 @@
-"""One function over many items on several cores, in forked processes that inherit what it needs."""
+"""Long work: one function over many items in forked processes that inherit what it needs, and how far it has come."""
 
 import os
 import sys
@@ -8,6 +8,9 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+
+Progress = Callable[[str, int], Callable[[int], None]]
+"""Called with a description and a total; returns the function that advances."""
 
 MOST = 4  # processes: every one takes memory of its own
 

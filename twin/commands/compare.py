@@ -11,7 +11,6 @@ import numpy as np
 from twin.commands.identify import check_low_pass, in_joints
 from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
-from twin.commands.simulate import Progress
 from twin.diagnose.joint_reaction import blows
 from twin.diagnose.struck import amplitude_entries, judge_struck
 from twin.diagnose.triage import believed
@@ -24,6 +23,7 @@ from twin.measure.hdf5 import Node
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.measure.signals import advance, lowpass
+from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot
 

@@ -11,7 +11,6 @@ import numpy as np
 from twin.commands.compare import recording_kind
 from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
-from twin.commands.simulate import Progress
 from twin.diagnose.decide import calibration, decide, finalists
 from twin.diagnose.edit import check_linear, check_replayed, check_xml, is_nonlinear, payload_edit, with_modes
 from twin.diagnose.evidence import sentence
@@ -53,7 +52,7 @@ from twin.measure.motion_log import read_motion_log
 from twin.memory import uncollected
 from twin.model.linear import linearise
 from twin.model.modes import modes
-from twin.parallel import cores, spread
+from twin.parallel import Progress, cores, spread
 from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json
 from twin.robot.description import Axis, Robot, load_robot, save_robot

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.commands.simulate import Progress
 from twin.files import writing
 from twin.identify.excitation import Criterion, Excitation, Limits, excite, violation
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
+from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot
 

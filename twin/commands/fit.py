@@ -10,7 +10,6 @@ from scipy.special import gammaincinv
 
 from twin.commands.modal import read_recording
 from twin.commands.outputs import Outputs, check_out
-from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.identify.elastic import (
     Fit,
@@ -48,6 +47,7 @@ from twin.measure.modal_table import ModalTable, read_modal_table
 from twin.measure.shapes import mac
 from twin.model.linear import linearise
 from twin.model.modes import Modes, modes
+from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble

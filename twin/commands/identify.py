@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.identify.rigid import Bands, Identification, identify, joint_run, relative_error
 from twin.measure.motion_log import MotionLog, check_against, read_motion_log, require_axes
+from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot, save_robot
 from twin.robot.mechanism import assemble

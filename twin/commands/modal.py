@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.commands.simulate import Progress
 from twin.errors import InputError
 from twin.measure.campaign import Campaign, read_campaign
 from twin.measure.modal import Method, ModalResult, identify_modes, modal_report
 from twin.measure.spectra import Check, driving_points, linearity, reciprocity, with_frfs
+from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot
 

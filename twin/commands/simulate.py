@@ -1,6 +1,5 @@
 """``twin simulate``: posture in; modes, hammer FRFs, torques and pictures out."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,13 @@ from twin.commands.posture_file import PostureFile, read_posture_file
 from twin.errors import InputError
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import Modes, modes
+from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.robot.description import save_robot
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, save_mjcf
 
 FREQUENCY_SHARE = 0.8  # FRFs are kept up to this share of 1/pulse, where a half sine still excites
-
-Progress = Callable[[str, int], Callable[[int], None]]
-"""Called with a description and a total; returns the function that advances."""
 
 
 @dataclass

@@ -20,8 +20,9 @@ from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
-from twin.diagnose.search import REFIT_LINES, WORTH, Progress, Search, one_more
+from twin.diagnose.search import REFIT_LINES, WORTH, Search, one_more
 from twin.measure.campaign import FloatArray
+from twin.parallel import Progress
 from twin.robot.description import Robot
 
 LINES = 40  # of every recording

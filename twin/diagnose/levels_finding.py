@@ -20,7 +20,7 @@ from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, Stage, frf_records
 from twin.diagnose.refit import Fitted, noise_floor
-from twin.diagnose.search import SCREEN_LINES, Progress, Search
+from twin.diagnose.search import SCREEN_LINES, Search
 from twin.diagnose.struck import amplitude_entries, judge_struck, law_of, settle, without_laws
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
@@ -31,6 +31,7 @@ from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
+from twin.parallel import Progress
 from twin.robot.description import Axis, Robot
 from twin.robot.mechanism import assemble
 

@@ -5,7 +5,7 @@ long as the evidence grows; then every thing found is taken out in turn and the 
 place, since one thing may have been found in the stead of another. All finalists end on all lines, at convergence.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from twin.identify.elastic import AGREEMENT
 from twin.identify.parameters import Parameter, Parameters
 from twin.identify.sensitivity import observe_all, poles
 from twin.measure.campaign import FloatArray
-from twin.parallel import spread
+from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
@@ -33,8 +33,6 @@ SHORT = 0.2  # of what another has gained: less promised is not refitted
 ABREAST = 2  # refits side by side, on however many cores: what is found must not depend on them
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
 LIKELY = 16.0  # ln evidence behind the best within which a fit may be a rival
-
-Progress = Callable[[str, int], Callable[[int], None]]
 
 
 @dataclass

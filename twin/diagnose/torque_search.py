@@ -46,7 +46,7 @@ from twin.diagnose.torque_fit import (
 from twin.diagnose.torque_laws import REFERRING, USUAL, Suspect, smooth_columns
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
-from twin.parallel import spread
+from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry
@@ -84,8 +84,6 @@ EXACT = 2e-3  # of the evidence gained so far: what laws already in the model ma
 SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
 SETTLED = 3  # steps of all numbers beside what is judged or left out: all were refined before
 LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
-
-Progress = Callable[[str, int], Callable[[int], None]]
 
 
 @dataclass
