@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from twin.robot.mechanism import Mechanism
 
 
+BESIDE = 0.15  # m: half a prior deviation of its position
+
+
 class AttachedResonator(Effect):
     """Natively: a body on a sprung slide."""
 
@@ -53,8 +56,18 @@ class AttachedResonator(Effect):
         return {"mass": mass, "frequency_hz": 15.0, "damping_ratio": 0.015, "axis": "z", "position": middle}
 
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
-        """Every axis, frequencies 3 % apart: as wide as a peak."""
+        """Every axis, half-way along the link and beside that, frequencies 3 % apart: as wide as a peak.
+
+        What hangs beside a link takes part in how it turns, one corner of it in phase, the next in opposition.
+        """
         typical = self.typical(robot, site) or {}
+        middle, along = np.array(typical.get("position", np.zeros(3)), float), BESIDE * np.eye(3)
         steps = int(np.ceil(np.log(band_hz[1] / band_hz[0]) / 0.03))
         frequencies = np.geomspace(*band_hz, steps + 1)
-        return [{**typical, "axis": axis, "frequency_hz": float(f)} for axis in UNIT_VECTORS for f in frequencies]
+        found = []
+        for k, axis in enumerate(UNIT_VECTORS):
+            corners = [a * along[k - 2] + b * along[k - 1] for a in (-1, 1) for b in (-1, 1)]  # across the axis
+            for place in (middle, *(middle + corner for corner in corners)):
+                values = {**typical, "axis": axis, "position": place.tolist()}
+                found += [{**values, "frequency_hz": float(f)} for f in frequencies]
+        return found
