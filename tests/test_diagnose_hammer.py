@@ -159,6 +159,16 @@ def test_a_law_without_a_name_near_the_first_makes_it_ambiguous() -> None:
     assert judge(Decision([fit], [0.9], 0.0, 0.1, nameless=0.09)) == "named"
 
 
+def test_what_swings_beside_a_link_is_looked_for_there() -> None:
+    """How far a mass swings along x when link 1 turns about y and z is as its place is across x: in phase at one
+    corner, in opposition at the next, and nothing half-way along the link."""
+    robot = load_robot("kr90")
+    variants = CATALOGUE["attached_resonator"].variants(robot, "link1", (5.0, 30.0))
+    turning = {tuple(np.sign([-v["position"][1], v["position"][2]])) for v in variants if v["axis"] == "x"}
+    assert {a * b for a, b in turning} == {-1.0, 0.0, 1.0}
+    assert len({v["frequency_hz"] for v in variants}) > 50
+
+
 def test_of_a_hypothesis_from_several_starts_the_best_fit_is_kept() -> None:
     robot, nothing = load_robot("kr90"), np.zeros(0)
 
