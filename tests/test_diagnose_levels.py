@@ -324,6 +324,7 @@ def test_an_open_play_is_doubted_by_what_longer_steps_change(
             float((a.variance / b.variance).mean()) for a, b in zip(found.recordings, sample.recordings, strict=True)
         ]
         assert louder[0] > louder[1] >= 1  # light blows hang in the play for longer
+        assert found.weights(0.0, False)[0].sum() < sample.weights(0.0, False)[0].sum()
 
 
 def found_in(campaign: Campaign, robot: Robot) -> tuple[list[str], dict[str, dict[str, object]], Levels, Sample]:

@@ -415,7 +415,7 @@ def _race(
         ends.sort(key=lambda item: item[0])
         enough = 0.5 * EXPLAINS * trials[0][0].data
         explained = ends[0][0] < enough
-        if explained or reached == 1:  # all that explain as much as is asked stay: they have only begun
+        if explained or reached == 1:  # all that explain as much as is asked stay: they may only have begun
             trials = [trial for cost, trial in ends if cost < max(enough, LAW_REACH * ends[0][0])]
         if not explained:
             break

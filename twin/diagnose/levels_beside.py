@@ -64,12 +64,9 @@ def explain_beside(
     law, stepped = levels.fits[0], levels.objectives[0]
     if law.misfit > FAR_OFF:
         return Beside(law, None, [], [])
-    doubted = _doubted(stepped, law.z)
-    if doubted is not stepped.sample:
-        whole = _doubted(replace(stepped, sample=levels.whole, blow=levels.blow), law.z)
-        stepped = replace(stepped, sample=doubted)
-        levels = replace(levels, objectives=[stepped, *levels.objectives[1:]], whole=whole)
-        law = fit_law(stepped, law.hypothesis, law.z)
+    whole = _doubted(replace(stepped, sample=levels.whole, blow=levels.blow), law.z)
+    if whole is not levels.whole:
+        levels, law = replace(levels, whole=whole), fit_law(stepped, law.hypothesis, law.z)
     n = len(base.parameters)
     found = _found(robot, base, levels, law, suspects, progress)
     if not found:
@@ -117,7 +114,7 @@ def _doubted(stepped: Stepped, z: FloatArray) -> Sample:
     if max(float(np.mean(e / r.variance)) for e, r in zip(error, recordings, strict=True)) < DOUBT:
         return stepped.sample
     louder = tuple(replace(r, variance=r.variance + e) for r, e in zip(recordings, error, strict=True))
-    return replace(stepped.sample, recordings=louder)
+    return Sample(louder, stepped.sample.repeat)
 
 
 def _both(robot: Robot, base: Fitted, stepped: Stepped, law: Fitted, fit: Fitted) -> tuple[Fitted, Stepped]:

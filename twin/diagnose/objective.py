@@ -38,7 +38,9 @@ class Sample:
 
     recordings: tuple[Recorded, ...]
     repeat: float = 1.0
-    _weights: dict[tuple[float, bool], list[FloatArray]] = field(default_factory=dict, compare=False, repr=False)
+    _weights: dict[tuple[float, bool], list[FloatArray]] = field(
+        init=False, default_factory=dict, compare=False, repr=False
+    )  # a copy with other recordings begins with none
 
     def weights(self, temper: float, logarithmic: bool) -> list[FloatArray]:
         """√repeat/σ per recording (nf, nr, ne), see :func:`twin.identify.residual.weights`; computed once."""
