@@ -409,6 +409,23 @@ def test_noise_in_proportion_to_the_response_is_found_at_few_peaks() -> None:
     assert np.percentile(ratio[peaks], 2) > 0.3
 
 
+@pytest.mark.parametrize("stated", [True, False])
+def test_noise_of_a_blow_that_is_hardly_answered_is_not_taken_for_one_in_proportion(stated: bool) -> None:
+    """One peak far above a sensor's noise that rules elsewhere: σ is right on its flanks, where few lines tell most."""
+    rng = np.random.default_rng(6)
+    f, hits = np.arange(5.0, 30.0, 0.25), 6
+    H = (0.02 / (21.0**2 - f**2 + 2j * 0.01 * 21.0 * f))[:, None, None] * np.array([1.0, 0.05, 0.01])[:, None] ** [0, 1]
+    truth = np.sqrt(2e-7**2 + (0.005 * np.abs(H)) ** 2)
+    seen = H + truth * (rng.normal(size=(hits, *H.shape)) + 1j * rng.normal(size=(hits, *H.shape))) / np.sqrt(2)
+    mean = seen.mean(axis=0)
+    total = np.abs(H) ** 2 + truth**2 if stated else np.mean(np.abs(seen) ** 2, axis=0)
+    coherence = np.abs(H if stated else mean) ** 2 / total
+    variance = pooled_variance(PostureFRF("a", np.zeros(3), "on", f, mean, "accelerance", coherence, hits))
+    ratio = np.sqrt(variance / (truth**2 / 2 / hits))
+    assert 0.9 < np.median(ratio) < 1.1
+    assert np.percentile(ratio, 99) < 1.6  # was over 4
+
+
 def test_resonators_are_scanned_by_the_change_they_make(tmp_path: Path) -> None:
     case = recorded(tmp_path, "--seed", "18", "--postures", "1", hold_out=[])
     values = {**(CATALOGUE["attached_resonator"].typical(case.base, "link2") or {}), "frequency_hz": 12.3, "axis": "y"}

@@ -16,6 +16,7 @@ from twin.measure.campaign import ComplexArray, FloatArray, PostureFRF, as_quant
 
 NEIGHBOURS = 25  # lines over which the additive part is pooled
 ROUNDS = 40
+LOUD = 0.98  # quantile of |H|² over the lines and responses of a blow, from where on its noise is in proportion to it
 NOISY = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
 NEAREST = 7
 LEAST = 5e-4  # of |H|: no FRF is known better
@@ -41,18 +42,16 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     coherence = np.clip(posture.coherence, 1e-6, 1.0)
     noise = (1 - coherence) / (n * coherence)  # of the mean's power
     scattered = shared > TIED or _scattered(power * noise, power)
-    if scattered:
-        single = 0.5 * power * noise * n / (n - 1)  # a variance about the mean of its own n hits
+    # A variance about the mean of its own n hits; or a stated one, of which |H|², that is signal and noise, has a share.
+    single = 0.5 * power * noise * (n / (n - 1) if scattered else 1 / (1 + noise))
     # Where noise rules, |H|² is noise itself: a line that happens to come out small is not known better for it.
     share = noise**2 / (noise**2 + NOISY**2)
     width = min(len(power), NEAREST)
     power = (1 - share) * power + share * _smooth(power, width) / _smooth(np.ones_like(power), width)
-    if not scattered:
-        single = 0.5 * power * noise / (1 + noise)
     dead = dead_channels(posture)
     rms = np.sqrt(np.mean(power, axis=0))
     floor = (SENSOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
-    b = np.median(single / np.maximum(power, 1e-300), axis=(0, 1))
+    b = _at_peaks(single, power)
     a = np.broadcast_to(np.median(single, axis=0), single.shape)
     kernel = min(round(NEIGHBOURS * shared), len(single))
     # Likelihood of gamma-distributed variances, by multiplicative steps that keep both parts positive (Févotte and
@@ -132,6 +131,13 @@ def _roughness(posture: PostureFRF) -> FloatArray:
         variance = usual + np.pad(median, ((left, len(power) - len(median) - left), (0, 0), (0, 0)), mode="edge")
     variance[:, dead_channels(posture)] = np.inf
     return variance
+
+
+def _at_peaks(single: FloatArray, power: FloatArray) -> FloatArray:
+    """Relative variance (ne,) where the responses to a blow are loudest: what begins above b takes long to come down."""
+    loud = power >= np.quantile(power, LOUD, axis=(0, 1))
+    relative = np.where(loud, single / np.maximum(power, 1e-300), np.nan)
+    return np.asarray(np.nanmedian(relative, axis=(0, 1)))
 
 
 def _of_blow(values: FloatArray) -> FloatArray:
