@@ -80,6 +80,7 @@ SIZES = (1.0, 30.0)  # multiples of the smallest visible size, uniform in the lo
 CANCELLING = 1 / 3  # share of pairs whose second effect hides the first as well as any of `CANDIDATES` drawn does
 CANDIDATES = 6
 SAME_Q1 = 0.12  # share of hammer tests with one q₁ in all postures: base and joint 1 tilt alike
+BAD_CHANNELS = 0.15  # share of hammer tests with one blow point whose FRFs are noise
 RAW = 0.3  # share of hammer tests whose FRFs come from simulated time signals
 SPACING_HZ = 0.25  # of FRF lines
 BEAM_SEGMENTS = (4, 9)  # of a link that bends as a beam rather than in one hinge
@@ -87,12 +88,18 @@ BEAM_SEGMENTS = (4, 9)  # of a link that bends as a beam rather than in one hing
 
 @dataclass(frozen=True)
 class Campaign:
-    """A hammer test: the truth that is struck, at which of the points, how."""
+    """A hammer test: the truth that is struck, at which of the points, how; all that `dead` of them gives is noise."""
 
     truth: Truth
     postures: tuple[Posture, ...]
     test: HammerTest
     points: tuple[int, ...]
+    dead: int | None = None
+
+    @property
+    def live(self) -> tuple[int, ...]:
+        """The points whose FRFs tell something."""
+        return tuple(k for k in self.points if k != self.dead)
 
 
 @dataclass(frozen=True)
@@ -260,7 +267,7 @@ def _sized(
         return (), (), None
     chain = kr90()
     drawn = [_drawn(draw(e, chain, rng, log=campaign is None), rng) for e in candidates]
-    struck = hammer_signal(campaign.postures, campaign.test, campaign.points) if campaign else None
+    struck = hammer_signal(campaign.postures, campaign.test, campaign.live) if campaign else None
     moved = LogSignal(motion.runs[:2], motion.log) if motion else None
 
     def where(e: Effect) -> tuple[Truth, Any]:
@@ -283,7 +290,7 @@ def _sized(
         multiple = float(np.exp(rng.uniform(*np.log(sizes))))
         truth, signal = where(e)
         if campaign and _by_level(e):
-            signal = level_signal(campaign.postures, campaign.test, campaign.points)
+            signal = level_signal(campaign.postures, campaign.test, campaign.live)
         effects.append(multiple_of_visible(e, truth, signal, multiple, project=not (campaign and _by_level(e))))
         multiples.append(multiple)
     return tuple(effects), tuple(multiples), hiding
@@ -342,7 +349,9 @@ def _campaign(
     for site in missing:
         stiffness[int(site[5]) - 1, "zxy".index(site[-1])] = np.inf
     truth = replace(truth, chain=replace(truth.chain, stiffness=stiffness))
-    return Campaign(truth, postures, test, points), [f"transverse_compliance@{site}" for site in missing]
+    bad = np.random.default_rng([seed, 3])
+    dead = int(bad.choice(points)) if bad.random() < BAD_CHANNELS else None
+    return Campaign(truth, postures, test, points, dead), [f"transverse_compliance@{site}" for site in missing]
 
 
 def _window(levels: bool, hits: bool, looks: np.random.Generator) -> float | None:

@@ -17,7 +17,6 @@ from tools.truth.effects import Effect
 from tools.truth.motion import write_log
 from tools.truth.recording import plain, streams, write_campaign
 
-BAD_CHANNELS = 0.15  # share of hammer tests with one blow point whose FRFs are noise
 LINK_COUNTS, LINK_NOISE_RAD = 2**22, 5e-6  # of a second encoder: per turn, white
 ATTEMPTS = 20
 EDIT = Effect("payload", "flange", {"mass": 15.0, "com": [1.615, -0.041, 0.0]})
@@ -110,8 +109,8 @@ def write_case(found: Case, room: Path) -> None:
 def _strike(campaign: Campaign, seed: int, path: Path, noise: np.random.Generator) -> None:
     """The FRFs at the points struck, as an analyser keeps them: time signals dropped, one bad channel now and then."""
     points, aside, whole = list(campaign.points), path.with_suffix(".part"), path.with_suffix(".whole")
-    bad = np.random.default_rng([seed, 3])
-    column = int(bad.integers(len(points))) if bad.random() < BAD_CHANNELS else None
+    bad = np.random.default_rng([seed, 4])
+    column = None if campaign.dead is None else points.index(campaign.dead)
     try:
         write_campaign(whole, campaign.truth, campaign.postures, campaign.test, noise)
         with h5py.File(whole) as source, h5py.File(aside, "w") as target:

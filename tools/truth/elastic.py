@@ -67,7 +67,7 @@ class Structure:
         zones = self.zones[int(body.removeprefix("link")) - 1]
         frame = next(zone.frame for zone in zones if position[0] < zone.end)
         place = frame.origin + frame.turn @ position
-        moved = self.screws[:, 3:] + np.cross(self.screws[:, :3], place)
+        moved = self.screws[:, 3:] + self.screws[:, :3] @ np.cross(np.eye(3), place)  # ω × r, row by row
         on_path = np.isin(np.arange(len(self.names)), frame.path)
         return moved @ (frame.turn @ direction) * on_path
 

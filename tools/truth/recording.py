@@ -258,10 +258,7 @@ def accelerance(
 
 def average(frf: Complex, test: HammerTest, peak_n: float, rng: np.random.Generator) -> tuple[Complex, Array]:
     """H1 estimate and coherence (nf, nr, ne) from the FRFs (nhit or 1, nf, nr, ne) of the hits, noise added."""
-    pulse = transform(half_sine(np.array([peak_n]), test.pulse_s, 8 * STEP_HZ), 8 * STEP_HZ, test.frequency)
-    duration = 1 / test.spacing_hz
-    seen = -np.expm1(-2 * test.decay * duration) / (2 * test.decay) if test.decay else duration
-    variance = test.noise**2 * seen / 2 / np.abs(pulse[:, None, :]) ** 2 + (test.scatter * np.abs(frf)) ** 2
+    variance = hit_variance(test, frf, peak_n, test.frequency)
     shape = (test.averages, *frf.shape[1:])
     single = frf + np.sqrt(variance / 2) * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
     mean = single.mean(0)
@@ -271,6 +268,15 @@ def average(frf: Complex, test: HammerTest, peak_n: float, rng: np.random.Genera
     # A channel without signal or noise has no coherence to speak of: 1 there, as without noise.
     signal, total = np.abs(frf.mean(0)) ** 2, (np.abs(frf) ** 2 + variance).mean(0)
     return mean, np.divide(signal, total, out=np.ones(total.shape), where=total > 0)
+
+
+def hit_variance(test: HammerTest, frf: Complex, peak_n: float, frequency: Array) -> Array:
+    """Variance of the FRF (..., nf, nr, ne) of one hit, both parts together: of the sensors' noise under the window and
+    of what blows differ by."""
+    pulse = transform(half_sine(np.array([peak_n]), test.pulse_s, 8 * STEP_HZ), 8 * STEP_HZ, frequency)
+    duration = 1 / test.spacing_hz
+    seen = -np.expm1(-2 * test.decay * duration) / (2 * test.decay) if test.decay else duration
+    return test.noise**2 * seen / 2 / np.abs(pulse[:, None, :]) ** 2 + (test.scatter * np.abs(frf)) ** 2
 
 
 def raw_hits(

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from twin.measure.campaign import ComplexArray, FloatArray, PostureFRF, as_quantity, dead_channels, frf_variance
 
-NEIGHBOURS = 25  # lines over which the additive part is pooled
-ROUNDS = 40
+NEIGHBOURS = 25  # lines over which the additive part is pooled, and more
+DEGREES = 150  # of freedom, to have so many: what scatters itself makes χ² too large
+ROUNDS = 10  # the first ones fit the noise, later ones its scatter
 LOUD = 0.98  # quantile of |H|² over the lines and responses of a blow, from where on its noise is in proportion to it
 NOISY = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
 NEAREST = 7
+BROKEN = 30.0  # times the usual variance of channels: noise that is not a sensor's
 LEAST = 5e-4  # of |H|: no FRF is known better
 USUAL = 0.01  # of |H|, where nothing tells how blows differ
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
@@ -42,7 +44,7 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     coherence = np.clip(posture.coherence, 1e-6, 1.0)
     noise = (1 - coherence) / (n * coherence)  # of the mean's power
     scattered = shared > TIED or _scattered(power * noise, power)
-    # A variance about the mean of its own n hits; or a stated one, of which |H|², that is signal and noise, has a share.
+    # A variance about the mean of its own n hits; or a stated one, a share of |H|², which is signal and noise.
     single = 0.5 * power * noise * (n / (n - 1) if scattered else 1 / (1 + noise))
     # Where noise rules, |H|² is noise itself: a line that happens to come out small is not known better for it.
     share = noise**2 / (noise**2 + NOISY**2)
@@ -53,7 +55,8 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     floor = (SENSOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
     b = _at_peaks(single, power)
     a = np.broadcast_to(np.median(single, axis=0), single.shape)
-    kernel = min(round(NEIGHBOURS * shared), len(single))
+    lines = max(NEIGHBOURS, DEGREES / (n - 1)) if scattered else NEIGHBOURS
+    kernel = min(round(lines * shared), len(single))
     # Likelihood of gamma-distributed variances, by multiplicative steps that keep both parts positive (Févotte and
     # Idier 2011, Itakura–Saito divergence): one part is not explained away by the other's error. a is a running mean.
     weight = a / kernel
@@ -66,12 +69,16 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     variance = np.maximum(a + b * power, np.maximum(floor, LEAST**2 * power))
     if posture.quantity != "accelerance":
         variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
-    variance[:, dead | _incoherent(posture.coherence, n)] = np.inf
+    loud = np.median(variance, axis=0) > BROKEN * np.median(a[:, ~dead]) if not dead.all() else dead
+    variance[:, dead | (loud & _incoherent(posture.coherence, n))] = np.inf
     return variance
 
 
 def _incoherent(coherence: FloatArray, averages: int) -> NDArray[np.bool_]:
-    """Channel pairs (nr, ne) with at most a tenth of their lines above what noise alone gives, 1 − 0.05^(1/(n−1))."""
+    """Channel pairs (nr, ne) with at most a tenth of their lines above what noise alone gives, 1 − 0.05^(1/(n−1)).
+
+    Broken are those louder than the others' noise; else a blow is hardly answered there, and that tells, too.
+    """
     return np.asarray(np.quantile(coherence, 0.9, axis=0) < 1 - 0.05 ** (1 / max(averages - 1, 1)))
 
 
@@ -134,7 +141,7 @@ def _roughness(posture: PostureFRF) -> FloatArray:
 
 
 def _at_peaks(single: FloatArray, power: FloatArray) -> FloatArray:
-    """Relative variance (ne,) where the responses to a blow are loudest: what begins above b takes long to come down."""
+    """Relative variance (ne,) where a blow is answered loudest: what begins above b takes long to come down."""
     loud = power >= np.quantile(power, LOUD, axis=(0, 1))
     relative = np.where(loud, single / np.maximum(power, 1e-300), np.nan)
     return np.asarray(np.nanmedian(relative, axis=(0, 1)))
