@@ -276,7 +276,7 @@ def test_of_two_that_turn_about_one_axis_neither_is_tried_twice(tmp_path: Path) 
 def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_path: Path) -> None:
     """ln p(used) + ln p(held out | used) = ln p(all): of a tilt that two postures hardly show, the third tells."""
     found = {}
-    for stiffness in ("2.5e9", "7.3e9"):
+    for stiffness in ("2.5e9", "1.8e10"):
         effect = f"base_compliance@base.rx:stiffness={stiffness},damping=1e6"
         case = recorded(tmp_path, "--seed", "13", "--postures", "3", "--effect", effect)
         kept = Sample(tuple(case.found.kept))
@@ -296,11 +296,11 @@ def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_p
     both = descend(case.base, fit.hypothesis, fit.hypothesis.parameters(free), Sample(recordings), z, tempered=0)
     assert later > 30
     assert used + later == pytest.approx(both.evidence() - nothing.evidence(), rel=0.05)
-    case, kept, base, fit, used, later = found["7.3e9"]
-    assert decide([fit], base, looked_at(case)).none > 0.4
+    case, kept, base, fit, used, later = found["1.8e10"]
+    assert judge(decide([fit], base, looked_at(case))) == "adequate"
     decision = decide([fit], base, looked_at(case), kept=kept)
-    assert decision.none < 0.05
-    assert judge(decision) != "adequate"
+    assert decision.none < 0.2
+    assert judge(decision) == "ambiguous"
 
 
 @pytest.mark.parametrize(("bare", "named", "told"), [(1.126, 1.122, False), (5.0, 4.0, True)])
@@ -345,16 +345,15 @@ def test_two_things_are_found_together(tmp_path: Path) -> None:
 
 
 def test_a_stiffness_that_depends_on_posture_is_located_at_its_joint_and_not_named(tmp_path: Path) -> None:
-    effect = "posture_stiffness@joint2.z:amplitude=0.04,phase=0.5"
+    effect = "posture_stiffness@joint2.z:amplitude=0.01,phase=0.5"
     case = recorded(tmp_path, "--seed", "16", "--postures", "5", "--effect", effect, hold_out=[])
     search = converge(case.base, case.free, case.sample)
     assert next(iter(mismatch(search.base, case.sample).sites)) == "joint2.z"
-    (hypothesis,) = (h for h, *_ in looked_at(case, "structural_damping") if h.site == "joint2.z")
-    parameters = hypothesis.parameters(case.free)
-    start = np.concatenate([search.base.z, np.zeros(len(hypothesis.own))])
-    wrong = descend(case.base, hypothesis, parameters, case.sample, start, tempered=0)
-    assert wrong.evidence() > search.base.evidence() + 50  # it explains much, as rivals do
-    among = looked_at(case, "structural_damping")
+    among = looked_at(case, "base_compliance")
+    tilt = next(h for h, *_ in among if h.site == "base.ry")
+    start = tilt.of_size(search.base.z, 0.3)
+    wrong = descend(case.base, tilt, tilt.parameters(case.free), case.sample, start, tempered=0)
+    assert wrong.evidence() > search.base.evidence() + 500  # it explains much, as rivals do
     assert decide([wrong], search.base, among, unnamed=lambda fit: free_laws(fit, case.sample)).other > 0.9
 
 

@@ -80,8 +80,8 @@ def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None) -> d
     """What ln evidence would gain if a spring had a law without a name, site by site, most first.
 
     The law is a stiffness of its own in every posture, one that is complex and bends over frequency, or a damper of
-    order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), the best of the three: to
-    first order about the fit, everything that is free there making room. A share x of the stiffness has the prior
+    order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), each as likely: to first
+    order about the fit, everything that is free there making room. A share x of the stiffness has the prior
     N(0, s²), all scales s of ``SCALES`` alike. Columns ``aside`` (m, data), of prior deviation one, make room too.
     """
     objective = Objective(fit.robot, fit.parameters, sample)
@@ -105,7 +105,7 @@ def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None) -> d
             law = np.array([1j + 0 * octaves, octaves, 1j * octaves, octaves**2])
             bends[:, own] = (law * slope[own].view(complex)).view(float)
             half[:, own] = (np.sqrt(1j * np.exp(octaves)) * slope[own].view(complex)).view(float)
-        found[parameter.site] = max(_evidence(Q, rho, columns) for columns in (postures, bends, half))
+        found[parameter.site] = _mean([_evidence(Q, rho, columns) for columns in (postures, bends, half)])
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
@@ -153,6 +153,7 @@ def _evidence(Q: FloatArray, rho: FloatArray, columns: FloatArray) -> float:
 
 
 def _mean(logs: Sequence[float]) -> float:
+    """ln evidence of what is one of several, each as likely."""
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 

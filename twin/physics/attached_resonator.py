@@ -56,18 +56,18 @@ class AttachedResonator(Effect):
         return {"mass": mass, "frequency_hz": 15.0, "damping_ratio": 0.015, "axis": "z", "position": middle}
 
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
-        """Every axis, half-way along the link and beside that, frequencies 3 % apart: as wide as a peak.
+        """Every axis, half-way along the link, beside that and at its end, frequencies 3 % apart: as wide as a peak.
 
         What hangs beside a link takes part in how it turns, one corner of it in phase, the next in opposition.
         """
         typical = self.typical(robot, site) or {}
-        middle, along = np.array(typical.get("position", np.zeros(3)), float), BESIDE * np.eye(3)
+        end, along = np.array(link_end(robot, axis_of(site))), BESIDE * np.eye(3)
         steps = int(np.ceil(np.log(band_hz[1] / band_hz[0]) / 0.03))
         frequencies = np.geomspace(*band_hz, steps + 1)
         found = []
         for k, axis in enumerate(UNIT_VECTORS):
             corners = [a * along[k - 2] + b * along[k - 1] for a in (-1, 1) for b in (-1, 1)]  # across the axis
-            for place in (middle, *(middle + corner for corner in corners)):
+            for place in (0.5 * end, end, *(0.5 * end + corner for corner in corners)):
                 values = {**typical, "axis": axis, "position": place.tolist()}
                 found += [{**values, "frequency_hz": float(f)} for f in frequencies]
         return found
