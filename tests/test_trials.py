@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tools.trials import __main__ as trials
-from tools.trials import ask, make, real, reference, score, store
+from tools.trials import ask, make, real, reference, score, store, visible
 from tools.trials.baselines import metadata
 from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campaign, _candidates, case, plan, struck
 from tools.trials.naive import best_correlated
@@ -20,7 +20,7 @@ from tools.trials.score import Rate, Scored
 from tools.trials.visible import SEEN, hammer_signal, level_signal, multiple_of_visible, overlap, scaled
 from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
-from tools.truth.recording import HammerTest, Posture, draw_postures, draw_truth, plain, write_campaign
+from tools.truth.recording import HammerTest, Posture, Truth, draw_postures, draw_truth, plain, write_campaign
 from twin.commands.modal import read_recording
 from twin.diagnose.objective import Objective, Sample
 from twin.identify.elastic import prepare, without_limits
@@ -476,6 +476,42 @@ def test_play_that_gravity_presses_to_one_side_has_no_size() -> None:
     seen = multiple_of_visible(loose, truth, signal, 1.0, project=False)
     energy = 0.5 * float(np.sum(signal(replace(truth, effects=(seen,))) ** 2))
     assert SEEN <= energy < 1.5 * SEEN
+
+
+def test_what_a_softer_neighbour_imitates_shows_by_its_tolerance_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spring c in series with one of k: data tell 1/k + c alone. What shows is ½ (log(1 + kc)/w)², of which the
+    derivative would make ½ (kc/w)²."""
+    width, multiple = np.log(1.3), 1.5
+    truth = draw_truth(3, (), (Posture("a", (0.0, 80.0, -90.0)),))
+
+    def soften(truth: Truth, z: float) -> Truth:
+        stiffness = truth.chain.stiffness * np.exp(width * z)
+        return replace(truth, chain=replace(truth.chain, stiffness=stiffness))
+
+    def signal(truth: Truth) -> np.ndarray:
+        compliance = 1 / truth.chain.stiffness[0, 0] + sum(1 / e["stiffness"] for e in truth.effects)
+        return np.array([1e4 * np.log(compliance), 0.0])
+
+    monkeypatch.setattr(visible, "_nuisances", lambda truth: [visible.Nuisance(soften, width)])
+    k = float(truth.chain.stiffness[0, 0])
+    seen = multiple_of_visible(
+        Effect("base_compliance", "base.rz", {"stiffness": k, "damping": 0.0}), truth, signal, multiple
+    )
+    shown = 0.5 * (np.log1p(k / seen["stiffness"]) / width) ** 2
+    assert shown == pytest.approx(SEEN * multiple**2, rel=visible.NEAR - 1)
+    assert k / seen["stiffness"] > 2 * np.sqrt(2 * SEEN) * multiple * width
+
+
+def test_no_size_is_drawn_from_a_channel_that_tells_nothing(tmp_path: Path) -> None:
+    drawn = (_campaign("hammer", seed, [], np.random.default_rng([seed, 2]), False)[0] for seed in range(40))
+    campaign = next(c for c in drawn if c.dead is not None)
+    assert set(campaign.live) == set(campaign.points) - {campaign.dead}
+    brief = replace(campaign, postures=campaign.postures[:1])
+    make._strike(brief, 1, tmp_path / "frf.h5", np.random.default_rng(0))
+    (posture,) = read_recording([tmp_path / "frf.h5"]).postures.values()
+    size = np.median(np.abs(posture.frf), axis=(0, 1))  # a blow across the arm's plane gives noise there, too: faint
+    noise = (np.max(posture.coherence, axis=(0, 1)) < 0.31) & (size > 0.1 * np.median(size))
+    assert [campaign.points[k] for k in np.flatnonzero(noise)] == [campaign.dead]
 
 
 def test_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

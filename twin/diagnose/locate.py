@@ -80,9 +80,9 @@ def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None) -> d
     """What ln evidence would gain if a spring had a law without a name, site by site, most first.
 
     The law is a stiffness of its own in every posture, one that is complex and bends over frequency, or a damper of
-    order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), each as likely: to first
-    order about the fit, everything that is free there making room. A share x of the stiffness has the prior
-    N(0, s²), all scales s of ``SCALES`` alike. Columns ``aside`` (m, data), of prior deviation one, make room too.
+    order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), each as likely as
+    an effect that has a name: to first order about the fit, everything that is free there making room. A share x of
+    the stiffness has the prior N(0, s²), all scales s of ``SCALES`` alike. Columns ``aside`` (m, data), of prior deviation one, make room too.
     """
     objective = Objective(fit.robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
@@ -105,7 +105,7 @@ def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None) -> d
             law = np.array([1j + 0 * octaves, octaves, 1j * octaves, octaves**2])
             bends[:, own] = (law * slope[own].view(complex)).view(float)
             half[:, own] = (np.sqrt(1j * np.exp(octaves)) * slope[own].view(complex)).view(float)
-        found[parameter.site] = _mean([_evidence(Q, rho, columns) for columns in (postures, bends, half)])
+        found[parameter.site] = float(np.logaddexp.reduce([_evidence(Q, rho, x) for x in (postures, bends, half)]))
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
