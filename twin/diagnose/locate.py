@@ -80,9 +80,10 @@ def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None) -> d
     """What ln evidence would gain if a spring had a law without a name, site by site, most first.
 
     The law is a stiffness of its own in every posture, one that is complex and bends over frequency, or a damper of
-    order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), each as likely as
-    an effect that has a name: to first order about the fit, everything that is free there making room. A share x of
-    the stiffness has the prior N(0, s²), all scales s of ``SCALES`` alike. Columns ``aside`` (m, data), of prior deviation one, make room too.
+    order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), each as likely as an effect
+    that has a name: to first order about the fit, everything that is free there making room. A share x of the stiffness
+    has the prior N(0, s²), all scales s of ``SCALES`` alike. Columns ``aside`` (m, data), of prior deviation one, make
+    room too.
     """
     objective = Objective(fit.robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
