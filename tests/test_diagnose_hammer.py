@@ -24,10 +24,11 @@ from twin.diagnose.verdict import elsewhere, judge, rival_of, strained
 from twin.identify.elastic import without_limits
 from twin.identify.parameters import Parameter as Free
 from twin.identify.parameters import Parameters, free_parameters, independent
-from twin.measure.campaign import Campaign, FloatArray, PostureFRF, read_campaign
+from twin.measure.campaign import Campaign, FloatArray, PostureFRF, Quantity, read_campaign
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.physics import CATALOGUE
+from twin.physics.effect import link_end
 from twin.robot.description import Robot, load_robot
 from twin.robot.mechanism import assemble
 
@@ -166,6 +167,8 @@ def test_what_swings_beside_a_link_is_looked_for_there() -> None:
     variants = CATALOGUE["attached_resonator"].variants(robot, "link1", (5.0, 30.0))
     turning = {tuple(np.sign([-v["position"][1], v["position"][2]])) for v in variants if v["axis"] == "x"}
     assert {a * b for a, b in turning} == {-1.0, 0.0, 1.0}
+    end = link_end(robot, 0)
+    assert {v["axis"] for v in variants if np.allclose(v["position"], end)} == set("xyz")
     assert len({v["frequency_hz"] for v in variants}) > 50
 
 
@@ -423,6 +426,29 @@ def test_noise_of_a_blow_that_is_hardly_answered_is_not_taken_for_one_in_proport
     ratio = np.sqrt(variance / (truth**2 / 2 / hits))
     assert 0.9 < np.median(ratio) < 1.1
     assert np.percentile(ratio, 99) < 1.6  # was over 4
+
+
+@pytest.mark.parametrize("quantity", ["accelerance", "mobility", "receptance"])
+def test_a_blow_of_noise_alone_is_left_out_and_a_silent_or_perfect_one_spoils_nothing(quantity: Quantity) -> None:
+    rng = np.random.default_rng(8)
+    f, hits = np.arange(5.0, 30.0, 0.25), 5
+    H = 0.02 / (21.0**2 - f**2 + 2j * 0.05 * 21.0 * f)[:, None, None] * np.ones((1, 3, 6))
+    H[:, :, 5] = 0.0
+    sigma = 0.005 * np.abs(H) + 1e-8
+    mean = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2 * hits)
+    coherence = np.abs(H) ** 2 / (np.abs(H) ** 2 + sigma**2)
+    mean[:, :, 2] = np.median(np.abs(H[:, 0, 0])) * (rng.normal(size=(len(f), 3)) + 1j * rng.normal(size=(len(f), 3)))
+    coherence[:, :, 2] = rng.uniform(0, 0.3, (len(f), 3))
+    mean[:, :, 5], coherence[:, :, 5], coherence[:, :, 4] = 0.0, 1.0, 1.0
+    power = ("accelerance", "mobility", "receptance").index(quantity)
+    seen = mean / ((2j * np.pi * f) ** power)[:, None, None]
+    variance = pooled_variance(PostureFRF("a", np.zeros(3), "on", f, seen, quantity, coherence, hits))
+    assert np.isinf(variance[:, :, [2, 5]]).all()
+    others = variance[:, :, [0, 1, 3, 4]]
+    assert np.isfinite(others).all()
+    assert (others > 0).all()
+    true = sigma**2 / 2 / hits / ((2 * np.pi * f) ** (2 * power))[:, None, None]
+    assert 0.7 < np.median(others[:, :, :3] / true[:, :, [0, 1, 3]]) < 1.4
 
 
 def test_resonators_are_scanned_by_the_change_they_make(tmp_path: Path) -> None:

@@ -72,7 +72,8 @@ def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
         for b in range(BANDS):
             energy[k, b] = np.sum(np.abs(part[band == b]) ** 2, axis=0)
     names = tuple(r.group for r in sample.recordings)
-    sites = {site: max(gain, 0.0) for site, gain in free_laws(fit, sample).items()}
+    nothing = np.log(3.0)  # what three laws gain together that the recordings say nothing of
+    sites = {site: max(gain - nothing, 0.0) for site, gain in free_laws(fit, sample).items()}
     return Mismatch(names, edges, channels, energy, sites)
 
 
@@ -159,7 +160,7 @@ def _mean(logs: Sequence[float]) -> float:
 
 
 def _evidences(Q: FloatArray, rho: FloatArray, columns: FloatArray) -> list[float]:
-    """The same for each of ``SCALES``."""
+    """ln evidence that columns (m, data) gain, for each of ``SCALES``."""
     data = columns.shape[1]
     inside = columns @ Q[:data]
     information, pull = columns @ columns.T - inside @ inside.T, columns @ rho[:data]

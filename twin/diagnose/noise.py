@@ -21,6 +21,7 @@ LOUD = 0.98  # quantile of |H|² over the lines and responses of a blow, from wh
 NOISY = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
 NEAREST = 7
 BROKEN = 30.0  # times the usual variance of channels: noise that is not a sensor's
+NOTHING = 1e-100  # of a variance whose square is still a number
 LEAST = 5e-4  # of |H|: no FRF is known better
 USUAL = 0.01  # of |H|, where nothing tells how blows differ
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
@@ -55,21 +56,22 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     floor = (SENSOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
     b = _at_peaks(single, power)
     a = np.broadcast_to(np.median(single, axis=0), single.shape)
+    a, b = np.where(a > 0, a, floor), np.where(b > 0, b, LEAST**2)  # steps that multiply never leave zero
     lines = max(NEIGHBOURS, DEGREES / (n - 1)) if scattered else NEIGHBOURS
     kernel = min(round(lines * shared), len(single))
     # Likelihood of gamma-distributed variances, by multiplicative steps that keep both parts positive (Févotte and
     # Idier 2011, Itakura–Saito divergence): one part is not explained away by the other's error. a is a running mean.
     weight = a / kernel
     for _ in range(ROUNDS):
-        model = np.maximum(a + b * power, 1e-300)
+        model = np.maximum(a + b * power, NOTHING)
         b = b * np.sqrt(_of_blow(power * single / model**2) / np.maximum(_of_blow(power / model), 1e-300))
-        model = np.maximum(a + b * power, 1e-300)
+        model = np.maximum(a + b * power, NOTHING)
         weight = weight * np.sqrt(_smooth(single / model**2, kernel) / np.maximum(_smooth(1 / model, kernel), 1e-300))
         a = _smooth(weight, kernel)
     variance = np.maximum(a + b * power, np.maximum(floor, LEAST**2 * power))
+    loud = np.median(variance, axis=0) > BROKEN * np.median(a[:, ~dead]) if not dead.all() else dead
     if posture.quantity != "accelerance":
         variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
-    loud = np.median(variance, axis=0) > BROKEN * np.median(a[:, ~dead]) if not dead.all() else dead
     variance[:, dead | (loud & _incoherent(posture.coherence, n))] = np.inf
     return variance
 
