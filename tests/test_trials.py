@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tools.trials import __main__ as trials
-from tools.trials import ask, make, real, reference, score, store, visible
+from tools.trials import ask, cases, make, real, reference, score, store, visible
 from tools.trials.baselines import metadata
 from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campaign, _candidates, case, plan, struck
 from tools.trials.naive import best_correlated
@@ -502,10 +502,16 @@ def test_what_a_softer_neighbour_imitates_shows_by_its_tolerance_alone(monkeypat
     assert k / seen["stiffness"] > 2 * np.sqrt(2 * SEEN) * multiple * width
 
 
-def test_no_size_is_drawn_from_a_channel_that_tells_nothing(tmp_path: Path) -> None:
+def test_no_size_is_drawn_from_a_channel_that_tells_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = (_campaign("hammer", seed, [], np.random.default_rng([seed, 2]), False)[0] for seed in range(40))
     campaign = next(c for c in drawn if c.dead is not None)
     assert set(campaign.live) == set(campaign.points) - {campaign.dead}
+    asked: list[tuple[int, ...]] = []
+    monkeypatch.setattr(cases, "hammer_signal", lambda postures, test, points: asked.append(tuple(points)))
+    monkeypatch.setattr(cases, "multiple_of_visible", lambda effect, *_, **__: effect)
+    load = Effect("payload", "flange", {})
+    cases._sized([load], campaign, None, (2.0, 6.0), np.random.default_rng(0))
+    assert asked == [campaign.live]
     brief = replace(campaign, postures=campaign.postures[:1])
     make._strike(brief, 1, tmp_path / "frf.h5", np.random.default_rng(0))
     (posture,) = read_recording([tmp_path / "frf.h5"]).postures.values()

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from tools.truth.chain import Array, Link, Tolerances
+from tools.truth.chain import Array, Link, Tolerances, kr90
 from tools.truth.effects import Effect
 from tools.truth.motion import Log, Run, motor_torque
 from tools.truth.recording import SENSORS, HammerTest, Posture, Truth, accelerance, hit_variance
@@ -171,7 +171,7 @@ def _visible_factor(changed: Callable[[float], Array]) -> float:
 
 def _nuisances(truth: Truth) -> Iterator[Nuisance]:
     """What a modeller does not know, in deviations."""
-    chain, log, known = truth.chain, not truth.posture_error, Tolerances()
+    chain, log, known, described = truth.chain, not truth.posture_error, Tolerances(), kr90()
 
     def of_chain(name: str, index: tuple[int, ...], width: float) -> Nuisance:
         def change(truth: Truth, z: float) -> Truth:
@@ -210,7 +210,7 @@ def _nuisances(truth: Truth) -> Iterator[Nuisance]:
                 yield of_link(i, lambda link, z, j=j, k=k: replace(link, inertia=_changed(link.inertia, j, k, z)))
     if log:
         for i in range(chain.n):
-            yield of_chain("stiffness", (i, 0), np.log(1.3))  # between two encoders
+            yield of_chain("stiffness", (i, 0), np.log(known.stiffness))  # between two encoders
             for name, width in (("viscous", 0.3), ("coulomb", 0.3), ("rotor_inertia", 0.1)):
                 if getattr(chain, name)[i]:
                     yield of_chain(name, (i,), width)
@@ -219,7 +219,7 @@ def _nuisances(truth: Truth) -> Iterator[Nuisance]:
         return
     for index in np.ndindex(chain.stiffness.shape):
         if np.isfinite(chain.stiffness[index]):
-            poor = chain.damping[index] < known.poor_damping
+            poor = described.damping[index] < known.poor_damping  # as the robot was drawn
             yield of_chain("stiffness", index, np.log(known.stiffness))
             yield of_chain("damping", index, np.log(known.damping_poor if poor else known.damping))
     for name in truth.posture_error:
