@@ -22,11 +22,11 @@ from twin.diagnose.search import Search, _about_the_same_axis, _best_of_each, _t
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, judge, rival_of, strained
 from twin.identify.elastic import without_limits
-from twin.identify.parameters import Parameter as Free
-from twin.identify.parameters import Parameters, free_parameters, independent
 from twin.measure.campaign import Campaign, FloatArray, PostureFRF, Quantity, read_campaign
 from twin.model.linear import linearise
 from twin.model.modes import modes
+from twin.model.parameters import Parameter as Free
+from twin.model.parameters import Parameters, free_parameters, independent
 from twin.physics import CATALOGUE
 from twin.physics.effect import link_end
 from twin.robot.description import Robot, load_robot

@@ -9,10 +9,8 @@ import pytest
 from tools.truth.__main__ import main as truth
 from twin.commands.compare import compare_hammer
 from twin.commands.diagnose import diagnose_campaign
-from twin.diagnose.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
 from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.held_law import UnderLaw
-from twin.diagnose.joint_laws import Cubic, Drag, Gap, Law, Slip, SlipAnywhere
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, _race, _settling, decide_levels, explain_levels, fit_law, point, with_law
 from twin.diagnose.levels_beside import _doubted
@@ -25,9 +23,11 @@ from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Finding, estimates_of
 from twin.identify.elastic import prepare, without_limits
-from twin.identify.parameters import Parameter, free_parameters, independent, join
-from twin.identify.sensitivity import Observed
 from twin.measure.campaign import Campaign, read_campaign
+from twin.model.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
+from twin.model.joint_laws import Cubic, Drag, Gap, Law, Slip, SlipAnywhere
+from twin.model.parameters import Parameter, free_parameters, independent, join
+from twin.model.sensitivity import Observed
 from twin.robot.description import Entry, Robot
 
 

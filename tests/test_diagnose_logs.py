@@ -48,12 +48,12 @@ from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Missing, Verdict
 from twin.errors import InputError
-from twin.identify.regressor import inertia_six
 from twin.identify.rigid import Bands
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.measure.signals import lowpass
+from twin.model.regressor import inertia_six
 from twin.model.replay import inverse_dynamics
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion

@@ -15,13 +15,13 @@ from twin.errors import InputError
 from twin.identify.elastic import fit_frf, minimise, prepare
 from twin.identify.elastic_compare import judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
-from twin.identify.parameters import free_parameters
 from twin.identify.uncertainty import combinations, estimates, profile
 from twin.measure.campaign import Campaign, Channels, PostureFRF, as_quantity, read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.uff import write_uff
 from twin.model.frf import frf as reference_frf
 from twin.model.linear import linearise
+from twin.model.parameters import free_parameters
 from twin.robot.description import Robot, load_robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
 

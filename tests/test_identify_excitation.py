@@ -11,8 +11,8 @@ from twin.commands.identify import identify_log
 from twin.errors import InputError
 from twin.identify import excitation
 from twin.identify.excitation import Fourier, Problem, excite, violation
-from twin.identify.regressor import flange_path
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log, write_motion_log
+from twin.model.regressor import flange_path
 from twin.model.replay import inverse_dynamics
 from twin.robot.description import Robot, load_robot
 
@@ -103,7 +103,7 @@ def test_the_criterion_is_the_condition_number(kr90: Robot, found: list[excitati
     kept = Problem(kr90, 5, 0.1, False, "condition").kept
     assert len(kept) == 15
     e = found[0]
-    from twin.identify.regressor import link_regressor
+    from twin.model.regressor import link_regressor
 
     Y = link_regressor(kr90, e.fourier.motion(np.arange(1237) * 10 / 1237))[:, :, kept].reshape(-1, 15)
     assert np.linalg.cond(Y) == pytest.approx(e.condition, rel=1e-6)

@@ -24,7 +24,7 @@ from tools.truth.recording import HammerTest, Posture, Truth, draw_postures, dra
 from twin.commands.modal import read_recording
 from twin.diagnose.objective import Objective, Sample
 from twin.identify.elastic import prepare, without_limits
-from twin.identify.parameters import free_parameters
+from twin.model.parameters import free_parameters
 from twin.robot.description import load_robot
 
 ERROR = {

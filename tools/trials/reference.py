@@ -17,7 +17,6 @@ import numpy as np
 from tools.trials.cases import struck
 from tools.trials.store import engine_hash, read, write
 from twin.commands.modal import read_recording
-from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.joint_reaction import Stepped, blows
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
@@ -26,8 +25,9 @@ from twin.diagnose.struck import judge_struck, law_of
 from twin.diagnose.triage import triage
 from twin.identify.elastic import without_limits
 from twin.identify.elastic_compare import judge
-from twin.identify.parameters import SIX, Parameters, free_parameters
 from twin.measure.campaign import FloatArray
+from twin.model.joint_laws import AMPLITUDE
+from twin.model.parameters import SIX, Parameters, free_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry, load_robot
 

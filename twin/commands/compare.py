@@ -16,13 +16,13 @@ from twin.diagnose.struck import amplitude_entries, judge_struck
 from twin.diagnose.triage import believed
 from twin.errors import InputError
 from twin.identify.elastic_compare import Comparison, compare_modes, comparison, judge
-from twin.identify.regressor import Regressor
 from twin.identify.rigid import TOO_SHORT, Bands, Rows, motion_of_run, rows_of
 from twin.measure.campaign import Campaign
 from twin.measure.hdf5 import Node
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.measure.signals import advance, lowpass
+from twin.model.regressor import Regressor
 from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot

@@ -45,13 +45,13 @@ from twin.diagnose.verdict import (
 )
 from twin.errors import InputError
 from twin.identify.elastic import Recorded, base_name, prepare, without_limits
-from twin.identify.parameters import Parameters, free_parameters
 from twin.measure.campaign import Campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import read_motion_log
 from twin.memory import uncollected
 from twin.model.linear import linearise
 from twin.model.modes import modes
+from twin.model.parameters import Parameters, free_parameters
 from twin.parallel import Progress, cores, spread
 from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json

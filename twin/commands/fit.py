@@ -31,7 +31,6 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
-from twin.identify.parameters import SATURATED, Parameters, free_parameters
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
     Combination,
@@ -47,6 +46,7 @@ from twin.measure.modal_table import ModalTable, read_modal_table
 from twin.measure.shapes import mac
 from twin.model.linear import linearise
 from twin.model.modes import Modes, modes
+from twin.model.parameters import SATURATED, Parameters, free_parameters
 from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot, parse_robot, save_robot
@@ -367,7 +367,7 @@ class _PostureModes:
 
 
 def _modes_at(robot: Robot, r: Recorded) -> _PostureModes:
-    from twin.identify.sensitivity import structure
+    from twin.model.sensitivity import structure
 
     mechanism = assemble(without_limits(robot), r.setup.q, brakes=r.setup.brakes or "off")
     return _PostureModes(modes(linearise(mechanism)), structure(mechanism))

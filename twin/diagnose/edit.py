@@ -1,6 +1,6 @@
 """Checks run on the new model as it was written: MuJoCo predicts what the search's algebra predicts; what an edit does.
 
-The search evaluates FRFs with its own algebra (:mod:`twin.identify.sensitivity`). Here the written files are read
+The search evaluates FRFs with its own algebra (:mod:`twin.model.sensitivity`). Here the written files are read
 again, compiled by MuJoCo, and predict the same: FRFs linearised, torque in time along a run. Blows in time are in
 :mod:`twin.diagnose.levels_finding`.
 """
@@ -13,20 +13,20 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.records import FrfRecord, Stage
 from twin.identify.elastic import without_limits
-from twin.identify.parameters import independent
-from twin.identify.sensitivity import Setup, observe
-from twin.identify.sensitivity import frf as algebra
 from twin.measure.campaign import QUANTITIES, ComplexArray, FloatArray, laplace
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.expansion import with_channels
 from twin.model.frf import frf, measurement_chain
+from twin.model.joint_laws import AMPLITUDE
 from twin.model.linear import linearise
 from twin.model.modes import modes
+from twin.model.parameters import independent
 from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
+from twin.model.sensitivity import Setup, observe
+from twin.model.sensitivity import frf as algebra
 from twin.robot.description import Entry, Robot
 from twin.robot.mechanism import assemble
 

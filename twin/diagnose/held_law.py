@@ -1,6 +1,6 @@
 """A joint's law of amplitude, held as what it was to every blow: how linear models are fitted to a nonlinear robot.
 
-After a blow F the law adds a torque T at joint j of a robot that is linear otherwise (:mod:`twin.diagnose.blow`):
+After a blow F the law adds a torque T at joint j of a robot that is linear otherwise (:mod:`twin.model.blow`):
 
     H = H_lin − G_j T/F,    T/F = κ φ/F + rest,
 
@@ -14,8 +14,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from twin.identify.elastic import Recorded
-from twin.identify.sensitivity import Observed, Structure, frf, frf_slopes
 from twin.measure.campaign import ComplexArray
+from twin.model.sensitivity import Observed, Structure, frf, frf_slopes
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.identify.parameters import Parameter, Parameters, independent, join
 from twin.measure.campaign import Brakes, Channels, FloatArray
+from twin.model.parameters import Parameter, Parameters, independent, join
 from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
 from twin.physics.effect import Parameter as Quantity

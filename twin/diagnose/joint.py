@@ -14,9 +14,9 @@ from twin.diagnose.decide import calibration
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word
-from twin.identify.parameters import Parameters, entry_parameter, independent, join
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
+from twin.model.parameters import Parameters, entry_parameter, independent, join
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
-from twin.diagnose.joint_laws import LAWS, NO_LOAD, Law
 from twin.diagnose.objective import Changes, Cost, rates
 from twin.identify.elastic import Recorded
-from twin.identify.parameters import Parameters
-from twin.identify.sensitivity import Observed, contract, moving, observe
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
+from twin.model.blow import RATE_HZ, Strike, pulse_transform, torques, transform
+from twin.model.joint_laws import LAWS, NO_LOAD, Law
+from twin.model.parameters import Parameters
+from twin.model.sensitivity import Observed, contract, moving, observe
 from twin.parallel import spread
 from twin.robot.description import Robot
 

@@ -3,7 +3,7 @@
 A blow's decay sees a nonlinear joint as a linear one whose stiffness and damping depend on how far that blow deflects
 it. So every blow gets a complex stiffness of its own at one joint, k_b + iω c_b, while everything else stays common to
 all: the joint for which that explains the recordings is the site, and k_b, c_b over the deflection are the law, for a
-person to see. Which law it is, and its numbers, come from laws stepped in time (``twin.diagnose.blow``) and fitted
+person to see. Which law it is, and its numbers, come from laws stepped in time (``twin.model.blow``) and fitted
 with everything else free, judged by the same evidence as linear hypotheses.
 """
 
@@ -12,10 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose.blow import COARSE_HZ, RATE_HZ
 from twin.diagnose.decide import Decision, calibration, decide, unexplained
 from twin.diagnose.hypotheses import Hypothesis, together
-from twin.diagnose.joint_laws import LAWS, NAMELESS, USUAL_DEFLECTION, Law
 from twin.diagnose.joint_reaction import (
     FADED,
     PULSE_S,
@@ -29,9 +27,11 @@ from twin.diagnose.joint_reaction import (
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.identify.elastic import Recorded
-from twin.identify.parameters import Parameter, Parameters
-from twin.identify.sensitivity import frf, observe
 from twin.measure.campaign import Campaign, FloatArray
+from twin.model.blow import COARSE_HZ, RATE_HZ
+from twin.model.joint_laws import LAWS, NAMELESS, USUAL_DEFLECTION, Law
+from twin.model.parameters import Parameter, Parameters
+from twin.model.sensitivity import frf, observe
 from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry, Robot

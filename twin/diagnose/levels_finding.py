@@ -10,7 +10,6 @@ import numpy as np
 from twin.diagnose.decide import Decision, finalists
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
-from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
 from twin.diagnose.levels_beside import Beside, explain_beside
@@ -26,11 +25,12 @@ from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
 from twin.identify.elastic import Recorded, without_limits
 from twin.identify.elastic_compare import recording_set, relative_error
-from twin.identify.parameters import independent
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
+from twin.model.joint_laws import AMPLITUDE
+from twin.model.parameters import independent
 from twin.parallel import Progress
 from twin.robot.description import Axis, Robot
 from twin.robot.mechanism import assemble

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.joint_laws import LAWS
 from twin.diagnose.joint_reaction import Blow
 from twin.diagnose.levels import LINES, Levels, View, excited, point, with_law
 from twin.diagnose.objective import Sample
@@ -20,6 +19,7 @@ from twin.diagnose.triage import HOMOGENEOUS, NEAR
 from twin.errors import InputError
 from twin.identify.elastic import Recorded
 from twin.measure.campaign import ComplexArray, FloatArray
+from twin.model.joint_laws import LAWS
 from twin.robot.description import Robot
 
 EXCITATIONS = 5  # a law is looked at by

@@ -28,9 +28,9 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
-from twin.identify.parameters import Parameters, free_parameters
 from twin.measure.campaign import Channels, FloatArray
 from twin.measure.modal_table import ModalTable
+from twin.model.parameters import Parameters, free_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Axis, Robot
 

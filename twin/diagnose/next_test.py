@@ -14,8 +14,8 @@ from twin.diagnose.hypotheses import Hypothesis, same_axes
 from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError
-from twin.identify.sensitivity import Setup, frf, observe
 from twin.measure.campaign import Brakes, FloatArray
+from twin.model.sensitivity import Setup, frf, observe
 from twin.robot.description import Robot
 
 SEEN = 8.0  # ln Bayes factor from which an effect would be seen

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from twin.diagnose.held_law import respond, respond_slopes
 from twin.diagnose.hypotheses import Sprung
 from twin.identify.elastic import Recorded
-from twin.identify.parameters import SIX, Parameters
 from twin.identify.residual import loss, pull, weights
-from twin.identify.sensitivity import (
+from twin.measure.campaign import ComplexArray, FloatArray
+from twin.model.parameters import SIX, Parameters
+from twin.model.sensitivity import (
     Observed,
     Setup,
     Structure,
@@ -23,7 +24,6 @@ from twin.identify.sensitivity import (
     slopes,
     spatial_inertia,
 )
-from twin.measure.campaign import ComplexArray, FloatArray
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 from twin.robot.mechanism import Inertial, cut
@@ -291,7 +291,7 @@ def rates(
     changes: Changes,
     among: Iterable[int] | None = None,
 ) -> Observed:
-    """:func:`twin.identify.sensitivity.slopes`, links that bend differentiated through their cut."""
+    """:func:`twin.model.sensitivity.slopes`, links that bend differentiated through their cut."""
     split = {f"link{number}": plane for number, plane in model.mechanism.splits.items()}
     through = [
         k for k, p in enumerate(parameters) if p.kind == "link" and p.name.partition(".")[0] in split

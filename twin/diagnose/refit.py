@@ -16,8 +16,8 @@ from scipy.linalg import solve_triangular
 from twin.diagnose.hypotheses import Hypothesis, Sprung, together
 from twin.diagnose.objective import Objective, Sample
 from twin.identify.elastic import Recorded
-from twin.identify.parameters import Parameters, independent, join, recording_parameters
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameters, independent, join, recording_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 

@@ -24,9 +24,9 @@ from twin.diagnose.held_law import respond, with_blows
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.refit import WIDER, Fitted, minimise
-from twin.identify.parameters import SIX, Parameters
-from twin.identify.sensitivity import observe
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
+from twin.model.parameters import SIX, Parameters
+from twin.model.sensitivity import observe
 from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot

@@ -16,9 +16,9 @@ from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
 from twin.identify.elastic import AGREEMENT
-from twin.identify.parameters import Parameter, Parameters
-from twin.identify.sensitivity import observe_all, poles
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter, Parameters
+from twin.model.sensitivity import observe_all, poles
 from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot

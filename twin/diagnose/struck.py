@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from twin.diagnose.blow import COARSE_HZ
-from twin.diagnose.joint_laws import AMPLITUDE, LAWS, Law, Slip
 from twin.diagnose.joint_reaction import PULSE_SPREAD, Blow, Stepped
 from twin.diagnose.objective import Sample
 from twin.diagnose.refit import minimise
 from twin.identify.elastic import Recorded, without_limits
 from twin.identify.elastic_compare import Judged, recording_set, relative_error
-from twin.identify.parameters import independent
 from twin.measure.campaign import FloatArray
+from twin.model.blow import COARSE_HZ
+from twin.model.joint_laws import AMPLITUDE, LAWS, Law, Slip
+from twin.model.parameters import independent
 from twin.robot.description import Entry, Robot
 
 LINES, AGAIN = 25, 8  # lines and iterations of what belongs to the recordings themselves

@@ -44,12 +44,12 @@ from twin.diagnose.torque_search import (
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
-from twin.identify.parameters import entry_parameter
-from twin.identify.regressor import inertial_vector
 from twin.identify.rigid import Bands
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
+from twin.model.parameters import entry_parameter
+from twin.model.regressor import inertial_vector
 from twin.physics import CATALOGUE
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot

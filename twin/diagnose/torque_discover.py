@@ -12,8 +12,8 @@ import numpy as np
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.torque_fit import Columns, System, Trial, settle, span_of, start
 from twin.diagnose.torque_laws import USUAL, Suspect
-from twin.identify.parameters import Parameter
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter
 from twin.robot.description import Entry
 
 MOST_TERMS = 5

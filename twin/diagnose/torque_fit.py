@@ -39,11 +39,11 @@ from twin.diagnose.torque_laws import (
     with_values,
 )
 from twin.diagnose.torque_signal import Prepared, Run
-from twin.identify.parameters import TOLERANCE_DEVIATION, Parameter, Parameters, independent, join, link_parameters
-from twin.identify.regressor import Column, Regressor, body_of, inertial_vector, pseudo_inertia
 from twin.identify.rigid import nearest_possible
 from twin.measure.campaign import FloatArray
 from twin.measure.signals import lowpass
+from twin.model.parameters import TOLERANCE_DEVIATION, Parameter, Parameters, independent, join, link_parameters
+from twin.model.regressor import Column, Regressor, body_of, inertial_vector, pseudo_inertia
 from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.physics.effect import axis_of

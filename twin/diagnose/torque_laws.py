@@ -14,10 +14,10 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.torque_signal import Run
-from twin.identify.parameters import Parameter
-from twin.identify.regressor import inertial_vector
 from twin.measure.campaign import FloatArray
 from twin.measure.signals import lowpass
+from twin.model.parameters import Parameter
+from twin.model.regressor import inertial_vector
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Values, axis_of

@@ -16,12 +16,12 @@ import scipy.interpolate
 import scipy.signal
 
 from twin.errors import InputError
-from twin.identify.regressor import Regressor
 from twin.identify.rigid import Bands, joint_run, motion_of_run, split
 from twin.identify.rigid import Rows as _Rows
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, saturated
 from twin.measure.signals import lowpass
+from twin.model.regressor import Regressor
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.identify.regressor import INERTIAL, Column, Regressor
+from twin.model.regressor import INERTIAL, Column, Regressor
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 

@@ -14,9 +14,19 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.identify.parameters import Parameters, free_parameters
 from twin.identify.residual import pull, weights
-from twin.identify.sensitivity import (
+from twin.measure.campaign import (
+    QUANTITIES,
+    Campaign,
+    ComplexArray,
+    FloatArray,
+    PostureFRF,
+    dead_channels,
+    frf_variance,
+    laplace,
+)
+from twin.model.parameters import Parameters, free_parameters
+from twin.model.sensitivity import (
     Observed,
     Setup,
     contract,
@@ -27,16 +37,6 @@ from twin.identify.sensitivity import (
     observe_all,
     sag_slopes,
     slopes,
-)
-from twin.measure.campaign import (
-    QUANTITIES,
-    Campaign,
-    ComplexArray,
-    FloatArray,
-    PostureFRF,
-    dead_channels,
-    frf_variance,
-    laplace,
 )
 from twin.robot.description import Robot
 
@@ -359,7 +359,7 @@ def fit_frf(
     Args:
         robot: the described robot, whose values are the prior means.
         recordings: what to fit to, from :func:`prepare`.
-        parameters: what is free; by default everything of :func:`twin.identify.parameters.free_parameters`.
+        parameters: what is free; by default everything of :func:`twin.model.parameters.free_parameters`.
         starts: the first from the description, the others from springs and dampers drawn from the prior.
         seed: of the starts.
         progress: called with 1 after every start and once at the end.

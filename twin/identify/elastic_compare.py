@@ -26,10 +26,10 @@ from twin.identify.elastic import (
     without_limits,
 )
 from twin.identify.elastic_modal import PairedMode, frequency_error, modal_postures, predict_modes
-from twin.identify.parameters import Parameters, independent, join, recording_parameters
 from twin.identify.uncertainty import posterior
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
+from twin.model.parameters import Parameters, independent, join, recording_parameters
 from twin.robot.description import Robot
 
 BANDS = 6  # a recording's frequency range is judged in this many equal bands

@@ -14,11 +14,11 @@ from scipy.optimize import linear_sum_assignment
 
 from twin.errors import InputError
 from twin.identify.elastic import Fit, Objective, Start, agreement, minimise, recorded_posture, without_limits
-from twin.identify.parameters import Parameters, free_parameters
-from twin.identify.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.measure.shapes import mac
+from twin.model.parameters import Parameters, free_parameters
+from twin.model.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
 from twin.robot.description import Robot
 
 ModalObjective = Literal["posterior", "paper"]

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from twin.errors import InputError
 from twin.identify.base_parameters import structural_base
-from twin.identify.regressor import Regressor, flange_path, link_regressor
+from twin.model.regressor import Regressor, flange_path, link_regressor
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 

@@ -12,16 +12,16 @@ import scipy.linalg
 
 from twin.errors import InputError
 from twin.identify.base_parameters import BaseParameters, base_parameters, structural_base
-from twin.identify.regressor import (
+from twin.measure.campaign import FloatArray
+from twin.measure.motion_log import MotionLog, MotionRun, saturated
+from twin.measure.signals import advance, differentiate, lowpass
+from twin.model.regressor import (
     Regressor,
     coupling_matrix,
     inertial_vector,
     pseudo_inertia,
     rotor_body_regressor,
 )
-from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import MotionLog, MotionRun, saturated
-from twin.measure.signals import advance, differentiate, lowpass
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from twin.identify.elastic import Fit, Recorded, linear_objective, without_limits
-from twin.identify.parameters import Parameter
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter
 from twin.robot.description import Robot
 
 HELD = 0.5  # posterior over prior deviation below which the data hold a parameter

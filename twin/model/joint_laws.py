@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.identify.parameters import Parameter
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter
 
 REACH = np.geomspace(0.01, 2.6, 13)  # deflections at which slip elements yield, over one that one blow in ten exceeds
 NEXT = 0.25  # prior deviation of the logarithm of a yield: half the way to the next
