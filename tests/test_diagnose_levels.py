@@ -17,12 +17,13 @@ from twin.diagnose.levels_beside import _doubted
 from twin.diagnose.levels_finding import check_blows
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.locate import free_blows, free_laws
-from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, descend, minimise
+from twin.diagnose.refit import NONE, descend
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Finding, estimates_of
-from twin.identify.elastic import prepare, without_limits
+from twin.identify.descent import minimise
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import prepare, without_limits
 from twin.measure.campaign import Campaign, read_campaign
 from twin.model.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
 from twin.model.joint_laws import Cubic, Drag, Gap, Law, Slip, SlipAnywhere

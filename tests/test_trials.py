@@ -22,8 +22,8 @@ from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
 from tools.truth.recording import HammerTest, Posture, Truth, draw_postures, draw_truth, plain, write_campaign
 from twin.commands.modal import read_recording
-from twin.diagnose.objective import Objective, Sample
-from twin.identify.elastic import prepare, without_limits
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import prepare, without_limits
 from twin.model.parameters import free_parameters
 from twin.robot.description import load_robot
 

@@ -18,13 +18,14 @@ from tools.trials.cases import struck
 from tools.trials.store import engine_hash, read, write
 from twin.commands.modal import read_recording
 from twin.diagnose.joint_reaction import Stepped, blows
-from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
-from twin.diagnose.refit import NONE, descend, minimise
+from twin.diagnose.refit import NONE, descend
 from twin.diagnose.struck import judge_struck, law_of
 from twin.diagnose.triage import triage
-from twin.identify.elastic import without_limits
+from twin.identify.descent import minimise
 from twin.identify.elastic_compare import judge
+from twin.identify.objective import Sample
+from twin.identify.recorded import without_limits
 from twin.measure.campaign import FloatArray
 from twin.model.joint_laws import AMPLITUDE
 from twin.model.parameters import SIX, Parameters, free_parameters

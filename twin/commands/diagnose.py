@@ -22,7 +22,6 @@ from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
 from twin.diagnose.modal_table import diagnose_table
 from twin.diagnose.next_test import next_test, smallest_visible
-from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
@@ -44,7 +43,8 @@ from twin.diagnose.verdict import (
     strained,
 )
 from twin.errors import InputError
-from twin.identify.elastic import Recorded, base_name, prepare, without_limits
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded, base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import read_motion_log

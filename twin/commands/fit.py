@@ -11,16 +11,7 @@ from scipy.special import gammaincinv
 from twin.commands.modal import read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
-from twin.identify.elastic import (
-    Fit,
-    Recorded,
-    base_name,
-    fit_frf,
-    noise_stated,
-    prepare,
-    within_limits,
-    without_limits,
-)
+from twin.identify.elastic import Fit, fit_frf
 from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
     ModalObjective,
@@ -31,6 +22,7 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
+from twin.identify.recorded import Recorded, base_name, noise_stated, prepare, within_limits, without_limits
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
     Combination,

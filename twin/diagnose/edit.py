@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from twin.diagnose.records import FrfRecord, Stage
-from twin.identify.elastic import without_limits
+from twin.identify.recorded import without_limits
 from twin.measure.campaign import QUANTITIES, ComplexArray, FloatArray, laplace
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
@@ -27,6 +27,7 @@ from twin.model.parameters import independent
 from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
 from twin.model.sensitivity import Setup, observe
 from twin.model.sensitivity import frf as algebra
+from twin.physics.payload import Payload
 from twin.robot.description import Entry, Robot
 from twin.robot.mechanism import assemble
 
@@ -157,7 +158,7 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
 def _with_payload(robot: Robot, mass: float) -> Robot:
     """With a point mass more at the flange's centre."""
     values: dict[str, Any] = {"mass": mass, "com": [float(v) for v in robot.flange.position]}
-    entry = Entry(effect="payload", site="flange", **values)
+    entry = Entry(effect=Payload.name, site="flange", **values)
     return robot.model_copy(update={"physics": [*robot.physics, entry]})
 
 

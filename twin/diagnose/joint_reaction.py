@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
-from twin.diagnose.objective import Changes, Cost, rates
-from twin.identify.elastic import Recorded
+from twin.identify.objective import Changes, Cost, rates
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
 from twin.model.blow import RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.model.joint_laws import LAWS, NO_LOAD, Law

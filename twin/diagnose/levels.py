@@ -24,9 +24,10 @@ from twin.diagnose.joint_reaction import (
     blows,
     inverse2,
 )
-from twin.diagnose.objective import Sample
-from twin.diagnose.refit import NONE, Fitted, descend, minimise
-from twin.identify.elastic import Recorded
+from twin.diagnose.refit import NONE, Fitted, descend
+from twin.identify.descent import minimise
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.blow import COARSE_HZ, RATE_HZ
 from twin.model.joint_laws import LAWS, NAMELESS, USUAL_DEFLECTION, Law

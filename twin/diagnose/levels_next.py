@@ -13,11 +13,11 @@ import numpy as np
 
 from twin.diagnose.joint_reaction import Blow
 from twin.diagnose.levels import LINES, Levels, View, excited, point, with_law
-from twin.diagnose.objective import Sample
 from twin.diagnose.refit import Fitted
 from twin.diagnose.triage import HOMOGENEOUS, NEAR
 from twin.errors import InputError
-from twin.identify.elastic import Recorded
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.model.joint_laws import LAWS
 from twin.robot.description import Robot

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.diagnose.held_law import UnderLaw, receptances
-from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.refit import Fitted
+from twin.identify.objective import Objective, Sample, factors
 from twin.measure.campaign import FloatArray
 from twin.model.sensitivity import observe_all
 

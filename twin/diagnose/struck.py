@@ -7,10 +7,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from twin.diagnose.joint_reaction import PULSE_SPREAD, Blow, Stepped
-from twin.diagnose.objective import Sample
-from twin.diagnose.refit import minimise
-from twin.identify.elastic import Recorded, without_limits
+from twin.identify.descent import minimise
 from twin.identify.elastic_compare import Judged, recording_set, relative_error
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
 from twin.model.blow import COARSE_HZ
 from twin.model.joint_laws import AMPLITUDE, LAWS, Law, Slip

@@ -7,7 +7,7 @@ import numpy as np
 
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.errors import InputError
-from twin.identify.elastic import Recorded, base_name, prepare
+from twin.identify.recorded import Recorded, base_name, prepare
 from twin.measure.campaign import Campaign, frf_variance
 from twin.measure.spectra import Check, driving_points, force_levels, linearity, reciprocity
 from twin.robot.description import Robot

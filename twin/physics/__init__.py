@@ -1,4 +1,16 @@
-"""What a model can leave out: one file per effect, and the plain list of them."""
+"""What a model can leave out: one file per effect, the plain list of them, and how a user adds an effect of his own.
+
+    from twin.physics import register
+    register(MyEffect())                      # in a script or notebook
+
+or, for an installed package, so that the ``twin`` command has it too, in its pyproject.toml:
+
+    [project.entry-points."twin.effects"]
+    my_effect = "my_package.my_effect:MyEffect"
+"""
+
+import re
+from importlib.metadata import entry_points
 
 from twin.physics.asymmetric_friction import AsymmetricFriction
 from twin.physics.attached_resonator import AttachedResonator
@@ -64,3 +76,38 @@ CATALOGUE: dict[str, Effect] = {
     )
 }
 """Identifier → effect, in the order of the vocabulary; last what stands outside it."""
+
+BESIDE = ("parameter",)
+"""Words that stand where an effect's name does."""
+
+
+def register(effect: Effect) -> Effect:
+    """Add an effect to the catalogue: it is suspected, fitted, named, written and simulated like the others.
+
+    Args:
+        effect: an instance of a subclass of :class:`Effect`. One of the same class takes the place of the earlier one.
+
+    Returns:
+        The effect.
+
+    Raises:
+        ValueError: it does not state what a kind of recording in its ``seen_in`` needs, or its name is taken.
+    """
+    known = CATALOGUE.get(effect.name)
+    if known is not None and type(known).__qualname__ != type(effect).__qualname__:
+        raise ValueError(f"effect {effect.name!r}: the name is taken by {type(known).__qualname__}; choose another")
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", effect.name) or effect.name in BESIDE:
+        raise ValueError(f"effect {effect.name!r}: expected a name of small letters, digits and _ as its identifier")
+    if problem := effect.unstated():
+        raise ValueError(f"effect {effect.name!r}: {problem}")
+    CATALOGUE[effect.name] = effect
+    return effect
+
+
+def _installed() -> None:
+    """Register what installed packages offer under the entry-point group ``twin.effects``."""
+    for point in entry_points(group="twin.effects"):
+        register(point.load()())
+
+
+_installed()

@@ -4,7 +4,7 @@ A new effect is one new file with one subclass of :class:`Effect`, listed in ``t
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -73,6 +73,20 @@ class Parameter:
         return None
 
 
+@dataclass(frozen=True)
+class Companion:
+    """A rival that mechanics names.
+
+    Attributes:
+        effect, site: as in a diagnosis; effect ``parameter`` for a number of the description (``link3.mass``).
+        values: where its search starts; ``None`` for what is typical of it.
+    """
+
+    effect: str
+    site: str
+    values: Values | None = None
+
+
 class Effect:
     """One entry of the vocabulary. Subclasses are stateless; the values live in the robot description.
 
@@ -88,6 +102,9 @@ class Effect:
             warm-up act on, ``"drive"`` is neither.
         repeatable: several entries may stand at one site.
         lever: the parameter that says where its ``mass`` hangs.
+        hinge: its spring is a coordinate of a joint and its numbers are named like the joint's own
+            (``joint1.x.stiffness``).
+        adds_mode: it brings a mode of its own, which a modal table may leave out.
         sizes: prior deviations of the first scale from which a search far from the truth starts, towards null.
         ridged: there are ridges between its sizes: near the truth too, first order from none finds no way to them.
     """
@@ -100,7 +117,9 @@ class Effect:
     role: ClassVar[Literal["load", "friction", "drive"]] = "drive"
     repeatable: ClassVar[bool] = False
     sprung: ClassVar[bool] = False
+    hinge: ClassVar[bool] = False
     lever: ClassVar[str] = ""
+    adds_mode: ClassVar[bool] = False
     sizes: ClassVar[tuple[float, ...]] = (-2.5, -1.0, 1.0)
     ridged: ClassVar[bool] = False
 
@@ -150,8 +169,43 @@ class Effect:
         typical = self.typical(robot, site)
         return [] if typical is None else [typical]
 
+    # --- hammer tests -------------------------------------------------------------------------------------------------
+
+    def shown_by(self, brakes: Iterable[str | None]) -> bool:
+        """Whether a hammer test could show it, of the brakes' state in every posture ("on", "off" or unknown)."""
+        return True
+
+    def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """What it is hard to tell from by mechanics and is judged beside it in any case."""
+        return []
+
+    def merged(self, robot: "Robot", site: str, values: Values, other: str, place: str) -> list[Companion]:
+        """What it may be as one thing with an ``other`` effect at a ``place``, instead of the two."""
+        return []
+
+    # ------------------------------------------------------------------------------------------------------------------
+
     def carrier(self, robot: "Robot", site: str) -> int | None:
         """Zero-based link of which the entry's ``mass`` at ``com`` is rigidly a part; ``None`` for anything else."""
+        return None
+
+    def unstated(self) -> str | None:
+        """What the effect would have to state for a kind of recording in its ``seen_in``; ``None`` where nothing lacks.
+
+        An effect that a recording is said to show and that changes nothing there would be passed over in silence.
+        """
+        own, base = type(self), Effect
+        if not self.sites or not self.parameters:
+            return "expected at least one site and one parameter"
+        if not self.seen_in <= {"hammer", "levels", "log"}:
+            return f"seen_in: expected hammer, levels or log, found {', '.join(sorted(self.seen_in))}"
+        recorded = own.record is not base.record
+        if "hammer" in self.seen_in and own.write is base.write and not recorded:
+            return "seen_in hammer: expected a method write (into the mechanism) or record (of the measurement)"
+        if "hammer" in self.seen_in and own.typical is base.typical and own.variants is base.variants:
+            return "seen_in hammer: expected a method typical, from which a search starts"
+        if "log" in self.seen_in and own.torque is base.torque and not recorded and own.carrier is base.carrier:
+            return "seen_in log: expected a method torque (of the drives), record or carrier"
         return None
 
     def is_site(self, site: str, axes: int) -> bool:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.physics.effect import Effect, Parameter, Values, axis_of, link_end
+from twin.physics.effect import Companion, Effect, Parameter, Values, axis_of, link_end
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -42,6 +42,13 @@ class Payload(Effect):
 
     def carrier(self, robot: "Robot", site: str) -> int:
         return robot.axis_count - 1 if site == "flange" else axis_of(site)
+
+    def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """The flange for the last link and the other way round; the link's own mass."""
+        last = f"link{robot.axis_count}"
+        same = {"flange": last, last: "flange"}
+        found = [Companion(self.name, same[site])] if site in same else []
+        return [*found, Companion("parameter", f"{last if site == 'flange' else site}.mass")]
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if values["mass"] > 0:
