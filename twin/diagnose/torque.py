@@ -24,7 +24,7 @@ from twin.diagnose.torque_fit import (
     with_presliding,
     worth,
 )
-from twin.diagnose.torque_laws import RECORDING, log_suspects, model_torque, with_values
+from twin.diagnose.torque_laws import log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
@@ -50,7 +50,7 @@ from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.model.parameters import entry_parameter
 from twin.model.regressor import inertial_vector
-from twin.physics import CATALOGUE
+from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 
@@ -108,7 +108,7 @@ def diagnose_log(
         list(prepared.held_out), records, where, sites,
         [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
-            *prepared.notes, *map(_restless, restless), *_told_apart(search), *_narrow(search),
+            *prepared.notes, *not_sought(robot), *map(_restless, restless), *_told_apart(search), *_narrow(search),
             *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays),
@@ -161,7 +161,10 @@ def with_evidence(finding: Finding) -> list[Missing]:
 
     The encoders' step that shows a gap is told where it was found: the torque shows none.
     """
-    return [m if m.first.effect == "backlash" else replace(m, evidence=_evidence(m, finding)) for m in finding.missing]
+    return [
+        m if effect_named(m.first.effect).part == "play" else replace(m, evidence=_evidence(m, finding))
+        for m in finding.missing
+    ]
 
 
 def _evidence(missing: Missing, finding: Finding) -> str:
@@ -200,7 +203,7 @@ def _told_apart(search: Search) -> list[str]:
     for step in [search.first, *search.steps]:
         for fit in step.decision.ranked:
             trial = step.trials.get(fit.hypothesis.key)
-            whole = trial is not None and len(trial.column.joints) > 1 and fit.hypothesis.effect in RECORDING
+            whole = trial is not None and len(trial.column.joints) > 1 and trial.suspect.effect.records_torque
             if whole and fit.hypothesis.key not in found:
                 gain = fit.evidence() - step.base.evidence()
                 alone[fit.hypothesis.key] = max(alone.get(fit.hypothesis.key, 0.0), gain)
@@ -222,11 +225,11 @@ def _slips(search: Search) -> dict[str, list[str]]:
     """Of each slip found, what became of dry friction, and how far low-speed friction would do in its place."""
     notes: dict[str, list[str]] = {}
     for slip in search.found:
-        if slip.first.hypothesis.effect != "hysteresis":
+        if not slip.effect.memory:
             continue
         own = notes.setdefault(slip.key, [])
         site = slip.first.hypothesis.site.partition(".")[0]
-        dry, low = f"coulomb_friction@{site}", f"stribeck_friction@{site}"
+        dry, low = f"{effect_of('dry').name}@{site}", f"{_fading()}@{site}"
         looks = [{f.hypothesis.key: f.evidence() - s.base.evidence() for f in s.decision.ranked} for s in search.steps]
         if (gain := max((look.get(dry, 0.0) for look in looks), default=0.0)) > FURTHER:
             more = any(s.key == dry and not possible(search.system, s) for s in search.found)
@@ -263,10 +266,10 @@ def _slips(search: Search) -> dict[str, list[str]]:
 
 def _late(search: Search) -> dict[str, list[str]]:
     """Of a delay found beside slip, how much of what it would have explained slip does: they are nearly alike."""
-    slips = [step for step in search.found if step.first.hypothesis.effect == "hysteresis"]
+    slips = [step for step in search.found if step.effect.memory]
     notes: dict[str, list[str]] = {}
     for step in search.found:
-        if step.first.hypothesis.effect != "time_delay" or not slips:
+        if not (step.effect.records_torque and "reversals" in step.effect.log_tests) or not slips:
             continue
         most = max(
             fit.evidence() - other.base.evidence()
@@ -298,7 +301,7 @@ def _finalists(search: Search, found: Sequence[Play]) -> tuple[dict[str, Any], .
     """Fits to the torque, and gaps by what they take off the misfit of the encoders."""
     base = search.finalists[0]
     gaps = (
-        {**base, "effect": "backlash", "site": p.site, "misfit": base["misfit"] - p.fall / base["data"],
+        {**base, "effect": effect_of("play").name, "site": p.site, "misfit": base["misfit"] - p.fall / base["data"],
          "own_parameters": 1}
         for p in found
     )  # fmt: skip
@@ -307,7 +310,7 @@ def _finalists(search: Search, found: Sequence[Play]) -> tuple[dict[str, Any], .
 
 def _visible(found: Sequence[Play]) -> list[dict[str, Any]]:
     return [
-        {"effect": "backlash", "site": play.site, "parameter": "gap", "value": play.visible, "unit": "rad"}
+        {"effect": effect_of("play").name, "site": play.site, "parameter": "gap", "value": play.visible, "unit": "rad"}
         for play in found
         if np.isfinite(play.visible)
     ]
@@ -325,13 +328,14 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         (found,) = missing_of(step.decision, step.base)
         if step.trial is not None:  # its numbers as they are with everything else in the model
             numbers = estimates_of(settled, search.system.own(step.trial.suspect))
-            if found.first.effect == "joint_coupling":
+            if name := step.effect.profiled:
                 drop = 0.5 * NINETY**2 * _inflation(search.system)
-                numbers["ratio"]["interval90"] = list(profiled(search.system, step.trial.suspect, 0, drop))
+                number = [p.quantity for p in step.trial.suspect.hypothesis.own].index(name)
+                numbers[name]["interval90"] = list(profiled(search.system, step.trial.suspect, number, drop))
             found = replace(found, first=replace(found.first, parameters=numbers))
-        if found.first.effect == "discovered":
+        if step.effect.part == "law":
             found = _with_formula(found, step.first)
-        missing += _with_coulomb(search, step, found, settled) if found.first.effect == "hysteresis" else [found]
+        missing += _with_coulomb(search, step, found, settled) if step.effect.memory else [found]
     missing = [_or_slip(search, one, missing) for one in missing]
     if search.law:
         _, _, fit = search.law
@@ -342,7 +346,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     if not missing:
         return "adequate" if first.none >= 0.5 else word_of(first), [], first.none, first.other
     word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"
-    if any(m.first.effect == "discovered" for m in missing):
+    if any(effect_named(m.first.effect).part == "law" for m in missing):
         word = "located"
     return word, missing, first.none, max(first.other, other)
 
@@ -353,20 +357,22 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
     That is Coulomb friction, which holds what it has at rest. Both together are the torque that is written as slip.
     """
     system, (joint,) = search.system, step.joints
-    key = f"coulomb_friction@joint{joint + 1}"
+    name = effect_of("dry").name
+    key = f"{name}@joint{joint + 1}"
     described = any(f"{e.effect}@{e.site}" == key for e in system.base.regressor.robot.physics)
     dry = [s for s in search.found if s.key == key]
     if described or any(possible(system, s) for s in dry) or step.trial is None:
         return [slip]
     suspect = step.trial.suspect
     once, own = at_once(system, suspect), system.own(suspect)
-    count = len(own) // 2
+    width = len(suspect.effect.elements)
+    count = len(own) // width
     if len(once) == count and not dry:  # the longest stays what it is: all of the torque is told of one of both
         travel = np.divide(*(slip.first.parameters[name]["value"] for name in ("yield_torque", "stiffness")))
         once.remove(int(np.argmax(travel)))
     if not once:
         return [slip]
-    at = [own[2 * k] for k in once] + [k for s in dry if s.trial for k in system.own(s.trial.suspect)]
+    at = [own[width * k] for k in once] + [k for s in dry if s.trial for k in system.own(s.trial.suspect)]
     deviations = np.array([settled.parameters[k].deviation for k in at])
     covariance = np.linalg.inv(settled.information)[np.ix_(at, at)]
     torque, spread = float(settled.values[at].sum()), float(np.sqrt(deviations @ covariance @ deviations))
@@ -374,14 +380,14 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
         return [slip]
     if len(once) == count:  # all of slip that shows is that it holds more at rest than is left of it in motion
         once = []
-    unit = slip.first.parameters["yield_torque"]["unit"]
+    unit, dry_name = slip.first.parameters["yield_torque"]["unit"], effect_of("dry").parameters[0].name
     number = {"value": torque, "unit": unit, "interval90": [torque - NINETY * spread, torque + NINETY * spread]}
     left = [k for k in range(count) if k not in once]
     parameters = {
         name: {**item, "value": [item["value"][k] for k in left], "interval90": [item["interval90"][k] for k in left]}
         for name, item in slip.first.parameters.items()
     }
-    coulomb = replace(slip.first, effect="coulomb_friction", site=f"joint{joint + 1}", parameters={"torque": number})
+    coulomb = replace(slip.first, effect=name, site=f"joint{joint + 1}", parameters={dry_name: number})
     rest = replace(slip, first=replace(slip.first, parameters=parameters))
     return [Missing(coulomb, slip.probability, (), ""), rest]
 
@@ -392,7 +398,8 @@ def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Miss
     Both hold more at rest than friction is in motion, and how the one falls with speed lies between two samples: that
     the one has the better fit says nothing of which it is, where neither law is exact.
     """
-    slips = [m for m in missing if m.first.key == f"hysteresis@{found.first.site}.z"]
+    memory = [m for m in missing if effect_named(m.first.effect).memory]
+    slips = [m for m in memory if m.first.site.partition(".")[0] == found.first.site]
     if found.first.key not in (step.key for step in _at_rest(search)) or not slips:
         return found
     slip = slips[0].first
@@ -403,8 +410,13 @@ def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Miss
 
 def _at_rest(search: Search) -> list[Step]:
     """Low-speed friction that was found and shows at rest only."""
-    low = (s for s in search.found if s.first.hypothesis.effect == "stribeck_friction" and s.trial is not None)
+    low = (s for s in search.found if s.effect.fades_over and s.trial is not None)
     return [s for s in low if s.trial and seen_at_rest_only(search.system, s.trial.suspect)]
+
+
+def _fading() -> str:
+    """Name of the friction that is largest at rest and fades with speed."""
+    return next(name for name, effect in CATALOGUE.items() if effect.fades_over)
 
 
 def _with_formula(found: Missing, fit: Fitted) -> Missing:

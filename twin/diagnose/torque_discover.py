@@ -14,6 +14,7 @@ from twin.diagnose.torque_fit import Columns, System, Trial, settle, span_of, st
 from twin.diagnose.torque_laws import USUAL, Suspect
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter
+from twin.physics import effect_of
 from twin.robot.description import Entry
 
 MOST_TERMS = 5
@@ -82,20 +83,20 @@ def discover(system: System, joint: int, most: int = MOST_TERMS) -> tuple[Trial,
     if not chosen:
         return None
     formula = " + ".join(f"c{k + 1}*{kept[c]}" for k, c in enumerate(chosen))
-    key = f"discovered@{site}"
+    key = f"{effect_of('law').name}@{site}"
     own = tuple(
         Parameter(f"{key}.coefficients[{k}]", "N·m", "entry", False, 0.0, widths[c], "usual size")
         for k, c in enumerate(chosen)
     )
     entry = _entry(site, formula, [0.0] * len(own))
-    hypothesis = Hypothesis("discovered", site, (entry,), own)
+    hypothesis = Hypothesis(entry.effect, site, (entry,), own)
     sizes = tuple(range(len(own)))
     suspect = Suspect(hypothesis, np.zeros((1, len(own))), sizes, np.zeros(len(own), bool))
     return settle(system, start(system, suspect)), len(kept)
 
 
 def _entry(site: str, formula: str, coefficients: list[float]) -> Entry:
-    data = {"effect": "discovered", "site": site, "formula": formula, "coefficients": coefficients}
+    data = {"effect": effect_of("law").name, "site": site, "formula": formula, "coefficients": coefficients}
     return Entry.model_validate(data)
 
 

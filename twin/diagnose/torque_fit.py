@@ -23,9 +23,6 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_laws import (
-    BENT,
-    REFERRING,
-    TURNING,
     USUAL,
     State,
     Suspect,
@@ -35,17 +32,16 @@ from twin.diagnose.torque_laws import (
     on_dense,
     presliding_columns,
     smooth_columns,
-    turning_level,
     with_values,
 )
 from twin.diagnose.torque_signal import Prepared, Run
 from twin.identify.rigid import nearest_possible
 from twin.measure.campaign import FloatArray
 from twin.measure.signals import lowpass
-from twin.model.parameters import TOLERANCE_DEVIATION, Parameter, Parameters, independent, join, link_parameters
+from twin.model.parameters import Parameter, Parameters, independent, join, link_parameters
 from twin.model.regressor import Column, Regressor, body_of, inertial_vector, pseudo_inertia
 from twin.parallel import spread
-from twin.physics import CATALOGUE
+from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import inertia_matrix, inertia_six
@@ -56,11 +52,7 @@ LARGEST_KEPT = 20_000_000  # numbers of a suspect's columns kept from one search
 MOST_FITTED = 0.4  # share of a log's rows that the richest model may fit: what is left of a short log tells its noise
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit may have explained away
 RIDGE = 1e-4  # of the noise's power: white noise added to the autoregression, so that stop bands are not amplified
-ROTOR, COMPENSATOR = 0.1 * TOLERANCE_DEVIATION, 0.1 * TOLERANCE_DEVIATION  # relative: described to ±10 %
-FRICTION = 0.5  # relative prior deviation of described friction
 RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: what any gear and motor adds
-SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
-SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three
 PROFILE = (1.0, 1.6, 2.5, 4.0, 6.0, 9.0, 13.0)  # deviations at which a profile is looked at
 FEW = 10  # starts that are all refined of what goes into the model
 TRIED, KEPT = 3, 0.7  # starts of a suspect that are evaluated, until one keeps so much of the gain it promised
@@ -174,7 +166,7 @@ class Base:
         torque += turning
         load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
         friction = np.zeros_like(load)
-        roles = [CATALOGUE[c.name.partition("@")[0]].role if c.group == "entry" else "" for c in self.regressor.columns]
+        roles = [effect_named(c.name.partition("@")[0]).role for c in self.regressor.columns]
         for column, axis, law in self.regressor.laws(run.dense):
             if roles[column] == "load":
                 load[:, axis] += values[column] * law
@@ -191,72 +183,90 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
         runs: with their rows.
         sliding: (n,) see :class:`Base`; as described by default.
     """
-    robot, columns = regressor.robot, regressor.columns
-    n = robot.axis_count
+    robot = regressor.robot
     scale = np.sqrt(np.mean(np.concatenate([r.torque[r.valid] for r in runs]) ** 2, axis=0))
-    matrices, known = [], []
-    curved = any(e.effect == "payload" or e.effect not in _LINEAR_EFFECTS for e in robot.physics) or any(
-        drive.rotor_mass for drive in robot.drives
-    )
+    matrices, known = _matrices(regressor, runs)
+    links, covariance = link_parameters(robot)
+    others = _other_parameters(regressor, runs, matrices, scale)
+    inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
+    spread = scipy.linalg.block_diag(inertial, np.diag([p.deviation for p in others]))
+    described = np.zeros(robot.axis_count)
+    for entry in robot.physics:
+        if CATALOGUE[entry.effect].part == "dry":
+            described[axis_of(entry.site)] += dry_level(entry)
+    if sliding is None:
+        sliding = described * (np.count_nonzero(described) > 1)
+    sizes = _wave_sizes(robot, scale)
+    ripple, none = [], []
     for run in runs:
-        matrix = np.zeros((*run.torque.shape, len(columns)))
+        none.append(np.zeros((*run.torque.shape, len(TRAVELS["revolute"]))))
+        angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
+        ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
+    own = [*others, *_ordinary(runs, sizes, OFFSET * scale)]
+    parameters = join(Parameters(tuple(links), covariance), independent(own))
+    base = Base(
+        regressor, list(runs), matrices, known, regressor.described, spread, parameters, OFFSET * scale,
+        np.maximum(USUAL * scale, described), ripple, np.zeros(robot.axis_count), none, none,
+    )  # fmt: skip
+    return _sliding(base, sliding)
+
+
+def _matrices(regressor: Regressor, runs: Sequence[Run]) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Columns (m, n, p) of every run, and the torque (m, n) of what has none."""
+    matrices, known, n = [], [], regressor.robot.axis_count
+    for run in runs:
+        matrix = np.zeros((*run.torque.shape, len(regressor.columns)))
         matrix[:, :, : 11 * n] = run.bodies
         for column, axis, law in regressor.laws(run.dense):
             matrix[:, axis, column] += run.filtered(law)
         matrices.append(matrix)
-        known.append(run.filtered(regressor.known_torque(run.dense)) if curved else np.zeros_like(run.torque))
-    links, covariance = link_parameters(robot)
-    inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
-    others, width = [], []
-    for k, other in enumerate(columns[10 * n :], 10 * n):
+        complete = regressor.complete
+        known.append(np.zeros_like(run.torque) if complete else run.filtered(regressor.known_torque(run.dense)))
+    return matrices, known
+
+
+def _other_parameters(
+    regressor: Regressor, runs: Sequence[Run], matrices: Sequence[FloatArray], scale: FloatArray
+) -> list[Parameter]:
+    """Rotors and entries, with the prior that the description states; of zeros what a joint's torque allows."""
+    found, n = [], regressor.robot.axis_count
+    for k, other in enumerate(regressor.columns[10 * n :], 10 * n):
         rms = np.sqrt(
             np.mean(np.concatenate([m[r.valid][:, :, k] for m, r in zip(matrices, runs, strict=True)]) ** 2, axis=0)
         )
         share = 1.0 if other.group == "rotor" else UNKNOWN
         unknown = share * float(np.max(scale / np.maximum(rms, 1e-300), where=rms > 0, initial=0.0))
-        deviation = _deviation(robot, columns, k) or unknown or 1.0
-        width.append(deviation)
-        others.append(Parameter(other.name, other.unit, "entry", False, other.value, deviation, "description"))
-    spread = scipy.linalg.block_diag(inertial, np.diag(width))
-    offset = OFFSET * scale
-    offsets = [
-        Parameter(f"torque_offset@joint{j + 1}.{run.name}", "N·m", "gain", False, 0.0, float(max(offset[j], 1e-12)))
-        for run in runs
-        for j in range(n)
-    ]
-    sizes = _wave_sizes(robot, scale)
-    waves = [
-        Parameter(f"ordinary_ripple@joint{j + 1}.{name}{order}", "N·m", "gain", False, 0.0, float(sizes[j, order - 1]))
-        for j in range(n)
-        for name in ("sin", "cos")
-        for order in range(1, RIPPLE_ORDERS + 1)
-    ]
-    friction = USUAL * scale
-    described = np.zeros(n)
-    for entry in robot.physics:
-        if entry.effect == "coulomb_friction":
-            described[axis_of(entry.site)] += entry.values["torque"]
-    friction = np.maximum(friction, described)
-    if sliding is None:
-        sliding = described * (np.count_nonzero(described) > 1)
-    travels = len(TRAVELS["revolute"])
+        deviation = _deviation(regressor.robot, regressor.columns, k) or unknown or 1.0
+        found.append(Parameter(other.name, other.unit, "entry", False, other.value, deviation, "description"))
+    return found
+
+
+def _ordinary(runs: Sequence[Run], waves: FloatArray, offset: FloatArray) -> list[Parameter]:
+    """What every drive and recording has: presliding alike at all joints, waves, presliding of one joint, offsets."""
+    joints = range(1, len(offset) + 1)
     slides = [
         Parameter(f"ordinary_presliding{where}.travel{k + 1}", "1", "gain", False, 0.0, width)
-        for where, width in (("", PRESLIDING), *((f"@joint{j + 1}", UNLIKE) for j in range(n)))
-        for k in range(travels)
+        for where, width in (("", PRESLIDING), *((f"@joint{j}", UNLIKE) for j in joints))
+        for k in range(len(TRAVELS["revolute"]))
     ]
-    ripple, none = [], []
-    for run in runs:
-        none.append(np.zeros((*run.torque.shape, travels)))
-        angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
-        ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
-    own = [*others, *slides[:travels], *waves, *slides[travels:], *offsets]
-    parameters = join(Parameters(tuple(links), covariance), independent(own))
-    base = Base(
-        regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction, ripple,
-        np.zeros(n), none, none,
-    )  # fmt: skip
-    return _sliding(base, sliding)
+    ripple = [
+        Parameter(f"ordinary_ripple@joint{j}.{name}{k + 1}", "N·m", "gain", False, 0.0, float(waves[j - 1, k]))
+        for j in joints
+        for name in ("sin", "cos")
+        for k in range(waves.shape[1])
+    ]
+    offsets = [
+        Parameter(f"torque_offset@joint{j}.{run.name}", "N·m", "gain", False, 0.0, float(max(offset[j - 1], 1e-12)))
+        for run in runs
+        for j in joints
+    ]
+    common = len(TRAVELS["revolute"])
+    return [*slides[:common], *ripple, *slides[common:], *offsets]
+
+
+def dry_level(entry: Entry) -> float:
+    """Of an entry that is dry friction, N·m (N)."""
+    return float(entry.values[CATALOGUE[entry.effect].parameters[0].name])
 
 
 def _sliding(base: Base, sliding: FloatArray) -> Base:
@@ -274,23 +284,13 @@ def _sliding(base: Base, sliding: FloatArray) -> Base:
     return replace(base, sliding=sliding, presliding=presliding, uneven=uneven)
 
 
-_LINEAR_EFFECTS = frozenset(
-    {
-        "viscous_friction", "coulomb_friction", "presliding", "asymmetric_friction", "stribeck_friction", "hysteresis",
-        "gravity_compensator", "cable_stiffness", "torque_ripple", "rotor_inertia", "transverse_compliance",
-        "base_compliance", "link_flexibility", "servo_compliance", "structural_damping", "hardening_stiffness",
-        "sensor_gain", "sensor_misalignment", "hammer_misalignment", "time_delay", "torque_constant",
-    }
-)  # fmt: skip
-
-
 def _wave_sizes(robot: Robot, scale: FloatArray) -> FloatArray:
-    """Prior deviation (n, RIPPLE_ORDERS) of sines and cosines of a joint's angle that any drive or compensator adds."""
+    """Prior deviation (n, RIPPLE_ORDERS) of sines and cosines of a joint's angle that any drive or series adds."""
     sizes = np.tile(RIPPLE * scale[:, None] / np.sqrt(RIPPLE_ORDERS), RIPPLE_ORDERS)
     for entry in robot.physics:
-        if entry.effect == "gravity_compensator":
-            largest = float(np.abs(entry.values["coefficients"]).max())
-            sizes[axis_of(entry.site), :SHAPE_ORDERS] += SHAPE * largest
+        waves = CATALOGUE[entry.effect].departure(entry.values, RIPPLE_ORDERS)
+        if np.any(waves):
+            sizes[axis_of(entry.site)] += waves
     turning = np.array([axis.type == "revolute" for axis in robot.axes])
     return np.maximum(sizes * turning[:, None], 1e-12)
 
@@ -298,16 +298,10 @@ def _wave_sizes(robot: Robot, scale: FloatArray) -> FloatArray:
 def _deviation(robot: Robot, columns: Sequence[Column], k: int) -> float:
     column = columns[k]
     if column.group == "rotor":
-        drive = robot.drives[k - 10 * robot.axis_count]
-        return ROTOR * drive.rotor_inertia
-    effect = column.name.partition("@")[0]
-    if effect == "gravity_compensator":
-        key = column.name.rpartition(".")[0]
-        largest = max(abs(c.value) for c in columns if c.name.startswith(key))
-        return float(np.hypot(COMPENSATOR * column.value, SERIES * largest))
-    if effect == "rotor_inertia":
-        return ROTOR * abs(column.value)
-    return FRICTION * abs(column.value)
+        return effect_of("inertia").described_deviation(robot.drives[k - 10 * robot.axis_count].rotor_inertia, 0.0)
+    key = column.name.rpartition(".")[0]
+    largest = max(abs(c.value) for c in columns if c.name.startswith(key))
+    return CATALOGUE[column.name.partition("@")[0]].described_deviation(column.value, largest)
 
 
 def _link_spread(robot: Robot, items: Sequence[Parameter]) -> FloatArray:
@@ -741,7 +735,7 @@ def _taken(system: System) -> FloatArray:
     for suspect in system.found:
         at = system.own(suspect)
         u = system.slopes[suspect.name][0] if suspect.name in system.slopes else z[:0]
-        if suspect.hypothesis.effect not in REFERRING and len(u) == len(at):
+        if not suspect.effect.refers and len(u) == len(at):
             z[at], fixed[at] = u, True
     if fixed.any():
         pull = system.A.transposed(system.y) - system.information[:, fixed] @ z[fixed]
@@ -758,8 +752,8 @@ def with_doubts(system: System) -> System:
     """
     turning, late = np.eye(len(system.whitening)), system.state[0].delay
     for entry in system.entries(system.z):
-        if entry.effect == "joint_coupling":
-            turning[axis_of(entry.values["from"]), axis_of(entry.site)] += entry.values["ratio"]
+        drive, axis, ratio = CATALOGUE[entry.effect].spins(entry.site, entry.values)
+        turning[drive, axis] += ratio
     still = turning if np.any(turning != np.eye(len(turning))) else system.turning[:0]
     if np.array_equal(still, system.turning) and abs(late - system.late) * system.base.runs[0].rate_hz < MISTIMED:
         return system
@@ -784,7 +778,7 @@ def linearised(system: System, z: FloatArray, doubt: FloatArray | None = None) -
     beside = []
     for suspect in here.found:
         at = here.own(suspect)
-        now = z if suspect.hypothesis.effect in REFERRING else z[at]  # it depends on all numbers, or on its own
+        now = z if suspect.effect.refers else z[at]  # it depends on all numbers, or on its own
         u, slopes = here.slopes.get(suspect.name, (now, None))
         if slopes is None or len(u) != len(now) or np.any(np.abs(now - u) > NEAR * (1 + np.abs(u))):
             slopes = _slopes(here, suspect, z, doubt[at])
@@ -799,7 +793,7 @@ def linearised(system: System, z: FloatArray, doubt: FloatArray | None = None) -
 def _slopes(system: System, suspect: Suspect, z: FloatArray, doubt: FloatArray) -> Columns:
     """Of something found, beside all else at z."""
     aside = system
-    if suspect.hypothesis.effect in REFERRING:
+    if suspect.effect.refers:
         aside = copy(system)
         _refer(aside, z, system.entries(z, without=suspect))
     return _whitened(aside, suspect, z[system.own(suspect)], doubt=doubt)[1]
@@ -868,36 +862,44 @@ def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
     travels, first = base.presliding[0].shape[2], base.spread.shape[1]
     z = system.plain(z)
     alone = first + travels + base.regressor.robot.axis_count * base.ripple[0].shape[2]
-    found = [entry for entry in system.entries(z) if entry.effect in TURNING]
+    found = [entry for entry in system.entries(z) if entry.site.startswith("joint")]
+    dry_name, slip_name = effect_of("dry").name, effect_of("presliding").name
     physics = list(robot.physics)
     for j in np.flatnonzero(base.sliding).tolist():
         site = f"joint{j + 1}"
-        dry = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("coulomb_friction", site)), None)
+        dry = next((k for k, e in enumerate(physics) if (e.effect, e.site) == (dry_name, site)), None)
         if dry is None:
             continue
         own = z[alone + j * travels : alone + (j + 1) * travels]
         moved = np.concatenate([r.motion.velocity[:, j] for r in base.runs])
-        level = base.sliding[j] + sum(turning_level(e.effect, e.values, moved) for e in found if axis_of(e.site) == j)
+        here = [e for e in found if axis_of(e.site) == j]
+        level = base.sliding[j] + sum(CATALOGUE[e.effect].turning(e.values, moved) for e in here)
         share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + UNLIKE * own)
-        scale = TRAVELS[base.regressor.robot.axes[j].type]
-        x = np.geomspace(scale[0] / 10, 10 * scale[-1], 80)
-        ends = np.geomspace(scale[0] / 3, 5 * scale[-1], ELEMENTS)
-        torque, _ = nnls(np.minimum(x[:, None] / ends, 1), (1 - np.exp(-x[:, None] / scale)) @ share)
-        coulomb = float(physics[dry].values["torque"])
-        turned = [e for e in physics if e.effect == "joint_coupling" and e.values["from"] == site]
-        free = max(coulomb - sum(robot.values(e)["friction"][1] for e in turned), 0.0)  # the rest turns with two axes
+        ends, torque = _slip_elements(TRAVELS[base.regressor.robot.axes[j].type], share)
+        coulomb = dry_level(physics[dry])
+        turned = (CATALOGUE[e.effect].shared_dry(robot.values(e)) for e in physics)
+        free = max(coulomb - sum(shared for drive, shared in turned if drive == site), 0.0)  # else it turns with two
         torque *= min(1.0, free / max(float(torque.sum()), 1e-300))
         some = torque > SLIGHT * coulomb
         if not some.any():
             continue
-        left = {"torque": max(coulomb - float(torque[some].sum()), 0.0)}
-        physics[dry] = Entry.model_validate({"effect": "coulomb_friction", "site": site, **left})
+        level_name = CATALOGUE[dry_name].parameters[0].name
+        left = {level_name: max(coulomb - float(torque[some].sum()), 0.0)}
+        physics[dry] = Entry.model_validate({"effect": dry_name, "site": site, **left})
         slip = {"yield_torque": torque[some].tolist(), "stiffness": (2 * torque / ends)[some].tolist()}
-        at = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("presliding", site)), len(physics))
+        at = next((k for k, e in enumerate(physics) if (e.effect, e.site) == (slip_name, site)), len(physics))
         if at < len(physics):
             slip = {name: [*physics[at].values[name], *items] for name, items in slip.items()}
-        physics[at : at + 1] = [Entry.model_validate({"effect": "presliding", "site": site, **slip})]
+        physics[at : at + 1] = [Entry.model_validate({"effect": slip_name, "site": site, **slip})]
     return robot.model_copy(update={"physics": physics})
+
+
+def _slip_elements(travels: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Travels of elements, rad (m), and their yield torques: together they turn round as bristles of ``share`` do."""
+    x = np.geomspace(travels[0] / 10, 10 * travels[-1], 80)
+    ends = np.geomspace(travels[0] / 3, 5 * travels[-1], ELEMENTS)
+    torque, _ = nnls(np.minimum(x[:, None] / ends, 1), (1 - np.exp(-x[:, None] / travels)) @ share)
+    return ends, torque
 
 
 def that_can_exist(system: System, z: FloatArray) -> FloatArray:
@@ -935,15 +937,15 @@ def _rounded(entry: Entry, robot: Robot) -> Entry:
 
     What slip that holds more at rest than friction is in motion takes back of dry friction is a law without a name.
     """
-    values = dict(entry.model_extra or {})
-    if entry.effect == "coulomb_friction" and values["torque"] < 0:
-        law = {"formula": f"c1*sign(v{axis_of(entry.site) + 1})", "coefficients": [values["torque"]]}
-        return Entry.model_validate({"effect": "discovered", "site": entry.site, **law})
-    for parameter in CATALOGUE[entry.effect].parameters:
+    values, effect = dict(entry.model_extra or {}), CATALOGUE[entry.effect]
+    if effect.part == "dry" and (level := dry_level(entry)) < 0:
+        law = {"formula": f"c1*sign(v{axis_of(entry.site) + 1})", "coefficients": [level]}
+        return Entry.model_validate({"effect": effect_of("law").name, "site": entry.site, **law})
+    for parameter in effect.parameters:
         if parameter.nonnegative and parameter.name in values and not parameter.word:
             given = values[parameter.name]
             values[parameter.name] = [max(x, 0.0) for x in given] if isinstance(given, list) else max(given, 0.0)
-    return Entry(effect=entry.effect, site=entry.site, **CATALOGUE[entry.effect].nearest(robot, entry.site, values))
+    return Entry(effect=entry.effect, site=entry.site, **effect.nearest(robot, entry.site, values))
 
 
 # --- noise ------------------------------------------------------------------------------------------------------------
@@ -1003,8 +1005,10 @@ def _dry_friction(base: Base) -> FloatArray:
     """
     found = np.zeros_like(base.friction)
     order, valid = _order(base.runs), [r.valid for r in base.runs]
+    dry = effect_of("dry")
     for j, scale in enumerate(base.friction):
-        described = [k for k, p in enumerate(base.parameters) if p.name == f"coulomb_friction@joint{j + 1}.torque"]
+        level = f"{dry.name}@joint{j + 1}.{dry.parameters[0].name}"
+        described = [k for k, p in enumerate(base.parameters) if p.name == level]
         fastest = span_of(base.runs, j)[2]
         parts = []
         for k, (run, rest) in enumerate(zip(base.runs, base.rest, strict=True)):
@@ -1255,7 +1259,7 @@ def start(system: System, suspect: Suspect) -> Trial:
     if whitened is None:
         columns = [column for values in suspect.starts for column in _start_columns(system, suspect, values)]
         whitened = system.whiten(*columns)
-        if whitened.rows.size < LARGEST_KEPT and suspect.hypothesis.effect not in REFERRING:
+        if whitened.rows.size < LARGEST_KEPT and not suspect.effect.refers:
             system.screened[suspect.name] = whitened
     across = system.across(whitened)
     pulls = whitened.rows.T @ system.on(system.residual, whitened)
@@ -1277,7 +1281,7 @@ def start(system: System, suspect: Suspect) -> Trial:
         gain = float(weight @ pulls[part] - 0.5 * weight @ information @ weight - 0.5 * u @ u)
         promised.append((gain, number, u, weight))
     promised.sort(key=lambda item: -item[0])
-    if suspect.hypothesis.effect not in BENT:
+    if suspect.effect.linear:
         gain, number, u, weight = promised[0]
         rows = whitened.rows[:, number * width : (number + 1) * width] @ weight[:, None]
         return Trial(suspect, u, gain, Columns(whitened.joints, rows), Columns(whitened.joints, rows[:, :0]))
@@ -1304,7 +1308,7 @@ def settle(system: System, trial: Trial) -> Trial:
     values = own_values(own, trial.u)
     if np.any((same := canonical(trial.suspect.hypothesis, values)) != values):
         trial = refine(system, evaluate(system, trial.suspect, own_prior(own, same)))
-    for _ in range(2 if trial.suspect.hypothesis.effect in REFERRING else 0):
+    for _ in range(2 if trial.suspect.effect.refers else 0):
         again = copy(system)
         refer(again, eliminated(system, trial))
         trial = refine(again, evaluate(again, trial.suspect, trial.u))
@@ -1314,7 +1318,7 @@ def settle(system: System, trial: Trial) -> Trial:
 def from_every_start(system: System, trial: Trial) -> Trial:
     """The best of a settled trial and of its few starts, refined: where steps meet, a law has more than one optimum."""
     suspect = trial.suspect
-    if len(suspect.starts) > FEW or suspect.hypothesis.effect in REFERRING:
+    if len(suspect.starts) > FEW or suspect.effect.refers:
         return trial
     starts = [own_prior(suspect.hypothesis.own, values) for values in suspect.starts]
     return max([trial, *(refine(system, evaluate(system, suspect, u)) for u in starts)], key=lambda t: t.gain)

@@ -9,13 +9,14 @@ import numpy as np
 
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.torque_fit import base_of
-from twin.diagnose.torque_laws import RECORDING, entry_torque
+from twin.diagnose.torque_laws import entry_torque
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_signal import run_of
 from twin.identify.rigid import Bands, joint_run
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.parallel import spread
+from twin.physics import CATALOGUE
 
 BANDS = 6
 WIDE_HZ = 40.0  # how far above the fit's band a disturbance is looked for
@@ -68,7 +69,7 @@ def disturbances(log: MotionLog, search: Search, source: str, processes: int = 1
     bands = Bands((0.9 * WIDE_HZ, WIDE_HZ), (1.2 * WIDE_HZ, 1.5 * WIDE_HZ))
     edges = np.linspace(below, 0.9 * WIDE_HZ, WIDE_BANDS + 1)
     z = system.plain(search.after.z)
-    entries = [e for e in system.entries(search.after.z) if e.effect not in RECORDING]
+    entries = [e for e in system.entries(search.after.z) if not CATALOGUE[e.effect].records_torque]
 
     def power(number: int) -> FloatArray:
         """Of what the model leaves of a run, (bands, joints)."""

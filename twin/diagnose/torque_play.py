@@ -18,6 +18,7 @@ from twin.diagnose.torque_signal import Run
 from twin.diagnose.verdict import Candidate, Missing
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
+from twin.physics import effect_of
 from twin.robot.description import Entry, Robot
 
 USUAL_GAP = 5e-4  # rad at the gear output (m): a few minutes of arc
@@ -165,7 +166,7 @@ def _white(whitening: FloatArray, columns: FloatArray, valid: np.ndarray) -> Flo
 
 def with_play(robot: Robot, play: Play) -> Robot:
     """The description with the gap in it."""
-    entry = Entry.model_validate({"effect": "backlash", "site": play.site, "gap": play.gap})
+    entry = Entry.model_validate({"effect": effect_of("play").name, "site": play.site, "gap": play.gap})
     return robot.model_copy(update={"physics": [*robot.physics, entry]})
 
 
@@ -178,7 +179,7 @@ def missing_play(play: Play, robot: Robot) -> Missing:
     """
     ends = [max(play.gap + side * NINETY * play.deviation, 0.0) for side in (-1, 1)]
     first = Candidate(
-        "backlash", play.site, play.gain, robot,
+        effect_of("play").name, play.site, play.gain, robot,
         {"gap": {"value": play.gap, "unit": "rad", "interval90": ends}},
     )  # fmt: skip
     evidence = (

@@ -43,12 +43,12 @@ from twin.diagnose.torque_fit import (
     without,
     worth,
 )
-from twin.diagnose.torque_laws import REFERRING, USUAL, Suspect, smooth_columns
+from twin.diagnose.torque_laws import USUAL, Suspect, smooth_columns
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress, spread
-from twin.physics import CATALOGUE
-from twin.physics.effect import axis_of
+from twin.physics import effect_named, effect_of
+from twin.physics.effect import Effect, axis_of
 from twin.robot.description import Entry
 
 FINALISTS = 8
@@ -68,12 +68,6 @@ STRAINED = 25.0  # square of the description's departures per held direction, in
 HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
 UNLIKE_OTHERS = 20.0  # factor on how far presliding of a joint with a slip of its own may be from the others'
 LEAST_OTHER = 0.01  # probability that something has no name here, at least
-REFINED = frozenset({"hysteresis", "stribeck_friction"})
-"""Laws that are Coulomb friction in a limit: where there is none, it comes first if it does most of what they do."""
-
-AGEING = frozenset({"friction_drift"})
-"""Laws of the clock: runs kept aside hold the same motions as those used, not the same hour of the warm-up."""
-
 MOST = 0.5  # of their gain
 TRIED = 3  # answers of one look, where runs not used do not bear out the first
 ELEMENTS = 3  # of slip at a joint, at most
@@ -116,6 +110,11 @@ class Step:
     def trial(self) -> Trial | None:
         """Of the first, ``None`` where it is a number of the base model."""
         return self.trials.get(self.key)
+
+    @property
+    def effect(self) -> Effect:
+        """What the first is."""
+        return effect_named(self.first.hypothesis.effect)
 
     @property
     def key(self) -> str:
@@ -421,7 +420,7 @@ def left_out(system: System, *steps: Step, iterations: int = 8) -> System:
 def _freed(system: System, step: Step) -> Hypothesis:
     """Numbers of the base model that a step's first answer frees; a joint whose friction slips is like no other."""
     hypothesis = step.first.hypothesis
-    if hypothesis.effect != "hysteresis":
+    if not step.effect.memory:
         return Hypothesis("parameter", hypothesis.site, scale=hypothesis.scale)
     own = tuple(f"ordinary_presliding@joint{j + 1}." for j in step.joints)
     numbers = tuple((n, UNLIKE_OTHERS) for n in system.base.parameters.names if n.startswith(own))
@@ -431,7 +430,7 @@ def _freed(system: System, step: Step) -> Hypothesis:
 def _all_grown(steps: Sequence[Step], system: System, judge: "Judge | None") -> System:
     """The model with slip of as many elements as the rows bear, before another law is sought for what one leaves."""
     for step in steps:
-        if step.accepted and step.first.hypothesis.effect == "hysteresis" and not step.grown:
+        if step.accepted and step.effect.elements and not step.grown:
             system, step.grown = _grown(step, system, judge), True
     return system
 
@@ -474,18 +473,19 @@ def _clear(system: System, step: Step) -> bool:
 
 def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
     """A slip suspect with one element more, of half the strongest's torque and ``factor`` of its travel."""
-    suspect, hypothesis = trial.suspect, trial.suspect.hypothesis
-    values = own_values(hypothesis.own, trial.u).reshape(-1, 2)  # yield torque and stiffness of each
-    strongest = values[np.argmax(values[:, 0])]
-    new = np.array([0.5 * strongest[0], 0.5 * strongest[1] / factor])
+    suspect, hypothesis, names = trial.suspect, trial.suspect.hypothesis, trial.suspect.effect.elements
+    width = len(names)
+    values = own_values(hypothesis.own, trial.u).reshape(-1, width)
+    new = suspect.effect.another(values, factor)
     count = len(values)
     (entry,) = hypothesis.entries
-    own = [*hypothesis.own, *(replace(p, name=p.name.replace("[0]", f"[{count}]")) for p in hypothesis.own[:2])]
-    lists = {name: [*entry.values[name], entry.values[name][0]] for name in ("yield_torque", "stiffness")}
+    first = hypothesis.own[:width]
+    own = [*hypothesis.own, *(replace(p, name=p.name.replace("[0]", f"[{count}]")) for p in first)]
+    lists = {name: [*entry.values[name], entry.values[name][0]] for name in names}
     longer = Entry.model_validate({"effect": entry.effect, "site": entry.site, **lists})
     grown = replace(
         suspect, hypothesis=replace(hypothesis, entries=(longer,), own=tuple(own)),
-        nonnegative=np.concatenate([suspect.nonnegative, suspect.nonnegative[:2]]),
+        nonnegative=np.concatenate([suspect.nonnegative, suspect.nonnegative[:width]]),
     )  # fmt: skip
     return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
@@ -516,9 +516,9 @@ def at_once(system: System, suspect: Suspect) -> list[int]:
     moved, _ = _after_reversals(system, axis_of(suspect.hypothesis.site))
     if not moved.size:
         return []
-    values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)]).reshape(-1, 2)
-    travel = 2 * values[:, 0] / values[:, 1]  # yield torque over stiffness, from one sense of motion to the other
-    return np.flatnonzero(travel < np.quantile(moved, NEARLY_EVERY)).tolist()
+    effect = suspect.effect
+    values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)]).reshape(-1, len(effect.elements))
+    return np.flatnonzero(effect.travel(values) < np.quantile(moved, NEARLY_EVERY)).tolist()
 
 
 def seen_at_rest_only(system: System, suspect: Suspect) -> bool:
@@ -527,8 +527,9 @@ def seen_at_rest_only(system: System, suspect: Suspect) -> bool:
     Of how friction falls with speed such a record shows nothing, only that more is held at rest than in motion.
     """
     _, speed = _after_reversals(system, axis_of(suspect.hypothesis.site))
-    _, velocity = own_values(suspect.hypothesis.own, system.z[system.own(suspect)])
-    return bool(speed.size and np.median(speed) > velocity)
+    own = suspect.hypothesis.own
+    values = dict(zip((p.quantity for p in own), own_values(own, system.z[system.own(suspect)]), strict=True))
+    return bool(speed.size and np.median(speed) > values[suspect.effect.fades_over])
 
 
 def _after_reversals(system: System, joint: int) -> tuple[FloatArray, FloatArray]:
@@ -624,21 +625,24 @@ def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], s
 
 def _numbers(hypothesis: Hypothesis) -> int:
     """How many a hypothesis has to be fitted; that a law without a name was chosen counts as one."""
-    return max(len(hypothesis.own), len(hypothesis.scale)) + (hypothesis.effect == "discovered")
+    return max(len(hypothesis.own), len(hypothesis.scale)) + (effect_named(hypothesis.effect).part == "law")
 
 
 def _ladder(system: System, fits: Sequence[Fitted], gains: FloatArray) -> list[tuple[int, int]]:
-    """Laws that refine dry friction where the model has none, each with the plain one that comes first."""
-    present = {entry.site for entry in system.base.regressor.robot.physics if entry.effect == "coulomb_friction"}
-    present |= {s.hypothesis.site for s in system.found if s.hypothesis.effect == "coulomb_friction"}
-    plain = {f.hypothesis.site: k for k, f in enumerate(fits) if f.hypothesis.effect == "coulomb_friction"}
+    """Laws that refine a plain one (dry friction) where the model has none, each with the plain one before it."""
+    refined = {effect_named(fit.hypothesis.effect).refines for fit in fits} - {""}
     found = []
-    for k, fit in enumerate(fits):
-        site = fit.hypothesis.site.partition(".")[0]
-        first = plain.get(site)
-        refines = fit.hypothesis.effect in REFINED and site not in present
-        if refines and first is not None and gains[first] > MOST * gains[k]:
-            found.append((k, first))
+    for part in sorted(refined):
+        name = effect_of(part).name
+        present = {entry.site for entry in system.base.regressor.robot.physics if entry.effect == name}
+        present |= {s.hypothesis.site for s in system.found if s.hypothesis.effect == name}
+        plain = {f.hypothesis.site: k for k, f in enumerate(fits) if f.hypothesis.effect == name}
+        for k, fit in enumerate(fits):
+            site = fit.hypothesis.site.partition(".")[0]
+            first = plain.get(site)
+            refines = effect_named(fit.hypothesis.effect).refines == part and site not in present
+            if refines and first is not None and gains[first] > MOST * gains[k]:
+                found.append((k, first))
     return found
 
 
@@ -708,16 +712,17 @@ def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
     A rotor's inertia is one thing with two names: where its effect is a suspect, it is that.
     """
     names = system.parameters.names
-    turning = {s.hypothesis.site[5:] for s in suspects if s.hypothesis.effect == "rotor_inertia"}
+    turning = {s.hypothesis.site[5:] for s in suspects if s.effect.part == "inertia"}
     drives = system.base.regressor.robot.drives
     turning = {number for number in turning if not drives[int(number) - 1].coupling}
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         owner, _, quantity = name.partition(".")
         link, rotor = owner.startswith("link"), owner.removeprefix("drive")
-        if (link and quantity == "mass") or (quantity == "rotor_inertia" and rotor not in turning):
+        drive = owner.startswith("drive") and rotor not in turning
+        if (link and quantity == "mass") or drive:
             groups[name] = [k]
-        elif name.startswith("gravity_compensator@"):
+        elif effect_named(name.partition("@")[0]).doubted:
             groups.setdefault(name.partition("[")[0], []).append(k)
     found = []
     for name, members in groups.items():
@@ -789,7 +794,7 @@ class Judge:
         wide, settled = with_wider(system, fit.hypothesis) if fit.hypothesis.scale else system, fit
         if trial is not None:
             wide = extended(system, trial)
-        if trial is not None and (system.found or fit.hypothesis.effect in REFERRING):
+        if trial is not None and (system.found or trial.suspect.effect.refers):
             wide = relinearised(wide, SETTLED)  # what was found before, or the torques it is made of, beside the new
             settled = base_fit(wide)
         if self.before is None or self.before[0] is not system:  # several are put to one model
@@ -802,7 +807,7 @@ class Judge:
         power = sum(0.5 * float(np.sum(before[self.system.rows(j)] ** 2)) for j in joints)
         trained = 0.5 * (base.misfit * base.data - settled.misfit * settled.data)
         expected = trained * self.system.count / max(system.count, 1)
-        if fit.hypothesis.effect in AGEING:
+        if effect_named(fit.hypothesis.effect).ages:
             expected = min(expected, 0.5 * float(np.sum((before - after) ** 2)))
         # What only relieves the tension of numbers against their priors cannot show here: it must do no harm.
         if trained < RELIEF * (fit.evidence() - base.evidence()):
@@ -820,7 +825,7 @@ def smallest_visible(system: System, suspects: Sequence[Suspect], processes: int
     Other numbers of the entry are free beside it; a list's are taken in proportion. A slip element is given by the
     torque it yields at. The work is spread over ``processes``.
     """
-    suspects = [s for s in suspects if s.hypothesis.effect != "discovered"]
+    suspects = [s for s in suspects if s.effect.part != "law"]
     return list(spread(lambda number: _visible_size(system, suspects, number), len(suspects), processes))
 
 
@@ -845,7 +850,7 @@ def _visible_size(system: System, suspects: Sequence[Suspect], number: int) -> d
     occam = 0.5 * np.log1p(energy) * max(1, len(own) - 1)
     needed = numbers["temperature"] * np.log(2 * (len(effects) + 1) * sites) + max(occam, 2.0)
     ratio = float(np.sqrt(2 * needed / energy))
-    null = CATALOGUE[hypothesis.effect].parameters[0].null
+    null = suspect.effect.parameters[0].null
     parameter, value = own[first], own_values(own, u)[first]
     size = abs(value - null) * ratio if suspect.sizes else abs(value) * ratio
     return {

@@ -182,7 +182,7 @@ class Problem:
         bare = robot.model_copy(
             update={
                 "physics": [],
-                "drives": [drive.model_copy(update={"rotor_inertia": 0.0}) for drive in robot.drives],
+                "drives": [drive.model_copy(update=dict(rotor_inertia=0.0)) for drive in robot.drives],
             }
         )
         base = structural_base(Regressor(bare))

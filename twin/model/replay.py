@@ -12,7 +12,7 @@ from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.linear import linearise
 from twin.model.modes import state_matrix_poles
-from twin.physics import CATALOGUE
+from twin.physics import CATALOGUE, effect_of
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot
@@ -68,17 +68,15 @@ def motion_of(run: MotionRun) -> Motion:
 
 def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
     """Torque (nt, n) through the gears of the rigid robot, without rotors and friction, from mj_inverse."""
-    payloads = [entry for entry in robot.physics if entry.effect == "payload"]
+    bodies = []
     for entry in robot.physics:
-        if entry.effect == "attached_resonator":  # along a rigid motion it is a mass
-            values = entry.values
-            weight = {"effect": "payload", "site": entry.site, "mass": values["mass"], "com": values["position"]}
-            payloads.append(Entry.model_validate(weight))
+        if (weight := CATALOGUE[entry.effect].weight(entry.values)) is not None:
+            bodies.append(Entry.model_validate({"effect": effect_of("mass").name, "site": entry.site, **weight}))
     rigid = robot.model_copy(
         update={
             "axes": [axis.model_copy(update={"stiffness": None, "limits": None}) for axis in robot.axes],
-            "drives": [drive.model_copy(update={"rotor_inertia": 0.0, "coupling": {}}) for drive in robot.drives],
-            "physics": payloads,
+            "drives": [drive.model_copy(update=dict(rotor_inertia=0.0, coupling={})) for drive in robot.drives],
+            "physics": bodies,
         }
     )
     model = compile_model(assemble(rigid, motion.position[0], drives="free"), visual=False, instruments=False)

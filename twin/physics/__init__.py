@@ -28,6 +28,7 @@ from twin.physics.hysteresis import Hysteresis
 from twin.physics.joint_coupling import JointCoupling
 from twin.physics.link_flexibility import LinkFlexibility
 from twin.physics.load_dependent_friction import LoadDependentFriction
+from twin.physics.log import Part
 from twin.physics.payload import Payload
 from twin.physics.presliding import Presliding
 from twin.physics.rotor_inertia import RotorInertia
@@ -108,6 +109,16 @@ def _installed() -> None:
     """Register what installed packages offer under the entry-point group ``twin.effects``."""
     for point in entry_points(group="twin.effects"):
         register(point.load()())
+
+
+def effect_named(name: str) -> Effect:
+    """The effect with a name; for what is no effect (a number of the description) one that states nothing."""
+    return CATALOGUE.get(name) or Effect()
+
+
+def effect_of(part: Part) -> Effect:
+    """The effect that is a part of a drive's model, where an entry of that kind has to be written."""
+    return next(effect for effect in CATALOGUE.values() if effect.part == part)
 
 
 _installed()
