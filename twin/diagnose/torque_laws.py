@@ -21,7 +21,7 @@ from twin.model.regressor import weight_vector
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect, Values, axis_of
-from twin.physics.log import Prior, Suspected
+from twin.physics.statements import Prior, Suspected
 from twin.robot.description import Entry, Robot
 
 USUAL = 0.1  # of a joint's RMS torque: what a missing effect would ordinarily add

@@ -7,7 +7,7 @@ from typing import Any
 
 from twin.diagnose.verdict import Missing
 from twin.physics import CATALOGUE
-from twin.physics.log import Test
+from twin.physics.statements import Test
 
 ADVICE: dict[Test, str] = {
     "clock": "the same motion from cold and again after an hour's work: only warm-up changes with the clock",

@@ -13,8 +13,8 @@ import numpy as np
 
 from twin.physics import CATALOGUE
 from twin.physics.effect import axis_of
-from twin.physics.log import Part
 from twin.physics.motion import Motion
+from twin.physics.statements import Part
 from twin.robot.description import Entry, Robot, parse_robot
 from twin.robot.frames import inertia_matrix, inertia_six, matrix_of
 

@@ -28,13 +28,13 @@ from twin.physics.hysteresis import Hysteresis
 from twin.physics.joint_coupling import JointCoupling
 from twin.physics.link_flexibility import LinkFlexibility
 from twin.physics.load_dependent_friction import LoadDependentFriction
-from twin.physics.log import Part
 from twin.physics.payload import Payload
 from twin.physics.presliding import Presliding
 from twin.physics.rotor_inertia import RotorInertia
 from twin.physics.sensor_gain import SensorGain
 from twin.physics.sensor_misalignment import SensorMisalignment
 from twin.physics.servo_compliance import ServoCompliance
+from twin.physics.statements import Part
 from twin.physics.stribeck_friction import StribeckFriction
 from twin.physics.structural_damping import StructuralDamping
 from twin.physics.time_delay import TimeDelay

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from twin.physics.log import LinearPart, LogView, Part, Prior, Suspected, Test
+from twin.physics.statements import LinearPart, LogView, Part, Prior, Suspected, Test
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
-from twin.physics.log import LogView, Prior, Suspected, scale
+from twin.physics.statements import LogView, Prior, Suspected, scale
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion

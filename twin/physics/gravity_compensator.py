@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
-from twin.physics.log import DESCRIBED, LogView, Prior, Suspected
+from twin.physics.statements import DESCRIBED, LogView, Prior, Suspected
 
 SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
 SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three

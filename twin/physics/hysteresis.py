@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
-from twin.physics.log import LinearPart, LogView, Part, Prior, Suspected, scale
+from twin.physics.statements import LinearPart, LogView, Part, Prior, Suspected, scale
 
 NO_STRENGTH = 1e-12  # N·m: stands for a slip element of none, whose yield travel must stay as described
 

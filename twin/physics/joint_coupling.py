@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.physics.effect import Effect, Parameter, Values, axis_of
-from twin.physics.log import LogView, Part, Prior, Suspected, scale
+from twin.physics.statements import LogView, Part, Prior, Suspected, scale
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.physics.effect import Companion, Effect, Parameter, Values, axis_of, link_end
-from twin.physics.log import LogView, Prior, Suspected
+from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from twin.physics.effect import Effect, Parameter, Values
-from twin.physics.log import LogView, Prior, Suspected
+from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
