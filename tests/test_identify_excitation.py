@@ -80,7 +80,7 @@ def test_gradients_are_those_of_central_differences(kr90: Robot) -> None:
         z, h = problem.draw(rng, 0.5), 1e-5
         _, gradient = problem.value_and_gradient(z)
         room, jacobian = problem.workspace(z)
-        assert room.shape == (6 * excitation.GUARDS,)
+        assert room.shape == (6 * problem.settings.guards,)
         for _ in range(5):
             step = rng.normal(size=z.shape)
             ahead, behind = z + h * step, z - h * step

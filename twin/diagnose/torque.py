@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import Decision
+from twin.diagnose.decide import Decision, calibration
 from twin.diagnose.evidence import sentence
 from twin.diagnose.records import STAGES, LogRecord, Stage
 from twin.diagnose.refit import Fitted
@@ -29,8 +29,7 @@ from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
-    FURTHER,
-    SETTLED,
+    REFITTED,
     Progress,
     Search,
     Step,
@@ -53,10 +52,6 @@ from twin.model.regressor import inertial_vector
 from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
-
-LASTING = 2  # times the order of the noise's autoregression: lags over which a misfit is like itself
-WORSE = 1.05  # times the error of the fit: what bodies that can exist may cost without a word
-SETTLING_S = 0.15  # about a stop, where the encoder cannot tell creeping from standing: not counted in errors
 
 
 def diagnose_log(
@@ -211,8 +206,8 @@ def _told_apart(search: Search) -> list[str]:
     together = search.after.evidence() - base_fit(search.plain).evidence()
     for key, gain in alone.items():
         beside = {f.hypothesis.key: f.evidence() - last.base.evidence() for f in last.decision.ranked}.get(key, 0.0)
-        if found and gain > FURTHER and not last.accepted:
-            clear = beside < FURTHER and gain < together - FURTHER
+        if found and gain > calibration()["further"] and not last.accepted:
+            clear = beside < calibration()["further"] and gain < together - calibration()["further"]
             names = ", ".join(sorted(found))
             notes.append(
                 f"{key} alone would gain {gain:.0f} in ln evidence, {names} together {together:.0f}; beside them it "
@@ -231,7 +226,7 @@ def _slips(search: Search) -> dict[str, list[str]]:
         site = slip.first.hypothesis.site.partition(".")[0]
         dry, low = f"{effect_of('dry').name}@{site}", f"{_fading()}@{site}"
         looks = [{f.hypothesis.key: f.evidence() - s.base.evidence() for f in s.decision.ranked} for s in search.steps]
-        if (gain := max((look.get(dry, 0.0) for look in looks), default=0.0)) > FURTHER:
+        if (gain := max((look.get(dry, 0.0) for look in looks), default=0.0)) > calibration()["further"]:
             more = any(s.key == dry and not possible(search.system, s) for s in search.found)
             own.append(
                 f"Coulomb friction at {site} came first, with a gain of {gain:.0f} in ln evidence; slip, which is dry "
@@ -243,7 +238,7 @@ def _slips(search: Search) -> dict[str, list[str]]:
             ]
         both = [look for look in looks if low in look and slip.key in look]
         if both:
-            tells = "tells" if both[-1][slip.key] - both[-1][low] > FURTHER else "does not tell"
+            tells = "tells" if both[-1][slip.key] - both[-1][low] > calibration()["further"] else "does not tell"
             own.append(
                 f"Slip gained {both[-1][slip.key]:.0f} in ln evidence where low-speed friction in its place gained "
                 f"{max(both[-1][low], 0.0):.0f}: the log {tells} them apart."
@@ -277,8 +272,8 @@ def _late(search: Search) -> dict[str, list[str]]:
             for fit in other.decision.ranked
             if fit.hypothesis.key == step.key
         )
-        lost = search.after.evidence() - base_fit(left_out(search.system, step, iterations=SETTLED)).evidence()
-        told = "tells" if lost > FURTHER else "does not tell"
+        lost = search.after.evidence() - base_fit(left_out(search.system, step, iterations=REFITTED)).evidence()
+        told = "tells" if lost > calibration()["further"] else "does not tell"
         notes[step.key] = [
             f"Without slip in the model it gained up to {most:.0f} in ln evidence, beside slip it is worth {lost:.0f}: "
             f"the log {told} them apart, and slip does {max(0.0, 1 - lost / most):.0%} of what a delay would."
@@ -437,11 +432,12 @@ def _inflated(system: System) -> Fitted:
     return replace(fit, information=(fit.information - eye) / scale + eye, misfit=min(fit.misfit, 1.0))
 
 
-def _inflation(system: System) -> float:
+def _inflation(system: System, lasting: int = 2) -> float:
+    """Factor on the data's variance; a misfit is like itself over ``lasting`` times the order of the autoregression."""
     density = []
     for joint in range(len(system.whitening)):
         e = system.residual[system.rows(joint)]
-        lags = np.arange(1, min(LASTING * system.order, len(e) // 4))
+        lags = np.arange(1, min(lasting * system.order, len(e) // 4))
         correlation = np.array([e[k:] @ e[:-k] for k in lags]) / len(e)
         density.append(e @ e / len(e) + 2 * float((1 - lags / (lags[-1] + 1)) @ correlation))
     return max(1.0, base_fit(system).misfit, float(np.mean(density)))
@@ -489,8 +485,11 @@ def _after(search: Search) -> tuple[Fitted, list[Entry]]:
     return after, [*search.system.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
 
 
-def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any]) -> list[str]:
-    """What it costs that links must be bodies that can exist: a log holds combinations of their inertias alone."""
+def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any], worse: float = 1.05) -> list[str]:
+    """What it costs that links must be bodies that can exist: a log holds combinations of their inertias alone.
+
+    Up to ``worse`` times the error of the fit it may cost without a word.
+    """
     last, (after, entries) = search.system, _after(search)
     z = that_can_exist(last, after.z)
     if z is after.z:
@@ -502,7 +501,7 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any]) -> list[
         missed = torque - predicted_torque(search.plain.base, k, last.plain(z), entries, settled)[settled]
         rest, whole = rest + np.sum(missed**2, axis=0), whole + np.sum(torque**2, axis=0)
     error = float(np.sqrt(np.mean(rest / np.maximum(whole, 1e-300))))
-    if error < WORSE * errors["after"]["train"]:
+    if error < worse * errors["after"]["train"]:
         return []
     return [
         f"no bodies that can exist have the fitted combinations of inertias: with the nearest that do, in robot.yaml, "
@@ -525,12 +524,12 @@ def predicted_torque(base: Base, k: int, z: FloatArray, entries: Sequence[Entry]
     return np.asarray(predicted + rest.mean(axis=0) * weight / (weight + level))
 
 
-def _settled(run: Run) -> np.ndarray:
-    """Rows (m,) at which no axis is about to stop or start."""
+def _settled(run: Run, about_s: float = 0.15) -> np.ndarray:
+    """Rows (m,) at which no axis is about to stop or start: there an encoder cannot tell creeping from standing."""
     out = np.ones(len(run.time), bool)
     for joint in range(run.torque.shape[1]):
         for sample in stops_of(run, joint):
-            out &= np.abs(run.time - run.dense.time[min(sample, len(run.dense.time) - 1)]) > SETTLING_S
+            out &= np.abs(run.time - run.dense.time[min(sample, len(run.dense.time) - 1)]) > about_s
     return out
 
 

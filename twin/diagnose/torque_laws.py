@@ -2,7 +2,7 @@
 
 Everything that is particular to an effect comes from its file in ``twin/physics``: its torque, the prior of its numbers
 and from where a search starts. A size that can have either sign, or vanish, has a normal prior about no effect, as wide
-as ``USUAL`` of the joint's recorded torque; shapes (a speed, an order, a travel) a log-normal one.
+as ``USUAL_SHARE`` of the joint's recorded torque; shapes (a speed, an order, a travel) a log-normal one.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from twin.physics.effect import Effect, Values, axis_of
 from twin.physics.statements import Prior, Suspected
 from twin.robot.description import Entry, Robot
 
-USUAL = 0.1  # of a joint's RMS torque: what a missing effect would ordinarily add
+USUAL_SHARE = 0.1  # of a joint's RMS torque: what a missing effect would ordinarily add
 
 
 @dataclass
@@ -245,7 +245,7 @@ class Look:
 
     def usual(self, axis: int | None = None) -> float:
         """The torque that a missing effect ordinarily adds, N·m (N)."""
-        return USUAL * _rms([r.torque[r.valid, self._axis(axis)] for r in self.runs])
+        return USUAL_SHARE * _rms([r.torque[r.valid, self._axis(axis)] for r in self.runs])
 
     def speed(self, axis: int | None = None) -> float:
         """RMS, rad/s (m/s)."""

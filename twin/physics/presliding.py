@@ -19,7 +19,7 @@ class Presliding(Hysteresis):
     name = "presliding"
     sites = ("joint{i}",)
     seen_in = frozenset({"log"})
-    part = "presliding"
+    part = "slip"
     refines = ""
     memory = False
     ordinary = "friction turns round over a travel at every joint: the base model fits it as a tolerance"

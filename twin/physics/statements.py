@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from twin.robot.description import Robot
 
-Part = Literal["", "dry", "viscous", "inertia", "presliding", "play", "mass", "law"]
+Part = Literal["", "dry", "viscous", "inertia", "slip", "play", "mass", "law"]
 """What an effect is to a drive: dry or viscous friction, the rotor's inertia, how dry friction turns round, play in
 the gear, mass on a link, a law without a name."""
 

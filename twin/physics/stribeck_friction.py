@@ -7,8 +7,6 @@ import numpy as np
 from twin.physics.effect import Effect, Parameter, Values, axis_of
 from twin.physics.statements import LogView, Prior, Suspected, scale
 
-STILL = 0.01  # of the largest speed: slower rows tell nothing of how friction depends on it
-
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
     from twin.robot.mechanism import Mechanism
@@ -52,7 +50,7 @@ class StribeckFriction(Effect):
         """What a parabola in speed misses of the excess at rest."""
         speed = np.abs(velocity)
         fastest = float(speed.max(initial=0.0))
-        speed = speed[speed > STILL * fastest]
+        speed = speed[speed > 0.01 * fastest]  # slower rows tell nothing of how friction depends on it
         if len(speed) < 4:
             return 0.0
         excess = np.exp(-((speed / values["velocity"]) ** 2))
