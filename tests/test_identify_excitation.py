@@ -22,14 +22,9 @@ DATA = Path(__file__).parent / "data"
 @pytest.fixture(scope="module")
 def found(kr90: Robot) -> list[excitation.Excitation]:
     """Two quick trajectories: one start each, no further search."""
-    patch = pytest.MonkeyPatch()
-    patch.setattr(excitation, "DRAWS", 15)
-    patch.setattr(excitation, "STARTS", 1)
-    patch.setattr(excitation, "HOPS", 0)
-    result = excite(kr90, 1, starts=2, workers=1, iterations=40)
-    result += excite(kr90, 1, starts=1, workers=1, iterations=25, rest=True, seed=2)
-    patch.undo()
-    return result
+    quick = excitation.Settings(draws=15, starts=1, hops=0)
+    result = excite(kr90, 1, starts=2, workers=1, iterations=40, settings=quick)
+    return result + excite(kr90, 1, starts=1, workers=1, iterations=25, rest=True, seed=2, settings=quick)
 
 
 def test_extremes_are_those_of_a_dense_sampling() -> None:

@@ -196,10 +196,13 @@ class Problem:
         criterion: ``"condition"`` number, or ``"d-optimal"`` (log determinant of the covariance).
     """
 
-    def __init__(self, robot: Robot, harmonics: int, base_hz: float, rest: bool, criterion: Criterion) -> None:
+    def __init__(
+        self, robot: Robot, harmonics: int, base_hz: float, rest: bool, criterion: Criterion,
+        settings: Settings | None = None,
+    ) -> None:  # fmt: skip
         self.robot, self.base_hz, self.criterion = robot, base_hz, criterion
         self.limits = Limits.of(robot)
-        self.settings = Settings()
+        self.settings = settings or Settings()
         self.margin, self.sharpness = self.settings.margin, self.settings.sharpness[0]
         n = robot.axis_count
         bare = robot.model_copy(
@@ -417,11 +420,10 @@ class Problem:
         return lowest, best
 
 
-def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation | None:
+def _one(job: tuple[Robot, int, float, bool, Criterion, int, int, Settings]) -> Excitation | None:
     """A trajectory from one seed: local searches, then guards where it leaves a limit, until it does so nowhere."""
-    robot, harmonics, base_hz, rest, criterion, seed, iterations = job
-    problem = Problem(robot, harmonics, base_hz, rest, criterion)
-    settings = problem.settings
+    robot, harmonics, base_hz, rest, criterion, seed, iterations, settings = job
+    problem = Problem(robot, harmonics, base_hz, rest, criterion, settings)
     rng = np.random.default_rng(seed)
     found = sorted((problem.solve(z, iterations) for z in problem.starts(rng)), key=lambda pair: pair[0])[
         : settings.chains
@@ -465,6 +467,7 @@ def excite(
     starts: int | None = None,
     iterations: int = 50,
     workers: int = 2,
+    settings: Settings | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Excitation]:
     """Different optimised trajectories of a robot, the best first, none of which leaves a limit at any time.
@@ -479,13 +482,16 @@ def excite(
         starts: how many are searched for; the best ``count`` are returned. One more than ``count`` by default.
         iterations: of the optimiser, at most.
         workers: processes.
+        settings: of the search.
         progress: called with the number of starts finished.
 
     Raises:
         InputError: no limits, or no trajectory within them.
     """
+    settings = settings or Settings()
     jobs = [
-        (robot, harmonics, base_hz, rest, criterion, 1000 * seed + k, iterations) for k in range(starts or count + 1)
+        (robot, harmonics, base_hz, rest, criterion, 1000 * seed + k, iterations, settings)
+        for k in range(starts or count + 1)
     ]
     found = []
     if workers > 1 and len(jobs) > 1:
