@@ -22,14 +22,9 @@ DATA = Path(__file__).parent / "data"
 @pytest.fixture(scope="module")
 def found(kr90: Robot) -> list[excitation.Excitation]:
     """Two quick trajectories: one start each, no further search."""
-    patch = pytest.MonkeyPatch()
-    patch.setattr(excitation, "DRAWS", 15)
-    patch.setattr(excitation, "STARTS", 1)
-    patch.setattr(excitation, "HOPS", 0)
-    result = excite(kr90, 1, starts=2, workers=1, iterations=40)
-    result += excite(kr90, 1, starts=1, workers=1, iterations=25, rest=True, seed=2)
-    patch.undo()
-    return result
+    quick = excitation.Settings(draws=15, starts=1, hops=0)
+    result = excite(kr90, 1, starts=2, workers=1, iterations=40, settings=quick)
+    return result + excite(kr90, 1, starts=1, workers=1, iterations=25, rest=True, seed=2, settings=quick)
 
 
 def test_extremes_are_those_of_a_dense_sampling() -> None:
@@ -80,7 +75,7 @@ def test_gradients_are_those_of_central_differences(kr90: Robot) -> None:
         z, h = problem.draw(rng, 0.5), 1e-5
         _, gradient = problem.value_and_gradient(z)
         room, jacobian = problem.workspace(z)
-        assert room.shape == (6 * excitation.GUARDS,)
+        assert room.shape == (6 * problem.settings.guards,)
         for _ in range(5):
             step = rng.normal(size=z.shape)
             ahead, behind = z + h * step, z - h * step

@@ -173,11 +173,12 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
     """
     from twin.diagnose.torque import predicted_torque
     from twin.diagnose.torque_fit import base_of
-    from twin.diagnose.torque_laws import RECORDING
     from twin.diagnose.torque_signal import prepare
 
     new = [e for e in finding.robot.physics if e not in finding.given.physics]
-    found_there = {(e.effect, e.site) for e in new if e.effect in RECORDING}  # the numbers may have moved since
+    found_there = {
+        (e.effect, e.site) for e in new if CATALOGUE[e.effect].records_torque
+    }  # the numbers may have moved since
     recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
     robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
     prepared = prepare(log, robot, finding.recording, hold_out)

@@ -34,6 +34,7 @@ from twin.physics.rotor_inertia import RotorInertia
 from twin.physics.sensor_gain import SensorGain
 from twin.physics.sensor_misalignment import SensorMisalignment
 from twin.physics.servo_compliance import ServoCompliance
+from twin.physics.statements import Part
 from twin.physics.stribeck_friction import StribeckFriction
 from twin.physics.structural_damping import StructuralDamping
 from twin.physics.time_delay import TimeDelay
@@ -108,6 +109,16 @@ def _installed() -> None:
     """Register what installed packages offer under the entry-point group ``twin.effects``."""
     for point in entry_points(group="twin.effects"):
         register(point.load()())
+
+
+def effect_named(name: str) -> Effect:
+    """The effect with a name; for what is no effect (a number of the description) one that states nothing."""
+    return CATALOGUE.get(name) or Effect()
+
+
+def effect_of(part: Part) -> Effect:
+    """The effect that is a part of a drive's model, where an entry of that kind has to be written."""
+    return next(effect for effect in CATALOGUE.values() if effect.part == part)
 
 
 _installed()

@@ -72,6 +72,10 @@ class AttachedResonator(Effect):
         usual = {**(self.typical(robot, link) or {}), "frequency_hz": values["frequency_hz"]}
         return [Companion(self.name, link, {**usual, "axis": axis}) for axis in UNIT_VECTORS]
 
+    def weight(self, values: Values) -> dict[str, Any]:
+        """A mass at rest on its spring."""
+        return {"mass": values["mass"], "com": values["position"]}
+
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """1 % of the links' mass, 1.5 % damped, half-way along the link."""
         mass = 0.01 * sum(link.inertial[0] for link in robot.links)

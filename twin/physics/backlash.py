@@ -15,6 +15,8 @@ class Backlash(Effect):
     sites = ("joint{i}.z",)
     parameters = (Parameter("gap", "rad", nonnegative=True),)
     seen_in = frozenset({"levels", "log"})
+    part = "play"
+    log_tests = ("speeds",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if joint := mechanism.joint(site):

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.physics.effect import Companion, Effect, Parameter, Values, axis_of, link_end
+from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -28,6 +29,9 @@ class Payload(Effect):
     order = 1
     repeatable = True
     lever = "com"
+    part = "mass"
+    steps = False
+    log_tests = ("mass", "sweep")
 
     def check(self, values: Values) -> str | None:
         inertia = values["inertia"]
@@ -55,7 +59,16 @@ class Payload(Effect):
             body = f"link{self.carrier(mechanism.robot, site) + 1}"
             mechanism.attach(body, values["mass"], np.array(values["com"]), _matrix(values["inertia"] or [0.0] * 3))
 
-    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+    def weight(self, values: Values) -> dict[str, Any]:
+        inertia = {"inertia": values["inertia"]} if values.get("inertia") else {}
+        return {"mass": values["mass"], "com": values["com"], **inertia}
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        typical = self.typical(view.robot, view.site)
+        own = [Prior("mass", typical["mass"]), *(Prior(f"com[{k}]", 0.2, typical["com"][k]) for k in range(3))]
+        return [Suspected({"mass": 0.0, "com": typical["com"]}, own, [[0.0, *typical["com"]]])]
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any]:
         """2 % of the links' mass, where the next joint (the flange) is."""
         mass = 0.02 * sum(link.inertial[0] for link in robot.links)
         return {"mass": mass, "com": link_end(robot, self.carrier(robot, site))}
