@@ -14,10 +14,10 @@ from twin.identify.objective import Changes, Cost, rates
 from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
 from twin.model.blow import RATE_HZ, Strike, pulse_transform, torques, transform
-from twin.model.joint_laws import LAWS, NO_LOAD, Law
 from twin.model.parameters import Parameters
 from twin.model.sensitivity import Observed, contract, moving, observe
 from twin.parallel import spread
+from twin.physics.joint_law import NO_LOAD, Law
 from twin.robot.description import Robot
 
 PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of its logarithm, where no raw hits tell
@@ -275,7 +275,7 @@ class Stepped(Cost):
     reactions where they were stepped last.
     """
 
-    law: Law = LAWS[0]
+    law: Law = field(kw_only=True)
     site: str = ""
     blow: dict[str, Blow] = field(default_factory=dict)
     fixed: FloatArray | None = None

@@ -13,8 +13,9 @@ from twin.identify.objective import Sample
 from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
 from twin.model.blow import COARSE_HZ
-from twin.model.joint_laws import AMPLITUDE, LAWS, Law, Slip
 from twin.model.parameters import independent
+from twin.physics import CATALOGUE
+from twin.physics.joint_law import Law
 from twin.robot.description import Entry, Robot
 
 LINES, AGAIN = 25, 8  # lines and iterations of what belongs to the recordings themselves
@@ -24,7 +25,7 @@ EXACTLY = 0.02  # to which it is
 
 def amplitude_entries(robot: Robot) -> list[Entry]:
     """The robot's entries that answer differently to different force levels."""
-    return [entry for entry in robot.physics if entry.effect in AMPLITUDE]
+    return [entry for entry in robot.physics if CATALOGUE[entry.effect].amplitude_law]
 
 
 def without_laws(robot: Robot) -> Robot:
@@ -37,13 +38,11 @@ def without_laws(robot: Robot) -> Robot:
 def law_of(robot: Robot) -> tuple[Law, FloatArray, str, Robot]:
     """The law of a robot's last entry of amplitude, its sizes, its site, and the robot without it."""
     entry = amplitude_entries(robot)[-1]
-    values = entry.model_extra or {}
+    stated = CATALOGUE[entry.effect].amplitude_law
+    assert stated is not None
+    law, sizes = stated.described(entry.values)
     robot = robot.model_copy(update={"physics": [other for other in robot.physics if other is not entry]})
-    if entry.effect == "hysteresis":
-        sizes = np.array(values["stiffness"])
-        return Slip(tuple(np.array(values["yield_torque"]) / sizes)), sizes, entry.site, robot
-    law = next(law for law in LAWS if law.effect == entry.effect)
-    return law, np.array([values[law.names[0]]]), entry.site, robot
+    return law, sizes, entry.site, robot
 
 
 def settle(judged: Stepped) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
+    from twin.physics.joint_law import Law
     from twin.physics.motion import Motion
     from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
@@ -107,6 +108,7 @@ class Effect:
         adds_mode: it brings a mode of its own, which a modal table may leave out.
         sizes: prior deviations of the first scale from which a search far from the truth starts, towards null.
         ridged: there are ridges between its sizes: near the truth too, first order from none finds no way to them.
+        amplitude_law: what it adds to the spring of a joint; required with ``"levels"`` in ``seen_in``.
     """
 
     name: ClassVar[str]
@@ -123,9 +125,16 @@ class Effect:
     sizes: ClassVar[tuple[float, ...]] = (-2.5, -1.0, 1.0)
     ridged: ClassVar[bool] = False
 
+    # --- force levels: an effect seen in them states its law of amplitude
+    amplitude_law: ClassVar["Law | None"] = None
+
     def check(self, values: Values) -> str | None:
         """What is wrong with the parameters taken together, or ``None``."""
         return None
+
+    def unit(self, name: str) -> str:
+        """Of a parameter."""
+        return next(p.unit for p in self.parameters if p.name == name)
 
     def complete(self, robot: "Robot", site: str, given: Values) -> Values:
         """The parameters as given, with those filled in that an entry leaves to the rest of the description."""
@@ -206,6 +215,17 @@ class Effect:
             return "seen_in hammer: expected a method typical, from which a search starts"
         if "log" in self.seen_in and own.torque is base.torque and not recorded and own.carrier is base.carrier:
             return "seen_in log: expected a method torque (of the drives), record or carrier"
+        return self._amplitude_unstated() if "levels" in self.seen_in else None
+
+    def _amplitude_unstated(self) -> str | None:
+        """The same of force levels."""
+        law = self.amplitude_law
+        if law is None:
+            return "seen_in levels: expected an amplitude_law"
+        if law.effect != self.name:
+            return f"amplitude_law.effect: expected {self.name!r}, found {law.effect!r}"
+        if set(self.sites) != {"joint{i}.z"}:
+            return f"sites: expected joint{{i}}.z, where laws of amplitude act, found {', '.join(self.sites)}"
         return None
 
     def is_site(self, site: str, axes: int) -> bool:
