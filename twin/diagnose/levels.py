@@ -48,7 +48,7 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, CLOSE, SETTLING, LINEAR = 8, 10, 4, 8, 5, 10, 15  # iterations
+LOCATING, ROUGH_FIRST, ROUGH, RACING, LAST, CLOSE, SETTLING, LINEAR = 8, 4, 6, 4, 8, 5, 10, 15  # iterations
 ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
@@ -348,7 +348,7 @@ def _rough_race(
     few = {place.site: shown.telling(place, FEW_BLOWS)[0] for place in places}
     begun = [(law, place, z) for place in places for law in amplitude_laws() for z in (*starts, place.z)]
 
-    def rough(number: int) -> tuple[Law, FloatArray, float]:
+    def start(number: int) -> tuple[Law, FloatArray, float]:
         law, place, z = begun[number]
         objective, _ = with_law(robot, base, law, place.site, few[place.site], shown.blow)
         amplitude = _amplitude(objective, z)
@@ -356,14 +356,23 @@ def _rough_race(
         values = base.parameters.values(z)
         k = values[base.parameters.names.index(f"{place.site}.stiffness")]
         points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
-        end, cost, _, _ = minimise(objective, points[int(np.argmin(objective.costs(points)))], ROUGH, ROUGH_GAIN)
-        return objective.law, end, cost
+        first = points[int(np.argmin(objective.costs(points)))]
+        return objective.law, *minimise(objective, first, ROUGH_FIRST, ROUGH_GAIN)[:2]
+
+    ahead: list[tuple[Trial, float]] = []
+    for (_, place, _), (law, z, cost) in zip(begun, spread(start, len(begun), processes), strict=True):
+        objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
+        ahead.append(((replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z), cost))
+        tick(1)
+    hopeless = ROUGH_REACH * min(cost for _, cost in ahead)
+
+    def on(number: int) -> tuple[FloatArray, float]:
+        objective, _, z = ahead[number][0]
+        return minimise(replace(objective, logarithmic=True), z, ROUGH, ROUGH_GAIN, hopeless)[:2]
 
     ends: list[tuple[float, Trial]] = []
-    for (_, place, _), (law, z, cost) in zip(begun, spread(rough, len(begun), processes), strict=True):
-        objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
-        ends.append((cost, (replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z)))
-        tick(1)
+    for (trial, _), (z, cost) in zip(ahead, spread(on, len(ahead), processes), strict=True):
+        ends.append((cost, (*trial[:2], z)))
     best: dict[str, tuple[float, Trial]] = {}
     for cost, trial in sorted(ends, key=lambda item: item[0]):
         best.setdefault(trial[1].key, (cost, trial))
