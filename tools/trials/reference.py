@@ -27,7 +27,6 @@ from twin.identify.elastic_compare import judge
 from twin.identify.objective import Sample
 from twin.identify.recorded import without_limits
 from twin.measure.campaign import FloatArray
-from twin.model.joint_laws import AMPLITUDE
 from twin.model.parameters import SIX, Parameters, free_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry, load_robot
@@ -95,7 +94,7 @@ def held_out_error(split: Path, name: str) -> float | None:
     source = split / "recordings" / name / "frf.h5"
     campaign = read_recording([source])
     given = load_robot(campaign.robot or "kr90").without(answer["without"])
-    laws = [entry for entry in entries if entry.effect in AMPLITUDE]
+    laws = [entry for entry in entries if CATALOGUE[entry.effect].amplitude_law]
     given = given.model_copy(update={"physics": [*given.physics, *(e for e in entries if e not in laws)]})
     base, found = without_limits(given), triage(campaign, given, str(source), None)
     if not found.kept:

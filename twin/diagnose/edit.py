@@ -20,13 +20,13 @@ from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.expansion import with_channels
 from twin.model.frf import frf, measurement_chain
-from twin.model.joint_laws import AMPLITUDE
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import independent
 from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
 from twin.model.sensitivity import Setup, observe
 from twin.model.sensitivity import frf as algebra
+from twin.physics import CATALOGUE
 from twin.physics.payload import Payload
 from twin.robot.description import Entry, Robot
 from twin.robot.mechanism import assemble
@@ -95,7 +95,7 @@ def check_xml(mjcf: Path, robot: Robot, q: np.ndarray, brakes: Any) -> dict[str,
 
 def is_nonlinear(robot: Robot) -> bool:
     """Whether what was found last answers differently to different force levels."""
-    return any(entry.effect in AMPLITUDE for entry in robot.physics[-1:])
+    return any(CATALOGUE[entry.effect].amplitude_law for entry in robot.physics[-1:])
 
 
 def check_replayed(robot: Robot, run: MotionRun, source: str) -> dict[str, Any]:

@@ -29,9 +29,9 @@ from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
-from twin.model.joint_laws import AMPLITUDE
 from twin.model.parameters import independent
 from twin.parallel import Progress
+from twin.physics import CATALOGUE
 from twin.robot.description import Axis, Robot
 from twin.robot.mechanism import assemble
 
@@ -113,7 +113,7 @@ def levels_finding(
     )  # fmt: skip
     for item in missing:
         seen = sentence(item.first.title, records, errors, finding.held_out)
-        law = item.first.effect in AMPLITUDE
+        law = CATALOGUE[item.first.effect].amplitude_law if item.first.effect in CATALOGUE else None
         finding.missing.append(replace(item, evidence=f"{levels_sentence(levels)} {seen}" if law else seen))
     if answer and word == "ambiguous":
         finding.next_test = _next_test(given, levels, decision, answer, sample, how, seed)
@@ -235,7 +235,7 @@ def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> 
         weight = weight if known else np.column_stack([weight, power])
         variance = np.einsum("vp,pq,vq->v", weight, covariance, weight) + (0.0 if known else (power * FORM) ** 2)
         ends = np.exp(at[:, None] + np.outer(NINETY * np.sqrt(variance), [-1, 1])).tolist()
-        unit = "N·m" if name == "yield_torque" else objective.law.units[0]
+        unit = CATALOGUE[objective.law.effect].unit(name)
         found[name] = {"value": value, "unit": unit, "interval90": ends if np.ndim(value) else ends[0]}
     return found
 

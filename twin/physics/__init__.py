@@ -26,6 +26,7 @@ from twin.physics.hammer_misalignment import HammerMisalignment
 from twin.physics.hardening_stiffness import HardeningStiffness
 from twin.physics.hysteresis import Hysteresis
 from twin.physics.joint_coupling import JointCoupling
+from twin.physics.joint_law import Law
 from twin.physics.link_flexibility import LinkFlexibility
 from twin.physics.load_dependent_friction import LoadDependentFriction
 from twin.physics.payload import Payload
@@ -77,6 +78,12 @@ CATALOGUE: dict[str, Effect] = {
     )
 }
 """Identifier → effect, in the order of the vocabulary; last what stands outside it."""
+
+
+def amplitude_laws() -> tuple[Law, ...]:
+    """The laws of amplitude of the vocabulary: of effects that answer differently to different force levels."""
+    return tuple(effect.amplitude_law for effect in CATALOGUE.values() if effect.amplitude_law is not None)
+
 
 BESIDE = ("parameter",)
 """Words that stand where an effect's name does."""

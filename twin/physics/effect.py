@@ -14,6 +14,7 @@ from twin.physics.statements import LinearPart, LogView, Part, Prior, Suspected,
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
+    from twin.physics.joint_law import Law
     from twin.physics.motion import Motion
     from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
@@ -131,6 +132,7 @@ class Effect:
         profiled: the parameter whose interval is found by fits on either side: slopes know little of it.
         log_tests: recordings that show it, for the next test.
         ordinary: why it is not looked for by its name: each joint has it, and the base model fits it.
+        amplitude_law: what it adds to the spring of a joint; required with ``"levels"`` in ``seen_in``.
     """
 
     name: ClassVar[str]
@@ -165,10 +167,16 @@ class Effect:
     profiled: ClassVar[str] = ""
     log_tests: ClassVar[tuple[Test, ...]] = ()
     ordinary: ClassVar[str] = ""
+    # --- force levels: an effect seen in them states its law of amplitude
+    amplitude_law: ClassVar["Law | None"] = None
 
     def check(self, values: Values) -> str | None:
         """What is wrong with the parameters taken together, or ``None``."""
         return None
+
+    def unit(self, name: str) -> str:
+        """Of a parameter."""
+        return next(p.unit for p in self.parameters if p.name == name)
 
     def complete(self, robot: "Robot", site: str, given: Values) -> Values:
         """The parameters as given, with those filled in that an entry leaves to the rest of the description."""
@@ -250,7 +258,21 @@ class Effect:
             return "seen_in hammer: expected a method write (into the mechanism) or record (of the measurement)"
         if "hammer" in self.seen_in and own.typical is base.typical and own.variants is base.variants:
             return "seen_in hammer: expected a method typical, from which a search starts"
-        return self._unstated_in_logs() if "log" in self.seen_in else None
+        lacking = self._unstated_in_logs() if "log" in self.seen_in else None
+        return lacking or (self._amplitude_unstated() if "levels" in self.seen_in else None)
+
+    # --- force levels ------------------------------------------------------------------------------------------------
+
+    def _amplitude_unstated(self) -> str | None:
+        """The same of force levels."""
+        law = self.amplitude_law
+        if law is None:
+            return "seen_in levels: expected an amplitude_law"
+        if law.effect != self.name:
+            return f"amplitude_law.effect: expected {self.name!r}, found {law.effect!r}"
+        if set(self.sites) != {"joint{i}.z"}:
+            return f"sites: expected joint{{i}}.z, where laws of amplitude act, found {', '.join(self.sites)}"
+        return None
 
     # --- motion logs -----------------------------------------------------------------------------------------------
 
