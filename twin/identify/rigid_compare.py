@@ -16,6 +16,8 @@ from twin.measure.motion_log import MotionLog, MotionRun
 from twin.measure.signals import advance, lowpass
 from twin.model.regressor import Regressor
 from twin.parallel import Progress
+from twin.physics import CATALOGUE
+from twin.physics.effect import Effect
 from twin.robot.description import Robot
 
 OFFSET_TOLERANCE = 0.1  # a recording's constant torque may be this share of a joint's RMS torque
@@ -125,7 +127,8 @@ def _stepped(robot: Robot, run: MotionRun, bands: Bands, rows: Rows, progress: P
     from twin.model.replay import replay
 
     tick: Callable[[int], None] | None = progress(f"replay {run.name}", len(run.time)) if progress else None
-    ideal = robot.without(["torque_constant", "time_delay"])  # which have been taken out of the record
+    recording = [e.effect for e in robot.physics if type(CATALOGUE[e.effect]).record is not Effect.record]
+    ideal = robot.without(recording)  # which has been taken out of the record
     motion = motion_of_run(run, bands)  # the same as inverse dynamics is given
     smooth_run = replace(
         run, position=motion.position, velocity=motion.velocity, acceleration=motion.acceleration, torque=None
