@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 from twin.errors import InputError
 from twin.identify.base_parameters import structural_base
 from twin.model.regressor import Regressor, flange_path, link_regressor
-from twin.physics.motion import Motion
 from twin.parallel import cores, spread
+from twin.physics.motion import Motion
 from twin.robot.description import Robot
 
 Criterion = Literal["condition", "d-optimal"]
