@@ -1,6 +1,6 @@
 """``twin modal``: measured FRFs in; modes with deviations, tables, figures and shapes on the robot out."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +152,7 @@ def modal(
     found.origin = provenance(traced([given], robot), options | {"robot": robot, "without": without or []})
     if out is not None:
         with Outputs(out) as outputs:
-            _write(found, outputs)
+            _write(found, given.named_in(out), outputs)
     return found
 
 
@@ -179,12 +179,12 @@ def _place_shapes(found: ModalAnalysis, robot: Robot) -> None:
             found.notes.append(f"{name}: shapes are not drawn on the robot: {reason}")
 
 
-def _write(found: ModalAnalysis, name: Outputs) -> None:
+def _write(found: ModalAnalysis, robot: str | None, name: Outputs) -> None:
     from twin.measure.modal_table import write_modal_table
     from twin.measure.uff import write_uff_modes
     from twin.report import scene
 
-    write_modal_table(name("modes.yaml"), found.table)
+    write_modal_table(name("modes.yaml"), replace(found.table, robot=robot))
     for key, result in found.results.items():
         if result.modes:
             write_uff_modes(name(f"{key}_modes.unv"), result)

@@ -1,5 +1,6 @@
 """Recordings of any kind: what a file holds, reading it, and taking what is in memory already in its stead."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,6 +61,13 @@ class Recording:
         """The robot that the recording names."""
         name: str | None = self.content.robot
         return name
+
+    def named_in(self, folder: str | Path) -> str | None:
+        """The same as a file in another folder has to write it: a path beside the recording, relative to the folder."""
+        beside = Path(self.source).parent / (self.named or "")
+        if self.named and not Path(self.named).is_absolute() and beside.is_file():
+            return os.path.relpath(beside, folder)
+        return self.named
 
     @property
     def names(self) -> tuple[str, ...]:
