@@ -198,6 +198,10 @@ def _read(*paths: Path) -> Recording:
 
 
 def _in_memory(content: Content) -> Recording:
+    if isinstance(content, MotionLog) and not content.runs:
+        raise InputError(content.source, "runs", "there are no runs: expected at least one")
+    if isinstance(content, Campaign | ModalTable) and not content.postures:
+        raise InputError(content.source, "postures", "there are no postures: expected at least one")
     if isinstance(content, Campaign):
         return Recording("frf-campaign", content.source, *_with_frfs(content, (content,)))
     if isinstance(content, MotionLog):
