@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tools.truth.__main__ import main as truth
-from twin.commands.compare import compare_hammer
 from twin.commands.diagnose import diagnose_campaign
+from twin.diagnose.compare import compare_hammer
 from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.held_law import UnderLaw
 from twin.diagnose.joint_reaction import Blow, Stepped, blows

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from twin.commands.compare import compare, compare_hammer
+from twin.commands.compare import compare
 from twin.commands.fit import fit
+from twin.diagnose.compare import compare_hammer
 from twin.errors import InputError
 from twin.identify.descent import Descended, minimise
 from twin.identify.elastic import fit_frf

@@ -7,7 +7,7 @@ import pytest
 
 from twin.commands.compare import compare
 from twin.commands.excite import krl_program, trajectory_run
-from twin.commands.identify import identify_log
+from twin.commands.identify import identify
 from twin.errors import InputError
 from twin.identify import excitation
 from twin.identify.excitation import Fourier, Problem, excite, violation
@@ -136,7 +136,7 @@ def test_log_to_robot_and_back(kr90: Robot, found: list[excitation.Excitation], 
         runs[run.name] = MotionRun(run.name, run.time, run.position, 250.0, inverse_dynamics(heavier, motion) + noise)
     path = tmp_path / "log.h5"
     write_motion_log(path, MotionLog(runs, "kr90"))
-    result = identify_log(path, out=tmp_path / "out", hold_out=["run2"])
+    result = identify(path, out=tmp_path / "out", hold_out=["run2"])
     data = result.data()
     assert {"parameters", "error", "model"} <= set(data)
     assert all({"value", "unit", "interval90"} <= set(entry) for entry in data["parameters"].values())

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tools.coverage_rigid import study
-from twin.commands.compare import compare_log
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
 from twin.identify.rigid import (
@@ -21,6 +20,7 @@ from twin.identify.rigid import (
     nearest_possible,
     relative_error,
 )
+from twin.identify.rigid_compare import compare_log
 from twin.measure.motion_log import (
     MotionLog,
     MotionRun,

@@ -16,7 +16,6 @@ import numpy as np
 
 from tools.trials.cases import struck
 from tools.trials.store import engine_hash, read, write
-from twin.commands.modal import read_recording
 from twin.diagnose.joint_reaction import Stepped, blows
 from twin.diagnose.physical import physical
 from twin.diagnose.refit import NONE, descend
@@ -27,6 +26,7 @@ from twin.identify.elastic_compare import judge
 from twin.identify.objective import Sample
 from twin.identify.recorded import without_limits
 from twin.measure.campaign import FloatArray
+from twin.measure.recordings import read_campaign
 from twin.model.parameters import SIX, Parameters, free_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry, load_robot
@@ -92,7 +92,7 @@ def held_out_error(split: Path, name: str) -> float | None:
     if entries is None:
         return None
     source = split / "recordings" / name / "frf.h5"
-    campaign = read_recording([source])
+    campaign = read_campaign(source)
     given = load_robot(campaign.robot or "kr90").without(answer["without"])
     laws = [entry for entry in entries if CATALOGUE[entry.effect].amplitude_law]
     given = given.model_copy(update={"physics": [*given.physics, *(e for e in entries if e not in laws)]})

@@ -25,6 +25,7 @@ NOTHING = 1e-100  # of a variance whose square is still a number
 LEAST = 5e-4  # of |H|: no FRF is known better
 PERFECT = 1e-7  # incoherence below which no hammer test lies: 0.03 % of noise
 ANALYSER = 3e-3  # of |H|: what the channels of an analyser agree to, where a recording states no noise at all
+RANGE = 3e-4  # of the RMS accelerance: 70 dB below it an analyser's lines leak into each other
 USUAL = 0.01  # of |H|, where nothing tells how blows differ
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
 ROUGH, SMOOTH = 3, 5  # order of differences over lines: noise and no more; noise even where it is smooth
@@ -86,9 +87,13 @@ def perfect(posture: PostureFRF) -> bool:
 
 
 def _accurate(posture: PostureFRF) -> FloatArray:
-    """Variance (nf, nr, ne) where none is stated: ``ANALYSER`` of a line's response and of its mean over channels."""
-    power = np.abs(posture.frf) ** 2
-    variance = 0.5 * ANALYSER**2 * (power + power.mean(axis=(1, 2), keepdims=True))
+    """Variance (nf, nr, ne) where none is stated: ``ANALYSER`` of a line's response and of its mean over channels, and
+    ``RANGE`` of the whole record."""
+    accelerance = as_quantity(posture, "accelerance").frf
+    power = np.abs(accelerance) ** 2
+    variance = 0.5 * (ANALYSER**2 * (power + power.mean(axis=(1, 2), keepdims=True)) + RANGE**2 * power.mean())
+    if posture.quantity != "accelerance":
+        variance *= np.abs(posture.frf) ** 2 / np.maximum(power, 1e-300)
     variance[:, dead_channels(posture)] = np.inf
     return np.asarray(variance)
 

@@ -4,9 +4,7 @@ Swevers, Ganseman, Tükel, De Schutter, Van Brussel, IEEE T-RA 13 (1997); paper,
 """
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +13,7 @@ from scipy.optimize import minimize
 from twin.errors import InputError
 from twin.identify.base_parameters import structural_base
 from twin.model.regressor import Regressor, flange_path, link_regressor
+from twin.parallel import cores, spread
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 
@@ -466,7 +465,7 @@ def excite(
     seed: int = 0,
     starts: int | None = None,
     iterations: int = 50,
-    workers: int = 2,
+    workers: int | None = None,
     settings: Settings | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Excitation]:
@@ -481,7 +480,7 @@ def excite(
         seed: of the random starts.
         starts: how many are searched for; the best ``count`` are returned. One more than ``count`` by default.
         iterations: of the optimiser, at most.
-        workers: processes.
+        workers: processes; by default as many as serve.
         settings: of the search.
         progress: called with the number of starts finished.
 
@@ -494,17 +493,10 @@ def excite(
         for k in range(starts or count + 1)
     ]
     found = []
-    if workers > 1 and len(jobs) > 1:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            for result in pool.map(_one, jobs):
-                found.append(result)
-                if progress:
-                    progress(1)
-    else:
-        for job in jobs:
-            found.append(_one(job))
-            if progress:
-                progress(1)
+    for result in spread(lambda k: _one(jobs[k]), len(jobs), workers or cores()):
+        found.append(result)
+        if progress:
+            progress(1)
     good = [result for result in found if result is not None]
     if len(good) < count:
         raise InputError(

@@ -14,7 +14,14 @@ from scipy.special import ndtri
 from twin.errors import InputError
 from twin.identify.base_parameters import BaseParameters, base_parameters, structural_base
 from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, saturated
+from twin.measure.motion_log import (
+    MotionLog,
+    MotionRun,
+    check_against,
+    refuse_saturated,
+    require_axes,
+    saturated,
+)
 from twin.measure.signals import advance, differentiate, lowpass
 from twin.model.regressor import (
     Regressor,
@@ -40,6 +47,10 @@ class Bands:
 
     fit: tuple[float, float] = (3.0, 4.0)
     motion: tuple[float, float] = (10.0, 12.0)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fit[0] < self.fit[1]:
+            raise InputError("--low-pass", "", f"expected 0 < pass < stop, found {self.fit[0]:g} {self.fit[1]:g}")
 
     def within(self, rate_hz: float) -> "Bands":
         """The same with the motion's band below half the sampling rate, and not below that of the fit."""
@@ -100,6 +111,18 @@ def joint_run(robot: Robot, run: MotionRun) -> MotionRun:
         velocity=None if run.velocity is None else run.velocity @ to_joint,
         acceleration=None if run.acceleration is None else run.acceleration @ to_joint,
     )
+
+
+def in_joints(log: MotionLog, robot: Robot) -> MotionLog:
+    """A log as recorded (motors) in joint coordinates, checked against the robot.
+
+    Raises:
+        InputError: number of axes, units or limits do not fit.
+    """
+    require_axes(log, robot.axis_count)
+    turned = replace(log, runs={name: joint_run(robot, run) for name, run in log.runs.items()})
+    check_against(turned, robot)
+    return turned
 
 
 def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1, still: float = 4.0) -> Motion:
