@@ -208,7 +208,9 @@ def _run(split: Path, limit_s: float, deadline: float | None, pool: Executor) ->
     # The slow first, so that no process is left with one at the end; where time may run out, in the order of the
     # names, which know nothing of the cases.
     todo.sort(key=lambda c: (-len(c["files"]), *sorted(c["files"])) if deadline is None else (c["id"],))
-    asked = every("diagnose", pool, ask.ask, [(split, c["id"], c["without"], limit_s, deadline, c.get("robot")) for c in todo])
+    asked = every(
+        "diagnose", pool, ask.ask, [(split, c["id"], c["without"], limit_s, deadline, c.get("robot")) for c in todo]
+    )
     if not all(asked):
         print(f"time is up: {sum(not a for a in asked)} cases not asked; the same command goes on", file=sys.stderr)
 
@@ -271,6 +273,7 @@ def _score_wrong(split: Path, target: Path) -> None:
     """The section about a wrong world."""
     results, manifest, ledger = _unsealed(split, "score")
     cases = [wrong_score.judged(_answer(split, name), result) for name, result in results.items()]
+    store.write_text(split / "cases.md", "\n".join(wrong_score.every(cases)) + "\n")
     store.write_text(target, wrong_score.section(cases, len(manifest["cases"]), results, ledger))
     for name, value in wrong_score.headline(cases).items():
         print(f"{name:52s} {value:.3g}" if isinstance(value, float) else f"{name:52s} {value}")

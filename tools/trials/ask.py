@@ -38,7 +38,7 @@ def ask(
     if deadline is not None and time.time() > deadline:
         return False
     result: dict[str, Any] = {"id": name, "engine": engine_hash(), "code": -1, "diagnosis": None, "edit_error": None}
-    begin = time.perf_counter()
+    begin, used = time.perf_counter(), _cpu_s()
     try:
         with TemporaryDirectory() as scratch:
             options = [word for entry in without for word in ("--without", entry)]
@@ -46,7 +46,8 @@ def ask(
             _put(split, name, options, limit_s, Path(scratch) / "out", result)
     except Exception:  # of the trial itself: kept with the case, the others go on
         result["complaint"] = traceback.format_exc()
-    write(split / "results" / f"{name}.json", {"wall_s": time.perf_counter() - begin, **result})
+    spent = {"wall_s": time.perf_counter() - begin, "cpu_s": _cpu_s() - used}
+    write(split / "results" / f"{name}.json", {**spent, **result})
     return True
 
 
@@ -81,6 +82,12 @@ def run(arguments: list[str], limit_s: float) -> tuple[int, str, str]:
     if process.returncode < 0:  # as the system does where memory runs out
         complaint += f"\nkilled by signal {-process.returncode}"
     return process.returncode, said, complaint
+
+
+def _cpu_s() -> float:
+    """Processor time of the commands that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _bounded() -> None:

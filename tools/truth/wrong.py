@@ -5,7 +5,6 @@ robot is changed before anything is recorded, what belongs to the recording in t
 """
 
 import os
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -243,9 +242,7 @@ def gravity_tilt(world: World, rng: np.random.Generator) -> Cause:
     angle, lean = np.deg2rad(rng.uniform(1, 2)), rng.uniform(0, 2 * np.pi)
     g = 9.81 * np.array([np.sin(angle) * np.cos(lean), np.sin(angle) * np.sin(lean), -np.cos(angle)])
     world.change(lambda chain: replace(chain, gravity=g))
-    return Cause(
-        ("gravity_direction@base", "parameter@gravity*", "parameter@base*"), size=f"{np.rad2deg(angle):.1f}°"
-    )
+    return Cause(("gravity_direction@base", "parameter@gravity*", "parameter@base*"), size=f"{np.rad2deg(angle):.1f}°")
 
 
 def gear_ratio(world: World, rng: np.random.Generator) -> Cause:
@@ -424,9 +421,7 @@ def _point(world: World, site: str, node: str, point: Channel, step: Array) -> C
     assert world.hammer is not None
     world.hammer = replace(world.hammer, moved={**world.hammer.moved, site: step})
     true = {f"position.{a}": float(x) for a, x in zip("xyz", point.position + step, strict=True)}
-    return Cause(
-        (f"parameter@node:{node}.position",), values=true, size=f"{site} {1e3 * np.linalg.norm(step):.0f} mm"
-    )
+    return Cause((f"parameter@node:{node}.position",), values=true, size=f"{site} {1e3 * np.linalg.norm(step):.0f} mm")
 
 
 def blows_scattered(world: World, rng: np.random.Generator) -> Cause:
