@@ -5,20 +5,24 @@ Drawn, recorded and sealed as ordinary cases are; what the ways of being wrong a
 
 import hashlib
 import secrets
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from zlib import crc32
 
+import h5py
 import numpy as np
 
-from tools.trials.store import read, sha256, write
+from tools.trials import ask
+from tools.trials.store import ROOT, read, sha256, write
 from tools.trials.visible import LogSignal, hammer_signal, multiple_of_visible
 from tools.truth.chain import Array
 from tools.truth.effects import Effect, draw
 from tools.truth.motion import Log, Run, draw_fourier
-from tools.truth.recording import HammerTest, draw_truth, plain, streams
+from tools.truth.recording import HammerTest, average, draw_truth, plain, streams
 from tools.truth.robots import Machine, machines, write_description
 from tools.truth.wrong import LACKING_NOTHING, WAYS, Cause, World, record
 
@@ -26,6 +30,7 @@ MULTIPLE = 4.0  # of the smallest visible size: of what is concealed on top
 ON_TOP = 1 / 3  # share of cases with an effect concealed on top
 SHARES = {"hammer": 0.59, "log": 0.39, "both": 0.02}
 ATTEMPTS = 20
+OWN, POSTURE = "own_simulation", ROOT / "mjcf" / "postures" / "milling.yaml"
 NOT_IN_TIME = ("servo_compliance", "structural_damping")
 TOP: dict[str, dict[str, tuple[str, ...]]] = {
     "hammer": {
@@ -51,6 +56,7 @@ TOP: dict[str, dict[str, tuple[str, ...]]] = {
 REGRESSIONS: tuple[tuple[str, str, str, int], ...] = (
     # (way, recording, robot, seed): what was tried on the engine of 357aac5 and told wrongly
     ("com_all", "hammer", "kr90", 1), ("com_all", "hammer", "kr90", 2), ("joint_zero", "hammer", "kr90", 1),
+    ("postures_off", "hammer", "kr90", 1), ("own_simulation", "hammer", "kr90", 1),
     ("mass", "log", "kr90", 1), ("other_robot", "both", "kr90", 1), ("unit_g_all", "hammer", "kr90", 1),
     ("unit_g_channel", "hammer", "kr90", 1), ("torque_filter", "log", "kr90", 1),
     ("noise_understated", "hammer", "kr90", 1), ("hum", "hammer", "kr90", 1), ("leakage", "hammer", "kr90", 1),
@@ -129,6 +135,9 @@ def make(split: Path, name: str, drawn: dict[str, Any]) -> dict[str, Any]:
 
 def _made(room: Path, drawn: dict[str, Any]) -> dict[str, Any]:
     """Draw and record a case; its answer."""
+    if drawn["way"] == OWN:
+        own_simulation(room, np.random.default_rng(drawn["seed"]))
+        return {**drawn, "world": "wrong", "without": [], "cause": plain(Cause(size="the twin's own")), "effects": []}
     world, top, without, cause = case(**drawn)
     record(world, room, np.random.default_rng([drawn["seed"], 3]))
     return {
@@ -137,6 +146,27 @@ def _made(room: Path, drawn: dict[str, Any]) -> dict[str, Any]:
                     for e in top],
         "truth": {"hammer": plain(world.hammer), "log": plain(world.log)},
     }  # fmt: skip
+
+
+def own_simulation(room: Path, rng: np.random.Generator) -> None:
+    """The hammer test that `twin simulate` writes, one posture and 100 Hz, with a sensor's noise: nothing is wrong."""
+    room.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as scratch:
+        code, _, complaint = ask.run(["simulate", str(POSTURE), "--out", scratch], ask.LIMIT_S)
+        if code:
+            raise RuntimeError(complaint)
+        aside = Path(scratch) / "hammer.h5"
+        with h5py.File(aside, "r+") as file:
+            file.attrs["robot"] = "kr90"
+            for group in file["postures"].values():
+                frequency = group["frequency"][()]
+                test = HammerTest(
+                    float(frequency[0]), float(frequency[1] - frequency[0]), len(frequency), scatter=0.0,
+                    averages=int(group["coherence"].attrs["averages"]),
+                )  # fmt: skip
+                noisy = average(group["frf"][()][None], test, float(group.attrs["peak_force_n"]), rng)
+                group["frf"][...], group["coherence"][...] = noisy
+        shutil.move(aside, room / "frf.h5")
 
 
 def case(way: str, recording: str, robot: str, seed: int, on_top: bool) -> tuple[World, list[Effect], list[str], Cause]:

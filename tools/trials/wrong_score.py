@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tools.trials.score import HELD_ROOM, Rate, aliases, last_line, named_parameters, numbers
+from tools.trials.wrong import OWN
 from tools.truth.wrong import LACKING_NOTHING, WAYS
 
 NAMED = 0.5  # probability from which an answer counts as a name
@@ -229,6 +230,7 @@ def headline(cases: Sequence[Judged]) -> dict[str, Any]:
         "true cause first": rate(off, lambda c: c.cause_first),
         "true cause first, and no wrong name beside it": rate(off, lambda c: c.outcome == "right"),
         "true cause, near it, or honest": rate(off, lambda c: c.outcome in CLASSES[:3]),
+        "right cause, near it, or honest; nulls adequate": rate(cases, lambda c: c.outcome in CLASSES[:3]),
         "called adequate above its noise floor": rate(off, lambda c: c.outcome == CLASSES[4]),
         "effect on top named": rate(on_top, lambda c: c.top_named),
         "lacks nothing: adequate, nothing named": rate(whole, lambda c: c.outcome == "right"),
@@ -288,8 +290,8 @@ def section(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger
 
 def _by_way(cases: Sequence[Judged]) -> list[str]:
     rows = []
-    for way in (*(w for w in WAYS if w not in LACKING_NOTHING), *LACKING_NOTHING):
-        for recording in WAYS[way].recordings:
+    for way in (*(w for w in WAYS if w not in LACKING_NOTHING), *LACKING_NOTHING, OWN):
+        for recording in ("hammer", "log", "both"):
             here = [c for c in cases if (c.way, c.recording) == (way, recording)]
             if here:
                 counts = Counter(c.outcome for c in here)

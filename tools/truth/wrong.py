@@ -404,6 +404,15 @@ def mislabelled(world: World, rng: np.random.Generator) -> Cause:
     return Cause((), ("posture", "label", "mislabelled_posture"), size=f"{name} q{i + 1} {step:+.0f}°")
 
 
+def postures_off(world: World, rng: np.random.Generator) -> Cause:
+    """Every angle of every posture is off by four to six tolerances."""
+    assert world.hammer is not None
+    width, n = np.deg2rad(world.machine.tolerances.posture_deg), world.machine.chain.n
+    error = {p.name: width * rng.uniform(4, 6, n) * rng.choice([-1.0, 1.0], n) for p in world.postures}
+    world.hammer = replace(world.hammer, posture_error=error)
+    return Cause(("parameter@posture*",), ("posture", "postures", "label"), size="all angles, 0.8 to 1.2°")
+
+
 def sensor_position(world: World, rng: np.random.Generator) -> Cause:
     node, step = world.machine.node, rng.uniform(0.005, 0.010) * _direction(rng)
     return _point(world, f"sensor:{node}", node, world.machine.sensors[0], step)
@@ -613,6 +622,7 @@ WAYS: dict[str, Way] = {
     "unit_mm": Way(unit_mm, ("hammer",), TURNED),
     "reversed_channel": Way(reversed_channel, ("hammer",), TURNED),
     "swapped_channels": Way(swapped_channels, ("hammer",), TURNED),
+    "postures_off": Way(postures_off, ("hammer",)),
     "mislabelled": Way(mislabelled, ("hammer",)),
     "noise_understated": Way(noise_understated, ("hammer",)),
     "hum": Way(hum, ("hammer",), time=True),
