@@ -14,6 +14,7 @@ from scipy.signal import csd, welch
 
 from tools.trials import __main__ as trials
 from tools.trials import store, wrong
+from tools.trials.visible import hammer_signal, shows
 from tools.trials.wrong_score import headline, judged
 from tools.truth.chain import inverse_dynamics, kr90
 from tools.truth.effects import Effect
@@ -319,3 +320,18 @@ def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: 
     sealed.write_text(json.dumps({**store.read(sealed), "way": "mass"}))
     with pytest.raises(SystemExit, match="sealed"):
         trials._score(tmp_path, tmp_path / "wrong.md", "")
+
+
+def test_what_a_tolerance_explains_does_not_show() -> None:
+    """One deviation of a mass costs half at most, by the prior; a sensor that is elsewhere is another signal."""
+    world, *_ = wrong.case("nothing", "hammer", "arm", SEED, False)
+    truth, machine = world.hammer, world.machine
+    assert truth is not None
+    postures, coarse = world.postures[:1], replace(world.test, lines=20, spacing_hz=2.0)
+    signal = hammer_signal(postures, coarse, world.points[-3:])
+    truth = replace(truth, posture_error={p.name: truth.posture_error[p.name] for p in postures})
+    links = (*truth.chain.links[:2], replace(truth.chain.links[2], mass=truth.chain.links[2].mass * 1.03))
+    heavier = replace(truth, chain=replace(truth.chain, links=links))
+    assert 0.01 < shows(truth, signal, signal(heavier), machine.chain, machine.tolerances) < 0.51
+    beside = replace(truth, moved={f"sensor:{machine.node}": np.array([0.0, 0.0, 0.05])})
+    assert shows(truth, signal, signal(beside), machine.chain, machine.tolerances) > 8

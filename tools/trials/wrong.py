@@ -18,7 +18,7 @@ import numpy as np
 
 from tools.trials import ask
 from tools.trials.store import ROOT, read, sha256, write
-from tools.trials.visible import LogSignal, hammer_signal, multiple_of_visible
+from tools.trials.visible import LogSignal, hammer_signal, multiple_of_visible, shows
 from tools.truth.chain import Array
 from tools.truth.effects import Effect, draw
 from tools.truth.motion import Log, Run, draw_fourier
@@ -53,6 +53,11 @@ TOP: dict[str, dict[str, tuple[str, ...]]] = {
         "joint_coupling": ("joint2", "joint3"),
     },
 }
+IN_THE_ROBOT = (
+    "mass", "com", "com_all", "inertia", "inertia_all", "axis_length", "axis_offset", "axis_twist", "joint_zero",
+    "springs", "dampers", "sensor_position", "blow_position", "blows_scattered", "sensor_direction", "postures_off",
+    "floor_mode", "gravity_tilt", "rotor_inertia",
+)  # fmt: skip
 REGRESSIONS: tuple[tuple[str, str, str, int], ...] = (
     # (way, recording, robot, seed): what was tried on the engine of 357aac5 and told wrongly
     ("com_all", "hammer", "kr90", 1), ("com_all", "hammer", "kr90", 2), ("joint_zero", "hammer", "kr90", 1),
@@ -137,15 +142,35 @@ def _made(room: Path, drawn: dict[str, Any]) -> dict[str, Any]:
     """Draw and record a case; its answer."""
     if drawn["way"] == OWN:
         own_simulation(room, np.random.default_rng(drawn["seed"]))
-        return {**drawn, "world": "wrong", "without": [], "cause": plain(Cause(size="the twin's own")), "effects": []}
+        none = {"without": [], "cause": plain(Cause(size="own")), "effects": [], "shown": None}
+        return {**drawn, "world": "wrong", **none}
     world, top, without, cause = case(**drawn)
     record(world, room, np.random.default_rng([drawn["seed"], 3]))
     return {
-        **drawn, "world": "wrong", "without": without, "cause": plain(cause),
+        **drawn, "world": "wrong", "without": without, "cause": plain(cause), "shown": shown(**drawn),
         "effects": [{"effect": e.kind, "site": e.site, "parameters": plain(e.parameters), "multiple": MULTIPLE}
                     for e in top],
         "truth": {"hammer": plain(world.hammer), "log": plain(world.log)},
     }  # fmt: skip
+
+
+def shown(way: str, recording: str, robot: str, seed: int, **_: Any) -> float | None:
+    """How far it shows that the robot is not as described, after all tolerances: logarithm of a likelihood ratio.
+
+    What the description of a robot within tolerance leaves to find; `None` for faults of the file, which no robot has.
+    """
+    if way not in IN_THE_ROBOT or recording == "both":
+        return None
+    machine = machines()[robot]
+    sound, *_ = case("nothing", recording, robot, seed, False)
+    world, *_ = case(way, recording, robot, seed, False)
+    if sound.hammer and world.hammer:
+        struck = hammer_signal(sound.postures, sound.test, sound.points)
+        return shows(sound.hammer, struck, struck(world.hammer), machine.chain, machine.tolerances)
+    assert sound.log is not None
+    assert world.log is not None
+    moved, seen = LogSignal(sound.runs[:2], sound.how), LogSignal(world.runs[:2], sound.how)(world.log)
+    return shows(sound.log, moved, seen, machine.chain, machine.tolerances)
 
 
 def own_simulation(room: Path, rng: np.random.Generator) -> None:

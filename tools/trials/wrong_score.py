@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tools.trials.score import HELD_ROOM, Rate, aliases, last_line, named_parameters, numbers
+from tools.trials.visible import SEEN
 from tools.trials.wrong import OWN
 from tools.truth.wrong import LACKING_NOTHING, WAYS
 
@@ -58,6 +59,7 @@ class Judged:
     `groups`: for each effect listed, its hypotheses and probabilities, first answer first. `triage`: kind, severity,
     text; kind empty in version 1. `held_out`: pairs of error before and after, one per recording. `floor`: error after
     over the noise floor, the largest. `inside`: by number, whether its 90 % interval holds the truth.
+    `shown`: how far it shows that the robot is not as described, logarithm of a likelihood ratio, where that is known.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Judged:
     wall_s: float
     cpu_s: float | None
     complaint: str
+    shown: float | None = None
 
     @property
     def lacks_nothing(self) -> bool:
@@ -178,7 +181,7 @@ def judged(answer: dict[str, Any], result: dict[str, Any]) -> Judged:
         tuple(cause["triage"]), tuple(cause["fair"]), f"{top['effect']}@{top['site']}" if top else "", d["verdict"],
         groups, tuple(_triage(item) for item in d.get("triage") or []), tuple(zip(before, after, strict=False)),
         max(over, default=None), _inside(answer, d["effects"]), float(result["wall_s"]), result.get("cpu_s"),
-        "" if result["diagnosis"] else last_line(result.get("complaint", "")),
+        "" if result["diagnosis"] else last_line(result.get("complaint", "")), answer.get("shown"),
     )  # fmt: skip
 
 
@@ -219,6 +222,7 @@ def rate(cases: Iterable[Judged], good: Callable[[Judged], bool]) -> Rate:
 def headline(cases: Sequence[Judged]) -> dict[str, Any]:
     """The vector of scores."""
     off = [c for c in cases if not c.lacks_nothing]
+    clear = [c for c in off if c.shown is None or c.shown >= SEEN]
     whole = [c for c in cases if c.lacks_nothing]
     on_top = [c for c in cases if c.top]
     inside = [good for c in cases for good in c.inside.values()]
@@ -228,6 +232,7 @@ def headline(cases: Sequence[Judged]) -> dict[str, Any]:
         "wrong name whose held-out error does not fall": rate(cases, lambda c: bool(c.wrong) and not c.fallen),
         "any answer whose held-out error does not fall": rate(cases, lambda c: not c.fallen),
         "true cause first": rate(off, lambda c: c.cause_first),
+        f"true cause first, where it shows (ln likelihood ratio ≥ {SEEN:g})": rate(clear, lambda c: c.cause_first),
         "true cause first, and no wrong name beside it": rate(off, lambda c: c.outcome == "right"),
         "true cause, near it, or honest": rate(off, lambda c: c.outcome in CLASSES[:3]),
         "right cause, near it, or honest; nulls adequate": rate(cases, lambda c: c.outcome in CLASSES[:3]),
@@ -312,11 +317,11 @@ def every(cases: Sequence[Judged]) -> list[str]:
         errors += f" ({c.floor:.2g} × floor)" if c.floor is not None else ""
         kinds = Counter(kind or re.sub(r"[\d.+-]+|'[^']*'|\bjoint\S+", "…", text)[:30] for kind, _, text in c.triage)
         triage = ", ".join(f"{n} × {k}" if n > 1 else k for k, n in kinds.most_common(3))
-        rows.append(
-            (c.outcome, c.way, c.recording, c.robot, c.size, c.top, c.verdict, said or c.complaint[:80], errors,
-             triage, c.name[:6])
-        )  # fmt: skip
-    head = ("", "way", "recording", "robot", "how far", "on top", "verdict", "said", "held out", "triage", "case")
+        shows = "" if c.shown is None else f"{c.shown:.0f}"
+        case = (c.outcome, c.way, c.recording, c.robot, c.size, shows, c.top)
+        rows.append((*case, c.verdict, said or c.complaint[:80], errors, triage, c.name[:6]))
+    head = ("", "way", "recording", "robot", "how far", "shows", "on top")
+    head += ("verdict", "said", "held out", "triage", "case")
     return table(head, rows) if rows else ["None."]
 
 
