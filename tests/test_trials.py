@@ -492,7 +492,7 @@ def test_what_a_softer_neighbour_imitates_shows_by_its_tolerance_alone(monkeypat
         compliance = 1 / truth.chain.stiffness[0, 0] + sum(1 / e["stiffness"] for e in truth.effects)
         return np.array([1e4 * np.log(compliance), 0.0])
 
-    monkeypatch.setattr(visible, "_nuisances", lambda truth: [visible.Nuisance(soften, width)])
+    monkeypatch.setattr(visible, "_nuisances", lambda *_: [visible.Nuisance(soften, width)])
     k = float(truth.chain.stiffness[0, 0])
     seen = multiple_of_visible(
         Effect("base_compliance", "base.rz", {"stiffness": k, "damping": 0.0}), truth, signal, multiple
