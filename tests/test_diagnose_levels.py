@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tools.truth.__main__ import main as truth
-from twin.commands.diagnose import diagnose_campaign
 from twin.diagnose.compare import compare_hammer
 from twin.diagnose.edit import is_nonlinear
+from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.held_law import UnderLaw
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, _own, _race, _settling, decide_levels, explain_levels, fit_law, point, with_law

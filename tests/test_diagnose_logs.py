@@ -16,8 +16,8 @@ from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from twin.commands import diagnose
 from twin.diagnose import torque
-from twin.diagnose.evidence import sentence
 from twin.diagnose.joint import followed, pooled, predicted_by
+from twin.diagnose.sentences import sentence
 from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.decide import Decision, finalists
-from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
@@ -19,6 +18,7 @@ from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, Stage, frf_records
 from twin.diagnose.refit import Fitted, noise_floor
 from twin.diagnose.search import SCREEN_LINES, Search
+from twin.diagnose.sentences import sentence
 from twin.diagnose.struck import amplitude_entries, judge_struck, law_of, settle, without_laws
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
