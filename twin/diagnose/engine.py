@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from twin.diagnose.borne_out import borne_out
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.joint import together
 from twin.diagnose.verdict import Finding, Verdict
@@ -53,7 +54,7 @@ def diagnosed(
     for one, held in zip(some, chosen, strict=True):
         told_by = findings[-1] if findings else None
         findings.append(one.explain(given, told_by, hold_out=held, seed=seed, progress=progress, processes=cores()))
-    return _settled(findings, some, chosen), some
+    return borne_out(_settled(findings, some, chosen)), some
 
 
 def _settled(findings: list[Finding], some: Sequence[Evidence], chosen: Sequence[list[str] | None]) -> Verdict:

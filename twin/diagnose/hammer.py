@@ -183,7 +183,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     """The answer beside the recording."""
     sample = Sample(tuple(found.used), 1 / found.shared)
     settled, best, decision = answer.base, answer.best, answer.decision
-    records, errors = frf_records(without_limits(given), before, best, found.used, found.kept)
+    records, errors = frf_records(without_limits(given), before, best, found.used, found.kept, found.shared)
     records = with_modes(records, physical(before.robot), physical(best.robot))
     errors["noise_floor"] = noise_floor(sample.recordings)
     where = mismatch(settled, sample.thin(REFIT_LINES))

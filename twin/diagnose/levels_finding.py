@@ -81,7 +81,9 @@ def levels_finding(
     if answer:
         best, none, other = answer.best, answer.none, answer.other
     how = blows(campaign) or {}
-    records, errors = frf_records(without_limits(without_laws(given)), search.base, search.base, found.used, found.kept)
+    records, errors = frf_records(
+        without_limits(without_laws(given)), search.base, search.base, found.used, found.kept, found.shared
+    )
     if answer:
         records, errors["after"] = stepped_records(records, answer.objective, answer.best, found.used, found.kept, how)
     errors["noise_floor"] = noise_floor(sample.recordings)

@@ -13,6 +13,7 @@ from twin.measure.spectra import Check, driving_points, force_levels, linearity,
 from twin.robot.description import Robot
 
 NEAR = 5  # lines over which disagreement is pooled
+INDEPENDENT_LINES = 25  # of a record whose error is not noise
 HOMOGENEOUS = 2.0  # linear robots reach 1.4
 
 
@@ -90,6 +91,9 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
         if set(held) >= set(names):
             raise InputError("--hold-out", ", ".join(hold_out), "nothing is left to fit to")
     noiseless = [name for name, posture in campaign.postures.items() if perfect(posture)]
+    if noiseless:  # what an analyser or a simulation is off by is smooth over lines
+        lines = float(np.median([len(campaign.postures[name].frequency) for name in noiseless]))
+        shared = max(shared, lines / INDEPENDENT_LINES)
     assumed = [
         f"{', '.join(noiseless)}: the coherence is one, so the recording states no noise; it is believed to "
         f"{ANALYSER:.1%} of the response, what the channels of an analyser agree to"

@@ -443,18 +443,25 @@ def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
 
 
 def strained(fit: Fitted) -> list[str]:
-    """Described stiffnesses that a fit takes much further than their description allows, a sentence each.
+    """Described numbers that a fit takes much further than their description allows, a sentence each.
 
     What is in series with such a spring, about its axis, may be all that is wrong with it.
     """
     found, widened = [], dict(fit.hypothesis.scale)
-    for p, value in list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]:
-        if p.quantity != "stiffness" or not p.log:
+    base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
+    for p, value in base:
+        if p.kind == "sag" or p.quantity == "damping":
             continue
-        off = abs(float(np.log(value / p.mean))) * widened.get(p.name, 1.0) / p.deviation
+        change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
+        off = abs(change) * widened.get(p.name, 1.0) / p.deviation
         if off > STRAINED:
-            found.append(
-                f"{p.site} comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard "
-                "deviations off: either that is wrong, or something in series about the same axis looks like it"
+            told = (
+                f"comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard deviations off"
             )
+            if p.quantity == "stiffness":
+                found.append(
+                    f"{p.site} {told}: either that is wrong, or something in series about the same axis looks like it"
+                )
+            else:
+                found.append(f"{p.name} {told}: it may be wrong there, or the description's tolerance too narrow")
     return found
