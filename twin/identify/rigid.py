@@ -343,7 +343,7 @@ def _sandwich(
             if size % 2 == 0:
                 lines[-1] = 1.0
             spread += np.real(np.einsum("k,kb,kc->bc", lines * power / size, columns.conj(), columns, optimize=True))
-        effective[j] = pairs[0] * (lines @ power / size) / max(power[0], 1e-300)
+        effective[j] = min(pairs[0] * (lines @ power / size) / max(power[0], 1e-300), pairs[0])
     return inverse @ spread @ inverse, effective
 
 
