@@ -413,7 +413,10 @@ def test_a_second_log_keeps_what_it_found(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_low_speed_friction_or_slip_lists_each_once() -> None:
-    low, slip = (SimpleNamespace(key=key, site="joint2") for key in ("stribeck_friction@joint2", "hysteresis@joint2.z"))
+    low, slip = (
+        SimpleNamespace(effect=effect, site=site, key=f"{effect}@{site}")
+        for effect, site in (("stribeck_friction", "joint2"), ("hysteresis", "joint2.z"))
+    )
     other = SimpleNamespace(key="coulomb_friction@joint2")
     search = SimpleNamespace(system=None, found=[])
     found = Missing(low, 0.6, ((slip, 0.3), (other, 0.05)), "")  # type: ignore[arg-type]

@@ -1244,7 +1244,8 @@ def _whitened(
 def _doubt(system: System, slopes: Columns) -> FloatArray:
     """Deviations (m,) of numbers that have such slopes, in those of their priors."""
     information, _ = system.projected(slopes)
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(information))))))
+    variance = np.diag(np.linalg.inv(information + np.eye(len(information))))
+    return np.sqrt(np.maximum(variance, 0.0))  # a recording without noise leaves rounding
 
 
 def _gain(system: System, column: Columns, u: FloatArray) -> float:
