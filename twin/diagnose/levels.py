@@ -61,7 +61,7 @@ class Effort:
     sizes: int = 3
     window: float = 5.0
     falling: tuple[float, ...] = (0.1, 0.03, 0.01, 0.0)
-    rough: tuple[tuple[float, ...], ...] = ((0.3, 0.1), (0.03,), (0.01,))
+    rough: tuple[tuple[float, ...], ...] = ((0.3, 0.1), (0.1, 0.03), (0.03,), (0.01,), (0.01,))
     whole: tuple[float, ...] = (0.1, 0.03, 0.01)
     locating: int = 8
     begun: int = 2
@@ -448,35 +448,42 @@ def _rough_race(
         first = points[int(np.argmin(objective.costs(points)))]
         return objective.law, *minimise(objective, first, EFFORT.begun, EFFORT.near)[:2]
 
-    ahead: list[tuple[Trial, float]] = []
+    ahead: list[tuple[float, Trial]] = []
     for (_, place, _), (law, z, cost) in zip(begun, spread(start, len(begun), processes), strict=True):
         objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
-        ahead.append(((replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z), cost))
+        ahead.append((cost, (replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z)))
         tick(1)
-    hopeless = calibration()["levels_reach"] * min(cost for _, cost in ahead)
+    ahead = _best_of_each(ahead, "levels_race")
 
     def on(number: int) -> tuple[FloatArray, float]:
-        objective, _, z = ahead[number][0]
-        return minimise(replace(objective, logarithmic=True), z, EFFORT.again, EFFORT.near, hopeless)[:2]
+        objective, _, z = ahead[number][1]
+        return minimise(replace(objective, logarithmic=True), z, EFFORT.again, EFFORT.near)[:2]
 
     ends: list[tuple[float, Trial]] = []
-    for (trial, _), (z, cost) in zip(ahead, spread(on, len(ahead), processes), strict=True):
+    for (_, trial), (z, cost) in zip(ahead, spread(on, len(ahead), processes), strict=True):
         ends.append((cost, (*trial[:2], z)))
-    best: dict[str, tuple[float, Trial]] = {}
-    for cost, trial in sorted(ends, key=lambda item: item[0]):
-        best.setdefault(trial[1].key, (cost, trial))
-    reach = calibration()["levels_reach"] * min(cost for cost, _ in ends)
-    trials = [trial for cost, trial in best.values() if cost <= reach]
-    temper = EFFORT.rough[0][0]
+        tick(1)
+    trials = [trial for _, trial in _best_of_each(ends, "levels_reach")]
+    temper, missed = EFFORT.rough[0][0], 0
     for tempers in EFFORT.rough:
         shown = view_with(trials[0], sample, blow, shown.window)
         few = {place.site: shown.telling(place, EFFORT.blows)[0] for place in places}
         trials = [(replace(t[0], sample=few[t[1].site], blow=shown.blow), *t[1:]) for t in trials]
-        trials, reached = _race(trials, tempers, tick, processes)
-        if reached > tempers[-1]:
-            return trials, min(temper, reached), shown
-        temper = reached
+        trials, reached = _race(trials, tempers, tick, processes, EFFORT.nearly)
+        missed = missed + 1 if reached == 1 else 0  # the next view is by a better law
+        if missed > 1:
+            break
+        temper = min(temper, reached)
     return trials, temper, shown
+
+
+def _best_of_each(ends: Sequence[tuple[float, Trial]], reach: str) -> list[tuple[float, Trial]]:
+    """Costs and trials, best first: of every law at every joint the best, where it is in ``reach`` of the least."""
+    best: dict[str, tuple[float, Trial]] = {}
+    for end in sorted(ends, key=lambda end: end[0]):
+        best.setdefault(end[1][1].key, end)
+    most = calibration()[reach] * min(cost for cost, _ in ends)
+    return [end for end in best.values() if end[0] <= most]
 
 
 def with_law(

@@ -19,7 +19,7 @@ from twin.diagnose.levels import EFFORT, Levels, fit_law, with_law
 from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
-from twin.diagnose.search import REFIT_LINES, WORTH, Search, one_more
+from twin.diagnose.search import REFIT_LINES, Search, one_more, worth
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress
@@ -61,7 +61,7 @@ def explain_beside(
         return Beside(law, None, [], [])
     whole = _doubted(replace(stepped, sample=levels.whole, blow=levels.blow), law.z)
     if whole is not levels.whole:
-        levels, law = replace(levels, whole=whole), fit_law(stepped, law.hypothesis, law.z)
+        levels, law = replace(levels, whole=whole), law if law.converged else fit_law(stepped, law.hypothesis, law.z)
     n = len(base.parameters)
     found = _found(robot, base, levels, law, suspects, progress)
     if not found:
@@ -70,8 +70,7 @@ def explain_beside(
     if not law.converged:  # fitted again from where the richer ended: that is no discovery
         simpler = fit_law(stepped, law.hypothesis, np.concatenate([first.z[:n], first.z[len(found[0].z) :]]))
         law = simpler if simpler.cost < law.cost else law
-    worth = first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
-    if not worth:
+    if not worth(law, first):
         return Beside(law, None, [], [])
     both = [(found[0], first, objective)]
     both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1 : int(calibration()["levels_finalists"])]]
@@ -142,7 +141,7 @@ def _found(
     elsewhere = [v for v in suspects if v[0].effect == found[0].hypothesis.effect and v[0].key not in tried]
     if elsewhere:  # with the law's own numbers still to move, a site that promised less may be the right one
         one_more(robot, search, whole, elsewhere, bars)
-    found = [fit for fit in search.finalists if fit.evidence() > alone.evidence()]
+    found = [fit for fit in search.finalists if worth(alone, fit)]
     if not found:
         return []
     best = found[0]
