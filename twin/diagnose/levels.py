@@ -466,7 +466,9 @@ def _rough_race(
     trials = [trial for _, trial in _best_of_each(ends, "levels_reach")]
     temper, missed = EFFORT.rough[0][0], 0
     for tempers in EFFORT.rough:
-        shown = view_with(trials[0], sample, blow, shown.window)
+        anew = view_with(trials[0], sample, blow, shown.window)
+        if all(np.isfinite(r.frf).all() for r in anew.sample.recordings):  # a law may diverge
+            shown = anew
         few = {place.site: shown.telling(place, EFFORT.blows)[0] for place in places}
         trials = [(replace(t[0], sample=few[t[1].site], blow=shown.blow), *t[1:]) for t in trials]
         trials, reached = _race(trials, tempers, tick, processes, EFFORT.nearly)
