@@ -367,14 +367,21 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     step = _prior_steps(regressor, estimate)
     prior = np.array([1.0 if column.group in ("link", "rotor") else 0.0 for column in columns])
     usable = estimate.identifiable
-    weight = np.linalg.inv(_symmetric(estimate.covariance[np.ix_(usable, usable)]))
-    G = scipy.linalg.cholesky(weight) @ K[usable] @ step
-    target = scipy.linalg.cholesky(weight) @ (estimate.value[usable] - K[usable] @ x0)
+    root = _inverse_root(_symmetric(estimate.covariance[np.ix_(usable, usable)]))
+    G = root @ K[usable] @ step
+    target = root @ (estimate.value[usable] - K[usable] @ x0)
     H = G.T @ G + np.diag(np.where(prior > 0, prior, 1e-6))
     linear = -G.T @ target
     x = x0 + step @ nearest_possible(regressor, H, linear, x0, step, margin)
     floor = np.array([column.nonnegative and column.group != "link" for column in columns])
     return np.where(floor, np.maximum(x, 0.0), x)
+
+
+def _inverse_root(covariance: FloatArray, least: float = 1e-12) -> FloatArray:
+    """R (n, n) with RᵀR = Σ⁻¹; correlations' eigenvalues are kept above ``least``, where rounding leaves less."""
+    deviation = np.sqrt(np.diag(covariance))
+    value, vectors = np.linalg.eigh(covariance / np.outer(deviation, deviation))
+    return (vectors / np.sqrt(np.maximum(value, least * value[-1]))).T / deviation
 
 
 def nearest_possible(

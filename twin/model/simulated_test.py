@@ -49,7 +49,7 @@ def simulated_test(
         hits = simulate_hits(mechanism, test, level, excitations, responses, progress=tick)
         posture, _ = posture_from_hits(
             group, np.array(robot.degrees(mechanism.q) if q_deg is None else q_deg), mechanism.brakes, hits,
-            exponential_window_rate=rate, fmax=FREQUENCY_SHARE / test.pulse_s,
+            exponential_window_rate=rate, fmax=FREQUENCY_SHARE / test.pulse_s, source=f"{group}, simulated",
         )  # fmt: skip
         postures[group] = replace(
             posture,
