@@ -14,7 +14,7 @@ from scipy.signal import csd, welch
 
 from tools.trials import __main__ as trials
 from tools.trials import store, wrong
-from tools.trials.visible import hammer_signal, shows
+from tools.trials.visible import STEP, hammer_signal, shows
 from tools.trials.wrong_score import headline, judged
 from tools.truth.chain import inverse_dynamics, kr90
 from tools.truth.effects import Effect
@@ -332,6 +332,11 @@ def test_what_a_tolerance_explains_does_not_show() -> None:
     truth = replace(truth, posture_error={p.name: truth.posture_error[p.name] for p in postures})
     links = (*truth.chain.links[:2], replace(truth.chain.links[2], mass=truth.chain.links[2].mass * 1.03))
     heavier = replace(truth, chain=replace(truth.chain, links=links))
-    assert 0.01 < shows(truth, signal, signal(heavier), machine.chain, machine.tolerances) < 0.51
     beside = replace(truth, moved={f"sensor:{machine.node}": np.array([0.0, 0.0, 0.05])})
-    assert shows(truth, signal, signal(beside), machine.chain, machine.tolerances) > 8
+    found = []
+    for end in (truth, heavier, beside):
+        change = (signal(wrong.toward(truth, end, STEP)) - signal(truth)) / STEP
+        found.append(shows(truth, signal, change, machine.chain, machine.tolerances))
+    assert found[0] == pytest.approx(0, abs=1e-9)
+    assert 0.01 < found[1] < 0.501
+    assert found[2] > 8
