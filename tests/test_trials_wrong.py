@@ -14,7 +14,7 @@ from scipy.signal import csd, welch
 
 from tools.trials import __main__ as trials
 from tools.trials import store, wrong
-from tools.trials.visible import STEP, hammer_signal, shows
+from tools.trials.visible import hammer_signal, shows
 from tools.trials.wrong_score import headline, judged
 from tools.truth.chain import inverse_dynamics, kr90
 from tools.truth.effects import Effect
@@ -323,7 +323,7 @@ def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: 
 
 
 def test_what_a_tolerance_explains_does_not_show() -> None:
-    """One deviation of a mass costs half at most, by the prior; a sensor that is elsewhere is another signal."""
+    """One deviation of a mass costs half at most, by the prior, five of a spring half of 25; a sensor moved shows."""
     world, *_ = wrong.case("nothing", "hammer", "arm", SEED, False)
     truth, machine = world.hammer, world.machine
     assert truth is not None
@@ -333,10 +333,13 @@ def test_what_a_tolerance_explains_does_not_show() -> None:
     links = (*truth.chain.links[:2], replace(truth.chain.links[2], mass=truth.chain.links[2].mass * 1.03))
     heavier = replace(truth, chain=replace(truth.chain, links=links))
     beside = replace(truth, moved={f"sensor:{machine.node}": np.array([0.0, 0.0, 0.05])})
+    stiffness = truth.chain.stiffness * [[1.3**5, 1, 1], [1, 1, 1], [1, 1, 1]]
+    stiffer = replace(truth, chain=replace(truth.chain, stiffness=stiffness))
     found = []
-    for end in (truth, heavier, beside):
-        change = (signal(wrong.toward(truth, end, STEP)) - signal(truth)) / STEP
+    for end in (truth, heavier, stiffer, beside):
+        change = wrong.slope(lambda share, end=end: signal(wrong.toward(truth, end, share)))  # type: ignore[misc]
         found.append(shows(truth, signal, change, machine.chain, machine.tolerances))
     assert found[0] == pytest.approx(0, abs=1e-9)
     assert 0.01 < found[1] < 0.501
-    assert found[2] > 8
+    assert 5 < found[2] < 12.6
+    assert found[3] > 20
