@@ -306,7 +306,8 @@ def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: 
             ("00", {**same, "way": "nothing", "robot": "arm"}),
             ("01", {**same, "way": "com", "robot": "kr90"}),
         ]
-        store.write(tmp_path / "answers" / "plan.json", {"seed": 1, "world": "wrong", "cases": [d for _, d in drawn]})
+        store.write(tmp_path / "answers" / "plan.json", {"cases": [d for _, d in drawn], "salt": ""})
+        assert wrong.prepare(tmp_path, 9, None)[1][1] == drawn[1][1]  # what was drawn stays
         lines = trials.every("record", pool, wrong.make, [(tmp_path, *d) for d in drawn])
     assert [line["robot"] for line in lines] == ["robots/arm.yaml", None]
     store.write(tmp_path / "manifest.json", {"world": "wrong", "cases": lines})
@@ -316,6 +317,12 @@ def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: 
     text = (tmp_path / "wrong.md").read_text()
     assert text.startswith("## When the description or the recording is wrong")
     assert "| wrong name at 0.5 or more | 0/2" in text
+    robot = tmp_path / "robots" / "arm.yaml"
+    described = robot.read_text()
+    robot.write_text(described.replace("arm", "other"))
+    with pytest.raises(SystemExit, match="sealed"):
+        trials._score(tmp_path, tmp_path / "wrong.md", "")
+    robot.write_text(described)
     sealed = tmp_path / "answers" / "01.json"
     sealed.write_text(json.dumps({**store.read(sealed), "way": "mass"}))
     with pytest.raises(SystemExit, match="sealed"):

@@ -136,7 +136,8 @@ def make(split: Path, name: str, drawn: dict[str, Any]) -> dict[str, Any]:
         write(answer, content)
     files = {path.name: sha256(path) for path in sorted(room.glob("*.h5"))}
     robot = None if drawn["robot"] == "kr90" else f"robots/{drawn['robot']}.yaml"
-    return {"id": name, "without": read(answer)["without"], "robot": robot, "files": files, "answer": sha256(answer)}
+    line = {"id": name, "without": read(answer)["without"], "robot": robot, "files": files, "answer": sha256(answer)}
+    return line if robot is None else {**line, "description": sha256(split / robot)}
 
 
 def _made(room: Path, drawn: dict[str, Any]) -> dict[str, Any]:
