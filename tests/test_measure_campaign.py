@@ -42,6 +42,8 @@ def campaign(seed: int = 0) -> Campaign:
         peak_force_n=300.0,
         exponential_window_rate=0.5,
         hits=hits,
+        pulse_s=0.0081,
+        record_s=12.5,
     )
     return Campaign(
         Channels(("21X+", "21Y+", "21Z-"), ("link3",) * 3, rng.normal(size=(3, 3)), np.diag([1.0, 1.0, -1.0])),

@@ -41,22 +41,26 @@ class Blow:
 
 
 def blows(campaign: Campaign) -> dict[str, Blow] | None:
-    """By group; ``None`` where a peak force is not recorded."""
+    """By group; ``None`` where a peak force is not recorded.
+
+    Where the record's length is not stated, it is taken to be one over the spacing of its lines.
+    """
     found = {}
     for name, posture in campaign.postures.items():
         if posture.peak_force_n is None:
             return None
-        length = 1 / float(np.median(np.diff(posture.frequency)))
+        length = posture.record_s or 1 / float(np.median(np.diff(posture.frequency)))
         if posture.exponential_window_rate > 0:
             length = min(length, FADED / posture.exponential_window_rate)
-        found[name] = Blow(posture.peak_force_n, _pulse_length(posture), length, posture.hits is not None)
+        known = posture.hits is not None or posture.pulse_s is not None
+        found[name] = Blow(posture.peak_force_n, _pulse_length(posture), length, known)
     return found
 
 
 def _pulse_length(posture: PostureFRF) -> float:
-    """Of the half sine with the momentum and peak of the recorded hits, s."""
+    """Of the half sine with the momentum and peak of the recorded hits, else as stated, s."""
     if posture.hits is None:
-        return PULSE_S
+        return posture.pulse_s or PULSE_S
     force = posture.hits.force - np.median(posture.hits.force, axis=-1, keepdims=True)
     peak = force.max(axis=-1)
     near = force > 0.05 * peak[..., None]

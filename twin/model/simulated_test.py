@@ -54,6 +54,8 @@ def simulated_test(
         postures[group] = replace(
             posture,
             hits=posture.hits if raw_hits else None,
+            pulse_s=test.pulse_s,
+            record_s=test.duration_s,
             frf=posture.frf * _unstepped_share(linear, posture, mechanism, responses, excitations),
         )
     comment = "simulated by twin simulate" + (
