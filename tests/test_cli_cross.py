@@ -128,3 +128,10 @@ def test_recordings_of_one_robot_go_together_wherever_they_lie(written: Path, tm
     refused = run("diagnose", hammer, tmp_path / "other" / "replay.h5")
     assert refused.code == 2
     assert "is not the same as" in refused.err
+
+
+def test_the_version_is_printed_with_the_name() -> None:
+    import twin
+
+    found = run("--version")
+    assert (found.code, found.out, found.err) == (0, f"twin {twin.__version__}\n", "")
