@@ -93,7 +93,7 @@ def test_results_print_themselves_show_as_tables_and_draw_their_figures(struck: 
         twin.fit(struck.campaign, robot=robot, starts=1),
         twin.identify(struck.log, robot=robot),
         twin.compare([struck.campaign, struck.log, analysis.table], robot=robot),
-        twin.excite(robot, count=1, harmonics=2),
+        twin.excite(robot, count=1, harmonics=1),
     ]
     for result in results:
         assert str(result).strip()

@@ -118,3 +118,20 @@ def test_a_written_robot_is_taken_as_robot(written: Path, folder: str, name: str
     found = run("simulate", written / "given" / "bent.yaml", "--json", "--robot", written / folder / name)
     assert found.code == (0 if name.endswith(".yaml") else 2), found.err
     assert found.err.count("\n") == (name.endswith(".xml"))
+
+
+def test_recordings_of_one_robot_go_together_wherever_they_lie(written: Path, tmp_path: Path) -> None:
+    """A modal table names the robot of its test by another path; a robot without an entry is another one."""
+    hammer, table = written / "simulate" / "hammer.h5", written / "modal" / "modes.yaml"
+    assert run("diagnose", hammer, table, "--json").code == 0
+    run("simulate", written / "given" / "bent.yaml", "--without", "coulomb_friction", "-o", tmp_path / "other")
+    refused = run("diagnose", hammer, tmp_path / "other" / "replay.h5")
+    assert refused.code == 2
+    assert "is not the same as" in refused.err
+
+
+def test_the_version_is_printed_with_the_name() -> None:
+    import twin
+
+    found = run("--version")
+    assert (found.code, found.out, found.err) == (0, f"twin {twin.__version__}\n", "")

@@ -69,14 +69,17 @@ def _described(tests: Sequence[Recording], robot: Robot | str | Path | None) -> 
     Raises:
         InputError: the recordings name different robots.
     """
-    named = {test.named: test for test in tests if test.named}
-    if len(named) > 1 and not robot:
-        first, second = list(named)[:2]
-        raise InputError(
-            str(named[second].source), "robot",
-            f"is {second!r}, of {named[first].source} {first!r}; say which with --robot",
-        )  # fmt: skip
-    return next(iter(named.values()), tests[0]).described(robot)
+    if robot:
+        return load_robot(robot)
+    first, *others = [test for test in tests if test.named] or tests[:1]
+    described = first.described()
+    for other in others:
+        if other.described().model_dump() != described.model_dump():
+            raise InputError(
+                other.source, "robot",
+                f"{other.named!r} is not the same as {first.named!r} of {first.source}; say which with --robot",
+            )  # fmt: skip
+    return described
 
 
 # --- what is written --------------------------------------------------------------------------------------------------

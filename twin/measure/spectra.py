@@ -196,7 +196,8 @@ def spectra(
         kept = table.accepted(e)
         if not kept:
             reasons = "; ".join(dict.fromkeys(row.reason for row in table.rows if row.excitation == e))
-            raise InputError(source, f"hits of excitation {e}", f"expected a hit that can be used, all have: {reasons}")
+            expected = f"expected at least one hit that can be used; they have: {reasons}"
+            raise InputError(source, f"hits of excitation {e}", expected)
         force = _without_offset(hits.force[e, kept], hits)
         if force_window and not hits.windowed:
             force = np.stack([_gated(record) for record in force])
