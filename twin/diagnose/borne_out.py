@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.decide import calibration
+from twin.diagnose.note import Note
 from twin.diagnose.records import FrfRecord, Record
 from twin.diagnose.verdict import Finding, Verdict, Word
 from twin.robot.description import Robot
@@ -81,7 +82,8 @@ def borne_out(verdict: Verdict) -> Verdict:
             "predicted better with it: it is not named, and the description's tolerances may be too narrow"
         )
     findings = [_without(finding) for finding in verdict.findings]
-    findings[0].warnings = [*findings[0].warnings, reason]
+    kind = "other_robot" if worse and len(verdict.findings) > 1 else "tension"
+    findings[0].warnings = [*findings[0].warnings, Note(reason, kind)]
     words = [finding.word for finding in findings]
     word: Word = "unexplained" if worse or "unexplained" in words else "adequate"
     none, other = (

@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from twin.diagnose.noise import ANALYSER, perfect, pooled_variance, shared_lines
+from twin.diagnose.note import Note
 from twin.errors import InputError
 from twin.identify.recorded import Recorded, base_name, prepare
 from twin.measure.campaign import Campaign, PostureFRF, frf_variance
@@ -51,7 +52,9 @@ class Triage:
     @property
     def warnings(self) -> list[str]:
         """Failed checks, one line each, and what was assumed."""
-        return [*(str(check) for check in self.checks if not check.passed), *self.assumed]
+        failed = [check for check in self.checks if not check.passed]
+        notes = [Note(str(check).removeprefix("FAIL "), check.kind.replace(" ", "_"), "fail") for check in failed]
+        return [*notes, *self.assumed]
 
 
 def believed(campaign: Campaign, robot: Robot, source: str) -> tuple[dict[str, Recorded], float]:
@@ -102,7 +105,10 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
     nonlinear = any(check.kind == "linearity" and not check.passed for check in levels)
     unknown = "postures disagree without a peak_force_n that says how hard they were hit: no law of amplitude is sought"
     forceless = any(check.kind == REPEAT and not check.passed for check in levels)
-    notes = [*(assumed if noiseless else ()), *([unknown] if forceless else ())]
+    notes = [
+        *(Note(text, "noise_unstated", "note") for text in assumed if noiseless),
+        *([Note(unknown, "force_unstated", "note")] if forceless else ()),
+    ]
     return Triage(recordings, tuple(held), (*checks, *levels), nonlinear, shared, tuple(notes))
 
 
