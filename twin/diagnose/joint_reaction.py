@@ -23,12 +23,12 @@ from twin.robot.description import Robot
 PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of its logarithm, where no raw hits tell
 FADED = 7.0  # e-foldings after which a windowed decay is not stepped any further
 OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
-SETTLING = 6  # iterations of a blow's own stiffness
-SMALL, ROUGHLY, WIDE = 1e-4, 4e-3, 0.02  # prior deviations, of differences of stepped blows
+BLOW_STEPS = 6  # iterations of a blow's own stiffness
+FINE_DIFFERENCE, ROUGH_DIFFERENCE, WIDE = 1e-4, 4e-3, 0.02  # prior deviations, of differences of stepped blows
 STAYED = 2.0  # prior deviations, over which the law's torque keeps what its derivatives have beside those held
 WORTH_SPREADING = 20  # strikes per recording: fewer are stepped by one process
 WEIGHED = 0.1  # prior deviations, of differences of the load on a joint
-AHEAD = 0.1  # of a step: where its bend is looked at
+BEND_AHEAD = 0.1  # of a step: where its bend is looked at
 
 
 # --- how it was hit ---------------------------------------------------------------------------------------------------
@@ -224,7 +224,7 @@ class BlowByBlow(Cost):
 
         parts, e, kappa = look(u)
         damping = np.full(u.shape[1], 1e-3)
-        for _ in range(SETTLING):
+        for _ in range(BLOW_STEPS):
             rate = self._own_rate(joint, kappa, w, line)
             gradient = np.einsum("pfre,fre->pe", rate.conj(), e).real + u
             matrix = np.einsum("pfre,qfre->pqe", rate.conj(), rate).real + np.eye(2)[:, :, None]
@@ -343,11 +343,11 @@ class Stepped(Cost):
         sizes, longer = self.own(z)
         here = [(joints.of(r), r, sizes, longer) for r in recordings]
         every = range(len(recordings))
-        step = SMALL if self.closely else ROUGHLY
+        step = FINE_DIFFERENCE if self.closely else ROUGH_DIFFERENCE
         known = self.latest is not None and np.array_equal(self.latest[0], z)
         asked = self._moved(z, step, near, joints, every)
         if self.closely:
-            asked += [[(joint, r, sizes, longer * (1 + h)) for joint, r, *_ in here] for h in (SMALL, WIDE)]
+            asked += [[(joint, r, sizes, longer * (1 + h)) for joint, r, *_ in here] for h in (FINE_DIFFERENCE, WIDE)]
         *found, last = self._react_each([*asked, [] if known else here])
         at = self.latest[1] if self.latest and known else last
         small, longer_ones = self._slopes(found[: len(near)], at, step, every), found[len(near) :]
@@ -408,12 +408,12 @@ class Stepped(Cost):
         lags = [np.zeros_like(dR[: len(self.base)]) for dR in slopes]
         asked, where = [], []
         for k, r in enumerate(self.sample.recordings):
-            for p, joint in joints.moved(r, SMALL).items() if smooth[k].any() else ():
+            for p, joint in joints.moved(r, FINE_DIFFERENCE).items() if smooth[k].any() else ():
                 if p not in near:
                     asked.append((joint, r, *self.own(z)))
                     where.append((k, p))
         for (k, p), other in zip(where, self._react(asked) if asked else [], strict=True):
-            beside = (other - reactions[k]) / SMALL - slopes[k][p]
+            beside = (other - reactions[k]) / FINE_DIFFERENCE - slopes[k][p]
             lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
         return lags
 
@@ -447,10 +447,10 @@ class Stepped(Cost):
         if not self.rows:
             return None
         total = np.zeros(len(z))
-        ahead = self.predicted(z + AHEAD * step)
+        ahead = self.predicted(z + BEND_AHEAD * step)
         for r, H, w, (e, G) in zip(self.sample.recordings, ahead, self.weight, self.rows, strict=True):
             there = np.ascontiguousarray((r.frf - H) * w).reshape(-1).view(float)
-            total += G @ (2 / AHEAD * ((there - e) / AHEAD - step @ G))
+            total += G @ (2 / BEND_AHEAD * ((there - e) / BEND_AHEAD - step @ G))
         return total if np.isfinite(total).all() else None
 
     def held(self, z: FloatArray) -> list[UnderLaw]:
@@ -525,7 +525,7 @@ class Stepped(Cost):
 def _smooth(little: ComplexArray, somewhat: ComplexArray, at: ComplexArray) -> NDArray[np.bool_]:
     """Blows (ne,) whose answer to being a little longer is what somewhat longer ones tell; false, too, where a step
     went over the edge of what can be stepped."""
-    a, b = (little - at) / SMALL, (somewhat - at) / WIDE
+    a, b = (little - at) / FINE_DIFFERENCE, (somewhat - at) / WIDE
     return np.asarray(np.sum(np.abs(a - b) ** 2, axis=0) < np.sum(np.abs(b) ** 2, axis=0))
 
 

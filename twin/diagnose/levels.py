@@ -38,17 +38,20 @@ from twin.physics import CATALOGUE, amplitude_laws
 from twin.physics.joint_law import USUAL_DEFLECTION, Law
 from twin.robot.description import Entry, Robot
 
-LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
+RACE_LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
 FINAL_LINES, BLOWS = 40, 12  # lines and excitations that finalists are fitted to
 ALIKE = 3  # sizes whose equivalent stiffnesses are most like those seen: a law's start is one of them
-SITES, SITE_REACH, LAW_REACH, NEAR = 2, 1.3, 4.0, 1.5  # sites, laws racing and at their end, in reach of the best
+SITES, SITE_REACH, LAW_REACH, NEAR_LAWS = 2, 1.3, 4.0, 1.5  # sites, laws racing and at their end, in reach of the best
 FAR_OFF = 10.0  # χ² per datum above which the last digit of a wrong model says nothing
 WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
 ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
-TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
-EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
+FALLING_ERRORS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
+EXPLAINS, SMOOTH_ERROR = (
+    1.0,
+    0.03,
+)  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, CLOSE, SETTLING, LINEAR = 8, 10, 4, 8, 5, 10, 15  # iterations
+LOCATING, ROUGH_STEPS, RACING, LAST, CLOSE_STEPS, SETTLING_STEPS, LINEAR_STEPS = 8, 10, 4, 8, 5, 10, 15  # iterations
 ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
@@ -170,21 +173,21 @@ def explain_levels(
         return None
     tick = progress or (lambda count: None)
     starts = [base.z, robust, np.zeros(len(robust))]
-    places, temper = locate(robot, base.parameters, starts, sample.thin(LINES), sprung, tick, processes)
-    window = 0.0 if temper <= SMOOTH else WINDOW
+    places, temper = locate(robot, base.parameters, starts, sample.thin(RACE_LINES), sprung, tick, processes)
+    window = 0.0 if temper <= SMOOTH_ERROR else WINDOW
     seen = view(robot, base.parameters, robust, sample, blow, window)
     near = [place for place in places if place.cost < SITE_REACH * places[0].cost][:SITES]
     if window:
         trials, temper = _rough_race(robot, base, places if temper == 1 else near, seen, starts[1:], tick, processes)
-        few = View(0.0, sample.thin(LINES), blow).telling(_at(trials, places), BLOWS)[0]
+        few = View(0.0, sample.thin(RACE_LINES), blow).telling(_at(trials, places), BLOWS)[0]
         whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
         whole, left = _race(whole, WHOLE_TEMPERS, tick, processes, LAST)
         if left <= HOLDS:  # a law that holds to the ends of the decays tells more there
             trials, temper, window, seen = whole, 0.0, 0.0, View(0.0, sample.thin(FINAL_LINES), blow)
     else:
-        short = replace(seen, sample=sample.thin(LINES))
+        short = replace(seen, sample=sample.thin(RACE_LINES))
         trials = [trial for place in near for trial in _starts(robot, base, place, short)]
-        trials, temper = _race(trials, TEMPERS, tick, processes)
+        trials, temper = _race(trials, FALLING_ERRORS, tick, processes)
         seen, temper = replace(seen, sample=sample.thin(FINAL_LINES)), 0.0  # what a law leaves unexplained must show
     best = _at(trials, places)
     told = seen.telling(best, BLOWS)[0]
@@ -194,7 +197,7 @@ def explain_levels(
     least = min(fit.cost for fit in fits)
     fits = [
         fit_law(objective, fit.hypothesis, fit.z)
-        if fit.cost == least or (fit.cost < NEAR * least and fit.misfit < FAR_OFF)
+        if fit.cost == least or (fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF)
         else fit
         for objective, fit in zip(objectives, fits, strict=True)
     ]
@@ -202,10 +205,10 @@ def explain_levels(
     order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
     nameless = []
     if temper or fits[order[0]].misfit > calibration()["noise_misfit"]:
-        rivals = _starts(robot, base, best, replace(seen, sample=seen.sample.thin(LINES)), NAMELESS)
+        rivals = _starts(robot, base, best, replace(seen, sample=seen.sample.thin(RACE_LINES)), NAMELESS)
         rivals = [(replace(t[0], sample=data, rate_hz=RATE_HZ, processes=processes), *t[1:]) for t in rivals]
         nameless = [
-            fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR * least and fit.misfit < FAR_OFF else fit
+            fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF else fit
             for trial, fit in zip(rivals, _fitted_roughly(rivals, processes, LAW_REACH * least), strict=True)
         ]
     tempered, begun = (15, starts[:2]) if window else (0, starts[:1])  # an optimum on all lines nearly is on some
@@ -213,7 +216,7 @@ def explain_levels(
         (
             descend(
                 robot, base.hypothesis, base.parameters, data, z,
-                tempered=tempered, linear=LINEAR, hopeless=LAW_REACH * least,
+                tempered=tempered, linear=LINEAR_STEPS, hopeless=LAW_REACH * least,
             )
             for z in begun
         ),
@@ -266,11 +269,11 @@ def locate(
     which the best explains the recordings (1 where it does not)."""
     ends: dict[str, FloatArray] = {}
     for site in sites:
-        rough = BlowByBlow(robot, parameters, sample, TEMPERS[0], site=site)
+        rough = BlowByBlow(robot, parameters, sample, FALLING_ERRORS[0], site=site)
         ends[site] = min(starts, key=rough.cost)
     found: list[Located] = []
     reached, data = 1.0, BlowByBlow(robot, parameters, sample).data
-    for temper in TEMPERS:
+    for temper in FALLING_ERRORS:
 
         def at(number: int, temper: float = temper) -> Located:
             site = sites[number]
@@ -356,7 +359,7 @@ def _rough_race(
         values = base.parameters.values(z)
         k = values[base.parameters.names.index(f"{place.site}.stiffness")]
         points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
-        end, cost, _, _ = minimise(objective, points[int(np.argmin(objective.costs(points)))], ROUGH, ROUGH_GAIN)
+        end, cost, _, _ = minimise(objective, points[int(np.argmin(objective.costs(points)))], ROUGH_STEPS, ROUGH_GAIN)
         return objective.law, end, cost
 
     ends: list[tuple[float, Trial]] = []
@@ -480,7 +483,7 @@ def _fitted_roughly(trials: Sequence[Trial], processes: int, hopeless: float = n
 def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray) -> Fitted:
     """Fit a law from z, finely stepped."""
     fine = replace(objective, rate_hz=RATE_HZ, closely=True)
-    return _fitted(objective, hypothesis, *minimise(fine, z, CLOSE, COARSE_GAIN))
+    return _fitted(objective, hypothesis, *minimise(fine, z, CLOSE_STEPS, COARSE_GAIN))
 
 
 def settled(
@@ -516,7 +519,7 @@ def settled(
         allowed = all_of(sample, blow, HOLDS)
         if not 2 * allowed.cost(z) <= EXPLAINS * allowed.data:
             every = all_of(levels.whole, levels.blow)
-    return _fitted(every, hypothesis, *minimise(every, z, SETTLING, FINE_GAIN)), every
+    return _fitted(every, hypothesis, *minimise(every, z, SETTLING_STEPS, FINE_GAIN)), every
 
 
 def _settling(law: Law, known: int, fit: Fitted, free: Parameters) -> tuple[Hypothesis, Parameters, FloatArray]:

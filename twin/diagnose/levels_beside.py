@@ -15,7 +15,7 @@ import numpy as np
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_reaction import Stepped
-from twin.diagnose.levels import FAR_OFF, LINEAR, Levels, fit_law, with_law
+from twin.diagnose.levels import FAR_OFF, LINEAR_STEPS, Levels, fit_law, with_law
 from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
@@ -25,9 +25,9 @@ from twin.measure.campaign import FloatArray
 from twin.parallel import Progress
 from twin.robot.description import Robot
 
-LINES = 40  # of every recording
-FINALISTS = 2  # fitted again with the law stepped
-PROMISING = 0.8  # of the best one's gain
+BESIDE_LINES = 40  # of every recording
+STEPPED_AGAIN = 2  # fitted again with the law stepped
+BESIDE_SHARE = 0.8  # of the best one's gain
 DOUBT = 0.02  # of the noise's variance: less that hangs on the length of steps is not looked at
 
 
@@ -79,15 +79,15 @@ def explain_beside(
     if not worth:
         return Beside(law, None, [], [])
     both = [(found[0], first, objective)]
-    both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1:FINALISTS]]
-    lines = levels.whole.thin(LINES)
+    both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1:STEPPED_AGAIN]]
+    lines = levels.whole.thin(BESIDE_LINES)
     whole = _held(stepped, law, lines, levels)
-    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR)
+    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR_STEPS)
     again: list[tuple[Fitted, Fitted, Stepped, Sample]] = []
     for fit, stepping, objective in both:
         own = _held(objective, stepping, lines, levels)
         z = stepping.z[: len(fit.z)]
-        linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR)
+        linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR_STEPS)
         again.append((linear, stepping, objective, own))
     held = {id(fit): own for fit, _, _, own in again} | {id(alone): whole}
     beside = [fit for fit, *_ in again]
@@ -136,9 +136,9 @@ def _found(
     progress: Progress | None,
 ) -> list[Fitted]:
     """What promises to be missing with the law held as it is in a fit, most evidence first."""
-    whole = _held(levels.objectives[0], law, levels.whole.thin(LINES), levels)
+    whole = _held(levels.objectives[0], law, levels.whole.thin(BESIDE_LINES), levels)
     n = len(base.parameters)
-    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR)
+    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR_STEPS)
     error = inflation(alone, robot, whole.thin(REFIT_LINES))
     search = Search(alone, [], alone.z, error, processes=levels.objectives[0].processes)
     bars = progress or (lambda description, total: lambda count: None)
@@ -151,7 +151,7 @@ def _found(
     if not found:
         return []
     best = found[0]
-    least = alone.evidence() + PROMISING * (best.evidence() - alone.evidence())  # the law's own numbers still move
+    least = alone.evidence() + BESIDE_SHARE * (best.evidence() - alone.evidence())  # the law's own numbers still move
     return [fit for fit in found if fit is best or (fit.evidence() > least and not _more(fit, best))]
 
 

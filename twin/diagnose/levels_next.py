@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.joint_reaction import Blow
-from twin.diagnose.levels import LINES, Levels, View, excited, point, with_law
+from twin.diagnose.levels import RACE_LINES, Levels, View, excited, point, with_law
 from twin.diagnose.refit import Fitted
-from twin.diagnose.triage import HOMOGENEOUS, NEAR
+from twin.diagnose.triage import HOMOGENEOUS, POOLED_LINES
 from twin.errors import InputError
 from twin.identify.objective import Sample
 from twin.identify.recorded import Recorded
@@ -82,7 +82,7 @@ def _extremes(sample: Sample, blow: dict[str, Blow]) -> list[tuple[Recorded, Rec
 
 def _disagreement(sample: Sample, predicted: Sequence[ComplexArray]) -> float:
     """Homogeneity of pairs of levels beyond noise, as the triage has it (lowest, highest, lowest, …)."""
-    worst, window = 0.0, np.ones(NEAR)
+    worst, window = 0.0, np.ones(POOLED_LINES)
     pairs = zip(sample.recordings[::2], sample.recordings[1::2], predicted[::2], predicted[1::2], strict=True)
     for a, b, low, high in pairs:
         variance = 2 * (a.variance + b.variance)
@@ -123,7 +123,7 @@ def next_blows(
         sample: what was fitted to; ``blow`` how it was hit.
     """
     place = next(p for p in levels.places if p.site == first.hypothesis.site)
-    few, _ = View(0.0, sample.thin(LINES), blow).telling(place, EXCITATIONS)
+    few, _ = View(0.0, sample.thin(RACE_LINES), blow).telling(place, EXCITATIONS)
     forces = [b.peak_n for b in blow.values()]
     reference = max(few.recordings, key=lambda r: blow[r.group].peak_n)
     usual = blow[reference.group]

@@ -18,7 +18,7 @@ from twin.physics import CATALOGUE
 from twin.physics.joint_law import Law
 from twin.robot.description import Entry, Robot
 
-LINES, AGAIN = 25, 8  # lines and iterations of what belongs to the recordings themselves
+SETTLED_LINES, AGAIN = 25, 8  # lines and iterations of what belongs to the recordings themselves
 LONGEST = 3.0  # prior deviations of the logarithm of a blow's length within which it is sought
 EXACTLY = 0.02  # to which it is
 
@@ -47,7 +47,7 @@ def law_of(robot: Robot) -> tuple[Law, FloatArray, str, Robot]:
 
 def settle(judged: Stepped) -> FloatArray:
     """Posture angles and channel gains (n,) in prior deviations that the recordings ask for."""
-    z, few = np.zeros(len(judged.free)), judged.sample.thin(LINES)
+    z, few = np.zeros(len(judged.free)), judged.sample.thin(SETTLED_LINES)
     for temper in (0.1, 0.02):
         z, *_ = minimise(replace(judged, sample=few, temper=temper, rate_hz=COARSE_HZ), z, AGAIN, 0.1)
     return minimise(replace(judged, sample=few, closely=True), z, AGAIN, 0.1)[0]
@@ -84,7 +84,7 @@ def judge_struck(
 
 def _long(judged: Stepped, z: FloatArray | None = None) -> Stepped:
     """With blows as long as explains the recordings best."""
-    z, few = np.zeros(len(judged.free)) if z is None else z, judged.sample.thin(LINES)
+    z, few = np.zeros(len(judged.free)) if z is None else z, judged.sample.thin(SETTLED_LINES)
 
     def of(longer: float) -> Stepped:
         blow = {group: replace(b, pulse_s=b.pulse_s * float(np.exp(longer))) for group, b in judged.blow.items()}
