@@ -25,7 +25,7 @@ from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 SCREEN_LINES, REFIT_LINES, NEAR_LINES = 25, 50, 100
-COMPARED, REFITTED, FEWEST = 12, 6, 3
+COMPARED, REFITTED_BEST, FEWEST = 12, 6, 3
 RACE = 0.08  # of the best gain: less promises nothing
 WITHIN = 40.0  # in ln evidence: what is worth converging
 MISSING_AT_ONCE = 3  # things missing at once
@@ -323,10 +323,10 @@ def _round(
     least = max(SLIGHT * thinned, RACE * promises[0].gain)
     if error > 0:
         likely = _varied(promises, COMPARED)
-        likely = [p for k, p in enumerate(likely) if k < REFITTED or p.gain > RACE * promises[0].gain]
+        likely = [p for k, p in enumerate(likely) if k < REFITTED_BEST or p.gain > RACE * promises[0].gain]
         starts = _halve(setting, likely, progress, search.processes)
     else:
-        likely = _varied(promises, REFITTED)
+        likely = _varied(promises, REFITTED_BEST)
         # what has no size, as a gain, is promised what it brings: it must be worth something
         kept = [
             p for k, p in enumerate(likely) if every or k == 0 or p.gain > (least if p.sized else max(least, WORTH))
@@ -369,7 +369,7 @@ def _halve(
     before = setting.objective(setting.current).cost(setting.z)
     least = min(cost for cost, _, _ in ends)
     behind = max(WITHIN, (1 - SHORT) * (before - least))  # gained much less than another
-    ends = [end for end in sorted(ends, key=lambda end: end[0])[:REFITTED] if end[0] - least < behind]
+    ends = [end for end in sorted(ends, key=lambda end: end[0])[:REFITTED_BEST] if end[0] - least < behind]
 
     def at(number: int) -> tuple[FloatArray, float, FloatArray, bool]:
         return minimise(setting.objective(ends[number][1].hypothesis), ends[number][2], 20, 0.3)
