@@ -46,6 +46,7 @@ from twin.diagnose.verdict import (
 from twin.errors import InputError
 from twin.identify.elastic import Recorded, base_name, prepare, without_limits
 from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.measure.campaign import Campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import read_motion_log
@@ -294,6 +295,7 @@ def diagnose_campaign(
         [*smallest_visible(settled.robot, settled, few, looked_at), *amplitude_laws],
         warnings=[*found.warnings, *elsewhere(search.base, search.others), *strained(best)],
         finalists=finalists(search.base, fits),
+        fits=(before, best),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in missing]
     if told_by:
@@ -423,6 +425,8 @@ def _finish(verdict: Verdict, tests: Sequence[_Test], out: Path | None) -> None:
     with Outputs(out) as name:
         _write_model(verdict, name("robot.yaml").parent)
         name("robot.xml")
+        if verdict.findings[-1].fits:
+            name(FILE)
         _check(verdict, tests, name.stage)
         verdict.model = {"robot": "robot.yaml", "mjcf": "robot.xml"}
         with uncollected():
@@ -434,6 +438,8 @@ def _finish(verdict: Verdict, tests: Sequence[_Test], out: Path | None) -> None:
 
 def _write_model(verdict: Verdict, folder: Path) -> Path:
     save_robot(folder / "robot.yaml", verdict.robot)
+    if fits := verdict.findings[-1].fits:
+        save_posterior(folder / FILE, Posterior.of(fits[-1]))
     q, brakes = _posture(verdict)
     save_mjcf(folder / "robot.xml", build_spec(assemble(without_limits(verdict.robot), q, brakes=brakes)))
     return folder

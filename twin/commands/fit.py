@@ -32,6 +32,7 @@ from twin.identify.elastic_modal import (
     predict_modes,
 )
 from twin.identify.parameters import SATURATED, Parameters, free_parameters
+from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
     Combination,
@@ -613,6 +614,7 @@ def _write(found: FitResult, name: Outputs, path: Path, progress: Progress) -> N
     from twin.report.html import write_html
 
     save_robot(name("robot.yaml"), found.robot)
+    save_posterior(name(FILE), Posterior.of(found.fit))
     first = next(iter(found.postures.values()))
     mechanism = assemble(found.robot, within_limits(found.robot, found.robot.angles(first["q_deg"])))
     save_mjcf(name("robot.xml"), build_spec(mechanism))
