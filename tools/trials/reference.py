@@ -21,15 +21,15 @@ from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.joint_reaction import Stepped, blows
 from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
-from twin.diagnose.refit import NONE, descend, minimise
+from twin.diagnose.refit import NONE, Fitted, descend, minimise
 from twin.diagnose.struck import judge_struck, law_of
-from twin.diagnose.triage import triage
-from twin.identify.elastic import without_limits
+from twin.diagnose.triage import Triage, triage
+from twin.identify.elastic import Recorded, without_limits
 from twin.identify.elastic_compare import judge
 from twin.identify.parameters import SIX, Parameters, free_parameters
 from twin.measure.campaign import FloatArray
 from twin.physics import CATALOGUE
-from twin.robot.description import Entry, load_robot
+from twin.robot.description import Entry, Robot, load_robot
 
 ITERATIONS, GAIN = 20, 0.1  # in ln likelihood: less is not waited for
 
@@ -87,6 +87,46 @@ def held_out_error(split: Path, name: str) -> float | None:
     answer = read(split / "answers" / f"{name}.json")
     if answer["recording"] not in ("hammer", "levels"):
         return None
+    found = _posed(split, name, answer)
+    if found is None:
+        return None
+    base, laws, known, z = found
+    if not known.kept:
+        return None
+    sample, free = Sample(tuple(known.used), 1 / known.shared), _free(base, known.used)
+    if not laws:
+        return judge(physical(_refitted(base, free, sample, z).robot), known.kept).error
+    (entry,) = laws
+    campaign = read_recording([split / "recordings" / name / "frf.h5"])
+    pulse_s = struck(answer["kind"], answer["recording"], answer["seed"], answer["number"]).pulse_s
+    how = {group: replace(b, pulse_s=pulse_s, known=True) for group, b in (blows(campaign) or {}).items()}
+    law, sizes, site, _ = law_of(base.model_copy(update={"physics": [*base.physics, entry]}))
+    objective = Stepped(base, free, sample, law=law, site=site, blow=how, fixed=sizes, closely=True)
+    z, *_ = minimise(objective, z, ITERATIONS, GAIN)
+    robot = free.apply(base, free.values(z))
+    return judge_struck(robot.model_copy(update={"physics": [*robot.physics, entry]}), known.kept, how).error
+
+
+def true_fit(split: Path, name: str) -> Fitted | None:
+    """The true model refitted to the hammer test of a case, linear as it must be; ``None`` where no entries say it."""
+    answer = read(split / "answers" / f"{name}.json")
+    found = _posed(split, name, answer)
+    if found is None or found[1]:
+        return None
+    base, _, known, z = found
+    return _refitted(base, _free(base, known.used), Sample(tuple(known.used), 1 / known.shared), z)
+
+
+def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
+    return free_parameters(base, dict.fromkeys(r.setup.name for r in used), used[0].setup.response.label)
+
+
+def _refitted(base: Robot, free: Parameters, sample: Sample, z: FloatArray) -> Fitted:
+    return descend(base, NONE, free, sample, z, tempered=0, linear=ITERATIONS, tolerance=GAIN)
+
+
+def _posed(split: Path, name: str, answer: dict[str, Any]) -> tuple[Robot, list[Entry], Triage, FloatArray] | None:
+    """The described robot with what is concealed, laws of amplitude kept apart; what is fitted to; where that starts."""
     truth = answer["truth"]["campaign"]
     entries = described(answer["effects"], truth["chain"])
     if entries is None:
@@ -97,19 +137,5 @@ def held_out_error(split: Path, name: str) -> float | None:
     laws = [entry for entry in entries if entry.effect in AMPLITUDE]
     given = given.model_copy(update={"physics": [*given.physics, *(e for e in entries if e not in laws)]})
     base, found = without_limits(given), triage(campaign, given, str(source), None)
-    if not found.kept:
-        return None
-    sample = Sample(tuple(found.used), 1 / found.shared)
-    free = free_parameters(base, dict.fromkeys(r.setup.name for r in found.used), found.used[0].setup.response.label)
-    z = free.coordinates(true_values(free, truth))
-    if not laws:
-        fit = descend(base, NONE, free, sample, z, tempered=0, linear=ITERATIONS, tolerance=GAIN)
-        return judge(physical(fit.robot), found.kept).error
-    (entry,) = laws
-    pulse_s = struck(answer["kind"], answer["recording"], answer["seed"], answer["number"]).pulse_s
-    how = {group: replace(b, pulse_s=pulse_s, known=True) for group, b in (blows(campaign) or {}).items()}
-    law, sizes, site, _ = law_of(base.model_copy(update={"physics": [*base.physics, entry]}))
-    objective = Stepped(base, free, sample, law=law, site=site, blow=how, fixed=sizes, closely=True)
-    z, *_ = minimise(objective, z, ITERATIONS, GAIN)
-    robot = free.apply(base, free.values(z))
-    return judge_struck(robot.model_copy(update={"physics": [*robot.physics, entry]}), found.kept, how).error
+    free = _free(base, found.used)
+    return base, laws, found, free.coordinates(true_values(free, truth))

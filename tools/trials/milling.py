@@ -1,0 +1,170 @@
+"""Milling with concealed physics: `python -m tools.trials.milling make | ask | cut | score | prove`.
+
+Robots of the truth code are struck as in `tools.trials`. From the hammer test the twin states how deep the robot may
+cut, in postures that nobody struck, before its diagnosis and after. Then the true robot cuts: `tools.truth.milling`.
+
+  make   record the robots of a split, seal the answers, draw the cuts
+  ask    diagnose every robot; keep the model before and after with what each knows of itself
+  cut    open the answers; state depths, refit the true model, step the true robot's cuts
+  score  write the page
+
+SPLIT/cuts/ID.yaml           postures and cuts, as a user of the twin knows them
+SPLIT/models/ID/             before/ and after/: robot.yaml and posterior.h5; true/: the true model refitted
+SPLIT/depths/ID.json         depths stated and true
+"""
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from tools.trials import make, reference, store
+from tools.trials.__main__ import every, executor
+from tools.truth.recording import draw_postures
+from twin.commands.diagnose import diagnose_campaign
+from twin.commands.modal import read_recording
+from twin.diagnose.physical import physical
+from twin.diagnose.refit import Fitted
+from twin.errors import InputError
+from twin.identify.posterior import FILE, Posterior, save_posterior
+from twin.robot.description import load_robot, save_robot
+
+SIZES = (2.0, 20.0)  # multiples of the smallest visible size
+POSTURES, CUTS = 2, 2  # unseen ones of each robot; cuts in each
+SPINDLE_KG, OVERHANG_M, SPINDLE_COM_M = 20.0, 0.25, 0.12
+KNOWN_PERCENT = 15.0  # one deviation of each cutting coefficient
+SHEAR = (6.0046e8, 1.8096e8, 0.0)  # N/m², aluminium 7075
+DEEPEST_M = 0.05
+FEED_M = 1e-4
+
+
+def make_all(split: Path, robots: int, processes: int) -> None:
+    """Record robots and draw their cuts."""
+    with executor(processes, None) as pool:
+        jobs = [(split, *case) for case in make.prepare(split, robots, None, ("hammer",), 0, SIZES)]
+        lines = every("record", pool, make.record, jobs)
+    store.write(split / "manifest.json", {"format": "twin-trials-milling", "version": 1, "cases": lines})
+    store.entered(split, f"{len(jobs)} robots drawn")
+    for line in lines:
+        path = split / "cuts" / f"{line['id']}.json"
+        if not path.exists():
+            store.write(path, draw_cuts(store.read(split / "answers" / f"{line['id']}.json")["seed"]))
+
+
+def draw_cuts(seed: int) -> list[dict[str, Any]]:
+    """Postures that were not struck, and cuts in them, as the user states them."""
+    rng = np.random.default_rng([seed, 11])
+    found = []
+    for posture in draw_postures(3 + POSTURES, rng)[3:]:
+        for _ in range(CUTS):
+            found.append(
+                {
+                    "q_deg": posture.q_deg,
+                    "cut": {
+                        "tool": {
+                            "diameter_m": 0.02,
+                            "teeth": int(rng.integers(2, 5)),
+                            "overhang_m": OVERHANG_M,
+                            "direction": [1.0, 0.0, 0.0],
+                            "mass_kg": SPINDLE_KG,
+                            "com_m": SPINDLE_COM_M,
+                        },
+                        "coefficients": {
+                            "kt_n_per_m2": SHEAR[0],
+                            "kr_n_per_m2": SHEAR[1],
+                            "ka_n_per_m2": SHEAR[2],
+                            "deviation_percent": KNOWN_PERCENT,
+                        },
+                        "immersion": float(np.round(rng.uniform(0.05, 1.0), 2)),
+                        "milling": str(rng.choice(["up", "down"])),
+                        "feed_per_tooth_m": FEED_M,
+                        "feed_direction": [float(v) for v in np.round(rng.normal(size=3), 2)],
+                        "table_z_m": None,
+                        "depth_max_m": DEEPEST_M,
+                    },
+                    "spindle_rpm": float(np.round(np.exp(rng.uniform(np.log(600), np.log(6000))))),
+                }  # fmt: skip
+            )
+    return found
+
+
+def ask(split: Path, name: str, without: list[str], deadline: float | None) -> bool:
+    """Diagnose one robot; whether it was: not past `deadline`."""
+    path = split / "results" / f"{name}.json"
+    if path.exists() and store.read(path)["engine"] == store.engine_hash():
+        return True
+    if deadline is not None and time.time() > deadline:
+        return False
+    source = split / "recordings" / name / "frf.h5"
+    result: dict[str, Any] = {"engine": store.engine_hash(), "complaint": None}
+    begin = time.process_time()
+    try:
+        given = load_robot("kr90").without(without)
+        finding = diagnose_campaign(read_recording([source]), given, str(source))
+        for stage, fit in zip(("before", "after"), finding.fits, strict=True):
+            keep_model(split / "models" / name / stage, fit)
+        result |= {
+            "word": finding.word, "error": finding.error, "none": finding.none, "other": finding.other,
+            "effects": [m.data() for m in finding.missing],
+        }  # fmt: skip
+    except (InputError, ValueError, np.linalg.LinAlgError) as error:  # a refusal is an answer too
+        result["complaint"] = str(error)
+    result["cpu_s"] = time.process_time() - begin
+    store.write(path, result)
+    return True
+
+
+def keep_model(folder: Path, fit: Fitted) -> None:
+    """As `twin fit` and `twin diagnose` keep one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    limits = load_robot("kr90").axes
+    robot = physical(fit.robot)
+    axes = [a.model_copy(update={"limits": b.limits}) for a, b in zip(robot.axes, limits, strict=True)]
+    save_robot(folder / "robot.yaml", robot.model_copy(update={"axes": axes}))
+    save_posterior(folder / FILE, Posterior.of(fit))
+
+
+def refer(split: Path, name: str) -> None:
+    """The true model refitted, kept beside the others."""
+    folder = split / "models" / name / "true"
+    if not (folder / FILE).exists() and (fit := reference.true_fit(split, name)) is not None:
+        keep_model(folder, fit)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.trials.milling", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("step", choices=("make", "ask", "refer", "cut", "score", "prove"))
+    parser.add_argument("--out", type=Path, default=Path("out/trials"), help="folder of the splits")
+    parser.add_argument("--split", default="milling")
+    parser.add_argument("--robots", type=int, default=200)
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--minutes", type=float, help="begin no diagnosis later than this after the start")
+    parser.add_argument("--page", type=Path, help="Markdown page to write (default: in the split's folder)")
+    options = parser.parse_args(arguments)
+    split = (options.out / options.split).resolve()
+    deadline = None if options.minutes is None else time.time() + 60 * options.minutes
+    if options.step in ("make", "prove"):
+        make_all(split, options.robots, options.processes)
+    if not (split / "manifest.json").exists():
+        sys.exit(f"{split}: no robots yet; make first")
+    cases = store.read(split / "manifest.json")["cases"]
+    if options.step in ("ask", "prove"):
+        with executor(options.processes, None) as pool:
+            asked = every("diagnose", pool, ask, [(split, c["id"], c["without"], deadline) for c in cases])
+        print(f"{sum(asked)} of {len(cases)} diagnosed", file=sys.stderr)
+    if options.step in ("refer", "prove"):
+        done = [c["id"] for c in cases if (split / "results" / f"{c['id']}.json").exists()]
+        with executor(options.processes, None) as pool:
+            every("refer", pool, refer, [(split, name) for name in done])
+
+
+if __name__ == "__main__":
+    main()
