@@ -26,7 +26,8 @@ import numpy as np
 
 from tools.trials import make, reference, store
 from tools.trials.__main__ import every, executor
-from tools.truth.recording import draw_postures
+from tools.trials.cases import usual
+from tools.truth.recording import draw_postures, plain
 from twin.commands.diagnose import diagnose_campaign
 from twin.commands.modal import read_recording
 from twin.diagnose.physical import physical
@@ -35,7 +36,7 @@ from twin.errors import InputError
 from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.robot.description import load_robot, save_robot
 
-SIZES = (2.0, 20.0)  # multiples of the smallest visible size
+ATTEMPTS = 20  # seeds in a row, where the truth code refuses a robot
 POSTURES, CUTS = 2, 2  # unseen ones of each robot; cuts in each
 SPINDLE_KG, OVERHANG_M, SPINDLE_COM_M = 20.0, 0.25, 0.12
 KNOWN_PERCENT = 15.0  # one deviation of each cutting coefficient
@@ -47,51 +48,62 @@ FEED_M = 1e-4
 def make_all(split: Path, robots: int, processes: int) -> None:
     """Record robots and draw their cuts."""
     with executor(processes, None) as pool:
-        jobs = [(split, *case) for case in make.prepare(split, robots, None, ("hammer",), 0, SIZES)]
-        lines = every("record", pool, make.record, jobs)
+        jobs = [(split, *case[:5]) for case in make.prepare(split, robots, None, ("hammer",))]
+        lines = every("record", pool, record, jobs)
     store.write(split / "manifest.json", {"format": "twin-trials-milling", "version": 1, "cases": lines})
     store.entered(split, f"{len(jobs)} robots drawn")
-    for line in lines:
-        path = split / "cuts" / f"{line['id']}.json"
-        if not path.exists():
-            store.write(path, draw_cuts(store.read(split / "answers" / f"{line['id']}.json")["seed"]))
+
+
+def record(split: Path, name: str, kind: str, recording: str, seed: int, number: int) -> dict[str, Any]:
+    """Write one robot's hammer test, its sealed answer and its cuts, unless they are there."""
+    answer, room = split / "answers" / f"{name}.json", split / "recordings" / name
+    if not answer.exists():
+        for later in range(ATTEMPTS):
+            try:
+                found = usual(kind, recording, seed + later, number)  # type: ignore[arg-type]
+                make.write_case(found, room)
+                break
+            except ValueError:  # the truth code refuses the robot
+                if later == ATTEMPTS - 1:
+                    raise
+        assert found.campaign is not None
+        effects = [{"effect": e.kind, "site": e.site, "parameters": plain(e.parameters)} for e in found.effects]
+        store.write(split / "cuts" / f"{name}.json", draw_cuts(found.seed))
+        store.write(
+            answer,
+            {
+                "kind": kind, "recording": recording, "seed": found.seed, "number": number, "effects": effects,
+                "without": found.without, "truth": {"campaign": plain(found.campaign.truth)},
+            },
+        )  # fmt: skip
+    files = {path.name: store.sha256(path) for path in sorted(room.glob("*.h5"))}
+    return {
+        "id": name, "without": store.read(answer)["without"], "files": files, "answer": store.sha256(answer)
+    }  # fmt: skip
 
 
 def draw_cuts(seed: int) -> list[dict[str, Any]]:
     """Postures that were not struck, and cuts in them, as the user states them."""
     rng = np.random.default_rng([seed, 11])
-    found = []
-    for posture in draw_postures(3 + POSTURES, rng)[3:]:
-        for _ in range(CUTS):
-            found.append(
-                {
-                    "q_deg": posture.q_deg,
-                    "cut": {
-                        "tool": {
-                            "diameter_m": 0.02,
-                            "teeth": int(rng.integers(2, 5)),
-                            "overhang_m": OVERHANG_M,
-                            "direction": [1.0, 0.0, 0.0],
-                            "mass_kg": SPINDLE_KG,
-                            "com_m": SPINDLE_COM_M,
-                        },
-                        "coefficients": {
-                            "kt_n_per_m2": SHEAR[0],
-                            "kr_n_per_m2": SHEAR[1],
-                            "ka_n_per_m2": SHEAR[2],
-                            "deviation_percent": KNOWN_PERCENT,
-                        },
-                        "immersion": float(np.round(rng.uniform(0.05, 1.0), 2)),
-                        "milling": str(rng.choice(["up", "down"])),
-                        "feed_per_tooth_m": FEED_M,
-                        "feed_direction": [float(v) for v in np.round(rng.normal(size=3), 2)],
-                        "table_z_m": None,
-                        "depth_max_m": DEEPEST_M,
-                    },
-                    "spindle_rpm": float(np.round(np.exp(rng.uniform(np.log(600), np.log(6000))))),
-                }  # fmt: skip
-            )
-    return found
+    postures = draw_postures(3 + POSTURES, rng)[3:]
+    return [drawn_cut(posture.q_deg, rng) for posture in postures for _ in range(CUTS)]
+
+
+def drawn_cut(q_deg: tuple[float, ...], rng: np.random.Generator) -> dict[str, Any]:
+    """A cut in a posture: teeth, immersion, direction and speed at random."""
+    tool = {
+        "diameter_m": 0.02, "teeth": int(rng.integers(2, 5)), "overhang_m": OVERHANG_M, "direction": [1.0, 0.0, 0.0],
+        "mass_kg": SPINDLE_KG, "com_m": SPINDLE_COM_M,
+    }  # fmt: skip
+    known = dict(zip(("kt_n_per_m2", "kr_n_per_m2", "ka_n_per_m2"), SHEAR, strict=True))
+    cut = {
+        "tool": tool, "coefficients": {**known, "deviation_percent": KNOWN_PERCENT},
+        "immersion": float(np.round(rng.uniform(0.05, 1.0), 2)), "milling": str(rng.choice(["up", "down"])),
+        "feed_per_tooth_m": FEED_M, "feed_direction": [float(v) for v in np.round(rng.normal(size=3), 2)],
+        "table_z_m": None, "depth_max_m": DEEPEST_M,
+    }  # fmt: skip
+    rpm = float(np.round(np.exp(rng.uniform(np.log(600), np.log(6000)))))
+    return {"q_deg": list(q_deg), "cut": cut, "spindle_rpm": rpm}
 
 
 def ask(split: Path, name: str, without: list[str], deadline: float | None) -> bool:

@@ -126,7 +126,7 @@ def _refitted(base: Robot, free: Parameters, sample: Sample, z: FloatArray) -> F
 
 
 def _posed(split: Path, name: str, answer: dict[str, Any]) -> tuple[Robot, list[Entry], Triage, FloatArray] | None:
-    """The described robot with what is concealed, laws of amplitude kept apart; what is fitted to; where that starts."""
+    """The described robot with what is concealed, laws of amplitude kept apart; what is fitted to; where from."""
     truth = answer["truth"]["campaign"]
     entries = described(answer["effects"], truth["chain"])
     if entries is None:
