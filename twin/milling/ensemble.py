@@ -26,7 +26,7 @@ class Ensemble:
     Attributes:
         angle: (count, n) error of the posture, rad (m).
         coefficients: (count, 3) shear coefficients of the cut, N/m².
-        damping: (count,) standard normal; ``scatter`` is the deviation of ln damping in a posture that was not recorded.
+        damping: (count,) standard normal; ``scatter`` the deviation of ln damping in a posture not recorded.
     """
 
     robots: list[Robot]
