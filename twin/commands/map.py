@@ -15,7 +15,6 @@ from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
 from twin.files import replacing
 from twin.identify.posterior import FILE
-from twin.measure.campaign import FloatArray
 from twin.milling import map as work
 from twin.milling.cut import Cut, read_cut
 from twin.milling.ensemble import ensemble
@@ -49,20 +48,20 @@ class Map:
     left_out: int
     result: work.Result
     spindle_rpm: float | None
-    speeds: FloatArray | None
+    speeds: np.ndarray | None
     path: Toolpath | None = None
     draws: int = 0
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def depth(self) -> FloatArray:
+    def depth(self) -> np.ndarray:
         """Limiting depth (N,) m: of full lobes the least over the speeds, else the closed form."""
         lobes = self.result.get("depth_m")
         return self.result["depth_closed_form_m"] if lobes is None else lobes.min(axis=1)
 
     @property
-    def safe(self) -> FloatArray | None:
+    def safe(self) -> np.ndarray | None:
         """The depth (N,) m that is stable with 90 % probability, where that is known."""
         lobes = self.result.get("depth_safe90_m")
         return self.result.get("depth_closed_form_safe90_m") if lobes is None else lobes.min(axis=1)
@@ -86,7 +85,7 @@ class Map:
         }
 
     @property
-    def ranked(self) -> FloatArray:
+    def ranked(self) -> np.ndarray:
         """What places are compared by: the safe depth where it is known."""
         return self.depth if self.safe is None else self.safe
 
@@ -132,7 +131,7 @@ class Map:
         return "\n".join(lines)
 
 
-def _quantiles(depth: FloatArray | None) -> list[float] | None:
+def _quantiles(depth: np.ndarray | None) -> list[float] | None:
     return None if depth is None else [1e3 * float(v) for v in np.quantile(depth, (0.05, 0.5, 0.95))]
 
 
@@ -268,7 +267,7 @@ def _check_asked(
         raise InputError("--spacing", f"{spacing:g}", "expected metres above 0")
 
 
-def _angles(robot: Robot, near_deg: Sequence[float]) -> FloatArray:
+def _angles(robot: Robot, near_deg: Sequence[float]) -> np.ndarray:
     if len(near_deg) != robot.axis_count:
         raise InputError(
             "--near", "", f"expected {robot.axis_count} values for robot {robot.name}, found {len(near_deg)}"
@@ -276,7 +275,7 @@ def _angles(robot: Robot, near_deg: Sequence[float]) -> FloatArray:
     return np.asarray(robot.angles(near_deg))
 
 
-def _box(robot: Robot, box: Sequence[float] | None) -> FloatArray:
+def _box(robot: Robot, box: Sequence[float] | None) -> np.ndarray:
     if box is not None:
         found = np.array(box, float).reshape(3, 2)
     elif robot.workspace is not None:
@@ -297,7 +296,7 @@ def _placed(path: str | Path, place: tuple[float, float, float] | None, turn_deg
 
 
 def _along(
-    robot: Robot, cut: Cut, path: Toolpath, near: FloatArray | None, seed: int, spindle_rpm: float | None,
+    robot: Robot, cut: Cut, path: Toolpath, near: np.ndarray | None, seed: int, spindle_rpm: float | None,
     source: str | Path,
 ) -> work.Places:  # fmt: skip
     """Postures along a path; all its points must be in reach and above the table."""
@@ -334,7 +333,7 @@ def _along(
     return replace(found, feed=feed, along=path.along, line=path.line)
 
 
-def _across(robot: Robot, cut: Cut, places: work.Places) -> FloatArray:
+def _across(robot: Robot, cut: Cut, places: work.Places) -> np.ndarray:
     """Feed (N, 3) across the tool's axis."""
     from twin.robot.inverse_kinematics import tool_frames
 
@@ -343,7 +342,7 @@ def _across(robot: Robot, cut: Cut, places: work.Places) -> FloatArray:
     return places.feed - (places.feed * axis).sum(axis=1, keepdims=True) * axis
 
 
-def _unreachable(robot: Robot, cut: Cut, position: FloatArray, seed: int) -> str:
+def _unreachable(robot: Robot, cut: Cut, position: np.ndarray, seed: int) -> str:
     found = inverse_kinematics(robot, position, tool_place(robot, cut), seed=seed)
     at = ", ".join(f"{v:.3f}" for v in position)
     away = float(found.distance[0])

@@ -1,4 +1,4 @@
-"""What a fit knows and does not know of a robot, as data beside its ``robot.yaml``: ``posterior.h5``; and draws from it.
+"""What a fit knows and does not know of a robot: ``posterior.h5`` beside its ``robot.yaml``, and draws from it.
 
 The file holds the optimum, the prior and the data's information of every free number, so that whatever follows from
 a model (modes in an unseen posture, a depth of cut) can be given with its interval:
@@ -6,7 +6,7 @@ a model (modes in an unseen posture, a depth of cut) can be given with its inter
     /            attrs  format="twin-posterior", version=1
     name (n,)    as ``twin.identify.parameters`` names them: ``joint1.z.stiffness``, ``link3.mass`` …
     log (n,)     value = mean · eˣ, else mean + x;   mean (n,), covariance (n, n) of x: the prior
-    z (n,)       the optimum, x = L z, L Lᵀ = covariance;   information (n, n) of the data in z, noise scaled by the misfit
+    z (n,)       the optimum, x = L z, L Lᵀ = covariance;   information (n, n) of the data in z
 
 A scale enters M, C or K linearly: the likelihood is normal in values, the prior in logarithms.
 """
@@ -22,7 +22,6 @@ import numpy as np
 from twin.errors import InputError
 from twin.files import replacing
 from twin.identify.parameters import Kind, Parameter, Parameters
-from twin.measure.campaign import FloatArray
 from twin.robot.description import Robot
 
 FILE = "posterior.h5"
@@ -40,20 +39,20 @@ class Posterior:
     """
 
     parameters: Parameters
-    z: FloatArray
-    information: FloatArray
+    z: np.ndarray
+    information: np.ndarray
     damping_scatter: float = 0.0
 
     @classmethod
     def of(cls, fit: Any) -> "Posterior":
-        """Of ``twin fit``'s :class:`~twin.identify.elastic.Fit` or a diagnosis' :class:`~twin.diagnose.refit.Fitted`."""
+        """Of a :class:`twin.identify.elastic.Fit` or a :class:`twin.diagnose.refit.Fitted`, noise scaled."""
         known = getattr(fit.parameters, "written", fit.parameters)  # names through which values enter a robot
         n = len(fit.z)
         data = fit.fisher if hasattr(fit, "fisher") else fit.information - np.eye(n)
         scale = fit.scale if hasattr(fit, "fisher") else max(1.0, fit.misfit)
         return cls(known, np.asarray(fit.z), np.asarray(data) / scale)
 
-    def draw(self, count: int, seed: int = 0) -> FloatArray:
+    def draw(self, count: int, seed: int = 0) -> np.ndarray:
         """Values (count, n) in the parameters' units; the same for the same seed.
 
         Numbers whose logarithm the data hold to ``LINEAR`` are normal given the others. The few that are not are walked
@@ -77,8 +76,8 @@ class Posterior:
         return np.array([self.parameters.values(row) for row in out])
 
     def _walk(
-        self, rng: np.random.Generator, count: int, few: FloatArray, held: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+        self, rng: np.random.Generator, count: int, few: np.ndarray, held: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Some logarithmic numbers (count, k): values' relative change in prior deviations, and z.
 
         ``held`` (k, k) is what the data say of them, the others integrated out: quadratic in values, while the prior is
@@ -88,7 +87,7 @@ class Posterior:
         if not k:
             return np.zeros((count, 0)), np.zeros((count, 0))
 
-        def seen(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def seen(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             w = np.expm1(np.minimum((z - at) * scale, 50.0)) / scale
             return w, 0.5 * np.sum((w @ held - 2 * at) * w + z**2, axis=1)
 

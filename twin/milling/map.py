@@ -14,7 +14,6 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.files import replacing
-from twin.measure.campaign import FloatArray
 from twin.milling import stability, zeroth_order
 from twin.milling.cut import Cut
 from twin.milling.ensemble import Ensemble, quantile_of_safe
@@ -45,13 +44,13 @@ class Places:
         line: (N,) of the path's file, or −1.
     """
 
-    q: FloatArray
-    feed: FloatArray
-    target: FloatArray
-    reached: FloatArray
-    turn: FloatArray
-    along: FloatArray
-    line: FloatArray
+    q: np.ndarray
+    feed: np.ndarray
+    target: np.ndarray
+    reached: np.ndarray
+    turn: np.ndarray
+    along: np.ndarray
+    line: np.ndarray
 
     def __len__(self) -> int:
         return len(self.q)
@@ -78,7 +77,7 @@ class Task:
     places: Places
     ensemble: Ensemble | None = None
     spindle_rpm: float | None = None
-    speeds: FloatArray | None = None
+    speeds: np.ndarray | None = None
     brakes: str = "off"
 
     @property
@@ -87,13 +86,13 @@ class Task:
         return -(-len(self.places) // BLOCK)
 
 
-Result = dict[str, FloatArray]
+Result = dict[str, np.ndarray]
 
 
 # --- where ------------------------------------------------------------------------------------------------------------
 
 
-def postures_at(q: FloatArray, robot: Robot, cut: Cut) -> Places:
+def postures_at(q: np.ndarray, robot: Robot, cut: Cut) -> Places:
     """Postures (N, n) as they are."""
     tip, *_ = tool_frames(robot, q, tool_place(robot, cut))
     count = len(q)
@@ -110,7 +109,7 @@ def random_postures(robot: Robot, cut: Cut, count: int, seed: int = 0) -> Places
     """
     rng = np.random.default_rng(seed)
     low, high = limits(robot)
-    kept: list[FloatArray] = []
+    kept: list[np.ndarray] = []
     for _ in range(100):
         q = rng.uniform(low, high, (max(count, 100), robot.axis_count))
         kept.append(q[allowed(robot, cut, q)])
@@ -129,7 +128,7 @@ def posture_grid(robot: Robot, cut: Cut, counts: tuple[int, ...]) -> Places:
     return postures_at(q[allowed(robot, cut, q)], robot, cut)
 
 
-def allowed(robot: Robot, cut: Cut, q: FloatArray) -> FloatArray:
+def allowed(robot: Robot, cut: Cut, q: np.ndarray) -> np.ndarray:
     """(N,) whether the tip is above the table, and flange and tip in the workspace, in postures (N, n)."""
     tip, *_ = tool_frames(robot, q, tool_place(robot, cut))
     inside = np.ones(len(q), bool)
@@ -144,7 +143,7 @@ def allowed(robot: Robot, cut: Cut, q: FloatArray) -> FloatArray:
     return inside
 
 
-def tip_grid(robot: Robot, counts: tuple[int, int, int], box: FloatArray) -> FloatArray:
+def tip_grid(robot: Robot, counts: tuple[int, int, int], box: np.ndarray) -> np.ndarray:
     """Positions (N, 3) of the tip, m, evenly spaced in a box (3, 2)."""
     axes = [np.linspace(a, b, n) if n > 1 else np.array([0.5 * (a + b)]) for (a, b), n in zip(box, counts, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -153,11 +152,11 @@ def tip_grid(robot: Robot, counts: tuple[int, int, int], box: FloatArray) -> Flo
 def reach(
     robot: Robot,
     cut: Cut,
-    position: FloatArray,
+    position: np.ndarray,
     *,
-    axis: FloatArray | None = None,
-    feed: FloatArray | None = None,
-    start: FloatArray | None = None,
+    axis: np.ndarray | None = None,
+    feed: np.ndarray | None = None,
+    start: np.ndarray | None = None,
     follow: bool = False,
     seed: int = 0,
     spindle_rpm: float | None = None,
@@ -205,8 +204,8 @@ def reach(
 
 
 def _led(
-    robot: Robot, position: FloatArray, tool: Any, axis: FloatArray | None, turn: FloatArray | None,
-    start: FloatArray | None, follow: bool, seed: int,
+    robot: Robot, position: np.ndarray, tool: Any, axis: np.ndarray | None, turn: np.ndarray | None,
+    start: np.ndarray | None, follow: bool, seed: int,
 ) -> Reached:  # fmt: skip
     if not follow:
         return inverse_kinematics(robot, position, tool, axis=axis, turn=turn, start=start, seed=seed)
@@ -243,7 +242,7 @@ def compute_block(task: Task, number: int) -> Result:
     return found
 
 
-def _closed(modes: ToolModes, task: Task, shear: FloatArray | None) -> FloatArray:
+def _closed(modes: ToolModes, task: Task, shear: np.ndarray | None) -> np.ndarray:
     depth = zeroth_order.limiting_depth(modes, task.cut, spindle_rpm=task.spindle_rpm, shear=shear)
     return np.minimum(depth, task.cut.depth_max_m)
 
@@ -260,7 +259,7 @@ def _modes_shown(modes: ToolModes) -> Result:
     return out
 
 
-def dynamic_compliance(modes: ToolModes) -> tuple[FloatArray, FloatArray]:
+def dynamic_compliance(modes: ToolModes) -> tuple[np.ndarray, np.ndarray]:
     """Largest compliance (N,) m/N in any direction and at any resonance, and the frequency (N,) Hz it is at."""
     at = np.abs(modes.pole)
     size = np.linalg.norm(modes.receptance(at), ord=2, axis=(-2, -1))
@@ -270,7 +269,7 @@ def dynamic_compliance(modes: ToolModes) -> tuple[FloatArray, FloatArray]:
     ] / (2 * np.pi)
 
 
-def lobes(modes: ToolModes, cut: Cut, speeds: FloatArray, shear: FloatArray | None = None) -> FloatArray:
+def lobes(modes: ToolModes, cut: Cut, speeds: np.ndarray, shear: np.ndarray | None = None) -> np.ndarray:
     """Limits in depth (N, ns), m, of postures (N, nm) at spindle speeds (ns,) rpm, no deeper than the cut's deepest."""
     count = len(modes.pole)
     row = np.repeat(np.arange(count), len(speeds))
@@ -280,7 +279,7 @@ def lobes(modes: ToolModes, cut: Cut, speeds: FloatArray, shear: FloatArray | No
     return np.minimum(found.first(), cut.depth_max_m).reshape(count, -1)
 
 
-def _band(task: Task, some: Places, rotation: FloatArray) -> Result:
+def _band(task: Task, some: Places, rotation: np.ndarray) -> Result:
     """What is sure: depths stable with 90 % probability, and 90 % intervals of modes and compliance."""
     assert task.ensemble is not None
     drawn = task.ensemble
@@ -305,7 +304,7 @@ def _band(task: Task, some: Places, rotation: FloatArray) -> Result:
     return found
 
 
-def _pair(modes: ToolModes) -> tuple[FloatArray, FloatArray]:
+def _pair(modes: ToolModes) -> tuple[np.ndarray, np.ndarray]:
     return modes.pole, modes.shape
 
 

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
-from twin.measure.campaign import FloatArray
 
 MM, INCH = 1e-3, 25.4e-3
 FINEST_ARC = np.deg2rad(5.0)  # between points that stand for an arc
@@ -38,13 +37,13 @@ class Toolpath:
         line: (N,) line of the file, for messages.
     """
 
-    position: FloatArray
-    axis: FloatArray | None
-    cutting: FloatArray
-    line: FloatArray
+    position: np.ndarray
+    axis: np.ndarray | None
+    cutting: np.ndarray
+    line: np.ndarray
 
     @property
-    def feed(self) -> FloatArray:
+    def feed(self) -> np.ndarray:
         """Unit directions (N, 3) of the motion that leads to each point (away from it, at the first)."""
         move = np.diff(self.position, axis=0)
         length = np.linalg.norm(move, axis=1)
@@ -54,11 +53,11 @@ class Toolpath:
         return np.vstack([unit[:1], unit])
 
     @property
-    def along(self) -> FloatArray:
+    def along(self) -> np.ndarray:
         """Length of the path (N,) up to every point, m."""
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.position, axis=0), axis=1))])
 
-    def placed(self, position: FloatArray, rotation: FloatArray) -> "Toolpath":
+    def placed(self, position: np.ndarray, rotation: np.ndarray) -> "Toolpath":
         """In the robot's base frame, the path's own frame standing at a position (3,) m with a rotation (3, 3)."""
         axis = None if self.axis is None else self.axis @ rotation.T
         return Toolpath(self.position @ rotation.T + position, axis, self.cutting, self.line)
@@ -148,7 +147,7 @@ def _csv(text: str, path: Path) -> Toolpath:
     return Toolpath(table[:, :3] * (MM if unit == "mm" else 1.0), axis, cutting, np.array(line))
 
 
-def _unit(axis: FloatArray, path: Path, line: list[int]) -> FloatArray:
+def _unit(axis: np.ndarray, path: Path, line: list[int]) -> np.ndarray:
     length = np.linalg.norm(axis, axis=1)
     if (length < 1e-6).any():
         raise InputError(path, f"line {line[int(np.argmin(length))]}", "i, j, k: expected a direction, found zero")
@@ -159,12 +158,12 @@ class _Points:
     """Collects the points of a path."""
 
     def __init__(self) -> None:
-        self.position: list[FloatArray] = []
-        self.axis: list[FloatArray] = []
+        self.position: list[np.ndarray] = []
+        self.axis: list[np.ndarray] = []
         self.cutting: list[bool] = []
         self.line: list[int] = []
 
-    def add(self, position: FloatArray, cutting: bool, line: int, axis: FloatArray | None = None) -> None:
+    def add(self, position: np.ndarray, cutting: bool, line: int, axis: np.ndarray | None = None) -> None:
         self.position.append(np.array(position, float))
         self.cutting.append(cutting)
         self.line.append(line)
@@ -218,9 +217,9 @@ def _gcode(text: str, path: Path) -> Toolpath:
 
 
 def _arc(
-    here: FloatArray, target: FloatArray, values: dict[str, float], unit: float, plane: tuple[int, int, int],
+    here: np.ndarray, target: np.ndarray, values: dict[str, float], unit: float, plane: tuple[int, int, int],
     clockwise: bool, path: Path, line: int,
-) -> list[FloatArray]:  # fmt: skip
+) -> list[np.ndarray]:  # fmt: skip
     """Points of a helix from here to the target."""
     a, b, _ = plane
     start, end = here[[a, b]], target[[a, b]]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.errors import InputError
-from twin.measure.campaign import FloatArray
 from twin.robot.description import Robot
 from twin.robot.frames import axis_placement, matrix_of
 
@@ -27,20 +26,20 @@ LARGEST_TURN = 0.5  # rad (m) in a round
 class ToolPlace:
     """The tool on the robot: ``position`` (3,) of its tip, m, and unit ``axis`` (3,), both in the last link's frame."""
 
-    position: FloatArray
-    axis: FloatArray
+    position: np.ndarray
+    axis: np.ndarray
 
 
 @dataclass(frozen=True)
 class Reached:
-    """Joint positions (N, n), rad (m); how far the tool then is from the target, m (and rad); and whether it is there."""
+    """Joint positions (N, n), rad (m); how far from the target the tool is, m (and rad); whether it is there."""
 
-    q: FloatArray
-    distance: FloatArray
-    reached: FloatArray
+    q: np.ndarray
+    distance: np.ndarray
+    reached: np.ndarray
 
 
-def tool_frames(robot: Robot, q: FloatArray, tool: ToolPlace) -> tuple[FloatArray, FloatArray, FloatArray]:
+def tool_frames(robot: Robot, q: np.ndarray, tool: ToolPlace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Tip (…, 3), rotation (…, 3, 3) of the last link and Jacobian (…, 6, n; linear above angular), in the base frame.
 
     Args:
@@ -77,12 +76,12 @@ def tool_frames(robot: Robot, q: FloatArray, tool: ToolPlace) -> tuple[FloatArra
 
 def inverse_kinematics(
     robot: Robot,
-    position: FloatArray,
+    position: np.ndarray,
     tool: ToolPlace,
     *,
-    axis: FloatArray | None = None,
-    turn: FloatArray | None = None,
-    start: FloatArray | None = None,
+    axis: np.ndarray | None = None,
+    turn: np.ndarray | None = None,
+    start: np.ndarray | None = None,
     seed: int = 0,
 ) -> Reached:
     """Joint positions that bring the tool's tip to positions, within the axes' limits.
@@ -93,8 +92,8 @@ def inverse_kinematics(
         axis: (3,) or (N, 3) unit directions of the tool's axis in the base frame; only robots of five axes or more
             can hold one.
         turn: (N,) rad about the tool's axis, from :func:`upright_frame`; only with six axes or more.
-        start: (n,) posture that solutions should be near, rad (m); the middle of the limits by default. Only targets that
-            are not reached from it are tried from others.
+        start: (n,) posture that solutions should be near, rad (m); the middle by default. Others are tried
+            only for targets that are not reached from it.
         seed: of the other starts.
 
     Raises:
@@ -124,11 +123,11 @@ def inverse_kinematics(
     return Reached(q, distance, distance <= REACHED_M)
 
 
-Target = tuple[FloatArray, FloatArray | None, FloatArray | None]
+Target = tuple[np.ndarray, np.ndarray | None, np.ndarray | None]
 """Tip (N, 3), the tool's axis (N, 3), and where the direction beside it points (N, 3)."""
 
 
-def _targets(position: FloatArray, axis: FloatArray | None, turn: FloatArray | None, tool: ToolPlace) -> Target:
+def _targets(position: np.ndarray, axis: np.ndarray | None, turn: np.ndarray | None, tool: ToolPlace) -> Target:
     if axis is None:
         return position, None, None
     axis = np.broadcast_to(np.asarray(axis, float), position.shape)
@@ -140,7 +139,7 @@ def _targets(position: FloatArray, axis: FloatArray | None, turn: FloatArray | N
     return position, axis, np.cos(turn) * frame[..., 0] + np.sin(turn) * frame[..., 1]
 
 
-def upright_frame(axis: FloatArray) -> FloatArray:
+def upright_frame(axis: np.ndarray) -> np.ndarray:
     """Rotations (…, 3, 3) whose z is a direction (…, 3) and whose x lies as near to the base frame's x as it can."""
     z = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
     x, y = np.broadcast_to([1.0, 0.0, 0.0], z.shape), np.broadcast_to([0.0, 1.0, 0.0], z.shape)
@@ -150,7 +149,7 @@ def upright_frame(axis: FloatArray) -> FloatArray:
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
-def limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
+def limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest joint positions (n,); a turn to both sides, or a metre, where none are described."""
     found = [
         axis.limits.position if axis.limits and axis.limits.position else
@@ -161,14 +160,14 @@ def limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
     return low, high
 
 
-def _some(target: Target, rows: FloatArray) -> Target:
+def _some(target: Target, rows: np.ndarray) -> Target:
     position, axis, beside = target
     return position[rows], None if axis is None else axis[rows], None if beside is None else beside[rows]
 
 
 def _descend(
-    robot: Robot, q: FloatArray, target: Target, tool: ToolPlace, low: FloatArray, high: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+    robot: Robot, q: np.ndarray, target: Target, tool: ToolPlace, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Joint positions (N, n) at the end, and distances (N,) from the target."""
     q, distance = q.copy(), np.full(len(q), np.inf)
     best = q.copy()
@@ -194,7 +193,7 @@ def _descend(
     return best, distance
 
 
-def _error(robot: Robot, q: FloatArray, target: Target, tool: ToolPlace) -> tuple[FloatArray, FloatArray]:
+def _error(robot: Robot, q: np.ndarray, target: Target, tool: ToolPlace) -> tuple[np.ndarray, np.ndarray]:
     """What is missing to the target (N, m), and its Jacobian (N, m, n); turns count one metre a radian."""
     position, axis, beside = target
     tip, turn, jacobian = tool_frames(robot, q, tool)
