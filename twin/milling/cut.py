@@ -217,6 +217,11 @@ class Cut(Data):
         return self._source
 
     @property
+    def folder(self) -> Path | None:
+        """The folder that relative paths are looked up in."""
+        return self._folder
+
+    @property
     def arc(self) -> tuple[float, float]:
         """Angles at which a tooth enters and leaves the work, rad, from the side where the chip begins at zero.
 

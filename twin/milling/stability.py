@@ -198,7 +198,7 @@ def multipliers(modes: ToolModes, cut: Cut, spindle_rpm: float, depth_m: float, 
         digits: decimal digits asked of the collocation.
     """
     tau = np.atleast_1d(cut.tooth_period(spindle_rpm))
-    advance = _fastest(modes, cut.coefficients.shear, depth_m) * tau
+    advance = fastest(modes, cut.coefficients.shear, depth_m) * tau
     nodes = collocate(cut, float(advance[0]), depth_m, digits)
     found = np.linalg.eigvals(operator(modes, cut, tau, cut.coefficients.shear, nodes).monodromy(0, depth_m))
     return found[np.argsort(-np.abs(found))]
@@ -260,13 +260,13 @@ def limits(
     """
     tau = np.asarray(cut.tooth_period(spindle_rpm), float)
     shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(tau), 3))
-    advance = _fastest(modes, shear, depth_max_m) * tau
+    advance = fastest(modes, shear, depth_max_m) * tau
     found = []
     group = np.ceil(2 * np.log2(advance + 2.0)).astype(int)  # about as many nodes
     for number in np.unique(group):
         rows = np.flatnonzero(group == number)
         nodes = collocate(cut, float(advance[rows].max()), lag_depth_m, digits)
-        some = _rows(modes, rows)
+        some = modes.rows(rows)
         op = operator(some, cut, tau[rows], shear[rows], nodes)
         row, *rest = _crossings(op, some, tau[rows], depth_max_m)
         found.append((rows[row], *rest))
@@ -275,21 +275,11 @@ def limits(
     return Limits(len(tau), *(column[order] for column in columns))
 
 
-def _fastest(modes: ToolModes, shear: np.ndarray, depth_m: float) -> np.ndarray:
+def fastest(modes: ToolModes, shear: np.ndarray, depth_m: float) -> np.ndarray:
     """Fastest angular frequency (…,) rad/s in a cut: of the modes, and of the tip's free mass on the cut's stiffness."""
     light = 2 * np.einsum("...kf,...kg,...k->...fg", modes.shape, modes.shape, modes.pole).real  # h'(0), 1/kg
     stiff = depth_m * np.linalg.norm(shear, axis=-1)
     return np.sqrt((np.abs(modes.pole) ** 2).max(axis=-1) + stiff * np.linalg.norm(light, axis=(-2, -1)))
-
-
-def _rows(modes: ToolModes, rows: np.ndarray) -> ToolModes:
-    """The batch rows of modes; those without a batch axis serve all."""
-    if modes.pole.ndim == 1:
-        return modes
-    residual = modes.residual
-    if residual is not None and residual.ndim > 2:
-        residual = residual[rows]
-    return ToolModes(modes.pole[rows], modes.shape[rows], residual)
 
 
 @dataclass(frozen=True)
@@ -470,7 +460,7 @@ def _frequency(
     order = np.arange(-(n := int(np.ceil(fastest.max() / (2 * np.pi))) + 1), n + 1)
     turn = angle[:, None] + 2 * np.pi * order
     force = np.einsum("shm,smf->shf", np.exp(-1j * turn[:, :, None] * op.nodes.phase), push)
-    some = _rows(modes, row)
+    some = modes.rows(row)
     motion = np.einsum("shfg,shg->shf", some.receptance(turn / tau[row, None]), force)
     strongest = np.argmax(np.linalg.norm(motion, axis=2), axis=1)
     return np.abs(turn[np.arange(len(row)), strongest]) / (2 * np.pi * tau[row])

@@ -5,15 +5,18 @@ cut frame.
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twin.errors import InputError
-from twin.measure.modal import ModalResult
+from twin.measure.campaign import Campaign, Channels, as_quantity, laplace, read_campaign
+from twin.measure.modal import identify_modes
 from twin.milling.cut import Cut, ToolMode
 from twin.model.linear import LinearModel, linearise, state_matrix
 from twin.robot.description import Robot, TestPoint
+from twin.robot.frames import axis_placement, matrix_of
 from twin.robot.mechanism import assemble
 
 LABELS = ("toolX+", "toolY+", "toolZ+")
@@ -61,6 +64,15 @@ class ToolModes:
         if residual is not None:
             residual = rotation @ residual @ np.swapaxes(rotation, -1, -2)
         return replace(self, shape=self.shape @ np.swapaxes(rotation, -1, -2), residual=residual)
+
+    def rows(self, rows: np.ndarray) -> "ToolModes":
+        """Some rows (n,) of a batch with one leading axis; modes without one serve all rows and stay as they are."""
+        if self.pole.ndim == 1:
+            return self
+        residual = self.residual
+        if residual is not None and residual.ndim > 2:
+            residual = residual[rows]
+        return ToolModes(self.pole[rows], self.shape[rows], residual)
 
     def without_cross_terms(self) -> "ToolModes":
         """Every direction for itself: what lobes from direct FRFs alone would use."""
@@ -179,8 +191,6 @@ def require_above_table(robot: Robot, cut: Cut, position: np.ndarray) -> None:
 
 def _link_pose(robot: Robot, q: np.ndarray, cut: Cut) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) of the last link and place (3,) m of the tip, base frame, no deflection."""
-    from twin.robot.frames import axis_placement, matrix_of
-
     turn, place = matrix_of(np.array(robot.base.quaternion)), np.array(robot.base.position)
     for axis, value in zip(robot.axes, q, strict=True):
         offset, quaternion = axis_placement(axis, float(value))
@@ -199,25 +209,21 @@ def clamped_modes(cut: Cut, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
         size = w / np.sqrt([mode.stiffness_n_per_m for mode in given])
         return w, zeta, np.array([s * rotation["xy".index(m.direction)] for s, m in zip(size, given, strict=True)])
     if cut.tool.frf:
-        measured = measured_tool(cut)
+        measured = _measured_tool(cut)
         w = np.abs(measured.pole)
         # real shapes of unit modal mass: u = φ/√(2iω_d)
-        shape = (measured.shape * np.sqrt(2j * measured.pole.imag)[:, None]).real @ rotation
-        return w, -measured.pole.real / w, shape
+        shape = (measured.shape * np.sqrt(2j * measured.pole.imag)[:, None]).real
+        return w, -measured.pole.real / w, shape @ rotation
     return None
 
 
-def measured_tool(cut: Cut) -> ToolModes:
-    """Modes of the measured tool FRF (``tool.frf``), directions as recorded: X and Y across the axis, X the feed's."""
-    from pathlib import Path
-
-    from twin.measure.campaign import read_campaign
-
-    folder = cut._folder or Path()
+def _measured_tool(cut: Cut) -> ToolModes:
+    """Modes of the measured tool FRF (``tool.frf``); X and Y as recorded are the cut's feed and normal."""
     path = Path(str(cut.tool.frf))
-    path = folder / path if (folder / path).is_file() else path
+    if cut.folder is not None and (cut.folder / path).is_file():
+        path = cut.folder / path
     campaign = read_campaign(path)
-    return measured_modes(campaign, next(iter(campaign.postures)), str(path))
+    return measured_modes(campaign, next(iter(campaign.postures)), str(path))[0]
 
 
 def coupled(
@@ -257,14 +263,126 @@ def coupled(
     )
 
 
-def measured_modes(campaign: Any, posture: str, source: str, result: ModalResult | None = None) -> ToolModes:
-    """Modes at a point that was hit and measured in the same place, from a hammer test, axes as recorded.
+def measured_point(
+    campaign: Campaign, posture: str, robot: Robot | None, cut: Cut, source: str
+) -> tuple[ToolPoint, list[str]]:
+    """The tip's dynamics straight from a hammer test that hit the point where it was measured, and notes on it.
 
-    The point is the one with the most driving-point directions; directions that were not measured count as rigid.
+    Args:
+        campaign: the hammer test.
+        posture: group of it.
+        robot: turns the channels' directions from their body's frame into the base frame; ``None``: as recorded.
+        cut: whose tool gives the axis.
 
     Raises:
         InputError: no point was hit where it was measured.
     """
-    from twin.measure.modal import analyse  # heavy, and only here
+    frf = campaign.postures[posture]
+    turn = np.eye(3)
+    responses, excitations, body = driving_point(campaign, source)
+    axis, position = np.array([0.0, 0.0, -1.0]), np.zeros(3)
+    notes = [f"taken as the tool's tip: {campaign.response.label[responses[0]]} and its neighbours on {body}"]
+    if robot is not None:
+        q = robot.angles(frf.q_deg)
+        last, position = _link_pose(robot, q, cut)
+        axis = last @ cut.tool.axis(robot)
+        turn = _body_turn(robot, q, body)
+    modes, missing = measured_modes(campaign, posture, source, (responses, excitations), turn)
+    if missing:
+        notes.append(f"{missing} of 3 directions were not measured and count as rigid")
+    return ToolPoint(modes, position, axis), notes
 
-    raise NotImplementedError(analyse)
+
+def driving_point(campaign: Campaign, source: str) -> tuple[list[int], list[int], str]:
+    """Responses and excitations at the point that was hit and measured in most directions, and its body.
+
+    Raises:
+        InputError: no point was hit where it was measured.
+    """
+
+    def places(channels: Channels) -> dict[tuple[Any, ...], list[int]]:
+        found: dict[tuple[Any, ...], list[int]] = {}
+        for k, (body, position) in enumerate(zip(channels.body, channels.position, strict=True)):
+            found.setdefault((body, *np.round(position, 3)), []).append(k)
+        return found
+
+    measured, hit = places(campaign.response), places(campaign.excitation)
+    shared = [key for key in measured if key in hit]
+    if not shared:
+        raise InputError(
+            source, "excitation", "no point was hit where it was measured; lobes need the FRFs of the tool's own point"
+        )
+    best = max(shared, key=lambda key: (min(len(measured[key]), len(hit[key])), key))
+    return measured[best], hit[best], str(best[0])
+
+
+def _body_turn(robot: Robot, q: np.ndarray, body: str) -> np.ndarray:
+    """Rotation (3, 3) of a body (``base``, ``link1`` …) in the base frame."""
+    number = int(body.removeprefix("link")) if body.startswith("link") else 0
+    turn = matrix_of(np.array(robot.base.quaternion))
+    for axis, value in zip(robot.axes[:number], q[:number], strict=True):
+        turn = turn @ matrix_of(axis_placement(axis, float(value))[1])
+    return turn
+
+
+def measured_modes(
+    campaign: Campaign,
+    posture: str,
+    source: str,
+    channels: tuple[list[int], list[int]] | None = None,
+    turn: np.ndarray | None = None,
+) -> tuple[ToolModes, int]:
+    """Modes at a measured point from the FRFs of its channels, and how many of three directions are missing.
+
+    Poles are those of :func:`twin.measure.modal.identify_modes` over all channels; residues are fitted with a static
+    and an inertial remainder, made symmetric, and reduced to one shape each (the nearest u uᵀ).
+
+    Args:
+        channels: responses and excitations of the point, by default :func:`driving_point`'s.
+        turn: (3, 3) from the channels' frame to the one wanted.
+    """
+    responses, excitations = channels or driving_point(campaign, source)[:2]
+    frf = campaign.postures[posture]
+    labels = campaign.response.label, campaign.excitation.label
+    result = identify_modes(frf, labels=labels, source=source)
+    if not result.modes:
+        raise InputError(source, f"postures/{posture}", "holds no mode")
+    w = 2 * np.pi * np.array([mode.frequency_hz for mode in result.modes])
+    zeta = np.array([mode.damping_percent for mode in result.modes]) / 100
+    pole = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    lines = frf.frequency > 0
+    s = laplace(frf.frequency[lines], frf.exponential_window_rate)
+    part = replace(frf, frequency=frf.frequency[lines], frf=frf.frf[lines])
+    H = as_quantity(part, "mobility").frf[:, responses][:, :, excitations]
+    residue, static = _residues(H, s, pole)
+    turn = np.eye(3) if turn is None else turn
+    felt, hit = (np.linalg.pinv(side.direction[rows]) for side, rows in (
+        (campaign.response, responses), (campaign.excitation, excitations)))  # fmt: skip
+    whole = turn @ (felt @ residue @ hit.T) @ turn.T
+    static = turn @ (felt @ static @ hit.T) @ turn.T
+    rank = min(np.linalg.matrix_rank(felt, tol=1e-3), np.linalg.matrix_rank(hit, tol=1e-3))
+    shape = np.array([_outer_root(matrix) for matrix in whole])
+    return ToolModes(pole, shape, 0.5 * (static + static.T)), 3 - int(rank)
+
+
+def _residues(mobility: np.ndarray, s: np.ndarray, pole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residues (nm, nr, ne) of receptance and a real static remainder (nr, ne) from mobility (nf, nr, ne)."""
+    one, other = s[:, None] / (s[:, None] - pole), s[:, None] / (s[:, None] - pole.conj())
+    rest = np.stack([s, 1 / s], axis=1)
+    A = np.concatenate([one + other, 1j * (one - other), rest], axis=1)
+    flat = mobility.reshape(len(s), -1)
+    size = np.linalg.norm(A, axis=0)
+    found = np.linalg.lstsq(
+        np.concatenate([A.real, A.imag]) / size, np.concatenate([flat.real, flat.imag]), rcond=None
+    )[0] / size[:, None]  # fmt: skip
+    n = len(pole)
+    residue = found[:n] + 1j * found[n : 2 * n]
+    return residue.reshape(n, *mobility.shape[1:]), found[2 * n].reshape(mobility.shape[1:])
+
+
+def _outer_root(residue: np.ndarray) -> np.ndarray:
+    """u (3,) whose u uᵀ is nearest to a matrix's symmetric part (Takagi's factorisation, its largest term)."""
+    symmetric = 0.5 * (residue + residue.T)
+    left, size, _ = np.linalg.svd(symmetric)
+    v = left[:, 0]
+    return v * np.sqrt(v.conj() @ symmetric @ v.conj() + 0j)
