@@ -142,11 +142,19 @@ def keep_model(folder: Path, fit: Fitted) -> None:
     save_posterior(folder / FILE, Posterior.of(fit))
 
 
-def refer(split: Path, name: str) -> None:
-    """The true model refitted, kept beside the others."""
-    folder = split / "models" / name / "true"
-    if not (folder / FILE).exists() and (fit := reference.true_fit(split, name)) is not None:
-        keep_model(folder, fit)
+def refer(split: Path, name: str, deadline: float | None) -> None:
+    """The base model and the true model refitted, kept beside the diagnosed ones; nothing past `deadline`."""
+    for stage, fit in (("base", reference.base_fit), ("true", reference.true_fit)):
+        folder = split / "models" / name / stage
+        if (folder / FILE).exists() or (deadline is not None and time.time() > deadline):
+            continue
+        try:
+            found = fit(split, name)
+        except (InputError, ValueError, np.linalg.LinAlgError) as error:
+            store.write(folder / "complaint.json", str(error))
+            continue
+        if found is not None:
+            keep_model(folder, found)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -173,9 +181,8 @@ def main(arguments: list[str] | None = None) -> None:
             asked = every("diagnose", pool, ask, [(split, c["id"], c["without"], deadline) for c in cases])
         print(f"{sum(asked)} of {len(cases)} diagnosed", file=sys.stderr)
     if options.step in ("refer", "prove"):
-        done = [c["id"] for c in cases if (split / "results" / f"{c['id']}.json").exists()]
         with executor(options.processes, None) as pool:
-            every("refer", pool, refer, [(split, name) for name in done])
+            every("refer", pool, refer, [(split, c["id"], deadline) for c in cases])
 
 
 if __name__ == "__main__":
