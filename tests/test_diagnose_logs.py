@@ -15,7 +15,6 @@ from test_identify_real import emps, needs, tx40
 from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from twin.commands import diagnose
-from twin.commands.compare import compare_log
 from twin.diagnose import torque
 from twin.diagnose.evidence import sentence
 from twin.diagnose.joint import followed, pooled, predicted_by
@@ -48,12 +47,13 @@ from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Missing, Verdict
 from twin.errors import InputError
-from twin.identify.regressor import inertia_six
 from twin.identify.rigid import Bands
+from twin.identify.rigid_compare import compare_log
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.measure.signals import lowpass
+from twin.model.regressor import inertia_six
 from twin.model.replay import inverse_dynamics
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion

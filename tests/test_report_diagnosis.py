@@ -11,8 +11,8 @@ from twin.diagnose.joint import Knowledge, pooled, settled_with, together
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
-from twin.identify.parameters import free_parameters
 from twin.measure.campaign import Channels
+from twin.model.parameters import free_parameters
 from twin.report import diagnosis
 from twin.robot.description import Robot, check_inertia
 

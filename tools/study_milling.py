@@ -100,7 +100,7 @@ def radii() -> None:
     cut, modes = benchmark_cut(1.0, "up"), benchmark_modes()
     for depth, published in RADII.items():
         radius = abs(multipliers(modes, cut, 5000, depth * 1e-3)[0])
-        print(f"slot, 5000 rpm, {depth} mm: spectral radius {radius:.9f}, published {published}: {radius - published:.1e}")
+        print(f"slot, 5000 rpm, {depth} mm: radius {radius:.9f}, off the published by {radius - published:.1e}")
 
 
 def first() -> None:
@@ -148,7 +148,8 @@ def speed() -> None:
         start = time.process_time()
         found = limits(some, cut, np.linspace(1000, 12000, 1000), 0.05)
         found.unstable(np.linspace(0, 0.05, 200))
-        print(f"{name}: chart of 1000 speeds x 200 depths {time.process_time() - start:.1f} s CPU, {len(found.row)} limits")
+        spent = time.process_time() - start
+        print(f"{name}: chart of 1000 speeds x 200 depths {spent:.1f} s CPU, {len(found.row)} limits")
     many = ToolModes(np.tile(modes.pole, (10_000, 1)), np.tile(modes.shape, (10_000, 1, 1)))
     start = time.process_time()
     limiting_depth(many, cut)

@@ -1,15 +1,14 @@
 """The ``twin`` command: one thin function per command; everything it calls is imported when it is called."""
 
-import contextlib
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+import twin
 from twin.errors import InputError
 from twin.memory import keep_memory
 
@@ -52,9 +51,7 @@ def _root(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
 ) -> None:
     if version:
-        import twin
-
-        print(twin.__version__)
+        print(f"twin {twin.__version__}")
         raise typer.Exit
 
 
@@ -80,12 +77,10 @@ def simulate(
     replay: trajectory.h5             # optional motion log or trajectory
     ```
     """
-    from twin.commands.simulate import simulate as run
-
     if out is None and not json:
         out = Path("out") / posture.stem
-    with _progress() as progress:
-        found = run(posture, robot=robot, without=without, out=out, seed=seed, progress=progress)
+    with twin.progress() as progress:
+        found = twin.simulate(posture, robot=robot, without=without, out=out, seed=seed, progress=progress)
     _show(found, json)
 
 
@@ -108,14 +103,12 @@ def modal(
     out) and writes modes.yaml (modal table), UFF 55 shapes, stabilisation charts, FRF overlays, MAC, shapes on the
     robot and modal.json into the output folder, out/RECORDING by default. What the data do not hold is said to be so.
     """
-    from twin.commands.modal import modal as run
-
     if method not in ("plscf", "lsce"):
         raise InputError("--method", method, "expected plscf or lsce")
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.modal(
             recordings, robot=robot, without=without, fmin=fmin, fmax=fmax, max_order=max_order,
             method="lsce" if method == "lsce" else "plscf", out=out, progress=progress,
         )  # fmt: skip
@@ -173,14 +166,12 @@ def fit(
     written only where --out says so. Next: twin compare judges the new robot on other recordings, twin diagnose looks
     for physics it lacks.
     """
-    from twin.commands.fit import fit as run
-
     if objective not in ("posterior", "paper"):
         raise InputError("--objective", objective, "expected posterior or paper")
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.fit(
             recordings, robot=robot, without=without, hold_out=hold_out, leave_one_out=leave_one_out,
             objective="paper" if objective == "paper" else "posterior", band_hz=band, tolerances=tolerances,
             starts=starts, out=out, seed=seed, progress=progress,
@@ -212,14 +203,12 @@ def excite(
     limits (of a robot that states them). Writes trajectory.h5, CSV, figures and excite.json into the output folder,
     out/excite by default; a posture file replays trajectory.h5, a controller runs the CSV or KRL.
     """
-    from twin.commands.excite import excitations as run
-
     if criterion not in ("condition", "d-optimal"):
         raise InputError("--criterion", criterion, "expected condition or d-optimal")
     if out is None and not json:
         out = Path("out") / "excite"
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.excite(
             robot=robot, without=without, out=out, count=count, harmonics=harmonics, base_hz=base_hz, rest=rest,
             criterion="d-optimal" if criterion == "d-optimal" else "condition", periods=periods,
             sample_rate_hz=sample_rate_hz, krl=krl, seed=seed, progress=progress,
@@ -248,14 +237,12 @@ def identify(
     out, of a single run contiguous blocks. Writes robot.yaml, robot.xml, figures and identify.json into the output
     folder, out/LOG by default. Samples that were dropped, jittered or saturated are repaired with a note, or refused.
     """
-    from twin.commands.identify import identify_log as run
-
     if weighting not in ("joint", "none"):
         raise InputError("--weighting", weighting, "expected joint or none")
     if out is None and not json:
         out = Path("out") / log.stem
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.identify(
             log, robot=robot, without=without, out=out, hold_out=hold_out, low_pass=low_pass, weighting=weighting,
             progress=progress,
         )  # fmt: skip
@@ -295,10 +282,8 @@ def compare(
 
     compare.json and figures are written only where --out says so.
     """
-    from twin.commands.compare import compare as run
-
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.compare(
             recordings, robot=robot, without=without, out=out, as_is=as_is, low_pass=low_pass, stepped=stepped,
             progress=progress,
         )  # fmt: skip
@@ -337,12 +322,10 @@ def diagnose(
 
     Try it on what is known: twin diagnose frf.h5 --without transverse_compliance@joint1.x conceals a soft bearing.
     """
-    from twin.commands.diagnose import diagnose as run
-
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.diagnose(
             recordings, robot=robot, without=without, hold_out=hold_out, out=out, seed=seed, progress=progress
         )  # fmt: skip
     _show(found, json)
@@ -425,11 +408,12 @@ def map_(
     if out is None and not json:
         out = Path("out") / "map"
     counts = None if posture_grid is None else _numbers("--posture-grid", posture_grid, int)
-    with _progress() as progress:
+    with twin.progress() as progress:
         found = run(
             cut, robot=robot, without=without, random=random, grid=grid, posture_grid=counts, path=path, box=box,
             place=place, place_turn_deg=place_turn_deg,
-            near_deg=None if near is None else _numbers("--near", near, float), spacing=spacing, spindle_rpm=spindle_rpm, lobes=lobes, draws=draws, processes=processes,
+            near_deg=None if near is None else _numbers("--near", near, float), spacing=spacing,
+            spindle_rpm=spindle_rpm, lobes=lobes, draws=draws, processes=processes,
             scheduler=scheduler, out=out, seed=seed, progress=progress,
         )  # fmt: skip
     _show(found, json)
@@ -467,27 +451,6 @@ def view(
 
         said = to_json({"shown": said})
     print(said)
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[str, int], Callable[[int], None]]]:
-    """Progress bars on standard error, gone when the work is done."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    bars = Progress(*columns, console=Console(stderr=True), transient=True)
-
-    def start(description: str, total: int) -> Callable[[int], None]:
-        bars.start()
-        task = bars.add_task(description, total=total)
-        return lambda count: bars.advance(task, count)
-
-    try:
-        yield start
-    finally:
-        if bars.tasks:
-            bars.stop()
 
 
 def _show(result: Any, json: bool) -> None:

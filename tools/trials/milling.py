@@ -29,11 +29,11 @@ from tools.trials.__main__ import every, executor
 from tools.trials.cases import usual
 from tools.truth.recording import draw_postures, plain
 from twin.commands.diagnose import diagnose_campaign
-from twin.commands.modal import read_recording
 from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError
 from twin.identify.posterior import FILE, Posterior, save_posterior
+from twin.measure.recordings import read_campaign
 from twin.robot.description import load_robot, save_robot
 
 ATTEMPTS = 20  # seeds in a row, where the truth code refuses a robot
@@ -118,7 +118,7 @@ def ask(split: Path, name: str, without: list[str], deadline: float | None) -> b
     begin = time.process_time()
     try:
         given = load_robot("kr90").without(without)
-        finding = diagnose_campaign(read_recording([source]), given, str(source))
+        finding = diagnose_campaign(read_campaign(source), given, str(source))
         for stage, fit in zip(("before", "after"), finding.fits, strict=True):
             keep_model(split / "models" / name / stage, fit)
         result |= {

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from tools.truth.chain import Array, Link, Tolerances, kr90
+from tools.truth.chain import Array, Chain, Link, Tolerances, kr90
 from tools.truth.effects import Effect
 from tools.truth.motion import Log, Run, motor_torque
-from tools.truth.recording import SENSORS, HammerTest, Posture, Truth, accelerance, hit_variance
+from tools.truth.recording import HammerTest, Posture, Truth, accelerance, hit_variance
 
 SEEN = 8.0
 LINES = 40  # of an FRF, standing for all
@@ -27,7 +27,7 @@ REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
 EVERY = 5  # samples of a motion log, of which one is taken
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which one is sought that shows
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
-FITS = 12  # evaluations of a refit
+FITS, FEW_FITS = 12, 3  # evaluations of a refit
 IMPOSSIBLE = 1e9  # deviations: what a robot that cannot be answers
 NEAR = 1.15  # what shows over what is to show, from which on a size is not drawn in or out again,
 CORRECTIONS = 3  # as often
@@ -62,8 +62,19 @@ def scaled(effect: Effect, factor: float) -> Effect:
     return Effect(kind, effect.site, p)
 
 
-def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: float, project: bool = True) -> Effect:
+def multiple_of_visible(
+    effect: Effect,
+    truth: Truth,
+    signal: Signal,
+    multiple: float,
+    project: bool = True,
+    *,
+    described: Chain | None = None,
+    known: Tolerances | None = None,
+) -> Effect:
     """The effect at so many times its smallest visible size on the recording of `truth`, which is without it.
+
+    `described`: the robot as its description has it (default: KR90), `known` how well it knows it.
 
     Raises:
         ValueError: the recording shows no usual size of it, or less of that multiple than of the smallest.
@@ -78,15 +89,9 @@ def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: 
         if 0.5 * float(np.sum(changed(smallest * multiple) ** 2)) < SEEN:
             raise ValueError(f"{effect.kind}@{effect.site}: expected more of it to show more")
         return scaled(effect, smallest * multiple)
-    nuisances = list(_nuisances(truth))
+    nuisances = list(_nuisances(truth, described or kr90(), known or Tolerances()))
     tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
-    ends = ((n.change(truth, STEP), n.change(truth, -STEP)) for n in nuisances)
-    J = np.array([(signal(up) - signal(down)) / (2 * STEP) for up, down in ends]).T
-    # by orthogonal factors: what is left may be 1e-5 of the signature, which normal equations lose
-    Q, R = np.linalg.qr(np.vstack([J, np.eye(J.shape[1])]))
-    whole = np.concatenate([tangent, np.zeros(J.shape[1])])
-    hiding = np.linalg.solve(R, Q.T @ whole)
-    left = float(np.sum((whole - Q @ (Q.T @ whole)) ** 2))
+    hiding, left = _hidden(signal, truth, nuisances, tangent)
     if not left > 0:
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
     factor = float(np.sqrt(2 * SEEN / left) * multiple)
@@ -103,6 +108,26 @@ def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: 
     return scaled(effect, factor)
 
 
+def shows(truth: Truth, signal: Signal, seen: Array, described: Chain, known: Tolerances) -> float:
+    """How far a recording, `seen` in units of its noise, shows that it is not of `truth`: ln of a likelihood ratio.
+
+    What nobody knows exactly has moved to explain it, each number paying for its deviations as the description states.
+    """
+    nuisances = list(_nuisances(truth, described, known))
+    hiding, _ = _hidden(signal, truth, nuisances, seen - signal(truth))
+    return _refitted(signal, truth, nuisances, seen, hiding, FEW_FITS)
+
+
+def _hidden(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], change: Array) -> tuple[Array, float]:
+    """Deviations by which nuisances hide a change of the recording best, to first order, and the squares left."""
+    ends = ((n.change(truth, STEP), n.change(truth, -STEP)) for n in nuisances)
+    J = np.array([(signal(up) - signal(down)) / (2 * STEP) for up, down in ends]).T
+    # by orthogonal factors: what is left may be 1e-5 of the signature, which normal equations lose
+    Q, R = np.linalg.qr(np.vstack([J, np.eye(J.shape[1])]))
+    whole = np.concatenate([change, np.zeros(J.shape[1])])
+    return np.linalg.solve(R, Q.T @ whole), float(np.sum((whole - Q @ (Q.T @ whole)) ** 2))
+
+
 def overlap(first: Effect, second: Effect, truth: Truth, signal: Signal) -> float:
     """Cosine between the signatures of two effects: −1 where one hides the other."""
     base = signal(truth)
@@ -114,7 +139,9 @@ def _with(truth: Truth, effect: Effect) -> Truth:
     return replace(truth, effects=(*truth.effects, effect))
 
 
-def _refitted(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, z: Array) -> float:
+def _refitted(
+    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, z: Array, fits: int = FITS
+) -> float:
     """½ |what the nuisances leave of a recording|² + ½ |z|², fitted from what derivatives make of z.
 
     A spring in series makes the logarithm of a neighbour's stiffness move as log(1 + size), not as its derivative.
@@ -140,7 +167,7 @@ def _refitted(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen:
 
     with np.errstate(invalid="ignore"):
         first = min((start, np.zeros(len(z))), key=lambda z: float(np.sum(residual(z) ** 2)))
-        return float(least_squares(residual, first, slopes, max_nfev=FITS, ftol=1e-3).cost)
+        return float(least_squares(residual, first, slopes, max_nfev=fits, ftol=1e-3).cost)
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:
@@ -169,9 +196,9 @@ def _visible_factor(changed: Callable[[float], Array]) -> float:
     raise ValueError("expected an effect of which some size shows in this recording")
 
 
-def _nuisances(truth: Truth) -> Iterator[Nuisance]:
+def _nuisances(truth: Truth, described: Chain, known: Tolerances) -> Iterator[Nuisance]:
     """What a modeller does not know, in deviations."""
-    chain, log, known, described = truth.chain, not truth.posture_error, Tolerances(), kr90()
+    chain, log = truth.chain, not truth.posture_error
 
     def of_chain(name: str, index: tuple[int, ...], width: float) -> Nuisance:
         def change(truth: Truth, z: float) -> Truth:
@@ -205,7 +232,7 @@ def _nuisances(truth: Truth) -> Iterator[Nuisance]:
     for i in range(chain.n):
         yield of_link(i, lambda link, z: replace(link, mass=link.mass * (1 + 0.03 * z)))
         for k in range(3):
-            yield of_link(i, lambda link, z, k=k: replace(link, com=link.com + 0.01 * z * np.eye(3)[k]))
+            yield of_link(i, lambda link, z, k=k: replace(link, com=link.com + known.com * z * np.eye(3)[k]))
             for j in range(k + 1):
                 yield of_link(i, lambda link, z, j=j, k=k: replace(link, inertia=_changed(link.inertia, j, k, z)))
     if log:
@@ -225,7 +252,7 @@ def _nuisances(truth: Truth) -> Iterator[Nuisance]:
     for name in truth.posture_error:
         for i in range(chain.n):
             yield of_posture(name, i)
-    for channel in SENSORS:
+    for channel in truth.sensors:
         yield of_gain(channel.label)
 
 
@@ -251,6 +278,7 @@ def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Seque
         if key in known:
             before, found = known[key]
             same = before.chain is truth.chain and before.effects == truth.effects and before.gain == truth.gain
+            same = same and before.moved is truth.moved
             if same and np.array_equal(before.posture_error[posture.name], truth.posture_error[posture.name]):
                 return found
         found = accelerance(replace(truth, sag=False), (posture,), thin)[0][0, 0][:, :, list(points)]

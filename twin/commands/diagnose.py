@@ -2,14 +2,12 @@
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twin.commands.compare import recording_kind
-from twin.commands.modal import UFF, read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.diagnose.decide import calibration, decide, finalists
 from twin.diagnose.edit import check_linear, check_replayed, check_xml, is_nonlinear, payload_edit, with_modes
@@ -22,7 +20,6 @@ from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
 from twin.diagnose.modal_table import diagnose_table
 from twin.diagnose.next_test import next_test, smallest_visible
-from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
@@ -34,7 +31,6 @@ from twin.diagnose.verdict import (
     Candidate,
     Finding,
     Missing,
-    Source,
     Verdict,
     elsewhere,
     estimates_of,
@@ -44,16 +40,16 @@ from twin.diagnose.verdict import (
     strained,
 )
 from twin.errors import InputError
-from twin.identify.elastic import Recorded, base_name, prepare, without_limits
-from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.objective import Sample
 from twin.identify.posterior import FILE, Posterior, save_posterior
+from twin.identify.recorded import Recorded, base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
-from twin.measure.modal_table import read_modal_table
-from twin.measure.motion_log import read_motion_log
+from twin.measure.recordings import Given, Recording, read_recordings, traced
 from twin.memory import uncollected
 from twin.model.linear import linearise
 from twin.model.modes import modes
-from twin.parallel import Progress, cores, spread
+from twin.model.parameters import Parameters, free_parameters
+from twin.parallel import Progress, cores, silent, spread
 from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json
 from twin.robot.description import Axis, Robot, load_robot, save_robot
@@ -62,20 +58,21 @@ from twin.robot.mjcf import build_spec, save_mjcf
 
 
 def diagnose(
-    recordings: Sequence[str | Path],
+    recordings: Given,
     *,
-    robot: str | None = None,
+    robot: Robot | str | Path | None = None,
     without: list[str] | None = None,
     hold_out: list[str] | None = None,
-    out: Path | None = None,
+    out: str | Path | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Verdict:
     """Diagnose recordings of one robot.
 
     Args:
-        recordings: hammer tests (universal files belong together), motion logs, modal tables.
-        robot: shipped name, ``robot.yaml`` or URDF; wins over the recordings'.
+        recordings: one or several of :class:`Campaign`, :class:`MotionLog`, :class:`ModalTable` or their files;
+            universal files belong together.
+        robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; wins over the recordings'.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         hold_out: postures or runs not fitted to, by name; by default those the others cover best.
         out: folder for the new model, report, figures and diagnosis.json; ``None`` writes nothing.
@@ -86,8 +83,9 @@ def diagnose(
         InputError: bad input; nothing is written.
     """
     check_out(out)
-    progress = progress or (lambda description, total: lambda count: None)
-    tests = [_read(kind, paths) for kind, paths in _grouped(recordings)]
+    progress = progress or silent
+    order = ("motion-log", "frf-campaign", "modal-table")  # masses are known best from a log
+    tests = sorted(read_recordings(recordings), key=lambda test: order.index(test.kind))
     given = _described(tests, robot).without(without or [])
     chosen = _shared_out(hold_out, tests)
     findings: list[Finding] = []
@@ -95,8 +93,8 @@ def diagnose(
         told_by = findings[-1] if findings else None
         options: Any = {"hold_out": held, "seed": seed, "progress": progress}
         if test.kind == "motion-log":
-            from twin.commands.identify import in_joints
             from twin.diagnose.torque import diagnose_log  # and SciPy's signals, a third of what there is to import
+            from twin.identify.rigid import in_joints
 
             in_joints(test.content, given)  # axes, units and limits fit
             options |= {"processes": cores()}
@@ -108,24 +106,13 @@ def diagnose(
             findings.append(diagnose_table(test.content, told_by.model if told_by else given, test.source, **options))
     verdict = _settled(findings, tests, chosen)
     verdict.origin = provenance(
-        recordings, {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
+        traced(tests, robot), {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
     )
     _finish(verdict, tests, out)
     return verdict
 
 
-@dataclass(frozen=True)
-class _Test:
-    """A recording that was read; ``names`` are its postures or runs, ``named`` the robot it names."""
-
-    kind: Source
-    source: str
-    content: Any
-    named: str | None
-    names: tuple[str, ...]
-
-
-def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[list[str] | None]) -> Verdict:
+def _settled(findings: list[Finding], tests: Sequence[Recording], chosen: Sequence[list[str] | None]) -> Verdict:
     """The verdict on the one model that the last finding ends with; the others are judged on it.
 
     What a log said is said again with the errors of that model, and what the last recording adds to it.
@@ -148,71 +135,41 @@ def _settled(findings: list[Finding], tests: Sequence[_Test], chosen: Sequence[l
     return together(findings, last.base, robot)
 
 
-def _grouped(recordings: Sequence[str | Path]) -> list[tuple[Source, list[Path]]]:
-    """Files that make one recording, motion logs first: masses are known best from them.
-
-    Raises:
-        InputError: a file is missing or of no kind, or given twice.
-    """
-    found: dict[Source, list[list[Path]]] = {"motion-log": [], "frf-campaign": [], "modal-table": []}
-    universal: list[Path] = []
-    paths = [Path(path) for path in recordings]
-    for path in paths:
-        if paths.count(path) > 1:
-            raise InputError(path, "", "is given twice")
-        kind: Any = recording_kind(path)[0]
-        if path.suffix.lower() in UFF:
-            universal.append(path)
-        else:
-            found[kind].append([path])
-    if universal:
-        found["frf-campaign"].append(universal)
-    return [(kind, group) for kind, groups in found.items() for group in groups]
-
-
-def _read(kind: Source, paths: list[Path]) -> _Test:
-    source = str(paths[0])
-    if kind == "motion-log":
-        log = read_motion_log(paths[0])
-        return _Test(kind, source, log, log.robot, tuple(log.runs))
-    if kind == "frf-campaign":
-        campaign = read_recording(paths)
-        bases = [base_name(campaign, group) for group in campaign.postures]
-        return _Test(kind, source, campaign, campaign.robot, tuple(dict.fromkeys([*bases, *campaign.postures])))
-    table = read_modal_table(paths[0])
-    return _Test(kind, source, table, table.robot, tuple(table.postures))
-
-
-def _described(tests: Sequence[_Test], robot: str | None) -> Robot:
+def _described(tests: Sequence[Recording], robot: Robot | str | Path | None) -> Robot:
     """The one robot of all recordings.
 
     Raises:
         InputError: the recordings name different robots.
     """
-    if robot:
-        return load_robot(robot)
     named = {test.named: test for test in tests if test.named}
-    if len(named) > 1:
+    if len(named) > 1 and not robot:
         first, second = list(named)[:2]
         raise InputError(
-            named[second].source, "robot", f"is {second!r}, of {named[first].source} {first!r}; say which with --robot"
-        )
-    for name, test in named.items():
-        return load_robot(str(name), relative_to=Path(test.source).parent)
-    return load_robot("kr90")
+            str(named[second].source), "robot",
+            f"is {second!r}, of {named[first].source} {first!r}; say which with --robot",
+        )  # fmt: skip
+    return next(iter(named.values()), tests[0]).described(robot)
 
 
-def _shared_out(hold_out: list[str] | None, tests: Sequence[_Test]) -> list[list[str] | None]:
+def _shared_out(hold_out: list[str] | None, tests: Sequence[Recording]) -> list[list[str] | None]:
     """Names to hold out, each to the recordings that have it; a recording that none belongs to chooses itself.
 
     Raises:
         InputError: a name that no recording has.
     """
+    has = [_names(test) for test in tests]
     for name in hold_out or []:
-        if not any(name in test.names for test in tests):
-            has = "; ".join(f"{test.source} has {', '.join(test.names)}" for test in tests)
-            raise InputError("--hold-out", name, f"no such posture or run: {has}")
-    return [[name for name in hold_out or [] if name in test.names] or None for test in tests]
+        if not any(name in names for names in has):
+            known = "; ".join(f"{test.source} has {', '.join(names)}" for test, names in zip(tests, has, strict=True))
+            raise InputError("--hold-out", name, f"no such posture or run: {known}")
+    return [[name for name in hold_out or [] if name in names] or None for names in has]
+
+
+def _names(test: Recording) -> list[str]:
+    """Postures or runs that can be held out: all force levels of a posture together, or one by one."""
+    if test.kind != "frf-campaign":
+        return list(test.names)
+    return list(dict.fromkeys([*(base_name(test.content, group) for group in test.names), *test.names]))
 
 
 # --- hammer tests -----------------------------------------------------------------------------------------------------
@@ -416,7 +373,7 @@ def _limited(robot: Robot, given: Robot) -> Robot:
 # --- what is written --------------------------------------------------------------------------------------------------
 
 
-def _finish(verdict: Verdict, tests: Sequence[_Test], out: Path | None) -> None:
+def _finish(verdict: Verdict, tests: Sequence[Recording], out: str | Path | None) -> None:
     """Write the model, check it as written, and write what people look at; all of it or nothing."""
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -457,7 +414,7 @@ def _posture(verdict: Verdict) -> tuple[np.ndarray, Any]:
     return np.zeros(verdict.robot.axis_count), "off"
 
 
-def _check(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> None:
+def _check(verdict: Verdict, tests: Sequence[Recording], folder: Path) -> None:
     """The edit test: the written model, read again, in MuJoCo."""
     written = load_robot(folder / "robot.yaml")
     for finding, test in zip(verdict.findings, tests, strict=True):
@@ -471,7 +428,7 @@ def _check(verdict: Verdict, tests: Sequence[_Test], folder: Path) -> None:
     verdict.checks.append(check_xml(folder / "robot.xml", written, *_posture(verdict)))
 
 
-def _hit(robot: Robot, tests: Sequence[_Test]) -> list[dict[str, Any]]:
+def _hit(robot: Robot, tests: Sequence[Recording]) -> list[dict[str, Any]]:
     """A nonlinear answer stepped under the blows of a campaign with force levels; none where there is neither."""
     hit = is_nonlinear(robot) and all(test.kind != "motion-log" for test in tests)  # what a log found is not
     campaigns = [test for test in tests if test.kind == "frf-campaign"] if hit else []
@@ -481,7 +438,7 @@ def _hit(robot: Robot, tests: Sequence[_Test]) -> list[dict[str, Any]]:
 
 def _write_report(verdict: Verdict, name: Outputs) -> None:
     """Figures, the page and the modes before and after."""
-    from twin.report import diagnosis, figures
+    from twin.report import diagnosis
     from twin.report.html import write_html
     from twin.report.scene import write_modes
 
@@ -491,10 +448,7 @@ def _write_report(verdict: Verdict, name: Outputs) -> None:
         found = modes(linearise(mechanism))
         if len(found):
             write_modes(name(f"modes-{stage}.rrd"), mechanism, found)
-    drawn = diagnosis.draw(verdict)
-    images = {file: name(file) for file in drawn}
-    for file, figure in drawn.items():
-        figures.save(figure, images[file])
+    images = name.draw(verdict)
     origin = verdict.origin
     footer = f"twin {origin['version']} · " + " · ".join(f"{k} {v[:12]}" for k, v in origin["inputs"].items())
     sections = diagnosis.sections(verdict, images)

@@ -9,15 +9,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnose.blow import RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
-from twin.diagnose.joint_laws import LAWS, NO_LOAD, Law
-from twin.diagnose.objective import Changes, Cost, rates
-from twin.identify.elastic import Recorded
-from twin.identify.parameters import Parameters
-from twin.identify.sensitivity import Observed, contract, moving, observe
-from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
+from twin.identify.objective import Changes, Cost, rates
+from twin.identify.recorded import Recorded
+from twin.measure.campaign import Campaign, Channels, ComplexArray, FloatArray, PostureFRF
+from twin.model.blow import RATE_HZ, Strike, pulse_transform, torques, transform
+from twin.model.parameters import Parameters
+from twin.model.sensitivity import Observed, Setup, Structure, contract, moving, observe, observe_all
 from twin.parallel import spread
+from twin.physics.joint_law import NO_LOAD, Law
 from twin.robot.description import Robot
 
 PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of its logarithm, where no raw hits tell
@@ -27,7 +27,6 @@ SETTLING = 6  # iterations of a blow's own stiffness
 SMALL, ROUGHLY, WIDE = 1e-4, 4e-3, 0.02  # prior deviations, of differences of stepped blows
 STAYED = 2.0  # prior deviations, over which the law's torque keeps what its derivatives have beside those held
 WORTH_SPREADING = 20  # strikes per recording: fewer are stepped by one process
-WEIGHED = 0.1  # prior deviations, of differences of the load on a joint
 AHEAD = 0.1  # of a step: where its bend is looked at
 
 
@@ -88,43 +87,67 @@ class _Joint:
 
 
 class _Postures:
-    """Joint models by posture: levels of one posture share them."""
+    """Joint models by posture: levels of one posture share them, and all are observed in one go.
 
-    def __init__(self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, slopes: bool) -> None:
+    Args:
+        z: (n,) of ``parameters``, where the robot is.
+        recordings: those that will be asked for.
+    """
+
+    def __init__(
+        self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, recordings: Sequence[Recorded]
+    ) -> None:
         self.z, self.values = z, parameters.values(z)
         self.robot = parameters.apply(robot, self.values)
-        self.parameters, self.site, self.slopes = parameters, site, slopes
-        self.known: dict[tuple[str, bytes, int], _Joint] = {}
-        self.changes: Changes = {}
+        self.parameters, self.site = parameters, site
+        self.setups = _alike({r.setup.name: r.setup for r in recordings})
+        self.seen: dict[str, tuple[Observed, Structure]] = {}
+        self.plain: dict[tuple[str, bytes, int], _Joint] = {}
+        self.sloped: dict[tuple[str, bytes, int], _Joint] = {}
+        self.apart: dict[tuple[str, bytes, int], dict[int, _Joint]] = {}
         self.loads: dict[str, tuple[list[int], FloatArray]] = {}
-        self.apart: dict[int, dict[int, _Joint]] = {}
+        self.changes: Changes = {}
 
-    def of(self, r: Recorded) -> _Joint:
-        key = r.setup.name, r.s.tobytes(), r.power
-        if key not in self.known:
-            self.known[key] = self._joint(r)
-        return self.known[key]
+    def of(self, r: Recorded, slopes: bool = False) -> _Joint:
+        """The model of a recording's posture, seen along its lines; ``slopes``: with derivatives."""
+        key, known = _key(r), self.sloped if slopes else self.plain
+        if key not in known:
+            known[key] = self._joint(r, slopes)
+        return known[key]
 
-    def _joint(self, r: Recorded) -> _Joint:
-        seen, model = observe(self.robot, r.setup, self.parameters, self.values)
+    def _joint(self, r: Recorded, slopes: bool) -> _Joint:
+        if not self.seen:
+            models = observe_all(self.robot, list(self.setups.values()), self.parameters, self.values)
+            self.seen = dict(zip(self.setups, models, strict=True))
+        seen, model = self.seen[r.setup.name]
         index, rate = model.coordinates.index(self.site), None
-        if self.slopes:
+        if slopes:
             rate = rates(self.robot, r.setup, self.parameters, self.values, seen, model, self.changes)
             rate = contract(rate, self.parameters.transform(self.values))
         view = receptances(seen, index, r.s, r.power, rate)
         return _Joint(seen, index, float(model.strain[index]), float(model.load[index]), view, rate)
 
-    def moved(self, r: Recorded, step: float) -> dict[int, _Joint]:
-        """The joint's model with every parameter that acts on its motion moved in turn, to first order."""
-        joint = self.of(r)
-        if id(joint) in self.apart:
-            return self.apart[id(joint)]
+    def moved(self, r: Recorded, p: int, step: float) -> _Joint:
+        """The model with one parameter moved, to first order."""
+        joint = self.of(r, True)
+        assert joint.rate is not None
+        seen = Observed.of(a + step * d[p] for a, d in zip(joint.seen.arrays(), joint.rate.arrays(), strict=True))
+        row = self.parameters.names.index(f"{self.site}.stiffness")
+        k = joint.k + step * float(self.parameters.transform(self.values)[row, p])
+        return _Joint(seen, joint.index, k, joint.load, receptances(seen, joint.index, r.s, r.power))
+
+    def each_moved(self, r: Recorded, step: float) -> dict[int, _Joint]:
+        """The model with every parameter that acts on its motion moved in turn, lines and all to first order."""
+        key = _key(r)
+        if key in self.apart:
+            return self.apart[key]
+        joint = self.of(r, True)
         rates = joint.view.rates
         assert joint.rate is not None
         assert rates is not None
         loads = np.zeros(len(self.z))
         if abs(joint.load) > NO_LOAD:
-            loaded, rate = self.load_slopes(r)
+            loaded, rate = self._load_slopes(r)
             loads[loaded] = rate
         acting = replace(
             joint.rate, J_r=joint.rate.J_r[:, :0], gain=joint.rate.gain[:, :0], delay=joint.rate.delay[:, :0]
@@ -135,11 +158,12 @@ class _Postures:
             dinto, down = rates[2][p], rates[3][p]
             there = replace(view, into=view.into + step * dinto, own=view.own + step * down, rates=None)
             found[p] = _Joint(seen, joint.index, joint.k, joint.load + step * loads[p], there)
-        self.apart[id(joint)] = found
+        self.apart[key] = found
         return found
 
-    def load_slopes(self, r: Recorded) -> tuple[list[int], FloatArray]:
-        """Which parameters the weight on the joint depends on, and its derivatives (m,) with respect to their z."""
+    def _load_slopes(self, r: Recorded, weighed: float = 0.1) -> tuple[list[int], FloatArray]:
+        """Which parameters the weight on the joint depends on, and its derivatives (m,) with respect to their z, by
+        differences over so many prior deviations."""
         if r.setup.name not in self.loads:
             index = self.of(r).index
             loaded = [
@@ -149,11 +173,24 @@ class _Postures:
             ]
             changes = []
             for k in loaded:
-                values = self.parameters.values(self.z + WEIGHED * np.eye(len(self.z))[k])
+                values = self.parameters.values(self.z + weighed * np.eye(len(self.z))[k])
                 _, model = observe(self.parameters.apply(self.robot, values), r.setup, self.parameters, values)
-                changes.append((float(model.load[index]) - self.of(r).load) / WEIGHED)
+                changes.append((float(model.load[index]) - self.of(r).load) / weighed)
             self.loads[r.setup.name] = loaded, np.array(changes)
         return self.loads[r.setup.name]
+
+
+def _key(r: Recorded) -> tuple[str, bytes, int]:
+    return r.setup.name, r.s.tobytes(), r.power
+
+
+def _alike(setups: dict[str, Setup]) -> dict[str, Setup]:
+    """Postures that were hit at the same points share one object of channels: they are observed together."""
+    known: dict[tuple[str, ...], Channels] = {}
+    return {
+        name: replace(setup, excitation=known.setdefault(setup.excitation.label, setup.excitation))
+        for name, setup in setups.items()
+    }
 
 
 @dataclass
@@ -171,11 +208,12 @@ class BlowByBlow(Cost):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.models: _Postures | None = None
         self.own = [np.zeros((2, r.frf.shape[2])) for r in self.sample.recordings]
         self.certainty = list(self.own)
 
     def cost(self, z: FloatArray) -> float:
-        postures = _Postures(self.robot, self.parameters, self.site, z, False)
+        postures = self._postures(z)
         own, cost = list(self.own), 0.5 * float(z @ z)
         for k, r in enumerate(self.sample.recordings):
             own[k], part, _, _, _ = self._settle(postures.of(r), r, k)
@@ -183,10 +221,10 @@ class BlowByBlow(Cost):
         return cost
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        postures = _Postures(self.robot, self.parameters, self.site, z, True)
+        postures = self._postures(z)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         for k, r in enumerate(self.sample.recordings):
-            joint = postures.of(r)
+            joint = postures.of(r, True)
             self.own[k], part, e, rate, matrix = self._settle(joint, r, k)
             self.certainty[k] = matrix
             cost += part
@@ -202,6 +240,12 @@ class BlowByBlow(Cost):
             taken = np.einsum("npe,pqe->nqe", cross, inverse2(matrix))
             information -= np.einsum("nqe,mqe->nm", taken, cross)
         return cost, gradient, information
+
+    def _postures(self, z: FloatArray) -> _Postures:
+        """The models at z; those of the last call where it is the same."""
+        if self.models is None or not np.array_equal(self.models.z, z):
+            self.models = _Postures(self.robot, self.parameters, self.site, z, self.sample.recordings)
+        return self.models
 
     def _settle(
         self, joint: _Joint, r: Recorded, k: int
@@ -275,7 +319,7 @@ class Stepped(Cost):
     reactions where they were stepped last.
     """
 
-    law: Law = LAWS[0]
+    law: Law = field(kw_only=True)
     site: str = ""
     blow: dict[str, Blow] = field(default_factory=dict)
     fixed: FloatArray | None = None
@@ -285,6 +329,7 @@ class Stepped(Cost):
     rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list, init=False)
     beside: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
     latest: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
+    models: _Postures | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -292,6 +337,13 @@ class Stepped(Cost):
         if self.fixed is None:
             own = len(self.law.names) + self._struck
         self.base = self.parameters.select(range(len(self.parameters) - own))
+
+    def _postures(self, z: FloatArray) -> _Postures:
+        """The models at z; those of the last call where only the law's own numbers differ."""
+        base = z[: len(self.base)]
+        if self.models is None or not np.array_equal(self.models.z, base):
+            self.models = _Postures(self.robot, self.base, self.site, base, self.sample.recordings)
+        return self.models
 
     @property
     def _struck(self) -> bool:
@@ -310,11 +362,11 @@ class Stepped(Cost):
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         n = len(self.base)
-        joints = _Postures(self.robot, self.base, self.site, z[:n], True)
+        joints = self._postures(z)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         self.rows.clear()
         for r, w, (R, dR) in zip(self.sample.recordings, self.weight, self._reactions(z, joints), strict=True):
-            view = joints.of(r).view
+            view = joints.of(r, True).view
             dH = np.zeros((len(z), *r.frf.shape), complex)
             dH[:n] = view.slopes(R, dR[:n])
             dH[n:] = -view.out[:, :, None] * dR[n:, :, None, :]
@@ -349,7 +401,7 @@ class Stepped(Cost):
         small, longer_ones = self._slopes(found[: len(near)], at, step, every), found[len(near) :]
         slopes: list[ComplexArray] = []
         for r, R, stepped in zip(recordings, at, small, strict=True):
-            view = joints.of(r).view
+            view = joints.of(r, True).view
             dR = np.zeros((len(z), *R.shape), complex)
             dR[:n] = view.reaction_slopes(_held(view, r.s, R)[0], R)
             dR[near] = np.where(np.isfinite(stepped), stepped, dR[near])
@@ -372,13 +424,12 @@ class Stepped(Cost):
         self, z: FloatArray, step: float, near: Sequence[int], joints: _Postures, chosen: Sequence[int]
     ) -> list[list[Asked]]:
         """The chosen recordings asked for a step further along each of some parameters."""
-        asked = []
+        asked: list[list[Asked]] = []
         for k in near:
-            moved = z + step * np.eye(len(z))[k]
-            own = k >= len(self.base)
-            there = joints if own else _Postures(self.robot, self.base, self.site, moved[: len(self.base)], False)
+            own = self.own(z + step * np.eye(len(z))[k])
             recordings = [self.sample.recordings[i] for i in chosen]
-            asked.append([(there.of(r), r, *self.own(moved)) for r in recordings])
+            law = k >= len(self.base)
+            asked.append([(joints.of(r) if law else joints.moved(r, k, step), r, *own) for r in recordings])
         return asked
 
     @staticmethod
@@ -404,7 +455,7 @@ class Stepped(Cost):
         lags = [np.zeros_like(dR[: len(self.base)]) for dR in slopes]
         asked, where = [], []
         for k, r in enumerate(self.sample.recordings):
-            for p, joint in joints.moved(r, SMALL).items() if smooth[k].any() else ():
+            for p, joint in joints.each_moved(r, SMALL).items() if smooth[k].any() else ():
                 if p not in near:
                     asked.append((joint, r, *self.own(z)))
                     where.append((k, p))
@@ -470,7 +521,7 @@ class Stepped(Cost):
 
     def deflection(self, z: FloatArray) -> float:
         """A large deflection of the joint under these blows, rad (m): exceeded by one in ten; NaN if they diverge."""
-        postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+        postures = self._postures(z)
         none = np.full(len(self.law.names), 1e-9)
         strikes = [self._strike(postures.of(r), r, none) for r in self.sample.recordings]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -479,7 +530,7 @@ class Stepped(Cost):
 
     def equivalents(self, z: FloatArray, sizes: Sequence[FloatArray]) -> list[list[FloatArray]]:
         """For each of several sizes, per recording: the stiffness and damping (2, ne) the law was to every blow."""
-        postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+        postures = self._postures(z)
         joints = [(postures.of(r), r) for r in self.sample.recordings]
         found = iter(self._react([(joint, r, size, 1.0) for size in sizes for joint, r in joints]))
         return [[_equivalent(joint.view, r.s, next(found)) for joint, r in joints] for _ in sizes]
@@ -498,7 +549,7 @@ class Stepped(Cost):
         """Models and reactions, per recording, at several z, stepped side by side."""
         asked: list[list[Asked]] = []
         for z in points:
-            postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+            postures = self._postures(z)
             asked.append([(postures.of(r), r, *self.own(z)) for r in self.sample.recordings])
         found = self._react_each(asked)
         self.latest = np.array(points[-1]), found[-1]

@@ -3,7 +3,7 @@
 A blow's decay sees a nonlinear joint as a linear one whose stiffness and damping depend on how far that blow deflects
 it. So every blow gets a complex stiffness of its own at one joint, k_b + iω c_b, while everything else stays common to
 all: the joint for which that explains the recordings is the site, and k_b, c_b over the deflection are the law, for a
-person to see. Which law it is, and its numbers, come from laws stepped in time (``twin.diagnose.blow``) and fitted
+person to see. Which law it is, and its numbers, come from laws stepped in time (``twin.model.blow``) and fitted
 with everything else free, judged by the same evidence as linear hypotheses.
 """
 
@@ -12,10 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose.blow import COARSE_HZ, RATE_HZ
 from twin.diagnose.decide import Decision, calibration, decide, unexplained
 from twin.diagnose.hypotheses import Hypothesis, together
-from twin.diagnose.joint_laws import LAWS, NAMELESS, USUAL_DEFLECTION, Law
 from twin.diagnose.joint_reaction import (
     FADED,
     PULSE_S,
@@ -26,14 +24,18 @@ from twin.diagnose.joint_reaction import (
     blows,
     inverse2,
 )
-from twin.diagnose.objective import Sample
-from twin.diagnose.refit import NONE, Fitted, descend, minimise
-from twin.identify.elastic import Recorded
-from twin.identify.parameters import Parameter, Parameters
-from twin.identify.sensitivity import frf, observe
+from twin.diagnose.refit import NONE, Fitted, descend
+from twin.identify.descent import minimise
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, FloatArray
+from twin.model.blow import COARSE_HZ, RATE_HZ
+from twin.model.joint_laws import NAMELESS
+from twin.model.parameters import Parameter, Parameters
+from twin.model.sensitivity import frf, observe
 from twin.parallel import spread
-from twin.physics import CATALOGUE
+from twin.physics import CATALOGUE, amplitude_laws
+from twin.physics.joint_law import USUAL_DEFLECTION, Law
 from twin.robot.description import Entry, Robot
 
 LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
@@ -46,7 +48,7 @@ ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
 TEMPERS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
 EXPLAINS, SMOOTH = 1.0, 0.03  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
-LOCATING, ROUGH, RACING, LAST, CLOSE, SETTLING, LINEAR = 8, 10, 4, 8, 5, 10, 15  # iterations
+LOCATING, ROUGH_FIRST, ROUGH, RACING, LAST, CLOSE, SETTLING, LINEAR = 8, 4, 6, 4, 8, 5, 10, 15  # iterations
 ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
@@ -234,7 +236,7 @@ def decide_levels(levels: Levels) -> Decision:
 
     A law without a name has the prior of one with a name: a name is given only where it beats these.
     """
-    looked_at = [[Hypothesis(law.effect, place.site)] for law in LAWS for place in levels.places]
+    looked_at = [[Hypothesis(law.effect, place.site)] for law in amplitude_laws() for place in levels.places]
     # where a model error had to be allowed, a law must explain more than that alone would
     other = unexplained(levels.base.misfit, levels.fits[0].misfit, levels.noise) if levels.temper else None
     decision = decide(levels.fits, levels.base, looked_at, other=other)
@@ -292,7 +294,7 @@ def locate(
     return found, reached
 
 
-def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Sequence[Law] = LAWS) -> list[Trial]:
+def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Sequence[Law] | None = None) -> list[Trial]:
     """Laws at a joint, with the sizes whose equivalent stiffnesses are most like those seen."""
     some, index = shown.telling(place, FEW_BLOWS)
     values, names = base.parameters.values(place.z), base.parameters.names
@@ -301,7 +303,7 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Seque
     seen = [u[:, index] for u in place.own]
     certainty = [matrix[:, :, index] for matrix in place.certainty]
     trials = []
-    for law in laws:
+    for law in amplitude_laws() if laws is None else laws:
         objective, hypothesis = with_law(robot, base, law, place.site, some, shown.blow)
         amplitude = _amplitude(objective, place.z)
         objective = replace(objective, law=law.at(amplitude), rate_hz=COARSE_HZ)
@@ -344,9 +346,9 @@ def _rough_race(
 ) -> tuple[list[Trial], float]:
     """The same for blows that no complex stiffness fits: every law at every joint by its logarithmic residual."""
     few = {place.site: shown.telling(place, FEW_BLOWS)[0] for place in places}
-    begun = [(law, place, z) for place in places for law in LAWS for z in (*starts, place.z)]
+    begun = [(law, place, z) for place in places for law in amplitude_laws() for z in (*starts, place.z)]
 
-    def rough(number: int) -> tuple[Law, FloatArray, float]:
+    def start(number: int) -> tuple[Law, FloatArray, float]:
         law, place, z = begun[number]
         objective, _ = with_law(robot, base, law, place.site, few[place.site], shown.blow)
         amplitude = _amplitude(objective, z)
@@ -354,14 +356,23 @@ def _rough_race(
         values = base.parameters.values(z)
         k = values[base.parameters.names.index(f"{place.site}.stiffness")]
         points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
-        end, cost, _, _ = minimise(objective, points[int(np.argmin(objective.costs(points)))], ROUGH, ROUGH_GAIN)
-        return objective.law, end, cost
+        first = points[int(np.argmin(objective.costs(points)))]
+        return objective.law, *minimise(objective, first, ROUGH_FIRST, ROUGH_GAIN)[:2]
+
+    ahead: list[tuple[Trial, float]] = []
+    for (_, place, _), (law, z, cost) in zip(begun, spread(start, len(begun), processes), strict=True):
+        objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
+        ahead.append(((replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z), cost))
+        tick(1)
+    hopeless = ROUGH_REACH * min(cost for _, cost in ahead)
+
+    def on(number: int) -> tuple[FloatArray, float]:
+        objective, _, z = ahead[number][0]
+        return minimise(replace(objective, logarithmic=True), z, ROUGH, ROUGH_GAIN, hopeless)[:2]
 
     ends: list[tuple[float, Trial]] = []
-    for (_, place, _), (law, z, cost) in zip(begun, spread(rough, len(begun), processes), strict=True):
-        objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
-        ends.append((cost, (replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z)))
-        tick(1)
+    for (trial, _), (z, cost) in zip(ahead, spread(on, len(ahead), processes), strict=True):
+        ends.append((cost, (*trial[:2], z)))
     best: dict[str, tuple[float, Trial]] = {}
     for cost, trial in sorted(ends, key=lambda item: item[0]):
         best.setdefault(trial[1].key, (cost, trial))
@@ -378,13 +389,21 @@ def with_law(
     described = float(robot.axes[int(site[5:-2]) - 1].stiffness or 0.0)
     entry = Entry(effect=law.effect, site=site, **law.entry(law.usual(described)))
     key = f"{law.effect}@{site}" if law.effect in CATALOGUE else f"{law.effect} at {site}"  # no entry without a name
-    own = law.parameters(key, described)
+    own = _own(law, key, law.usual(described))
     if not all(b.known for b in blow.values()):
         own += (Parameter(f"{key}.pulse", "s", "entry", True, PULSE_S, PULSE_SPREAD, "a rubber tip"),)
     hypothesis = together(beside, Hypothesis(law.effect, site, (entry,), own))
     parameters = hypothesis.parameters(base.parameters)
     stepped = Stepped(beside.robot(robot), parameters, sample, law=law, site=site, blow=blow)
     return stepped, hypothesis
+
+
+def _own(law: Law, key: str, usual: FloatArray) -> tuple[Parameter, ...]:
+    """A law's sizes as parameters of an entry ``EFFECT@SITE``, their priors log-normal about the usual ones."""
+    return tuple(
+        Parameter(f"{key}.{name}", unit, "entry", True, float(mean), deviation, "usual size")
+        for name, unit, mean, deviation in zip(law.names, law.units, usual, law.deviations, strict=True)
+    )
 
 
 def _race(
@@ -512,7 +531,7 @@ def settled(
 def _settling(law: Law, known: int, fit: Fitted, free: Parameters) -> tuple[Hypothesis, Parameters, FloatArray]:
     """A fit's hypothesis, parameters and coordinates with those sizes of a law that come after the ``known`` ones."""
     *others, piece = fit.hypothesis.pieces
-    added = law.parameters(piece.own[0].name.rpartition(".")[0], 1.0)[known:]
+    added = _own(law, piece.own[0].name.rpartition(".")[0], law.usual(1.0))[known:]
     own = (*piece.own[:known], *added, *piece.own[known:])
     hypothesis, at = together(*others, replace(piece, own=own)), len(fit.z) - len(piece.own) + known
     parameters = hypothesis.parameters(free)

@@ -10,13 +10,11 @@ import numpy as np
 from twin.diagnose.decide import Decision, finalists
 from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import suspects
-from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
 from twin.diagnose.levels_beside import Beside, explain_beside
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.next_test import next_test
-from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, Stage, frf_records
 from twin.diagnose.refit import Fitted, noise_floor
@@ -24,14 +22,16 @@ from twin.diagnose.search import SCREEN_LINES, Search
 from twin.diagnose.struck import amplitude_entries, judge_struck, law_of, settle, without_laws
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
-from twin.identify.elastic import Recorded, without_limits
 from twin.identify.elastic_compare import recording_set, relative_error
-from twin.identify.parameters import independent
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded, without_limits
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
+from twin.model.parameters import independent
 from twin.parallel import Progress
+from twin.physics import CATALOGUE
 from twin.robot.description import Axis, Robot
 from twin.robot.mechanism import assemble
 
@@ -113,7 +113,7 @@ def levels_finding(
     )  # fmt: skip
     for item in missing:
         seen = sentence(item.first.title, records, errors, finding.held_out)
-        law = item.first.effect in AMPLITUDE
+        law = CATALOGUE[item.first.effect].amplitude_law if item.first.effect in CATALOGUE else None
         finding.missing.append(replace(item, evidence=f"{levels_sentence(levels)} {seen}" if law else seen))
     if answer and word == "ambiguous":
         finding.next_test = _next_test(given, levels, decision, answer, sample, how, seed)
@@ -235,7 +235,7 @@ def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> 
         weight = weight if known else np.column_stack([weight, power])
         variance = np.einsum("vp,pq,vq->v", weight, covariance, weight) + (0.0 if known else (power * FORM) ** 2)
         ends = np.exp(at[:, None] + np.outer(NINETY * np.sqrt(variance), [-1, 1])).tolist()
-        unit = "N·m" if name == "yield_torque" else objective.law.units[0]
+        unit = CATALOGUE[objective.law.effect].unit(name)
         found[name] = {"value": value, "unit": unit, "interval90": ends if np.ndim(value) else ends[0]}
     return found
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.joint_laws import LAWS
 from twin.diagnose.joint_reaction import Blow
 from twin.diagnose.levels import LINES, Levels, View, excited, point, with_law
-from twin.diagnose.objective import Sample
 from twin.diagnose.refit import Fitted
 from twin.diagnose.triage import HOMOGENEOUS, NEAR
 from twin.errors import InputError
-from twin.identify.elastic import Recorded
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import ComplexArray, FloatArray
+from twin.physics import CATALOGUE, amplitude_laws
 from twin.robot.description import Robot
 
 EXCITATIONS = 5  # a law is looked at by
@@ -49,7 +49,7 @@ def smallest_visible_laws(robot: Robot, base: Fitted, sample: Sample, blow: dict
     for i, axis in enumerate(robot.axes):
         if axis.stiffness is None:
             continue
-        for law in LAWS:
+        for law in amplitude_laws():
             stepped, hypothesis = with_law(robot, base, law, f"joint{i + 1}.z", few, blow)
             amplitude = stepped.deflection(base.z)
             if not np.isfinite(amplitude):  # a base model so far off that stepping it diverges says nothing of sizes
@@ -62,10 +62,10 @@ def smallest_visible_laws(robot: Robot, base: Fitted, sample: Sample, blow: dict
             if factor is None:
                 continue
             entry = law.entry(largest * factor)
-            name = "yield_torque" if "yield_torque" in entry else law.names[0]
+            name = law.shown or law.names[0]
             found.append({
                 "effect": law.effect, "site": hypothesis.site, "parameter": name,
-                "value": float(np.sum(entry[name])), "unit": "N·m" if name == "yield_torque" else law.units[0],
+                "value": float(np.sum(entry[name])), "unit": CATALOGUE[law.effect].unit(name),
             })  # fmt: skip
     return found
 

@@ -20,7 +20,6 @@ from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.verdict import Finding, judge, missing_of, parts
 from twin.errors import InputError
-from twin.identify.elastic import without_limits
 from twin.identify.elastic_modal import (
     ModalPosture,
     fit_modes,
@@ -28,9 +27,10 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
-from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.recorded import without_limits
 from twin.measure.campaign import Channels, FloatArray
 from twin.measure.modal_table import ModalTable
+from twin.model.parameters import Parameters, free_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Axis, Robot
 
@@ -124,15 +124,14 @@ def diagnose_table(
 
 
 def mechanical_suspects(base: Robot) -> list[Hypothesis]:
-    """Entries that move modes and that the description does not have; a resonator, which adds one, is not among them:
-    a table that lacks a mode does not say that there is none."""
+    """Entries that move modes and that the description does not have. What adds a mode is not among them: a table that
+    lacks a mode does not say that there is none."""
     present = {(entry.effect, entry.site) for entry in base.physics}
     none = Channels((), (), np.zeros((0, 3)), np.zeros((0, 3)))
     found = []
     for name, effect in CATALOGUE.items():
-        if "hammer" not in effect.seen_in or any("LABEL" in s or "NODE" in s for s in effect.sites):
-            continue
-        if name == "attached_resonator":
+        of_channels = any("LABEL" in s or "NODE" in s for s in effect.sites)
+        if "hammer" not in effect.seen_in or of_channels or effect.adds_mode:
             continue
         for site in sites(name, base.axis_count, none, none):
             values = effect.typical(base, site)

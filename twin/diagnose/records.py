@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted
-from twin.identify.elastic import Recorded
 from twin.identify.elastic_compare import judge, relative_error
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import QUANTITIES, Brakes, Channels, ComplexArray, FloatArray, Quantity
 from twin.robot.description import Robot
 

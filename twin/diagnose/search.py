@@ -12,13 +12,14 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis, Sprung, companions, merged, same_axes, together
 from twin.diagnose.locate import free_laws
-from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
+from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
+from twin.identify.descent import minimise
 from twin.identify.elastic import AGREEMENT
-from twin.identify.parameters import Parameter, Parameters
-from twin.identify.sensitivity import observe_all, poles
+from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter, Parameters
+from twin.model.sensitivity import observe_all, poles
 from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot

@@ -5,9 +5,9 @@ from itertools import combinations
 
 import numpy as np
 
-from twin.diagnose.noise import pooled_variance, shared_lines
+from twin.diagnose.noise import ANALYSER, perfect, pooled_variance, shared_lines
 from twin.errors import InputError
-from twin.identify.elastic import Recorded, base_name, prepare
+from twin.identify.recorded import Recorded, base_name, prepare
 from twin.measure.campaign import Campaign, frf_variance
 from twin.measure.spectra import Check, driving_points, force_levels, linearity, reciprocity
 from twin.robot.description import Robot
@@ -26,6 +26,7 @@ class Triage:
         checks: what was looked at; ``warnings`` what failed.
         nonlinear: force levels disagree by more than their noise.
         shared: lines that carry the noise of one independent line.
+        assumed: what the recording does not state and was taken for granted, one sentence each.
     """
 
     recordings: dict[str, Recorded]
@@ -33,6 +34,7 @@ class Triage:
     checks: tuple[Check, ...]
     nonlinear: bool
     shared: float = 1.0
+    assumed: tuple[str, ...] = ()
 
     @property
     def used(self) -> list[Recorded]:
@@ -46,8 +48,8 @@ class Triage:
 
     @property
     def warnings(self) -> list[str]:
-        """Failed checks, one line each."""
-        return [str(check) for check in self.checks if not check.passed]
+        """Failed checks, one line each, and what was assumed."""
+        return [*(str(check) for check in self.checks if not check.passed), *self.assumed]
 
 
 def believed(campaign: Campaign, robot: Robot, source: str) -> tuple[dict[str, Recorded], float]:
@@ -87,7 +89,15 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
         held = [groups.get(name, name) for name in hold_out]
         if set(held) >= set(names):
             raise InputError("--hold-out", ", ".join(hold_out), "nothing is left to fit to")
-    return Triage(recordings, tuple(held), (*checks, *levels), any(not check.passed for check in levels), shared)
+    noiseless = [name for name, posture in campaign.postures.items() if perfect(posture)]
+    assumed = [
+        f"{', '.join(noiseless)}: the coherence is one, so the recording states no noise; it is believed to "
+        f"{ANALYSER:.1%} of the response, what the channels of an analyser agree to"
+    ]
+    return Triage(
+        recordings, tuple(held), (*checks, *levels), any(not check.passed for check in levels), shared,
+        tuple(assumed if noiseless else ()),
+    )  # fmt: skip
 
 
 def _linear(campaign: Campaign, recordings: dict[str, Recorded]) -> list[Check]:

@@ -14,11 +14,13 @@ from twin.diagnose.decide import Decision, calibration
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
 from twin.identify.uncertainty import NINETY
+from twin.result import Result, Table
 from twin.robot.description import Entry, Robot
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]
 
+PARTS = ("train", "held_out")
 STRAINED = 3.5  # prior deviations
 MEANING: dict[Word, str] = {
     "adequate": "adequate: nothing is missing that these recordings could show",
@@ -147,7 +149,7 @@ class Finding:
 
 
 @dataclass
-class Verdict:
+class Verdict(Result):
     """``twin diagnose``'s answer; ``data()`` is the content of diagnosis.json.
 
     Attributes:
@@ -169,6 +171,8 @@ class Verdict:
     model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
+
+    drawn_by = "twin.report.diagnosis"
 
     @classmethod
     def of(cls, finding: Finding) -> "Verdict":
@@ -239,6 +243,26 @@ class Verdict:
         }  # fmt: skip
         return dict(_finite(data))
 
+    def tables(self) -> list[Table]:
+        """Answers with their probabilities, parameters of the first answers, errors by recording."""
+        answers: list[tuple[str, str]] = []
+        for missing in self.missing:
+            answers.append((missing.first.title, f"{missing.probability:.2f}"))
+            answers += [(f"or {rival.title}", f"{p:.2f}") for rival, p in missing.rivals]
+        answers += [("nothing missing", f"{self.none:.2f}"), ("something else", f"{self.other:.2f}")]
+        numbers = [(m.first.title, row) for m in self.missing for row in parameter_rows(m.first.parameters)]
+        errors = [
+            (finding.recording, stage.replace("_", " "), *(_percent(finding.error[stage][p]) for p in PARTS))
+            for finding in self.findings
+            for stage in STAGES
+        ]
+        found = [
+            Table(("what is missing", "probability"), answers, (1,)),
+            Table(("", "parameter"), numbers),
+            Table(("recording", "error", "used", "held out"), errors, (2, 3)),
+        ]
+        return [table for table in found if table.rows]
+
     def __str__(self) -> str:
         lines = [MEANING[self.word]]
         for missing in self.missing:
@@ -274,6 +298,10 @@ class Verdict:
         if self.files:
             lines.append("  wrote " + ", ".join(self.files))
         return "\n".join(lines)
+
+
+def _percent(error: float | None) -> str:
+    return "" if error is None else f"{error:.2%}"
 
 
 def _finite(data: Any) -> Any:

@@ -101,13 +101,14 @@ class PostureFRF:
 
 @dataclass(frozen=True)
 class Campaign:
-    """One hammer test: channels and the postures they were measured in, by group name."""
+    """One hammer test: channels and the postures they were measured in, by group name; ``source``: for messages."""
 
     response: Channels
     excitation: Channels
     postures: dict[str, PostureFRF]
     robot: str | None = None
     comment: str = ""
+    source: str = "hammer test"
 
     def pair(self, response: int, excitation: int) -> str:
         """Name of a channel pair, as in ``21Z+/4Y+``."""
@@ -332,6 +333,7 @@ def read_campaign(path: str | Path) -> Campaign:
             postures={name: _read_posture(name, postures.group(name)) for name in postures.item},
             robot=root.text("robot") or None,
             comment=root.text("comment") or "",
+            source=str(path),
         )
     check_campaign(path, campaign)
     return campaign

@@ -265,6 +265,18 @@ def saturated(run: MotionRun) -> np.ndarray:
     return out
 
 
+def refuse_saturated(run: MotionRun, source: str, most: float = 0.05) -> np.ndarray:
+    """Where (nt, n) the recorded torque was cut off, of a run that may be used.
+
+    Raises:
+        InputError: it is for more than ``most`` of the run.
+    """
+    cut = saturated(run)
+    if (share := cut.any(axis=1).mean()) > most:
+        raise InputError(source, f"runs/{run.name}/torque", f"saturated for {share:.0%} of the run")
+    return cut
+
+
 def check_against(log: MotionLog, robot: "Robot") -> None:
     """Check a log, in joint coordinates, against what the robot can do.
 

@@ -117,6 +117,7 @@ def read_uff(
         _channels(excitation, nodes),
         {name: _posture(source, name, group, response, excitation, q_deg) for name, group in groups.items()},
         robot=robot or next(iter(groups.values())).words.get("robot"),
+        source=str(source),
     )
     check_campaign(source, campaign)
     return campaign

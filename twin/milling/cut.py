@@ -52,7 +52,7 @@ class Tool(Data):
     tip_m: Vector | None = None
     mass_kg: NonNegative = 0.0
     com_m: NonNegative | None = None
-    modes: list[ToolMode] = []
+    modes: tuple[ToolMode, ...] = ()
     frf: str | None = None
 
     @field_validator("diameter_m", "overhang_m")
@@ -188,7 +188,7 @@ class Cut(Data):
     tool: Tool = Tool()
     coefficients: Annotated[Coefficients, BeforeValidator(_by_name)] = Field(
         default="aluminium_7075", validate_default=True
-    )  # type: ignore[assignment]
+    )
     immersion: Annotated[Number, Field(gt=0, le=1)] = 0.5
     milling: Literal["up", "down"] = "down"
     feed_per_tooth_m: Annotated[Number, Field(gt=0, le=5e-3)] = 1e-4
@@ -205,7 +205,7 @@ class Cut(Data):
         low, high = self.spindle_rpm
         if low >= high:
             raise ValueError(f"spindle_rpm: expected a lowest and a highest speed, found {[low, high]}")
-        if not 1 <= low or high > 3e5:
+        if low < 1 or high > 3e5:
             raise ValueError(f"spindle_rpm: expected 1 to 300000 rpm, found {[low, high]}")
         if np.linalg.norm(self.feed_direction) < 1e-9:
             raise ValueError("feed_direction: expected a direction, found a zero vector")

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.identify.parameters import TOLERANCE_DEVIATION
 from twin.identify.posterior import Posterior, posterior_beside, without_entries
 from twin.milling.cut import Cut
 from twin.milling.postures import Tips, stacked, tips
 from twin.milling.tool_point import ToolModes
+from twin.model.parameters import TOLERANCE_DEVIATION
 from twin.robot.description import Robot
 
 DRAWS = 100

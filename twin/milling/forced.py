@@ -68,9 +68,7 @@ def static_force(cut: Cut, phase: np.ndarray, depth_m: float) -> np.ndarray:
     return _teeth(cut, phase, depth_m, lambda angle: cut.feed_per_tooth_m * np.sin(angle)[..., None] * shear + edge)
 
 
-def _teeth(
-    cut: Cut, phase: np.ndarray, depth_m: float, load: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray:
+def _teeth(cut: Cut, phase: np.ndarray, depth_m: float, load: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Force (n, 3) of all teeth in cut from what each feels per depth, ``load`` (n, teeth, 3), at its angle."""
     width = forces.lag(cut, depth_m)
     slices = 1 if width < 1e-9 else HELIX_SLICES

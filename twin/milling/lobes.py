@@ -7,6 +7,7 @@ no more than half of that, and a cell whose middle is not where its ends say is 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def starting_speeds(modes: ToolModes, cut: Cut) -> np.ndarray:
     narrow = np.maximum(-modes.pole.real / size, 1e-4)
     edges = np.geomspace(low, high, 40)
     out = [np.array([low])]
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
+    for start, end in pairwise(edges):
         turning = size * float(cut.tooth_period(end)) >= np.pi / 2
         step = min(COARSEST, float(narrow[turning].min(initial=COARSEST)))
         out.append(np.geomspace(start, end, int(np.ceil(np.log(end / start) / step)) + 1)[1:])
@@ -208,7 +209,7 @@ def _off(found: Limits, new: Limits, cell: np.ndarray, deepest: float) -> np.nda
 def _of(at: np.ndarray, found: Limits, cut: Cut, unresolved: int) -> Lobes:
     depth = found.first()
     kind, frequency = np.full(len(at), "none", dtype="<U13"), np.full(len(at), np.nan)
-    lowest = np.flatnonzero(np.concatenate([[True], found.row[1:] != found.row[:-1]])) if len(found.row) else []
+    lowest = np.unique(found.row, return_index=True)[1]
     kind[found.row[lowest]], frequency[found.row[lowest]] = found.kind[lowest], found.frequency_hz[lowest]
     return Lobes(at, np.minimum(depth, cut.depth_max_m), kind, frequency, found, cut.depth_max_m, unresolved=unresolved)
 

@@ -276,7 +276,7 @@ def limits(
 
 
 def fastest(modes: ToolModes, shear: np.ndarray, depth_m: float) -> np.ndarray:
-    """Fastest angular frequency (…,) rad/s in a cut: of the modes, and of the tip's free mass on the cut's stiffness."""
+    """Fastest angular frequency (…,) rad/s in a cut: of modes, and of the tip's free mass on the cut's stiffness."""
     light = 2 * np.einsum("...kf,...kg,...k->...fg", modes.shape, modes.shape, modes.pole).real  # h'(0), 1/kg
     stiff = depth_m * np.linalg.norm(shear, axis=-1)
     return np.sqrt((np.abs(modes.pole) ** 2).max(axis=-1) + stiff * np.linalg.norm(light, axis=(-2, -1)))

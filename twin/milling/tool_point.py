@@ -203,7 +203,7 @@ def clamped_modes(cut: Cut, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     """Modes of tool and spindle on a clamped flange: ω (m,) rad/s, ζ (m,), shapes (m, 3) 1/√kg in the base frame."""
     rotation = cut.frame(axis)
     if cut.tool.modes:
-        given: list[ToolMode] = cut.tool.modes
+        given: tuple[ToolMode, ...] = cut.tool.modes
         w = 2 * np.pi * np.array([mode.frequency_hz for mode in given])
         zeta = np.array([mode.damping_percent / 100 for mode in given])
         size = w / np.sqrt([mode.stiffness_n_per_m for mode in given])
@@ -383,6 +383,5 @@ def _residues(mobility: np.ndarray, s: np.ndarray, pole: np.ndarray) -> tuple[np
 def _outer_root(residue: np.ndarray) -> np.ndarray:
     """u (3,) whose u uᵀ is nearest to a matrix's symmetric part (Takagi's factorisation, its largest term)."""
     symmetric = 0.5 * (residue + residue.T)
-    left, size, _ = np.linalg.svd(symmetric)
-    v = left[:, 0]
+    v = np.linalg.svd(symmetric)[0][:, 0]
     return v * np.sqrt(v.conj() @ symmetric @ v.conj() + 0j)

@@ -71,7 +71,7 @@ def low_frequency_depth(modes: ToolModes, cut: Cut, spindle_rpm: float, shear: n
 def _least_crossing(
     modes: ToolModes, mean: np.ndarray, factor: Callable[[np.ndarray], np.ndarray], period: float
 ) -> np.ndarray:
-    """Least b (…,) at which an eigenvalue of factor(ω) G(iω) A₀ is 1/b, for a factor that changes over ``period`` rad/s."""
+    """Least b (…,) at which an eigenvalue of factor(ω) G(iω) A₀ is 1/b; the factor changes over ``period`` rad/s."""
     lead = np.broadcast_shapes(modes.pole.shape[:-1], mean.shape[:-2])
     flat = ToolModes(
         np.broadcast_to(modes.pole, (*lead, modes.pole.shape[-1])).reshape(-1, modes.pole.shape[-1]),

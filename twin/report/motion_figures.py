@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from twin.identify.excitation import Excitation
-from twin.identify.regressor import flange_path
 from twin.identify.rigid import Bands, Rows, motion_of_run
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
+from twin.model.regressor import flange_path
 from twin.robot.description import Robot
 
 _COLOURS = ("#1f4e9c", "#e8590c", "#2b8a3e", "#9c36b5", "#0b7285", "#846358", "#5f3dc4", "#c2255c")

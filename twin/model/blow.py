@@ -17,10 +17,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from twin.diagnose.joint_laws import Law
-from twin.identify.sensitivity import Observed
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.model.linear import state_matrix
+from twin.model.sensitivity import Observed
+from twin.physics.joint_law import Law
 
 RATE_HZ, COARSE_HZ = 512.0, 256.0  # of stepping: what it leaves of a smooth law is 1e-4, 5e-4 of an FRF
 SETTLED = -10.0  # a mode that decays by e to this over a step follows g
