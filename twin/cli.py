@@ -331,6 +331,86 @@ def diagnose(
     _show(found, json)
 
 
+@app.command()
+def lobes(
+    given: Annotated[
+        Path,
+        typer.Argument(
+            metavar="POSTURE|ROBOT|FRF|FOLDER",
+            help="posture.yaml, robot.yaml, a hammer test of the tool (.h5, .uff), or a fit's or diagnosis' folder.",
+        ),
+    ],
+    robot: Robot = None,
+    without: Without = None,
+    cut: Annotated[
+        Path | None,
+        typer.Option(
+            help="cut.yaml: tool, coefficients, immersion.", show_default="the posture file's, else a usual cut"
+        ),
+    ] = None,
+    q: Annotated[
+        str | None,
+        typer.Option(
+            "--q", metavar="Q1,Q2,…", help="Posture of a robot, degrees.", show_default="middle of the limits"
+        ),
+    ] = None,
+    posture: Annotated[
+        str | None, typer.Option(help="Which posture of a hammer test.", show_default="the first")
+    ] = None,
+    rpm: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="LOW HIGH", help="Spindle speeds.", show_default="the cut's")
+    ] = None,
+    draws: Annotated[int, typer.Option(min=0, help="Draws of the posterior for the depth that is 90 % sure.")] = 100,
+    in_time: Annotated[
+        int,
+        typer.Option(
+            "--in-time", min=0, metavar="N", help="Also step the cut in MuJoCo at N speeds, nonlinear joints and all."
+        ),
+    ] = 0,
+    out: Out = None,
+    json: Json = False,
+    seed: Seed = 0,
+) -> None:
+    """How deep a robot may cut in a posture, at every spindle speed, and how sure.
+
+    Solves the delay equation of milling with the full FRF at the tool's tip, all modes and cross terms, by a spectral
+    method; Hopf, flip and low-frequency mode coupling are one calculation. Of a robot that twin fit or twin diagnose
+    wrote, it gives the depth that is stable with 90 % probability, cutting coefficients included.
+
+    ```yaml
+    robot: out/measured_frf/robot.yaml                  # posture.yaml
+    posture: {name: milling, q_deg: [0, 70, -100]}
+    cut:                                                # or the path of a cut.yaml
+      tool: {diameter_m: 0.016, teeth: 2, helix_deg: 30, overhang_m: 0.25, mass_kg: 12}
+      coefficients: aluminium_7075                      # or kt_n_per_m2: 6.0e8, kr_n_per_m2: 1.8e8 …
+      immersion: 0.5                                    # radial depth over diameter
+      milling: down
+      feed_per_tooth_m: 1.0e-4
+      feed_direction: [1, 0, 0]                         # in the robot's base frame
+      spindle_rpm: [1000, 12000]
+    ```
+
+    ```
+    twin lobes posture.yaml
+    twin lobes out/measured_frf --q 0,70,-100 --cut cut.yaml
+    twin lobes tool_frf.h5 --cut cut.yaml               # no model: straight from the measured FRF
+    twin lobes posture.yaml --in-time 3                 # amplitudes, slip, gaps: where linear lobes lie
+    ```
+
+    Prints limits and writes lobes.json and lobes.png (chart, frequency at the limit, forced vibration and surface
+    location error of the safe cut) into the output folder, out/GIVEN by default; with --json, files are written only
+    where --out says so. docs/milling.md explains every number. Next: twin map does the same over the workspace.
+    """
+    if out is None and not json:
+        out = Path("out") / (given.stem or given.name)
+    with twin.progress() as progress:
+        found = twin.lobes(
+            given, robot=robot, without=without, cut=cut, q_deg=None if q is None else _numbers("--q", q, float),
+            posture=posture, spindle_rpm=rpm, draws=draws, in_time=in_time, out=out, seed=seed, progress=progress,
+        )  # fmt: skip
+    _show(found, json)
+
+
 @app.command(name="map")
 def map_(
     cut: Annotated[

@@ -58,12 +58,12 @@ class Lobes:
         """The speed of the deepest cut: index, by what is sure where that is known."""
         return int(np.argmax(self.depth_m if self.safe_m is None else self.safe_m))
 
-    def productive(self, cut: Cut) -> int:
+    def productive(self) -> int:
         """The speed that removes most: index; depth times feed speed, by what is sure where that is known."""
         return int(np.argmax((self.depth_m if self.safe_m is None else self.safe_m) * self.spindle_rpm))
 
 
-def lobes(
+def lobes_of(
     modes: ToolModes, cut: Cut, *, speeds: np.ndarray | None = None, progress: Callable[[int], None] | None = None
 ) -> Lobes:
     """Trace the limits over the cut's spindle speeds, to ``TOLERANCE``, or at given ``speeds`` (ns,) rpm.
