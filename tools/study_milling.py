@@ -115,7 +115,7 @@ def first() -> None:
 def thirteen() -> None:
     """The published milling robot at twenty spindle speeds."""
     cut = benchmark_cut(0.5, "down").model_copy(update={"depth_max_m": 0.1})
-    compare("13 modes, half immersion", thirteen_modes(), cut, np.geomspace(800, 12000, 20), 200, 8.0)
+    compare("13 modes, half immersion", thirteen_modes(), cut, np.geomspace(800, 12000, 20), 120, 5.0)
 
 
 def kr90_point() -> tuple[ToolModes, Cut]:
@@ -128,7 +128,7 @@ def kr90_point() -> tuple[ToolModes, Cut]:
 def kr90() -> None:
     """A KR90 posture at twenty spindle speeds."""
     modes, cut = kr90_point()
-    compare("KR90, milling posture", modes, cut, np.geomspace(1000, 12000, 20), 100, 20.0)
+    compare("KR90, milling posture", modes, cut, np.geomspace(1000, 12000, 20), 60, 10.0)
 
 
 def slow() -> None:

@@ -16,7 +16,7 @@ from twin.milling.cut import Cut, read_cut
 from twin.milling.ensemble import ensemble
 from twin.milling.forced import Vibration, forced_vibration
 from twin.milling.in_time import CutStepper
-from twin.milling.lobes import Lobes, lobes_of, with_band
+from twin.milling.lobes import Lobes, band_speeds, lobes_of, starting_speeds, with_band
 from twin.milling.tool_point import ToolModes, ToolPoint, measured_point, tool_point
 from twin.milling.zeroth_order import limiting_depth
 from twin.parallel import Progress, silent
@@ -234,9 +234,10 @@ def lobes(
     case = _case(given, robot, without, _read_cut(cut), q_deg, posture, brakes, spindle_rpm, draws, seed)
     if in_time and (case.robot is None or case.point.linear is None):
         raise InputError("--in-time", "", "needs a robot; a measured FRF cannot be stepped")
-    found = lobes_of(case.modes, case.cut, progress=progress("lobes", 1))
+    found = lobes_of(case.modes, case.cut, progress=progress("speeds", len(starting_speeds(case.modes, case.cut))))
     if case.draws is not None:
-        found = with_band(found, case.draws[0], case.cut, case.draws[1], progress=progress("draws", draws))
+        tick = progress("draws of the posterior", len(band_speeds(found, draws)))
+        found = with_band(found, case.draws[0], case.cut, case.draws[1], progress=tick)
     closed = np.array(
         [limiting_depth(case.modes, case.cut, spindle_rpm=float(rpm)) for rpm in _spread(found.spindle_rpm, 400)]
     )

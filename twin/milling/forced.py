@@ -45,7 +45,7 @@ def forced_vibration(modes: ToolModes, cut: Cut, spindle_rpm: float, depth_m: fl
     phase = (np.arange(8 * count) + 0.5) / (8 * count)
     push = static_force(cut, phase, depth_m)
     order = np.arange(-count, count + 1)
-    wave = np.exp(-2j * np.pi * order[:, None] * phase) @ push / len(phase)
+    wave = np.fft.fft(push, axis=0)[order] / len(phase) * np.exp(-1j * np.pi * order / len(phase))[:, None]
     frequency = 2 * np.pi * order / tau
     motion = np.einsum("hfg,hg->hf", modes.receptance(frequency), wave)
     angle = 2 * np.pi * np.arange(PHASES) / PHASES

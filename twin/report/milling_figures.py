@@ -90,4 +90,4 @@ def _forced(ax: Axes, found: "StabilityLobes") -> None:
     where = "at the safe depth" if found.lobes.safe_m is not None else "at 90 % of the limit"
     ax.set_ylabel(f"{where}, µm", fontsize=9)
     ax.axhline(0, color=_GREY, linewidth=0.6)
-    ax.legend(fontsize=8, loc="upper right")
+    ax.legend(fontsize=8)
