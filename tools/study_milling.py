@@ -128,7 +128,9 @@ def kr90_point() -> tuple[ToolModes, Cut]:
 def kr90() -> None:
     """A KR90 posture at twenty spindle speeds."""
     modes, cut = kr90_point()
-    compare("KR90, milling posture", modes, cut, np.geomspace(1000, 12000, 20), 60, 10.0)
+    speeds = np.geomspace(1000, 12000, 20)
+    compare("KR90, milling posture", modes, cut, speeds[:8], 60, 60.0)
+    compare("KR90, milling posture", modes, cut, speeds[8:], 40, 60.0)  # several modes nearly as slow as the border's
 
 
 def slow() -> None:

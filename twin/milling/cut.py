@@ -181,7 +181,6 @@ class Cut(Data):
         feed_direction: of the tool against the work, in the robot's base frame; made perpendicular to the tool's axis.
         spindle_rpm: lowest and highest spindle speed of interest.
         depth_max_m: deepest axial depth of interest.
-        process_damping_n_per_m: radial force per edge length and slope of the wave, N/m; 0 for none.
         table_z_m: height of the table in the base frame, which the tip must be above; ``None`` for no table.
     """
 
@@ -195,7 +194,6 @@ class Cut(Data):
     feed_direction: Vector = (1.0, 0.0, 0.0)
     spindle_rpm: tuple[Positive, Positive] = (1000.0, 12000.0)
     depth_max_m: Annotated[Number, Field(gt=0, le=1.0)] = 0.01
-    process_damping_n_per_m: NonNegative = 0.0
     table_z_m: Number | None = 0.0
     _source: str = PrivateAttr("cut")
     _folder: Path | None = PrivateAttr(None)
