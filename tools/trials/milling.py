@@ -178,32 +178,36 @@ def state(split: Path, name: str) -> None:
     for stage in STAGES:
         folder = split / "models" / name / stage
         if stage not in found and (folder / FILE).exists():
-            found[stage] = [stated(folder, asked) for asked in store.read(split / "cuts" / f"{name}.json")]
-    if found:
-        store.write(path, found)
+            found[stage] = stated(folder, store.read(split / "cuts" / f"{name}.json"))
+            store.write(path, found)
 
 
-def stated(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
-    """Limit (m), its 90 % depth, damping ratios of the modes with their intervals, for one cut."""
-    robot, cut = load_robot(folder / "robot.yaml"), read_cut(asked["cut"])
-    q = robot.angles(asked["q_deg"])[None]
-    own = tips(robot, q, cut, "off")
-    rotation = cut.frame(own.axis)
-    limit = float(_limit(own.modes.turned(rotation), cut, asked, DEEPEST_M, None)[0])
-    drawn = ensemble(robot, cut, DRAWS, 0)
+def stated(folder: Path, cuts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """For each cut: limit (m), the depth that is 90 % safe, damping ratios of the modes with their intervals."""
+    robot = load_robot(folder / "robot.yaml")
+    drawn = ensemble(robot, read_cut(cuts[0]["cut"]), DRAWS, 0)
     assert drawn is not None
-    seen = drawn.tips(q, cut, "off").modes
-    modes = ToolModes(seen.pole[:, 0], seen.shape[:, 0]).turned(rotation[0])
-    deepest = min(1.5 * limit, DEEPEST_M)
-    depth = _limit(modes, cut, asked, deepest, drawn.coefficients)
-    if np.mean(depth >= deepest) > 0.85 and deepest < DEEPEST_M:
-        depth = _limit(modes, cut, asked, DEEPEST_M, drawn.coefficients)
-    ratio = np.sort(seen.damping_percent[:, 0], axis=0)
-    return {
-        "limit_m": limit, "safe90_m": float(quantile_of_safe(depth)),
-        "frequency_hz": own.modes.frequency_hz[0].tolist(), "damping_percent": own.modes.damping_percent[0].tolist(),
-        "damping_interval90": np.quantile(ratio, (0.05, 0.95), axis=0).T.tolist(),
-    }  # fmt: skip
+    found = []
+    for asked in cuts:
+        cut, q = read_cut(asked["cut"]), robot.angles(asked["q_deg"])[None]
+        own = tips(robot, q, cut, "off")
+        rotation = cut.frame(own.axis)
+        limit = float(_limit(own.modes.turned(rotation), cut, asked, DEEPEST_M, None)[0])
+        seen = drawn.tips(q, cut, "off").modes
+        modes = ToolModes(seen.pole[:, 0], seen.shape[:, 0]).turned(rotation[0])
+        deepest = min(1.5 * limit, DEEPEST_M)
+        depth = _limit(modes, cut, asked, deepest, drawn.coefficients)
+        if np.mean(depth >= deepest) > 0.85 and deepest < DEEPEST_M:
+            depth = _limit(modes, cut, asked, DEEPEST_M, drawn.coefficients)
+        ratio = np.quantile(seen.damping_percent[:, 0], (0.05, 0.95), axis=0)
+        found.append(
+            {
+                "limit_m": limit, "safe90_m": float(quantile_of_safe(depth)),
+                "frequency_hz": own.modes.frequency_hz[0].tolist(),
+                "damping_percent": own.modes.damping_percent[0].tolist(), "damping_interval90": ratio.T.tolist(),
+            }
+        )  # fmt: skip
+    return found
 
 
 def _limit(modes: ToolModes, cut: twin_cut.Cut, asked: dict[str, Any], deepest: float, shear: Any) -> np.ndarray:
@@ -262,7 +266,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tools.trials.milling", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("step", choices=("make", "ask", "refer", "cut", "score", "prove"))
+    parser.add_argument("step", choices=("make", "ask", "refer", "state", "cut", "score", "prove"))
     parser.add_argument("--out", type=Path, default=Path("out/trials"), help="folder of the splits")
     parser.add_argument("--split", default="milling")
     parser.add_argument("--robots", type=int, default=200)
@@ -284,11 +288,12 @@ def main(arguments: list[str] | None = None) -> None:
     if options.step in ("refer", "prove"):
         with executor(options.processes, None) as pool:
             every("refer", pool, refer, [(split, c["id"], deadline) for c in cases])
-    if options.step in ("cut", "prove"):
+    if options.step in ("state", "cut", "prove"):
         names = [c["id"] for c in cases if (split / "models" / c["id"] / "base" / FILE).exists()]
         store.entered(split, f"answers opened: cuts of {len(names)} robots")
         with executor(options.processes, None) as pool:
             every("state", pool, state, [(split, name) for name in names])
+    if options.step in ("cut", "prove"):
         mill(split, [name for name in names if (split / "depths" / f"{name}.json").exists()])
 
 
