@@ -429,7 +429,8 @@ def map_(
         found = run(
             cut, robot=robot, without=without, random=random, grid=grid, posture_grid=counts, path=path, box=box,
             place=place, place_turn_deg=place_turn_deg,
-            near_deg=None if near is None else _numbers("--near", near, float), spacing=spacing, spindle_rpm=spindle_rpm, lobes=lobes, draws=draws, processes=processes,
+            near_deg=None if near is None else _numbers("--near", near, float), spacing=spacing,
+            spindle_rpm=spindle_rpm, lobes=lobes, draws=draws, processes=processes,
             scheduler=scheduler, out=out, seed=seed, progress=progress,
         )  # fmt: skip
     _show(found, json)

@@ -37,10 +37,9 @@ from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError
 from twin.identify.posterior import FILE, Posterior, save_posterior
-from twin.milling import cut as twin_cut
-from twin.milling import stability
 from twin.milling.cut import read_cut
 from twin.milling.ensemble import ensemble, quantile_of_safe
+from twin.milling.map import lobes
 from twin.milling.postures import tips
 from twin.milling.tool_point import ToolModes
 from twin.robot.description import load_robot, save_robot
@@ -48,11 +47,11 @@ from twin.robot.description import load_robot, save_robot
 ATTEMPTS = 20  # seeds in a row, where the truth code refuses a robot
 POSTURES, CUTS = 2, 2  # unseen ones of each robot; cuts in each
 STAGES = ("base", "after", "true")  # the described model refitted; as diagnosed; the true model refitted
-DRAWS = 60
+DRAWS = 40
 SPINDLE_KG, OVERHANG_M, SPINDLE_COM_M = 20.0, 0.25, 0.12
 KNOWN_PERCENT = 15.0  # one deviation of each cutting coefficient
 SHEAR = (6.0046e8, 1.8096e8, 0.0)  # N/m², aluminium 7075
-DEEPEST_M = 0.05
+DEEPEST_M = 0.02  # of interest
 FEED_M = 1e-4
 
 
@@ -189,16 +188,15 @@ def stated(folder: Path, cuts: list[dict[str, Any]]) -> list[dict[str, Any]]:
     assert drawn is not None
     found = []
     for asked in cuts:
-        cut, q = read_cut(asked["cut"]), robot.angles(asked["q_deg"])[None]
+        cut = read_cut({**asked["cut"], "depth_max_m": DEEPEST_M})
+        q = robot.angles(asked["q_deg"])[None]
         own = tips(robot, q, cut, "off")
         rotation = cut.frame(own.axis)
-        limit = float(_limit(own.modes.turned(rotation), cut, asked, DEEPEST_M, None)[0])
+        speed = np.array([asked["spindle_rpm"]])
+        limit = float(lobes(own.modes.turned(rotation), cut, speed)[0, 0])
         seen = drawn.tips(q, cut, "off").modes
         modes = ToolModes(seen.pole[:, 0], seen.shape[:, 0]).turned(rotation[0])
-        deepest = min(1.5 * limit, DEEPEST_M)
-        depth = _limit(modes, cut, asked, deepest, drawn.coefficients)
-        if np.mean(depth >= deepest) > 0.85 and deepest < DEEPEST_M:
-            depth = _limit(modes, cut, asked, DEEPEST_M, drawn.coefficients)
+        depth = lobes(modes, cut, speed, drawn.coefficients)[:, 0]
         ratio = np.quantile(seen.damping_percent[:, 0], (0.05, 0.95), axis=0)
         found.append(
             {
@@ -208,11 +206,6 @@ def stated(folder: Path, cuts: list[dict[str, Any]]) -> list[dict[str, Any]]:
             }
         )  # fmt: skip
     return found
-
-
-def _limit(modes: ToolModes, cut: twin_cut.Cut, asked: dict[str, Any], deepest: float, shear: Any) -> np.ndarray:
-    speed = np.full(len(modes.pole), asked["spindle_rpm"])
-    return np.minimum(stability.limits(modes, cut, speed, deepest, shear=shear, digits=2).first(), deepest)
 
 
 def true_cut(split: Path, name: str, number: int) -> tuple[Structure, Cut]:
