@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from tools.trials import make, reference, store
+from tools.trials import make, milling_page, reference, store
 from tools.trials.__main__ import every, executor
 from tools.trials.cases import usual
 from tools.truth.effects import Effect
@@ -283,11 +283,17 @@ def main(arguments: list[str] | None = None) -> None:
             every("refer", pool, refer, [(split, c["id"], deadline) for c in cases])
     if options.step in ("state", "cut", "prove"):
         names = [c["id"] for c in cases if (split / "models" / c["id"] / "base" / FILE).exists()]
+        names.sort(key=lambda name: not (split / "models" / name / "after" / FILE).exists())  # the diagnosed first
         store.entered(split, f"answers opened: cuts of {len(names)} robots")
         with executor(options.processes, None) as pool:
             every("state", pool, state, [(split, name) for name in names])
     if options.step in ("cut", "prove"):
         mill(split, [name for name in names if (split / "depths" / f"{name}.json").exists()])
+    if options.step in ("cut", "score", "prove"):
+        target = options.page or split / "proof-milling.md"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(milling_page.page(split, DEEPEST_M, store.entered(split, "scored")), encoding="utf-8")
+        print(f"wrote {target}")
 
 
 if __name__ == "__main__":

@@ -93,6 +93,6 @@ def ensemble(
 def quantile_of_safe(depth: np.ndarray, probability: float = 0.9) -> np.ndarray:
     """The depth (…) that is stable with a probability, from limits (count, …) of the draws.
 
-    Their lower quantile; Weibull's, below which another draw falls with just the probability left, however few there are.
+    Their lower quantile: Weibull's, below which another draw falls with the probability left, however few there are.
     """
     return np.quantile(depth, 1 - probability, axis=0, method="weibull")
