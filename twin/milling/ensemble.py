@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.diagnose.physical import physical
 from twin.identify.parameters import TOLERANCE_DEVIATION
 from twin.identify.posterior import Posterior, posterior_beside, without_entries
 from twin.milling.cut import Cut
@@ -82,7 +83,7 @@ def ensemble(
     rng = np.random.default_rng([seed, 1])
     width = np.deg2rad(robot.tolerances.posture_deg) * TOLERANCE_DEVIATION
     return Ensemble(
-        known.robots(robot, count, seed),
+        [physical(drawn) for drawn in known.robots(robot, count, seed)],
         width * rng.standard_normal((count, robot.axis_count)),
         cut.coefficients.draw(rng, count),
         rng.standard_t(known.damping_freedom, (count, MODES)),
