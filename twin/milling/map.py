@@ -17,7 +17,7 @@ from twin.files import replacing
 from twin.milling import stability, zeroth_order
 from twin.milling.cut import Cut
 from twin.milling.ensemble import Ensemble, quantile_of_safe
-from twin.milling.postures import Tips, tips, tool_place
+from twin.milling.postures import Tips, tips, tool_place, without_fast
 from twin.milling.tool_point import ToolModes
 from twin.parallel import spread
 from twin.robot.description import Robot
@@ -278,6 +278,7 @@ def lobes(modes: ToolModes, cut: Cut, speeds: np.ndarray, shear: np.ndarray | No
     """
     count, deepest = len(modes.pole), cut.depth_max_m
     row, rpm = np.repeat(np.arange(count), len(speeds)), np.tile(speeds, count)
+    modes = without_fast(modes)
     least = zeroth_order.limiting_depth(modes, cut, shear=shear)
     # quarters of the deepest that stay above the first look
     level = np.floor(np.log(np.maximum(deepest / (FIRST_LOOK * least), 1.0)) / np.log(DEEPER)).astype(int)[row]
@@ -285,7 +286,8 @@ def lobes(modes: ToolModes, cut: Cut, speeds: np.ndarray, shear: np.ndarray | No
     while (open_ := np.flatnonzero(level >= 0)).size:
         for number in np.unique(level[open_]):
             some = open_[level[open_] == number]
-            each = ToolModes(modes.pole[row[some]], modes.shape[row[some]])
+            static = None if modes.residual is None else modes.residual[row[some]]
+            each = ToolModes(modes.pole[row[some]], modes.shape[row[some]], static)
             own = None if shear is None else shear[row[some]]
             reach_m = deepest / DEEPER ** int(number)
             found[some] = stability.limits(each, cut, rpm[some], reach_m, shear=own, digits=DIGITS).first()
