@@ -369,7 +369,7 @@ def _computed(task: Task, todo: list[int], processes: int, scheduler: str | None
     except ImportError as error:
         raise InputError("--scheduler", scheduler, 'needs Dask: pip install "twin[distributed]"') from error
     try:
-        client = Client(scheduler, timeout="10s")
+        client = Client(scheduler, timeout="5s")
     except (OSError, ValueError) as error:
         raise InputError("--scheduler", scheduler, f"no Dask scheduler answers there ({error})") from error
     with client:
