@@ -2,8 +2,8 @@
 
 A damper fitted in some postures foretells the damping ratios of another. Where that posture was measured too,
 e = ln(measured/foretold) tells how far off that is: by the posterior of the dampers (V), by the measurement (σ²), and
-by what no constant damper says (τ²: friction, seals and cables that move with the robot). τ is of greatest likelihood for
-e ~ N(0, V + σ² + τ²); known from m misses only, it foretells with the tails of Student's t with m degrees of freedom.
+by what no constant damper says (τ²: friction, seals and cables that move with the robot). τ is of greatest likelihood
+for e ~ N(0, V + σ² + τ²); known from m misses only, it foretells with the tails of Student's t, m degrees of freedom.
 """
 
 from collections.abc import Sequence

@@ -70,7 +70,8 @@ class Posterior:
         across = self.information[np.ix_(rest, few)]
         follow = np.linalg.solve(precision[np.ix_(rest, rest)], across)  # of the rest, per unit of the few
         held = self.information[np.ix_(few, few)] - across.T @ follow
-        w, z = self._walk(rng, count, few, 0.5 * (held + held.T))
+        size, axes = np.linalg.eigh(0.5 * (held + held.T))
+        w, z = self._walk(rng, count, few, (axes * np.maximum(size, 0.0)) @ axes.T)  # where sizes are in doubt, below zero
         factor = np.linalg.cholesky(precision[np.ix_(rest, rest)])
         out = np.tile(self.z, (count, 1))
         out[:, few] = z
