@@ -24,9 +24,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from tools.trials import make, reference, store
+from tools.trials import make, milling_page, reference, store
 from tools.trials.__main__ import every, executor
 from tools.trials.cases import usual
+from tools.truth.effects import Effect
+from tools.truth.elastic import Structure, assemble
+from tools.truth.milling import Cut, arc, growth_at, last_link, poles, tip_rows
 from tools.truth.recording import draw_postures, plain
 from twin.commands.diagnose import diagnose_campaign
 from twin.diagnose.physical import physical
@@ -34,14 +37,21 @@ from twin.diagnose.refit import Fitted
 from twin.errors import InputError
 from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.measure.recordings import read_campaign
+from twin.milling.cut import read_cut
+from twin.milling.ensemble import ensemble, quantile_of_safe
+from twin.milling.map import lobes
+from twin.milling.postures import tips
+from twin.milling.tool_point import ToolModes
 from twin.robot.description import load_robot, save_robot
 
 ATTEMPTS = 20  # seeds in a row, where the truth code refuses a robot
 POSTURES, CUTS = 2, 2  # unseen ones of each robot; cuts in each
+STAGES = ("base", "after", "true")  # the described model refitted; as diagnosed; the true model refitted
+DRAWS = 40
 SPINDLE_KG, OVERHANG_M, SPINDLE_COM_M = 20.0, 0.25, 0.12
 KNOWN_PERCENT = 15.0  # one deviation of each cutting coefficient
 SHEAR = (6.0046e8, 1.8096e8, 0.0)  # N/m², aluminium 7075
-DEEPEST_M = 0.05
+DEEPEST_M = 0.02  # of interest
 FEED_M = 1e-4
 
 
@@ -157,11 +167,99 @@ def refer(split: Path, name: str, deadline: float | None) -> None:
             keep_model(folder, found)
 
 
+# --- depths -----------------------------------------------------------------------------------------------------------
+
+
+def state(split: Path, name: str) -> None:
+    """What each model of a robot states: its limit for every cut, and the depth stable with 90 % probability."""
+    path = split / "depths" / f"{name}.json"
+    found = store.read(path) if path.exists() else {}
+    for stage in STAGES:
+        folder = split / "models" / name / stage
+        if stage not in found and (folder / FILE).exists():
+            found[stage] = stated(folder, store.read(split / "cuts" / f"{name}.json"))
+            store.write(path, found)
+
+
+def stated(folder: Path, cuts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """For each cut: limit (m), the depth that is 90 % safe, damping ratios of the modes with their intervals."""
+    robot = load_robot(folder / "robot.yaml")
+    drawn = ensemble(robot, read_cut(cuts[0]["cut"]), DRAWS, 0)
+    assert drawn is not None
+    found = []
+    for asked in cuts:
+        cut = read_cut({**asked["cut"], "depth_max_m": DEEPEST_M})
+        q = robot.angles(asked["q_deg"])[None]
+        own = tips(robot, q, cut, "off")
+        rotation = cut.frame(own.axis)
+        speed = np.array([asked["spindle_rpm"]])
+        limit = float(lobes(own.modes.turned(rotation), cut, speed)[0, 0])
+        seen = drawn.tips(q, cut, "off").modes
+        modes = ToolModes(seen.pole[:, 0], seen.shape[:, 0]).turned(rotation[0])
+        depth = lobes(modes, cut, speed, drawn.coefficients)[:, 0]
+        ratio = np.quantile(seen.damping_percent[:, 0], (0.05, 0.95), axis=0)
+        found.append(
+            {
+                "limit_m": limit, "safe90_m": float(quantile_of_safe(depth)),
+                "frequency_hz": own.modes.frequency_hz[0].tolist(),
+                "damping_percent": own.modes.damping_percent[0].tolist(), "damping_interval90": ratio.T.tolist(),
+            }
+        )  # fmt: skip
+    return found
+
+
+def true_cut(split: Path, name: str, number: int) -> tuple[Structure, Cut]:
+    """The true robot with the spindle on, in the posture as it truly stands, and the cut with its true coefficients."""
+    answer = store.read(split / "answers" / f"{name}.json")
+    asked = store.read(split / "cuts" / f"{name}.json")[number]
+    rng = np.random.default_rng([answer["seed"], 12])
+    error = [np.deg2rad(0.2) * rng.uniform(-1, 1, 3) for _ in range(POSTURES)][number // CUTS]
+    spread = np.sqrt(np.log1p((KNOWN_PERCENT / 100) ** 2))
+    shear = [np.array(SHEAR) * np.exp(spread * rng.normal(size=3)) for _ in range(POSTURES * CUTS)][number]
+    truth = usual(answer["kind"], "hammer", answer["seed"], answer["number"]).campaign
+    assert truth is not None
+    given, tool = asked["cut"], asked["cut"]["tool"]
+    place = [truth.truth.chain.flange[0] + tool["com_m"], *truth.truth.chain.flange[1:]]
+    spindle = Effect("payload", "flange", {"mass": tool["mass_kg"], "com": [float(v) for v in place]})
+    q = np.deg2rad(asked["q_deg"]) + error
+    structure = assemble(truth.truth.chain, q, (*truth.truth.effects, spindle), sag=truth.truth.sag)
+    tip = truth.truth.chain.flange + np.array([tool["overhang_m"], 0.0, 0.0])
+    return structure, Cut(
+        tip, -last_link(structure)[:, 0], np.array(given["feed_direction"]), tool["teeth"],
+        arc(given["immersion"], given["milling"] == "up"), shear, asked["spindle_rpm"],
+    )  # fmt: skip
+
+
+def mill(split: Path, names: list[str]) -> None:
+    """Step the true cuts at every depth that was stated, and keep what grew."""
+    cases, depths, keys = [], [], []
+    for name in names:
+        found = store.read(split / "depths" / f"{name}.json")
+        for number in range(POSTURES * CUTS):
+            cases.append(true_cut(split, name, number))
+            keys.append((name, number))
+            depths.append([
+                found[stage][number][what] if stage in found else 1e-6
+                for stage in STAGES for what in ("limit_m", "safe90_m")
+            ])  # fmt: skip
+    rate = growth_at(cases, np.array(depths).T)
+    out: dict[str, Any] = {}
+    for k, (name, number) in enumerate(keys):
+        pole, _ = poles(cases[k][0], tip_rows(*cases[k]))
+        what = [f"{stage} {word}" for stage in STAGES for word in ("limit_m", "safe90_m")]
+        out.setdefault(name, {})[str(number)] = {
+            "growth": dict(zip(what, rate[:, k].tolist(), strict=True)),
+            "frequency_hz": (np.abs(pole) / (2 * np.pi)).tolist(),
+            "damping_percent": (-100 * pole.real / np.abs(pole)).tolist(),
+        }  # fmt: skip
+    store.write(split / "milled.json", out)
+
+
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tools.trials.milling", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("step", choices=("make", "ask", "refer", "cut", "score", "prove"))
+    parser.add_argument("step", choices=("make", "ask", "refer", "state", "cut", "score", "prove"))
     parser.add_argument("--out", type=Path, default=Path("out/trials"), help="folder of the splits")
     parser.add_argument("--split", default="milling")
     parser.add_argument("--robots", type=int, default=200)
@@ -183,6 +281,19 @@ def main(arguments: list[str] | None = None) -> None:
     if options.step in ("refer", "prove"):
         with executor(options.processes, None) as pool:
             every("refer", pool, refer, [(split, c["id"], deadline) for c in cases])
+    if options.step in ("state", "cut", "prove"):
+        names = [c["id"] for c in cases if (split / "models" / c["id"] / "base" / FILE).exists()]
+        names.sort(key=lambda name: not (split / "models" / name / "after" / FILE).exists())  # the diagnosed first
+        store.entered(split, f"answers opened: cuts of {len(names)} robots")
+        with executor(options.processes, None) as pool:
+            every("state", pool, state, [(split, name) for name in names])
+    if options.step in ("cut", "prove"):
+        mill(split, [name for name in names if (split / "depths" / f"{name}.json").exists()])
+    if options.step in ("cut", "score", "prove"):
+        target = options.page or split / "proof-milling.md"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(milling_page.page(split, DEEPEST_M, store.entered(split, "scored")), encoding="utf-8")
+        print(f"wrote {target}")
 
 
 if __name__ == "__main__":

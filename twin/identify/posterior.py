@@ -12,7 +12,7 @@ A scale enters M, C or K linearly: the likelihood is normal in values, the prior
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,13 +35,15 @@ OF_THE_ROBOT: tuple[Kind, ...] = ("spring", "entry", "link")
 class Posterior:
     """Free numbers (n) of a fit, their optimum ``z`` (n,) and the data's ``information`` (n, n) in z, noise scaled.
 
-    ``damping_scatter``: deviation of ln damping in a posture that was not recorded, beyond that of the numbers.
+    ``damping_scatter``: deviation of ln damping in a posture that was not recorded, beyond that of the numbers, and its
+    degrees of freedom (:mod:`twin.identify.damping_transfer`).
     """
 
     parameters: Parameters
     z: np.ndarray
     information: np.ndarray
     damping_scatter: float = 0.0
+    damping_freedom: int = 100
 
     @classmethod
     def of(cls, fit: Any) -> "Posterior":
@@ -68,7 +70,10 @@ class Posterior:
         across = self.information[np.ix_(rest, few)]
         follow = np.linalg.solve(precision[np.ix_(rest, rest)], across)  # of the rest, per unit of the few
         held = self.information[np.ix_(few, few)] - across.T @ follow
-        w, z = self._walk(rng, count, few, 0.5 * (held + held.T))
+        size, axes = np.linalg.eigh(0.5 * (held + held.T))
+        w, z = self._walk(
+            rng, count, few, (axes * np.maximum(size, 0.0)) @ axes.T
+        )  # where sizes are in doubt, below zero
         factor = np.linalg.cholesky(precision[np.ix_(rest, rest)])
         out = np.tile(self.z, (count, 1))
         out[:, few] = z
@@ -87,9 +92,12 @@ class Posterior:
         if not k:
             return np.zeros((count, 0)), np.zeros((count, 0))
 
+        # what the data pull: no farther than to twice the fitted value, where noise scaled up says hardly anything else
+        slope = np.minimum(at, np.diag(held) / scale)
+
         def seen(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             w = np.expm1(np.minimum((z - at) * scale, 50.0)) / scale
-            return w, 0.5 * np.sum((w @ held - 2 * at) * w + z**2, axis=1)
+            return w, 0.5 * np.sum((w @ held - 2 * slope) * w + z**2, axis=1)
 
         joint = np.linalg.inv(np.linalg.cholesky(held + np.eye(k))).T
         z = np.tile(at, (count, 1))
@@ -126,6 +134,7 @@ def save_posterior(path: str | Path, posterior: Posterior) -> None:
         file["z"] = posterior.z
         file["information"] = posterior.information
         file.attrs["damping_scatter"] = posterior.damping_scatter
+        file.attrs["damping_freedom"] = posterior.damping_freedom
 
 
 def load_posterior(path: str | Path) -> Posterior:
@@ -140,7 +149,7 @@ def load_posterior(path: str | Path) -> Posterior:
                 raise InputError(path, "format", "expected twin-posterior, as twin fit and twin diagnose write it")
             covariance = file["covariance"][()]
             words = {field: file[field].asstr()[()] for field in ("name", "unit", "kind", "source")}
-            scatter = float(file.attrs["damping_scatter"])
+            scatter = float(file.attrs.get("damping_scatter", 0.0)), int(file.attrs.get("damping_freedom", 100))
             log, mean, z, information = (file[field][()] for field in ("log", "mean", "z", "information"))
     except (OSError, KeyError) as error:
         raise InputError(path, "", f"not a posterior that twin fit or twin diagnose wrote ({error})") from error
@@ -149,7 +158,7 @@ def load_posterior(path: str | Path) -> Posterior:
         Parameter(name, unit, kind, bool(log[k]), float(mean[k]), float(deviation[k]), source)
         for k, (name, unit, kind, source) in enumerate(zip(*words.values(), strict=True))
     ]
-    return Posterior(Parameters(tuple(items), covariance), z, information, scatter)
+    return Posterior(Parameters(tuple(items), covariance), z, information, *scatter)
 
 
 def posterior_beside(robot: Robot) -> Posterior | None:
@@ -165,12 +174,10 @@ def without_entries(posterior: Posterior, robot: Robot) -> Posterior:
     keep = [k for k, p in enumerate(posterior.parameters) if _present(p, keys, sprung)]
     if len(keep) == len(posterior.z):
         return posterior
-    grid = np.ix_(keep, keep)
     parameters = posterior.parameters.select(keep)
     x = posterior.parameters.root @ posterior.z
-    return Posterior(
-        parameters, np.linalg.solve(parameters.root, x[keep]), posterior.information[grid], posterior.damping_scatter
-    )
+    z = np.linalg.solve(parameters.root, x[keep])
+    return replace(posterior, parameters=parameters, z=z, information=posterior.information[np.ix_(keep, keep)])
 
 
 def _present(parameter: Parameter, keys: set[str], sprung: set[str]) -> bool:

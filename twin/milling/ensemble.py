@@ -1,13 +1,14 @@
 """How sure a model is of what happens at the tool: the same tip for many robots that the recordings allow.
 
 Each draw is a robot from the posterior beside ``robot.yaml`` (:mod:`twin.identify.posterior`), standing in the posture
-within the tolerance of its angles, with the dampings of an unseen posture (:mod:`twin.milling.damping_transfer`).
+within the tolerance of its angles, with the dampings of an unseen posture (:mod:`twin.identify.damping_transfer`).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from twin.diagnose.physical import physical
 from twin.identify.posterior import Posterior, posterior_beside, without_entries
 from twin.milling.cut import Cut
 from twin.milling.postures import Tips, stacked, tips
@@ -15,6 +16,7 @@ from twin.milling.tool_point import ToolModes
 from twin.model.parameters import TOLERANCE_DEVIATION
 from twin.robot.description import Robot
 
+MODES = 32  # whose dampings are drawn, each on its own
 DRAWS = 100
 """Robots drawn: the 10 % quantile of a depth is then itself known to ±3 %-points."""
 
@@ -26,7 +28,7 @@ class Ensemble:
     Attributes:
         angle: (count, n) error of the posture, rad (m).
         coefficients: (count, 3) shear coefficients of the cut, N/m².
-        damping: (count,) standard normal; ``scatter`` the deviation of ln damping in a posture not recorded.
+        damping: (count, modes) Student's t; ``scatter`` its scale, of ln damping in a posture not recorded.
     """
 
     robots: list[Robot]
@@ -43,7 +45,8 @@ class Ensemble:
         found = stacked([tips(robot, q + e, cut, brakes) for robot, e in zip(self.robots, self.angle, strict=True)])
         if not self.scatter:
             return found
-        factor = np.exp(self.scatter * self.damping)[:, None, None]
+        modes_there = found.modes.pole.shape[-1]
+        factor = np.exp(self.scatter * self.damping[:, None, np.arange(modes_there) % self.damping.shape[1]])
         modes = more_damped(found.modes, factor)
         return Tips(modes, found.position, found.axis, found.compliance)
 
@@ -80,14 +83,17 @@ def ensemble(
     rng = np.random.default_rng([seed, 1])
     width = np.deg2rad(robot.tolerances.posture_deg) * TOLERANCE_DEVIATION
     return Ensemble(
-        known.robots(robot, count, seed),
+        [physical(drawn) for drawn in known.robots(robot, count, seed)],
         width * rng.standard_normal((count, robot.axis_count)),
         cut.coefficients.draw(rng, count),
-        rng.standard_normal(count),
+        rng.standard_t(known.damping_freedom, (count, MODES)),
         known.damping_scatter if scatter is None else scatter,
     )
 
 
 def quantile_of_safe(depth: np.ndarray, probability: float = 0.9) -> np.ndarray:
-    """The depth (…) that is stable with a probability, from limits (count, …) of the draws: their lower quantile."""
-    return np.quantile(depth, 1 - probability, axis=0)
+    """The depth (…) that is stable with a probability, from limits (count, …) of the draws.
+
+    Their lower quantile: Weibull's, below which another draw falls with the probability left, however few there are.
+    """
+    return np.quantile(depth, 1 - probability, axis=0, method="weibull")

@@ -17,6 +17,7 @@ from twin.robot.description import Robot
 from twin.robot.inverse_kinematics import ToolPlace
 from twin.robot.mechanism import assemble_all
 
+FASTEST_RAD_S = 6e4  # 10 kHz: above what tools and spindles vibrate at
 BLOCK = 500  # postures whose arrays stay in the cache
 
 
@@ -132,6 +133,22 @@ def _padded(modes: ToolModes, count: int) -> ToolModes:
         return modes
     pole = np.pad(modes.pole, ((0, 0), (0, lack)), constant_values=-1.0)
     return ToolModes(pole, np.pad(modes.shape, ((0, 0), (0, lack), (0, 0))))
+
+
+def without_fast(modes: ToolModes, fastest_rad_s: float = FASTEST_RAD_S) -> ToolModes:
+    """Modes (N, nm) with those faster than a rate as static compliance: they follow a cut at once.
+
+    A damper that a fit has let run away, or a body without inertia, makes poles of any size, on which a spectral
+    method would spend its nodes.
+    """
+    quick = np.abs(modes.pole) > fastest_rad_s
+    if not quick.any():
+        return modes
+    part = np.where(quick[..., None], modes.shape, 0)
+    static = 2 * np.einsum("...ki,...kj,...k->...ij", part, part, -1 / modes.pole).real
+    if modes.residual is not None:
+        static = static + modes.residual
+    return ToolModes(np.where(quick, -1.0, modes.pole), np.where(quick[..., None], 0, modes.shape), static)
 
 
 def stacked(parts: Sequence[Tips]) -> Tips:
