@@ -66,6 +66,13 @@ def test_rooms_of_a_command_s_name_do_not_hide_it() -> None:
         _ = twin.diagnosis
 
 
+def with_three_points() -> twin.Robot:
+    """kr90 hit at its accelerometers alone."""
+    robot = twin.load_robot("kr90")
+    points = [point for point in robot.test_points if point.label in robot.accelerometers]
+    return robot.model_copy(update={"test_points": points})
+
+
 @pytest.fixture(scope="module")
 def struck() -> twin.Simulation:
     """A quick hammer test and a replay."""
@@ -73,7 +80,7 @@ def struck() -> twin.Simulation:
     position = np.deg2rad([0, 80, -100]) + 0.3 * np.sin(np.outer(time, [1.3, 1.9, 1.6]))
     path = twin.MotionLog({"path": twin.MotionRun("path", time, position, 250.0)})
     hammer = {"duration_s": 2, "hits": 2, "response_noise": 1e-3}
-    return twin.simulate([0, 70, -100], robot="kr90", hammer=hammer, trajectory=path, seed=1)
+    return twin.simulate([0, 70, -100], robot=with_three_points(), hammer=hammer, trajectory=path, seed=1)
 
 
 def test_results_print_themselves_show_as_tables_and_draw_their_figures(struck: twin.Simulation) -> None:
@@ -86,7 +93,7 @@ def test_results_print_themselves_show_as_tables_and_draw_their_figures(struck: 
         twin.fit(struck.campaign, robot=robot, starts=1),
         twin.identify(struck.log, robot=robot),
         twin.compare([struck.campaign, struck.log, analysis.table], robot=robot),
-        twin.excite(robot, count=1, harmonics=2),
+        twin.excite(robot, count=1, harmonics=1),
     ]
     for result in results:
         assert str(result).strip()
@@ -119,13 +126,13 @@ def test_objects_do_as_their_files_do(struck: twin.Simulation, tmp_path: Path) -
 
 
 def test_a_table_of_modes_finds_the_robot_of_its_recording(struck: twin.Simulation, tmp_path: Path) -> None:
-    robot = twin.load_robot("kr90").without(["payload@flange"])
+    robot = with_three_points().without(["transverse_compliance@joint1.x"])
     found = twin.simulate([0, 70, -100], robot=robot, hammer={"duration_s": 2}, out=tmp_path / "simulated")
     assert found.campaign is not None
-    twin.modal(tmp_path / "simulated" / "hammer.h5", out=tmp_path / "deep" / "modal")
+    twin.modal(tmp_path / "simulated" / "hammer.h5", fmax=30, out=tmp_path / "deep" / "modal")
     table = twin.read_modal_table(tmp_path / "deep" / "modal" / "modes.yaml")
     assert table.robot == "../../simulated/robot.yaml"
-    assert twin.compare(tmp_path / "deep" / "modal" / "modes.yaml").errors.popitem()[1] < 1e-3
+    assert twin.compare(tmp_path / "deep" / "modal" / "modes.yaml").errors.popitem()[1] < 2e-3
 
 
 @pytest.mark.parametrize(

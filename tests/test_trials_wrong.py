@@ -306,7 +306,8 @@ def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: 
             ("00", {**same, "way": "nothing", "robot": "arm"}),
             ("01", {**same, "way": "com", "robot": "kr90"}),
         ]
-        store.write(tmp_path / "answers" / "plan.json", {"seed": 1, "world": "wrong", "cases": [d for _, d in drawn]})
+        store.write(tmp_path / "answers" / "plan.json", {"cases": [d for _, d in drawn], "salt": ""})
+        assert wrong.prepare(tmp_path, 9, None)[1][1] == drawn[1][1]  # what was drawn stays
         lines = trials.every("record", pool, wrong.make, [(tmp_path, *d) for d in drawn])
     assert [line["robot"] for line in lines] == ["robots/arm.yaml", None]
     store.write(tmp_path / "manifest.json", {"world": "wrong", "cases": lines})
@@ -316,6 +317,12 @@ def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: 
     text = (tmp_path / "wrong.md").read_text()
     assert text.startswith("## When the description or the recording is wrong")
     assert "| wrong name at 0.5 or more | 0/2" in text
+    robot = tmp_path / "robots" / "arm.yaml"
+    described = robot.read_text()
+    robot.write_text(described.replace("arm", "other"))
+    with pytest.raises(SystemExit, match="sealed"):
+        trials._score(tmp_path, tmp_path / "wrong.md", "")
+    robot.write_text(described)
     sealed = tmp_path / "answers" / "01.json"
     sealed.write_text(json.dumps({**store.read(sealed), "way": "mass"}))
     with pytest.raises(SystemExit, match="sealed"):
@@ -323,7 +330,7 @@ def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: 
 
 
 def test_what_a_tolerance_explains_does_not_show() -> None:
-    """One deviation of a mass costs half at most, by the prior; a sensor that is elsewhere is another signal."""
+    """One deviation of a mass costs half at most, by the prior, five of a spring half of 25; a sensor moved shows."""
     world, *_ = wrong.case("nothing", "hammer", "arm", SEED, False)
     truth, machine = world.hammer, world.machine
     assert truth is not None
@@ -332,6 +339,14 @@ def test_what_a_tolerance_explains_does_not_show() -> None:
     truth = replace(truth, posture_error={p.name: truth.posture_error[p.name] for p in postures})
     links = (*truth.chain.links[:2], replace(truth.chain.links[2], mass=truth.chain.links[2].mass * 1.03))
     heavier = replace(truth, chain=replace(truth.chain, links=links))
-    assert 0.01 < shows(truth, signal, signal(heavier), machine.chain, machine.tolerances) < 0.51
     beside = replace(truth, moved={f"sensor:{machine.node}": np.array([0.0, 0.0, 0.05])})
-    assert shows(truth, signal, signal(beside), machine.chain, machine.tolerances) > 8
+    stiffness = truth.chain.stiffness * [[1.3**5, 1, 1], [1, 1, 1], [1, 1, 1]]
+    stiffer = replace(truth, chain=replace(truth.chain, stiffness=stiffness))
+    found = []
+    for end in (truth, heavier, stiffer, beside):
+        change = wrong.slope(lambda share, end=end: signal(wrong.toward(truth, end, share)))  # type: ignore[misc]
+        found.append(shows(truth, signal, change, machine.chain, machine.tolerances))
+    assert found[0] == pytest.approx(0, abs=1e-9)
+    assert 0.01 < found[1] < 0.501
+    assert 5 < found[2] < 12.6
+    assert found[3] > 20

@@ -46,13 +46,19 @@ Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice."
 NoSeed = Annotated[int, typer.Option("--seed", help="Taken as everywhere; nothing here is random.")]
 
 
-@app.callback()
-def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
-) -> None:
-    if version:
+def _print_version(asked: bool) -> None:
+    if asked:
         print(f"twin {twin.__version__}")
         raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and stop.", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    pass
 
 
 @app.command()
@@ -150,9 +156,9 @@ def fit(
     """Joint stiffness and damping from measured FRFs, with intervals, and what the data do not hold.
 
     Maximum-posterior fit of every spring and damper, over all postures and force levels at once. Masses, centres of
-    mass, inertias, posture angles and channel gains are free within the robot's tolerances; priors and tolerances are
-    data in robot.yaml. Several starts must agree, or it says so. With three postures or more the last is held out and
-    predicted.
+    mass, inertias, posture angles and channel gains are free within the robot's tolerances. Priors and tolerances are
+    data in robot.yaml. The fit starts several times, and says if the starts do not agree. With three postures or more
+    the last one is held out and predicted.
 
     ```
     twin fit measured_frf.h5                     # robot: the file's, else kr90
@@ -161,10 +167,10 @@ def fit(
     twin fit modes.yaml --objective paper        # the paper's Eq. 23
     ```
 
-    Numbers in ( ) are not held by the data: they are bounds, or mostly the prior. Writes robot.yaml, robot.xml
-    (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default; with --json, files are
-    written only where --out says so. Next: twin compare judges the new robot on other recordings, twin diagnose looks
-    for physics it lacks.
+    The data do not hold numbers in ( ): these are bounds, or mostly the prior. The command writes robot.yaml, robot.xml
+    (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default. With --json, files are
+    written only where --out says so. Next: twin compare judges the new robot on other recordings, and twin diagnose
+    looks for physics it lacks.
     """
     if objective not in ("posterior", "paper"):
         raise InputError("--objective", objective, "expected posterior or paper")
@@ -232,10 +238,11 @@ def identify(
 ) -> None:
     """Inertial, rotor, friction and compensator parameters from torque logs, with intervals.
 
-    Least squares on base parameters, then the physically consistent set nearest the description. Which friction laws,
-    compensators and cables are fitted is what the robot's physics lists; --without takes one out. Whole runs are held
-    out, of a single run contiguous blocks. Writes robot.yaml, robot.xml, figures and identify.json into the output
-    folder, out/LOG by default. Samples that were dropped, jittered or saturated are repaired with a note, or refused.
+    Least squares on base parameters, then the physically consistent set nearest to the description. The robot's physics
+    entries say which friction laws, compensators and cables are fitted; --without takes one out. Whole runs are held
+    out, or contiguous blocks if there is one run only. The command writes robot.yaml, robot.xml, figures and
+    identify.json into the output folder, out/LOG by default. Dropped, jittered or saturated samples are repaired with a
+    note, or refused.
     """
     if weighting not in ("joint", "none"):
         raise InputError("--weighting", weighting, "expected joint or none")
@@ -270,10 +277,10 @@ def compare(
 ) -> None:
     """The error of a robot on recordings, without fitting it, split by posture or run, channel and band.
 
-    One number per recording: RMS of the residual over RMS of the data. FRF lines weigh by one over their variance;
-    torques are low-passed, per joint; modal tables give relative frequency differences. Only what belongs to a
-    recording itself (posture angles, channel gains, torque offsets) is re-estimated within the stated tolerances; with
-    --as-is not even that.
+    One number per recording: RMS of the residual over RMS of the data. FRF lines are weighted by one over their
+    variance. Torques are low-passed and judged joint by joint. Modal tables give relative frequency differences. Only
+    what belongs to a recording itself (posture angles, channel gains, torque offsets) is estimated again, within the
+    stated tolerances. With --as-is not even that is.
 
     ```
     twin compare measured_frf.h5 --robot out/measured_frf/robot.yaml
@@ -307,17 +314,17 @@ def diagnose(
 ) -> None:
     """What physics a model leaves out: find it, name it, say how sure, write it into the model and show the proof.
 
-    Refits the model as it is; screens every effect of the vocabulary at every site the recordings can show; refits the
-    most promising; and judges on postures or runs that were not used. The verdict is one of
+    The model is fitted as it is. Then every effect is tried at every site that the recordings can show, and the most
+    promising are fitted. Postures or runs that were not used judge them. The verdict is one of
 
     - **adequate**: nothing is missing that these recordings could show;
     - **named**: each thing missing is one effect at one site, and stands out;
-    - **ambiguous**: the recordings cannot tell several apart; the next test that would is proposed;
+    - **ambiguous**: the recordings cannot tell several answers apart; a test that would is proposed;
     - **located**: the site is clear, no known effect fits; a law is given by its formula;
     - **unexplained**: a mismatch beyond noise that is none of these.
 
-    Recordings of both kinds are settled on one model. Writes the new robot.yaml and robot.xml (always), diagnosis.json,
-    the report diagnosis.html, figures, and the modes before and after (see twin view) into the output folder,
+    Several recordings get one model. The command writes the new robot.yaml and robot.xml (always), diagnosis.json, the
+    report diagnosis.html, figures, and the modes before and after (see twin view) into the output folder,
     out/RECORDING by default. With --json, files are written only where --out says so.
 
     Try it on what is known: twin diagnose frf.h5 --without transverse_compliance@joint1.x conceals a soft bearing.

@@ -248,6 +248,8 @@ def _unsealed(split: Path, why: str) -> tuple[dict[str, Any], dict[str, Any], An
     for c in manifest["cases"]:
         if store.sha256(split / "answers" / f"{c['id']}.json") != c["answer"]:
             sys.exit(f"{split}: the answer of {c['id']} is not the one that was sealed")
+        if "description" in c and store.sha256(split / c["robot"]) != c["description"]:
+            sys.exit(f"{split}: {c['robot']} is not the one that was sealed")
         for name, digest in c["files"].items():
             if store.sha256(split / "recordings" / c["id"] / name) != digest:
                 sys.exit(f"{split}: recordings/{c['id']}/{name} is not the one that was sealed")

@@ -31,7 +31,7 @@ from tools.truth.effects import Effect
 from tools.truth.elastic import Structure, assemble
 from tools.truth.milling import Cut, arc, growth_at, last_link, poles, tip_rows
 from tools.truth.recording import draw_postures, plain
-from twin.commands.diagnose import diagnose_campaign
+from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError

@@ -27,7 +27,7 @@ REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
 EVERY = 5  # samples of a motion log, of which one is taken
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which one is sought that shows
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
-FITS, FEW_FITS = 12, 3  # evaluations of a refit
+FITS = 12  # evaluations of a refit
 IMPOSSIBLE = 1e9  # deviations: what a robot that cannot be answers
 NEAR = 1.15  # what shows over what is to show, from which on a size is not drawn in or out again,
 CORRECTIONS = 3  # as often
@@ -108,14 +108,12 @@ def multiple_of_visible(
     return scaled(effect, factor)
 
 
-def shows(truth: Truth, signal: Signal, seen: Array, described: Chain, known: Tolerances) -> float:
-    """How far a recording, `seen` in units of its noise, shows that it is not of `truth`: ln of a likelihood ratio.
+def shows(truth: Truth, signal: Signal, change: Array, described: Chain, known: Tolerances) -> float:
+    """How far a change of the recording, in units of its noise, shows: ln of a likelihood ratio, to first order.
 
     What nobody knows exactly has moved to explain it, each number paying for its deviations as the description states.
     """
-    nuisances = list(_nuisances(truth, described, known))
-    hiding, _ = _hidden(signal, truth, nuisances, seen - signal(truth))
-    return _refitted(signal, truth, nuisances, seen, hiding, FEW_FITS)
+    return 0.5 * _hidden(signal, truth, list(_nuisances(truth, described, known)), change)[1]
 
 
 def _hidden(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], change: Array) -> tuple[Array, float]:
@@ -139,9 +137,7 @@ def _with(truth: Truth, effect: Effect) -> Truth:
     return replace(truth, effects=(*truth.effects, effect))
 
 
-def _refitted(
-    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, z: Array, fits: int = FITS
-) -> float:
+def _refitted(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, z: Array) -> float:
     """½ |what the nuisances leave of a recording|² + ½ |z|², fitted from what derivatives make of z.
 
     A spring in series makes the logarithm of a neighbour's stiffness move as log(1 + size), not as its derivative.
@@ -167,7 +163,7 @@ def _refitted(
 
     with np.errstate(invalid="ignore"):
         first = min((start, np.zeros(len(z))), key=lambda z: float(np.sum(residual(z) ** 2)))
-        return float(least_squares(residual, first, slopes, max_nfev=fits, ftol=1e-3).cost)
+        return float(least_squares(residual, first, slopes, max_nfev=FITS, ftol=1e-3).cost)
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:

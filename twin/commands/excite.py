@@ -1,6 +1,7 @@
 """``twin excite``: robot in; excitation trajectories, as files a controller can run, and their figures out."""
 
-from dataclasses import dataclass, field
+import os
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from twin.measure.recordings import traced
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.result import Result, Table
-from twin.robot.description import Robot, load_robot
+from twin.robot.description import SHIPPED, Robot, load_robot
 
 SPLINE_POINTS = 100  # of a KRL spline block, per period
 
@@ -187,5 +188,8 @@ def _write(result: Excitations, name: Outputs, krl: bool) -> None:
             with writing(name(f"{stem}.src")) as stream:
                 stream.write(krl_program(stem, e, result.periods))
     name.draw(result)
-    write_motion_log(name("trajectory.h5"), trajectory)
+    described, robot = result.robot.path, result.robot.name
+    if described is not None and described.parent != SHIPPED:
+        robot = os.path.relpath(described, name.out)
+    write_motion_log(name("trajectory.h5"), replace(trajectory, robot=robot))
     write_json(name("excite.json"), result.data())

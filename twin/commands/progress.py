@@ -13,7 +13,9 @@ def progress() -> Iterator[Progress]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    bars = Progress(*columns, console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)
+    seen = console.is_terminal or console.is_jupyter  # a file gets no bars, and no empty line at their end
+    bars = Progress(*columns, console=console, transient=True, disable=not seen)
 
     def start(description: str, total: int) -> Callable[[int], None]:
         bars.start()

@@ -8,7 +8,7 @@ import numpy as np
 from twin.commands.outputs import check_out
 from twin.errors import InputError
 from twin.measure.motion_log import read_motion_log, require_axes
-from twin.measure.recordings import read_recordings, recording_kind
+from twin.measure.recordings import read_recordings, recording_kind, robot_of
 from twin.robot.description import Robot, load_robot
 from twin.yamlfile import read_yaml
 
@@ -92,7 +92,7 @@ def _write_log(path: Path, named: str | None, without: list[str] | None, target:
     from twin.robot.mechanism import assemble
 
     log = read_motion_log(path)
-    robot = load_robot(named or log.robot or "kr90", None if named else path.parent).without(without or [])
+    robot = robot_of(path, log.robot, named).without(without or [])
     require_axes(log, robot.axis_count)
     target.parent.mkdir(parents=True, exist_ok=True)
     found = replay(robot, next(iter(log.runs.values())))

@@ -17,7 +17,7 @@ from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.model.parameters import Parameters, entry_parameter, independent, join
-from twin.physics import CATALOGUE
+from twin.physics import CATALOGUE, effect_named
 from twin.robot.description import Robot
 
 
@@ -130,7 +130,7 @@ def together(findings: Sequence[Finding], base: Robot, robot: Robot) -> Verdict:
     word: Word = "adequate"
     if missing:
         word = "ambiguous" if any(m.rivals for m in missing) else "named"
-        word = "located" if all(m.first.effect == "discovered" for m in missing) else word
+        word = "located" if all(effect_named(m.first.effect).part == "law" for m in missing) else word
     elif "unexplained" in words:
         word = "unexplained"
     return Verdict(list(findings), word, missing, none, other, base, robot)

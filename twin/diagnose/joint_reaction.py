@@ -22,12 +22,6 @@ from twin.robot.description import Robot
 
 PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of its logarithm, where no raw hits tell
 FADED = 7.0  # e-foldings after which a windowed decay is not stepped any further
-OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
-SETTLING = 6  # iterations of a blow's own stiffness
-SMALL, ROUGHLY, WIDE = 1e-4, 4e-3, 0.02  # prior deviations, of differences of stepped blows
-STAYED = 2.0  # prior deviations, over which the law's torque keeps what its derivatives have beside those held
-WORTH_SPREADING = 20  # strikes per recording: fewer are stepped by one process
-AHEAD = 0.1  # of a step: where its bend is looked at
 
 
 # --- how it was hit ---------------------------------------------------------------------------------------------------
@@ -47,22 +41,26 @@ class Blow:
 
 
 def blows(campaign: Campaign) -> dict[str, Blow] | None:
-    """By group; ``None`` where a peak force is not recorded."""
+    """By group; ``None`` where a peak force is not recorded.
+
+    Where the record's length is not stated, it is taken to be one over the spacing of its lines.
+    """
     found = {}
     for name, posture in campaign.postures.items():
         if posture.peak_force_n is None:
             return None
-        length = 1 / float(np.median(np.diff(posture.frequency)))
+        length = posture.record_s or 1 / float(np.median(np.diff(posture.frequency)))
         if posture.exponential_window_rate > 0:
             length = min(length, FADED / posture.exponential_window_rate)
-        found[name] = Blow(posture.peak_force_n, _pulse_length(posture), length, posture.hits is not None)
+        known = posture.hits is not None or posture.pulse_s is not None
+        found[name] = Blow(posture.peak_force_n, _pulse_length(posture), length, known)
     return found
 
 
 def _pulse_length(posture: PostureFRF) -> float:
-    """Of the half sine with the momentum and peak of the recorded hits, s."""
+    """Of the half sine with the momentum and peak of the recorded hits, else as stated, s."""
     if posture.hits is None:
-        return PULSE_S
+        return posture.pulse_s or PULSE_S
     force = posture.hits.force - np.median(posture.hits.force, axis=-1, keepdims=True)
     peak = force.max(axis=-1)
     near = force > 0.05 * peak[..., None]
@@ -248,11 +246,14 @@ class BlowByBlow(Cost):
         return self.models
 
     def _settle(
-        self, joint: _Joint, r: Recorded, k: int
+        self, joint: _Joint, r: Recorded, k: int, stiffness: float = 0.5, loss: float = 0.1, iterations: int = 6
     ) -> tuple[FloatArray, float, ComplexArray, ComplexArray, FloatArray]:
-        """Each blow's own stiffness and damping at its optimum: values, cost, residual, rates (2, …), matrix."""
+        """Each blow's own stiffness and damping at its optimum: values, cost, residual, rates (2, …), matrix.
+
+        ``stiffness``, ``loss``: prior deviations of k and of ωc at 15 Hz, of the joint's stiffness.
+        """
         w = self.weight[k]
-        width = np.array([OWN_STIFFNESS * joint.k, OWN_LOSS * joint.k / (2 * np.pi * 15.0)])
+        width = np.array([stiffness * joint.k, loss * joint.k / (2 * np.pi * 15.0)])
         u = self.own[k] / width[:, None]
         line = np.stack([np.full(len(r.s), width[0], complex), width[1] * r.s])
 
@@ -264,7 +265,7 @@ class BlowByBlow(Cost):
 
         parts, e, kappa = look(u)
         damping = np.full(u.shape[1], 1e-3)
-        for _ in range(SETTLING):
+        for _ in range(iterations):
             rate = self._own_rate(joint, kappa, w, line)
             gradient = np.einsum("pfre,fre->pe", rate.conj(), e).real + u
             matrix = np.einsum("pfre,qfre->pqe", rate.conj(), rate).real + np.eye(2)[:, :, None]
@@ -315,6 +316,8 @@ class Stepped(Cost):
     Derivatives of the linear part are in closed form, those of the law's torque with respect to what acts on the law
     itself by differences of stepped blows. With respect to the rest of the robot the law is held
     (:mod:`twin.diagnose.held_law`), which is off by a tenth: ``closely``, that too is stepped, by some ``processes``.
+    Differences are over ``small`` steps, where that is enough ``roughly`` so, or ``wide`` ones, in prior deviations;
+    over ``stayed`` such the law's torque keeps what its derivatives have beside those held.
     ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording; ``latest``:
     reactions where they were stepped last.
     """
@@ -326,6 +329,10 @@ class Stepped(Cost):
     rate_hz: float = RATE_HZ
     closely: bool = False
     processes: int = 1
+    small: float = 1e-4
+    roughly: float = 4e-3
+    wide: float = 0.02
+    stayed: float = 2.0
     rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list, init=False)
     beside: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
     latest: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
@@ -391,11 +398,11 @@ class Stepped(Cost):
         sizes, longer = self.own(z)
         here = [(joints.of(r), r, sizes, longer) for r in recordings]
         every = range(len(recordings))
-        step = SMALL if self.closely else ROUGHLY
+        step = self.small if self.closely else self.roughly
         known = self.latest is not None and np.array_equal(self.latest[0], z)
         asked = self._moved(z, step, near, joints, every)
         if self.closely:
-            asked += [[(joint, r, sizes, longer * (1 + h)) for joint, r, *_ in here] for h in (SMALL, WIDE)]
+            asked += [[(joint, r, sizes, longer * (1 + h)) for joint, r, *_ in here] for h in (self.small, self.wide)]
         *found, last = self._react_each([*asked, [] if known else here])
         at = self.latest[1] if self.latest and known else last
         small, longer_ones = self._slopes(found[: len(near)], at, step, every), found[len(near) :]
@@ -408,13 +415,16 @@ class Stepped(Cost):
             slopes.append(dR)
         if not self.closely:
             return list(zip(at, slopes, strict=True))
-        smooth = [_smooth(*there) for there in zip(*longer_ones, at, strict=True)]
+        smooth = [
+            _smooth(little, somewhat, R, self.small, self.wide)
+            for little, somewhat, R in zip(*longer_ones, at, strict=True)
+        ]
         rough = [k for k in every if not smooth[k].all()]
         if rough:
-            wide = self._react_each(self._moved(z, WIDE, near, joints, rough))
-            for k, further in zip(rough, self._slopes(wide, at, WIDE, rough), strict=True):
+            wide = self._react_each(self._moved(z, self.wide, near, joints, rough))
+            for k, further in zip(rough, self._slopes(wide, at, self.wide, rough), strict=True):
                 slopes[k][near] = np.where(~smooth[k] & np.isfinite(further), further, slopes[k][near])
-        if self.beside is None or np.linalg.norm(z - self.beside[0]) > STAYED:
+        if self.beside is None or np.linalg.norm(z - self.beside[0]) > self.stayed:
             self.beside = z, self._beside_held(z, joints, near, at, slopes, smooth)
         for dR, lag in zip(slopes, self.beside[1], strict=True):
             dR[:n] += lag
@@ -455,12 +465,12 @@ class Stepped(Cost):
         lags = [np.zeros_like(dR[: len(self.base)]) for dR in slopes]
         asked, where = [], []
         for k, r in enumerate(self.sample.recordings):
-            for p, joint in joints.each_moved(r, SMALL).items() if smooth[k].any() else ():
+            for p, joint in joints.each_moved(r, self.small).items() if smooth[k].any() else ():
                 if p not in near:
                     asked.append((joint, r, *self.own(z)))
                     where.append((k, p))
         for (k, p), other in zip(where, self._react(asked) if asked else [], strict=True):
-            beside = (other - reactions[k]) / SMALL - slopes[k][p]
+            beside = (other - reactions[k]) / self.small - slopes[k][p]
             lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
         return lags
 
@@ -469,10 +479,11 @@ class Stepped(Cost):
         found = iter(self._react([one for some in asked for one in some]))
         return [[next(found) for _ in some] for some in asked]
 
-    def _react(self, asked: Sequence[Asked]) -> list[ComplexArray]:
-        """What the law does, T/F (nf, ne), in a model of each recording, of some sizes, to blows of some length."""
+    def _react(self, asked: Sequence[Asked], spreading: int = 20) -> list[ComplexArray]:
+        """What the law does, T/F (nf, ne), in a model of each recording, of some sizes, to blows of some length; more
+        than so many strikes per recording are worth ``spreading`` over processes."""
         rate_hz = self.rate_hz * self.law.finer
-        processes = self.processes if len(asked) > WORTH_SPREADING * len(self.sample.recordings) else 1
+        processes = self.processes if len(asked) > spreading * len(self.sample.recordings) else 1
         share = max(1, -(-len(asked) // processes))
 
         def some(number: int) -> list[ComplexArray]:
@@ -494,10 +505,11 @@ class Stepped(Cost):
         if not self.rows:
             return None
         total = np.zeros(len(z))
-        ahead = self.predicted(z + AHEAD * step)
+        part = 0.1
+        ahead = self.predicted(z + part * step)
         for r, H, w, (e, G) in zip(self.sample.recordings, ahead, self.weight, self.rows, strict=True):
             there = np.ascontiguousarray((r.frf - H) * w).reshape(-1).view(float)
-            total += G @ (2 / AHEAD * ((there - e) / AHEAD - step @ G))
+            total += G @ (2 / part * ((there - e) / part - step @ G))
         return total if np.isfinite(total).all() else None
 
     def held(self, z: FloatArray) -> list[UnderLaw]:
@@ -569,10 +581,12 @@ class Stepped(Cost):
         ]
 
 
-def _smooth(little: ComplexArray, somewhat: ComplexArray, at: ComplexArray) -> NDArray[np.bool_]:
+def _smooth(
+    little: ComplexArray, somewhat: ComplexArray, at: ComplexArray, small: float, wide: float
+) -> NDArray[np.bool_]:
     """Blows (ne,) whose answer to being a little longer is what somewhat longer ones tell; false, too, where a step
     went over the edge of what can be stepped."""
-    a, b = (little - at) / SMALL, (somewhat - at) / WIDE
+    a, b = (little - at) / small, (somewhat - at) / wide
     return np.asarray(np.sum(np.abs(a - b) ** 2, axis=0) < np.sum(np.abs(b) ** 2, axis=0))
 
 

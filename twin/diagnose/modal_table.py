@@ -9,15 +9,16 @@ Otherwise the table cannot tell, and the finding says so.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from twin.diagnose.decide import Decision, decide
-from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together, widened
 from twin.diagnose.physical import physical
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
+from twin.diagnose.sentences import sentence
 from twin.diagnose.verdict import Finding, judge, missing_of, parts
 from twin.errors import InputError
 from twin.identify.elastic_modal import (
@@ -30,6 +31,7 @@ from twin.identify.elastic_modal import (
 from twin.identify.recorded import without_limits
 from twin.measure.campaign import Channels, FloatArray
 from twin.measure.modal_table import ModalTable
+from twin.measure.recordings import Recording
 from twin.model.parameters import Parameters, free_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Axis, Robot
@@ -54,6 +56,30 @@ class LeftOut:
 
     by_posture: dict[str, float]
     pooled: float
+
+
+@dataclass
+class Table:
+    """A modal table as evidence."""
+
+    recording: Recording
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Postures."""
+        return self.recording.names
+
+    def explain(self, given: Robot, told_by: Finding | None, *, processes: int, **options: Any) -> Finding:
+        """See :class:`twin.diagnose.evidence.Evidence`."""
+        start = told_by.model if told_by else given
+        return diagnose_table(self.recording.content, start, self.recording.source, **options)
+
+    def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
+        """Nothing: what comes after it starts from its model."""
+
+    def checks(self, written: Robot, finding: Finding, alone: bool) -> list[dict[str, Any]]:
+        """Nothing beside what every written model is checked for."""
+        return []
 
 
 def diagnose_table(

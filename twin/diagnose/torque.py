@@ -1,16 +1,19 @@
 """What a motion log says is missing from a robot description: the motion-log side of ``twin diagnose``."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial, reduce
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twin.diagnose.decide import Decision, calibration
-from twin.diagnose.evidence import sentence
-from twin.diagnose.records import STAGES, LogRecord, Stage
+from twin.diagnose.edit import check_replayed
+from twin.diagnose.joint import followed, pooled, predicted_by, shared
+from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage
 from twin.diagnose.refit import Fitted
+from twin.diagnose.sentences import sentence
 from twin.diagnose.torque_fit import (
     Base,
     System,
@@ -43,10 +46,11 @@ from twin.diagnose.torque_search import (
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
-from twin.identify.rigid import Bands
+from twin.identify.rigid import Bands, in_joints
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
+from twin.measure.recordings import Recording
 from twin.model.parameters import entry_parameter
 from twin.model.regressor import inertial_vector
 from twin.physics import CATALOGUE, effect_named, effect_of
@@ -541,3 +545,41 @@ def _pooled(records: Sequence[LogRecord], stage: Stage) -> float | None:
     torque = np.concatenate([r.measured[r.valid] for r in records])
     ratio = np.mean(rest**2, axis=0) / np.maximum(np.mean(torque**2, axis=0), 1e-300)
     return float(np.sqrt(np.mean(ratio)))
+
+
+@dataclass
+class Log:
+    """A motion log as evidence."""
+
+    recording: Recording
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Runs."""
+        return self.recording.names
+
+    def explain(self, given: Robot, told_by: Finding | None, **options: Any) -> Finding:
+        """See :class:`twin.diagnose.evidence.Evidence`."""
+        in_joints(self.recording.content, given)  # axes, units and limits fit
+        start = told_by.robot if told_by else given
+        return diagnose_log(self.recording.content, start, self.recording.source, **options)
+
+    def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
+        """What the log said, with the errors of the model that all end with, and what the last recording adds to it."""
+        finding.records = predicted_by(robot, self.recording.content, finding, hold_out)
+        finding.error = {**finding.error, "after": pooled(finding.records, "after")}
+        finding.missing = [followed(m, finding.model, robot) for m in finding.missing]
+        finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
+
+    def checks(self, written: Robot, finding: Finding, alone: bool) -> list[dict[str, Any]]:
+        """A run under servos against its inverse dynamics."""
+        name = next((name for name in self.names if name in finding.held_out), self.names[0])
+        return [check_replayed(written, self.recording.content.runs[name], self.recording.source)]
+
+
+def _seen_by(finding: Finding, missing: Missing) -> Missing:
+    """Another recording's answer with a second sentence of evidence, of a hammer test that shows it too."""
+    if not any(isinstance(r, FrfRecord) for r in finding.records) or not shared(missing.first.effect):
+        return missing
+    text = sentence(missing.first.title, finding.records, finding.error, finding.held_out)
+    return replace(missing, evidence=f"{missing.evidence} In {Path(finding.recording).name}: {text}")

@@ -1244,7 +1244,8 @@ def _whitened(
 def _doubt(system: System, slopes: Columns) -> FloatArray:
     """Deviations (m,) of numbers that have such slopes, in those of their priors."""
     information, _ = system.projected(slopes)
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(information))))))
+    held, vectors = np.linalg.eigh(information)  # of a record without noise rounding leaves some below zero
+    return np.asarray(np.sqrt(vectors**2 @ (1 / (1 + np.maximum(held, 0)))))
 
 
 def _gain(system: System, column: Columns, u: FloatArray) -> float:

@@ -19,7 +19,7 @@ from twin.errors import InputError
 from twin.identify.rigid import Bands, joint_run, motion_of_run, split
 from twin.identify.rigid import Rows as _Rows
 from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, saturated
+from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion, saturated
 from twin.measure.signals import lowpass
 from twin.model.regressor import Regressor
 from twin.physics.motion import Motion
@@ -235,6 +235,7 @@ def prepare(
     Raises:
         InputError: no torque, torque cut off too often, a run too short, or a name to hold out that is not there.
     """
+    refuse_without_motion(log, source)
     bands = bands or bands_of(log)
     shortest = 80.0  # seconds times hertz of the low-pass, over all runs; of one run half of it
     regressor = Regressor(robot)

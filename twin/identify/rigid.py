@@ -19,6 +19,7 @@ from twin.measure.motion_log import (
     MotionRun,
     check_against,
     refuse_saturated,
+    refuse_without_motion,
     require_axes,
     saturated,
 )
@@ -342,7 +343,7 @@ def _sandwich(
             if size % 2 == 0:
                 lines[-1] = 1.0
             spread += np.real(np.einsum("k,kb,kc->bc", lines * power / size, columns.conj(), columns, optimize=True))
-        effective[j] = pairs[0] * (lines @ power / size) / max(power[0], 1e-300)
+        effective[j] = min(pairs[0] * (lines @ power / size) / max(power[0], 1e-300), pairs[0])
     return inverse @ spread @ inverse, effective
 
 
@@ -366,14 +367,21 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     step = _prior_steps(regressor, estimate)
     prior = np.array([1.0 if column.group in ("link", "rotor") else 0.0 for column in columns])
     usable = estimate.identifiable
-    weight = np.linalg.inv(_symmetric(estimate.covariance[np.ix_(usable, usable)]))
-    G = scipy.linalg.cholesky(weight) @ K[usable] @ step
-    target = scipy.linalg.cholesky(weight) @ (estimate.value[usable] - K[usable] @ x0)
+    root = _inverse_root(_symmetric(estimate.covariance[np.ix_(usable, usable)]))
+    G = root @ K[usable] @ step
+    target = root @ (estimate.value[usable] - K[usable] @ x0)
     H = G.T @ G + np.diag(np.where(prior > 0, prior, 1e-6))
     linear = -G.T @ target
     x = x0 + step @ nearest_possible(regressor, H, linear, x0, step, margin)
     floor = np.array([column.nonnegative and column.group != "link" for column in columns])
     return np.where(floor, np.maximum(x, 0.0), x)
+
+
+def _inverse_root(covariance: FloatArray, least: float = 1e-12) -> FloatArray:
+    """R (n, n) with RᵀR = Σ⁻¹; correlations' eigenvalues are kept above ``least``, where rounding leaves less."""
+    deviation = np.sqrt(np.diag(covariance))
+    value, vectors = np.linalg.eigh(covariance / np.outer(deviation, deviation))
+    return (vectors / np.sqrt(np.maximum(value, least * value[-1]))).T / deviation
 
 
 def nearest_possible(
@@ -551,11 +559,27 @@ def identify(
     rows = _usable_rows(log, regressor, bands, notes)
     parts = split(rows, hold_out, bands, log.source)
     estimate = least_squares(regressor, parts.train, weighting, log.source)
-    parameters = consistent(regressor, estimate)
+    try:
+        parameters = consistent(regressor, estimate)
+    except (ArithmeticError, np.linalg.LinAlgError):
+        try:  # a recording without noise, or hardly longer than its parameters need
+            parameters = consistent(regressor, _blunted(estimate))
+        except (ArithmeticError, np.linalg.LinAlgError):
+            message = "tell too little of the robot's parameters: record a longer motion of all axes (`twin excite`)"
+            raise InputError(log.source, "runs", message) from None
     notes += _lost_terms(robot, log.runs[rows[0].name], bands)
     return Identification(
         regressor, estimate, parameters, regressor.robot_with(parameters), parts, bands, notes
     )  # fmt: skip
+
+
+def _blunted(estimate: Estimate, digits: float = 1e-6) -> Estimate:
+    """The estimate, no parameter and no combination of them known better than to so many ``digits`` of its scale."""
+    scale = np.maximum(estimate.deviation, digits * np.maximum(np.abs(estimate.value), 1e-9))
+    correlation = _symmetric(estimate.covariance / np.outer(scale, scale))
+    size, turn = np.linalg.eigh(correlation)
+    covariance = (turn * np.maximum(size, digits * max(float(size[-1]), 1.0))) @ turn.T * np.outer(scale, scale)
+    return replace(estimate, covariance=covariance)
 
 
 def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list[str]) -> list[Rows]:
@@ -565,6 +589,7 @@ def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list
         InputError: as :func:`identify`.
     """
     rows = []
+    refuse_without_motion(log, log.source)
     for name, run in log.runs.items():
         if run.torque is None:
             raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory cannot be identified from")

@@ -277,6 +277,17 @@ def refuse_saturated(run: MotionRun, source: str, most: float = 0.05) -> np.ndar
     return cut
 
 
+def refuse_without_motion(log: MotionLog, source: str, least: float = 1e-3) -> None:
+    """Raise unless some axis moves by ``least`` rad (m) or more.
+
+    Raises:
+        InputError: none does.
+    """
+    if max(float(np.ptp(run.position, axis=0).max()) for run in log.runs.values()) < least:
+        message = f"no axis moves by {least:g} rad (m): record a motion (`twin excite` plans one)"
+        raise InputError(source, "runs", message)
+
+
 def check_against(log: MotionLog, robot: "Robot") -> None:
     """Check a log, in joint coordinates, against what the robot can do.
 

@@ -80,8 +80,7 @@ class Recording:
         Raises:
             InputError: no such robot or entry.
         """
-        loaded = load_robot(robot or self.named or "kr90", None if robot else Path(self.source).parent)
-        return loaded.without(list(without or []))
+        return robot_of(self.source, self.named, robot).without(list(without or []))
 
 
 def read_campaign(paths: str | Path | Sequence[str | Path]) -> Campaign:
@@ -142,6 +141,22 @@ def read_recordings(given: Given) -> list[Recording]:
         if sources.count(source) > 1:
             raise InputError(source, "", "is given twice; recordings in memory are told by their source")
     return found
+
+
+def robot_of(source: str | Path, named: str | None, robot: Robot | str | Path | None = None) -> Robot:
+    """The robot given, else the one that a file names (looked up beside it), else kr90.
+
+    Raises:
+        InputError: no such robot.
+    """
+    if robot or not named:
+        return load_robot(robot or "kr90")
+    try:
+        return load_robot(named, relative_to=Path(source).parent)
+    except InputError as error:
+        if error.source != named:  # the file is there, and has a fault of its own
+            raise
+        raise InputError(source, "robot", f"{named}: {error.expected}; say which with --robot") from error
 
 
 def traced(recordings: Sequence[Recording], robot: Robot | str | Path | None) -> list[Any]:

@@ -49,11 +49,13 @@ def simulated_test(
         hits = simulate_hits(mechanism, test, level, excitations, responses, progress=tick)
         posture, _ = posture_from_hits(
             group, np.array(robot.degrees(mechanism.q) if q_deg is None else q_deg), mechanism.brakes, hits,
-            exponential_window_rate=rate, fmax=FREQUENCY_SHARE / test.pulse_s,
+            exponential_window_rate=rate, fmax=FREQUENCY_SHARE / test.pulse_s, source=f"{group}, simulated",
         )  # fmt: skip
         postures[group] = replace(
             posture,
             hits=posture.hits if raw_hits else None,
+            pulse_s=test.pulse_s,
+            record_s=test.duration_s,
             frf=posture.frf * _unstepped_share(linear, posture, mechanism, responses, excitations),
         )
     comment = "simulated by twin simulate" + (

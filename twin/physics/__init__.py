@@ -118,9 +118,21 @@ def _installed() -> None:
         register(point.load()())
 
 
+class _Nothing(Effect):
+    """What is no effect states nothing."""
+
+    name = ""
+    sites = ()
+    parameters = ()
+    seen_in = frozenset()
+
+
+NOTHING = _Nothing()
+
+
 def effect_named(name: str) -> Effect:
     """The effect with a name; for what is no effect (a number of the description) one that states nothing."""
-    return CATALOGUE.get(name) or Effect()
+    return CATALOGUE.get(name, NOTHING)
 
 
 def effect_of(part: Part) -> Effect:

@@ -174,6 +174,8 @@ def residuals(robot: Robot, rows: Sequence[Rows], parameters: np.ndarray) -> Fig
             x = state if state.ndim == 1 else state[:, i]
             ax.plot(x[thin], residual[thin, i], ".", color="#b8bcc4", markersize=2)
             edges = np.unique(np.quantile(x, np.linspace(0, 1, 41)))
+            if len(edges) < 2:  # an axis that does not move
+                edges = np.array([edges[0] - 0.5, edges[0] + 0.5])
             of = np.clip(np.digitize(x, edges) - 1, 0, len(edges) - 2)
             count = np.maximum(np.bincount(of, minlength=len(edges) - 1), 1)
             mean = np.bincount(of, residual[:, i], len(edges) - 1) / count
