@@ -46,6 +46,10 @@ _HOME = {
     "Compared": "twin.commands.compare",
     "diagnose": "twin.commands.diagnose",
     "Verdict": "twin.diagnose.verdict",
+    "lobes": "twin.commands.lobes",
+    "StabilityLobes": "twin.commands.lobes",
+    "Cut": "twin.milling.cut",
+    "read_cut": "twin.milling.cut",
     # what goes wrong, and how far long work has come
     "InputError": "twin.errors",
     "progress": "twin.commands.progress",
@@ -61,6 +65,8 @@ if TYPE_CHECKING:
     from twin.commands.fit import fit as fit
     from twin.commands.identify import Identified as Identified
     from twin.commands.identify import identify as identify
+    from twin.commands.lobes import StabilityLobes as StabilityLobes
+    from twin.commands.lobes import lobes as lobes
     from twin.commands.modal import ModalAnalysis as ModalAnalysis
     from twin.commands.modal import modal as modal
     from twin.commands.progress import progress as progress
@@ -78,6 +84,8 @@ if TYPE_CHECKING:
     from twin.measure.recordings import read_campaign as read_campaign
     from twin.measure.recordings import read_log as read_log
     from twin.measure.recordings import write_log as write_log
+    from twin.milling.cut import Cut as Cut
+    from twin.milling.cut import read_cut as read_cut
     from twin.robot.description import Robot as Robot
     from twin.robot.description import load_robot as load_robot
     from twin.robot.description import save_robot as save_robot

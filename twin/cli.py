@@ -339,6 +339,182 @@ def diagnose(
 
 
 @app.command()
+def lobes(
+    given: Annotated[
+        Path,
+        typer.Argument(
+            metavar="POSTURE|ROBOT|FRF|FOLDER",
+            help="posture.yaml, robot.yaml, a hammer test of the tool (.h5, .uff), or a fit's or diagnosis' folder.",
+        ),
+    ],
+    robot: Robot = None,
+    without: Without = None,
+    cut: Annotated[
+        Path | None,
+        typer.Option(
+            help="cut.yaml: tool, coefficients, immersion.", show_default="the posture file's, else a usual cut"
+        ),
+    ] = None,
+    q: Annotated[
+        str | None,
+        typer.Option(
+            "--q", metavar="Q1,Q2,…", help="Posture of a robot, degrees.", show_default="middle of the limits"
+        ),
+    ] = None,
+    posture: Annotated[
+        str | None, typer.Option(help="Which posture of a hammer test.", show_default="the first")
+    ] = None,
+    rpm: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="LOW HIGH", help="Spindle speeds.", show_default="the cut's")
+    ] = None,
+    draws: Annotated[int, typer.Option(min=0, help="Draws of the posterior for the depth that is 90 % sure.")] = 100,
+    in_time: Annotated[
+        int,
+        typer.Option(
+            "--in-time", min=0, metavar="N", help="Also step the cut in MuJoCo at N speeds, nonlinear joints and all."
+        ),
+    ] = 0,
+    out: Out = None,
+    json: Json = False,
+    seed: Seed = 0,
+) -> None:
+    """How deep a robot may cut in a posture, at every spindle speed, and how sure.
+
+    Solves the delay equation of milling with the full FRF at the tool's tip, all modes and cross terms, by a spectral
+    method; Hopf, flip and low-frequency mode coupling are one calculation. Of a robot that twin fit or twin diagnose
+    wrote, it gives the depth that is stable with 90 % probability, cutting coefficients included.
+
+    ```yaml
+    robot: out/measured_frf/robot.yaml                  # posture.yaml
+    posture: {name: milling, q_deg: [0, 70, -100]}
+    cut:                                                # or the path of a cut.yaml
+      tool: {diameter_m: 0.016, teeth: 2, helix_deg: 30, overhang_m: 0.25, mass_kg: 12}
+      coefficients: aluminium_7075                      # or kt_n_per_m2: 6.0e8, kr_n_per_m2: 1.8e8 …
+      immersion: 0.5                                    # radial depth over diameter
+      milling: down
+      feed_per_tooth_m: 1.0e-4
+      feed_direction: [1, 0, 0]                         # in the robot's base frame
+      spindle_rpm: [1000, 12000]
+    ```
+
+    ```
+    twin lobes posture.yaml
+    twin lobes out/measured_frf --q 0,70,-100 --cut cut.yaml
+    twin lobes tool_frf.h5 --cut cut.yaml               # no model: straight from the measured FRF
+    twin lobes posture.yaml --in-time 3                 # amplitudes, slip, gaps: where linear lobes lie
+    ```
+
+    Prints limits and writes lobes.json and lobes.png (chart, frequency at the limit, forced vibration and surface
+    location error of the safe cut) into the output folder, out/GIVEN by default; with --json, files are written only
+    where --out says so. docs/milling.md explains every number. Next: twin map does the same over the workspace.
+    """
+    if out is None and not json:
+        out = Path("out") / (given.stem or given.name)
+    with twin.progress() as progress:
+        found = twin.lobes(
+            given, robot=robot, without=without, cut=cut, q_deg=None if q is None else _numbers("--q", q, float),
+            posture=posture, spindle_rpm=rpm, draws=draws, in_time=in_time, out=out, seed=seed, progress=progress,
+        )  # fmt: skip
+    _show(found, json)
+
+
+@app.command(name="map")
+def map_(
+    cut: Annotated[
+        Path | None, typer.Argument(help="cut.yaml: tool, coefficients, immersion.", show_default="a usual cut")
+    ] = None,
+    robot: Robot = None,
+    without: Without = None,
+    random: Annotated[
+        int | None, typer.Option("--random", metavar="N", help="N postures at random.", show_default="1000")
+    ] = None,
+    grid: Annotated[
+        tuple[int, int, int] | None,
+        typer.Option("--grid", metavar="NX NY NZ", help="Tip positions on a grid in --box.", show_default=False),
+    ] = None,
+    posture_grid: Annotated[
+        str | None,
+        typer.Option("--posture-grid", metavar="N1,N2,…", help="Positions of every axis.", show_default=False),
+    ] = None,
+    path: Annotated[
+        Path | None, typer.Option("--path", help="A tool path: .csv, G-code or APT.", show_default=False)
+    ] = None,
+    box: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        typer.Option(
+            "--box", metavar="X0 X1 Y0 Y1 Z0 Z1", help="Of --grid, m, base frame.", show_default="the robot's workspace"
+        ),
+    ] = None,
+    place: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            "--place", metavar="X Y Z", help="Where the path's origin is, m, base frame.", show_default="0 0 0"
+        ),
+    ] = None,
+    place_turn_deg: Annotated[float, typer.Option(help="How the path is turned about z, degrees.")] = 0.0,
+    near: Annotated[
+        str | None,
+        typer.Option(
+            "--near", metavar="Q1,Q2,…", help="Posture found ones should be near, degrees.", show_default=False
+        ),
+    ] = None,
+    spacing: Annotated[float, typer.Option(help="Of points along a path, m.")] = 0.01,
+    spindle_rpm: Annotated[
+        float | None, typer.Option(help="Speed of the closed form.", show_default="the least of all speeds")
+    ] = None,
+    lobes: Annotated[
+        int, typer.Option(metavar="N", help="Full lobes at N speeds of the cut's range, instead of the closed form.")
+    ] = 0,
+    draws: Annotated[int, typer.Option(help="Robots drawn from the posterior; 0 for none.")] = 50,
+    processes: Annotated[int | None, typer.Option(min=1, help="Of this machine.", show_default="its cores")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler: tcp://HOST:8786.", show_default=False)
+    ] = None,
+    out: Out = None,
+    json: Json = False,
+    seed: Seed = 0,
+) -> None:
+    """How deep the robot may cut, where, and how sure: modes, compliance and depth over its workspace or a tool path.
+
+    With a robot.yaml that twin fit or twin diagnose wrote (posterior.h5 beside it), every depth comes with the one
+    that is stable with 90 % probability. Robots of up to four axes hold the tip's place; from five on the tool's
+    direction too, and what is free of the turn about the tool is swept for the best depth.
+
+    ```
+    twin map cut.yaml                                   # 1000 postures at random
+    twin map cut.yaml --grid 30 1 20 --spindle-rpm 3000
+    twin map cut.yaml --path part.nc --place 1.6 0 0.9 --robot out/frf/robot.yaml
+    twin map cut.yaml --random 200 --lobes 60           # full lobes, not the closed form
+    ```
+
+    Writes map.h5, figures, map.rrd (see twin view) and map.json into the output folder, out/map by default; with
+    --json, files are written only where --out says so. An interrupted map goes on when it is asked for again.
+    """
+    from twin.commands.map import make_map as run
+
+    if out is None and not json:
+        out = Path("out") / "map"
+    counts = None if posture_grid is None else _numbers("--posture-grid", posture_grid, int)
+    with twin.progress() as progress:
+        found = run(
+            cut, robot=robot, without=without, random=random, grid=grid, posture_grid=counts, path=path, box=box,
+            place=place, place_turn_deg=place_turn_deg,
+            near_deg=None if near is None else _numbers("--near", near, float), spacing=spacing,
+            spindle_rpm=spindle_rpm, lobes=lobes, draws=draws, processes=processes,
+            scheduler=scheduler, out=out, seed=seed, progress=progress,
+        )  # fmt: skip
+    _show(found, json)
+
+
+def _numbers(option: str, text: str, kind: type[int] | type[float]) -> list[Any]:
+    """Numbers joined by commas."""
+    try:
+        return [kind(part) for part in text.split(",")]
+    except ValueError as error:
+        raise InputError(option, text, "expected numbers joined by commas") from error
+
+
+@app.command()
 def view(
     path: Annotated[Path, typer.Argument(help="An output folder, a .rrd, a robot or a recording.")],
     robot: Robot = None,

@@ -201,6 +201,17 @@ def case(kind: str, recording: Recording, seed: int, number: int, sizes: tuple[f
     return Case(seed, kind, recording, effects, multiples, hiding, tuple(without), campaign, motion)
 
 
+def usual(kind: str, recording: Recording, seed: int, number: int) -> Case:
+    """One case whose effects are of any usual size, seen or not; `multiples` are not known."""
+    hidden = np.random.default_rng([seed, 1])
+    candidates = _candidates(kind, recording, number, hidden)[:2]
+    campaign, motion, without = _recorded(recording, seed, candidates)
+    effects = tuple(_drawn(draw(e, kr90(), hidden, log=campaign is None), hidden) for e in candidates)
+    if campaign:
+        campaign = replace(campaign, truth=replace(campaign.truth, effects=effects))
+    return Case(seed, kind, recording, effects, (np.nan,) * len(effects), None, tuple(without), campaign, motion)
+
+
 def struck(kind: str, recording: Recording, seed: int, number: int) -> HammerTest:
     """How the robot of a case with a hammer test is struck, of whatever size its effects are."""
     campaign, *_ = _recorded(recording, seed, _candidates(kind, recording, number, np.random.default_rng([seed, 1])))

@@ -18,20 +18,21 @@ from tools.trials.cases import struck
 from tools.trials.store import engine_hash, read, write
 from twin.diagnose.joint_reaction import Stepped, blows
 from twin.diagnose.physical import physical
-from twin.diagnose.refit import NONE, descend
+from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.struck import judge_struck, law_of
-from twin.diagnose.triage import triage
+from twin.diagnose.triage import Triage, triage
 from twin.identify.descent import minimise
 from twin.identify.elastic_compare import judge
 from twin.identify.objective import Sample
-from twin.identify.recorded import without_limits
+from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
 from twin.measure.recordings import read_campaign
 from twin.model.parameters import SIX, Parameters, free_parameters
 from twin.physics import CATALOGUE
-from twin.robot.description import Entry, load_robot
+from twin.robot.description import Entry, Robot, load_robot
 
 ITERATIONS, GAIN = 20, 0.1  # in ln likelihood: less is not waited for
+FEW_LINES = 25  # of a channel, on which a base model is looked for
 
 
 def refer(split: Path, name: str) -> None:
@@ -87,6 +88,63 @@ def held_out_error(split: Path, name: str) -> float | None:
     answer = read(split / "answers" / f"{name}.json")
     if answer["recording"] not in ("hammer", "levels"):
         return None
+    found = _posed(split, name, answer)
+    if found is None:
+        return None
+    base, laws, known, z = found
+    if not known.kept:
+        return None
+    sample, free = Sample(tuple(known.used), 1 / known.shared), _free(base, known.used)
+    if not laws:
+        return judge(physical(_refitted(base, free, sample, z).robot), known.kept).error
+    (entry,) = laws
+    campaign = read_campaign(split / "recordings" / name / "frf.h5")
+    pulse_s = struck(answer["kind"], answer["recording"], answer["seed"], answer["number"]).pulse_s
+    how = {group: replace(b, pulse_s=pulse_s, known=True) for group, b in (blows(campaign) or {}).items()}
+    law, sizes, site, _ = law_of(base.model_copy(update={"physics": [*base.physics, entry]}))
+    objective = Stepped(base, free, sample, law=law, site=site, blow=how, fixed=sizes, closely=True)
+    z, *_ = minimise(objective, z, ITERATIONS, GAIN)
+    robot = free.apply(base, free.values(z))
+    return judge_struck(robot.model_copy(update={"physics": [*robot.physics, entry]}), known.kept, how).error
+
+
+def true_fit(split: Path, name: str) -> Fitted | None:
+    """The true model refitted to the hammer test of a case, linear as it must be; ``None`` where no entries say it."""
+    answer = read(split / "answers" / f"{name}.json")
+    found = _posed(split, name, answer)
+    if found is None or found[1]:
+        return None
+    base, _, known, z = found
+    return _refitted(base, _free(base, known.used), Sample(tuple(known.used), 1 / known.shared), z)
+
+
+def base_fit(split: Path, name: str) -> Fitted | None:
+    """The description without what is concealed, refitted to the hammer test of a case; of two starts, the described
+    numbers and the true ones, the better."""
+    answer = read(split / "answers" / f"{name}.json")
+    found = _posed(split, name, {**answer, "effects": []})
+    if found is None:
+        return None
+    base, _, known, z = found
+    free, sample = _free(base, known.used), Sample(tuple(known.used), 1 / known.shared)
+    few = sample.thin(FEW_LINES)
+    ends = [
+        descend(base, NONE, free, few, start, logarithmic=rounds, tempered=4, linear=ITERATIONS, tolerance=GAIN)
+        for start, rounds in ((z, 0), (np.zeros(len(z)), 10))
+    ]
+    return _refitted(base, free, sample, min(ends, key=lambda end: end.cost).z)
+
+
+def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
+    return free_parameters(base, dict.fromkeys(r.setup.name for r in used), used[0].setup.response.label)
+
+
+def _refitted(base: Robot, free: Parameters, sample: Sample, z: FloatArray) -> Fitted:
+    return descend(base, NONE, free, sample, z, tempered=0, linear=ITERATIONS, tolerance=GAIN)
+
+
+def _posed(split: Path, name: str, answer: dict[str, Any]) -> tuple[Robot, list[Entry], Triage, FloatArray] | None:
+    """The described robot with what is concealed, laws of amplitude kept apart; what is fitted to; where from."""
     truth = answer["truth"]["campaign"]
     entries = described(answer["effects"], truth["chain"])
     if entries is None:
@@ -97,19 +155,5 @@ def held_out_error(split: Path, name: str) -> float | None:
     laws = [entry for entry in entries if CATALOGUE[entry.effect].amplitude_law]
     given = given.model_copy(update={"physics": [*given.physics, *(e for e in entries if e not in laws)]})
     base, found = without_limits(given), triage(campaign, given, str(source), None)
-    if not found.kept:
-        return None
-    sample = Sample(tuple(found.used), 1 / found.shared)
-    free = free_parameters(base, dict.fromkeys(r.setup.name for r in found.used), found.used[0].setup.response.label)
-    z = free.coordinates(true_values(free, truth))
-    if not laws:
-        fit = descend(base, NONE, free, sample, z, tempered=0, linear=ITERATIONS, tolerance=GAIN)
-        return judge(physical(fit.robot), found.kept).error
-    (entry,) = laws
-    pulse_s = struck(answer["kind"], answer["recording"], answer["seed"], answer["number"]).pulse_s
-    how = {group: replace(b, pulse_s=pulse_s, known=True) for group, b in (blows(campaign) or {}).items()}
-    law, sizes, site, _ = law_of(base.model_copy(update={"physics": [*base.physics, entry]}))
-    objective = Stepped(base, free, sample, law=law, site=site, blow=how, fixed=sizes, closely=True)
-    z, *_ = minimise(objective, z, ITERATIONS, GAIN)
-    robot = free.apply(base, free.values(z))
-    return judge_struck(robot.model_copy(update={"physics": [*robot.physics, entry]}), found.kept, how).error
+    free = _free(base, found.used)
+    return base, laws, found, free.coordinates(true_values(free, truth))

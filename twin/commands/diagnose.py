@@ -14,6 +14,7 @@ from twin.diagnose.evidence import Evidence
 from twin.diagnose.records import FrfRecord, LogRecord
 from twin.diagnose.verdict import Verdict
 from twin.errors import InputError
+from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.identify.recorded import without_limits
 from twin.measure.recordings import Given, Recording, read_recordings, traced
 from twin.memory import uncollected
@@ -94,6 +95,8 @@ def _finish(verdict: Verdict, evidence: Sequence[Evidence], out: str | Path | No
     with Outputs(out) as name:
         _write_model(verdict, name("robot.yaml").parent)
         name("robot.xml")
+        if verdict.findings[-1].fits:
+            name(FILE)
         _check(verdict, evidence, name.stage)
         verdict.model = {"robot": "robot.yaml", "mjcf": "robot.xml"}
         with uncollected():
@@ -105,6 +108,8 @@ def _finish(verdict: Verdict, evidence: Sequence[Evidence], out: str | Path | No
 
 def _write_model(verdict: Verdict, folder: Path) -> Path:
     save_robot(folder / "robot.yaml", verdict.robot)
+    if fits := verdict.findings[-1].fits:
+        save_posterior(folder / FILE, Posterior.of(fits[-1]))
     q, brakes = _posture(verdict)
     save_mjcf(folder / "robot.xml", build_spec(assemble(without_limits(verdict.robot), q, brakes=brakes)))
     return folder

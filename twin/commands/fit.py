@@ -1,7 +1,7 @@
 """``twin fit``: measured FRFs or a modal table in; joint stiffness and damping with honest intervals out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from scipy.special import gammaincinv
 
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
+from twin.identify.damping_transfer import Miss, Transfer, foretold, transfer
 from twin.identify.elastic import Fit, fit_frf
 from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
@@ -21,6 +22,7 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
+from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.identify.recorded import Recorded, base_name, noise_stated, prepare, within_limits, without_limits
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
@@ -50,6 +52,7 @@ LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
 CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
 LARGE_CORRELATION = 0.95
+ALIKE = 0.8  # MAC of modes whose dampings are compared
 PROFILED = 4  # parameters whose profile is drawn
 
 
@@ -65,6 +68,7 @@ class FitResult(Result):
         expected: the held-out error that noise and tolerances explain, and the noise floor alone.
         postures: per posture role, model's modes and, where there are any, measured ones.
         left_out: posture → error when only that posture was not used.
+        damping: how well damping is foretold in postures that were not fitted to.
     """
 
     source: str
@@ -83,6 +87,7 @@ class FitResult(Result):
     files: list[str] = field(default_factory=list)
     model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
     origin: dict[str, Any] = field(default_factory=dict)
+    damping: Transfer = field(default_factory=lambda: transfer([]))
 
     drawn_by = "twin.report.fit_report"
 
@@ -113,6 +118,7 @@ class FitResult(Result):
             "error": self.error,
             "expected": self.expected,
             "leave_one_out": self.left_out,
+            "damping_transfer": self.damping.data(),
             "misfit": self.fit.misfit,
             "starts": {"agreeing": self.fit.agreeing, "of": len(self.fit.starts), "rival": self.fit.rival},
             "converged": self.fit.converged,
@@ -180,6 +186,7 @@ class FitResult(Result):
                 lines.append(
                     f"  {name:12} {mode['frequency_hz']:7.2f} Hz {mode['damping_percent']:6.2f} %{beside}{alike}"
                 )
+        lines.append(f"  {self.damping}")
         lines += [f"  warning: {text}" for text in self.warnings]
         if self.files:
             names = [Path(file).name for file in self.files]
@@ -299,6 +306,7 @@ def _fit_campaign(
         source, final, fitted, found, combinations(fitted), held, error, expected,
         _campaign_modes(campaign, recordings, final, held, band_hz, progress), [], left_out, comparisons,
     )  # fmt: skip
+    result.damping = transfer(_misses_unseen(result, recordings))
     if profiled:
         weakest = _weakest(found)
         tick = progress("profiles", len(weakest))
@@ -351,6 +359,7 @@ def _campaign_modes(
                 entries[column] |= {
                     "measured_hz": mode.frequency_hz, "measured_damping_percent": mode.damping_percent,
                     "mac": float(likeness[row, column]),
+                    "measured_damping_std_percent": mode.damping_std_percent,
                 }  # fmt: skip
             paired = {entry["measured_hz"] for entry in entries if "measured_hz" in entry}
             record["measured_only"] = [float(f) for f in frequency if f not in paired]
@@ -396,6 +405,24 @@ def _pairs(cost: FloatArray, worst: float) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < worst]
 
 
+def _misses_unseen(result: FitResult, recordings: Sequence[Recorded]) -> list[Miss]:
+    """Damping of the measured modes in postures that were not fitted to, beside what the fit foretells."""
+    found: list[Miss] = []
+    known, robot = Posterior.of(result.fit), without_limits(result.robot)
+    for r in recordings:
+        if r.setup.name not in result.held_out or any(miss.posture == r.setup.name for miss in found):
+            continue
+        seen = [m for m in result.postures[r.setup.name]["modes"] if (m.get("mac") or 0) > ALIKE]
+        seen = [m for m in seen if m["measured_damping_percent"] > 0 and m["damping_percent"] > 0]
+        frequency = np.array([m["frequency_hz"] for m in seen])
+        spread = foretold(known, robot, r.setup.q, r.setup.brakes or "off", frequency)
+        for m, own in zip(seen, spread, strict=True):
+            measured, predicted = m["measured_damping_percent"] / 100, m["damping_percent"] / 100
+            doubt = m["measured_damping_std_percent"] / m["measured_damping_percent"]
+            found.append(Miss(r.setup.name, m["measured_hz"], measured, predicted, doubt, float(own)))
+    return found
+
+
 # --- modal tables -----------------------------------------------------------------------------------------------------
 
 
@@ -423,18 +450,34 @@ def _fit_table(
     paired = predict_modes(final, measured)
     error: dict[str, float | None] = {"train": frequency_error([m for m in paired if m.posture in train])}
     error["held_out"] = frequency_error([m for m in paired if m.posture in held]) if held else None
-    left_out = {}
-    for name in measured if leave_one_out and len(measured) > 1 else []:
-        _, changed = run([other for other in measured if other != name])
-        left_out[name] = frequency_error(predict_modes(changed, {name: measured[name]}))
+    left_out, misses = {}, []
+    for name in measured if len(measured) > 1 else []:
+        other, changed = run([other for other in measured if other != name])
+        if leave_one_out:
+            left_out[name] = frequency_error(predict_modes(changed, {name: measured[name]}))
+        misses += misses_left_out(other, changed, measured[name])
     result = FitResult(
         given.source, final, fitted, estimates(fitted), combinations(fitted), held, error, {"held_out": None},
         {name: _paired(described, posture, [m for m in paired if m.posture == name], name in held)
          for name, posture in measured.items()},
         [], left_out,
     )  # fmt: skip
+    result.damping = transfer(misses)
     result.warnings = _warnings(result)
     return result
+
+
+def misses_left_out(fitted: Fit, robot: Robot, posture: ModalPosture) -> list[Miss]:
+    """Damping of the measured modes of a posture, beside what a fit to the others foretells."""
+    paired = predict_modes(robot, {posture.setup.name: posture})
+    rows = [k for k, m in enumerate(paired) if m.damping and m.measured_damping > 0]
+    frequency = np.array([float(paired[k].frequency_hz or 0) for k in rows])
+    spread = foretold(Posterior.of(fitted), without_limits(robot), posture.setup.q, "off", frequency)
+    return [
+        Miss(posture.setup.name, paired[k].measured_hz, paired[k].measured_damping, float(paired[k].damping or 0),
+             float(posture.damping_spread[k]), float(own))
+        for k, own in zip(rows, spread, strict=True)
+    ]  # fmt: skip
 
 
 def _modal_parameters(robot: Robot, tolerances: bool) -> Parameters:
@@ -613,6 +656,10 @@ def _write(found: FitResult, name: Outputs, progress: Progress) -> None:
     from twin.report.html import write_html
 
     save_robot(name("robot.yaml"), found.robot)
+    known = Posterior.of(found.fit)
+    save_posterior(
+        name(FILE), replace(known, damping_scatter=found.damping.scatter, damping_freedom=found.damping.freedom)
+    )
     first = next(iter(found.postures.values()))
     mechanism = assemble(found.robot, within_limits(found.robot, found.robot.angles(first["q_deg"])))
     save_mjcf(name("robot.xml"), build_spec(mechanism))

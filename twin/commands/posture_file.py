@@ -1,4 +1,4 @@
-"""``posture.yaml``: which robot, in which posture, how it is hit, what it replays."""
+"""``posture.yaml``: which robot, in which posture, how it is hit, what it replays, what it cuts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from twin.errors import InputError
 from twin.measure.motion_log import MotionLog, read_motion_log
+from twin.milling.cut import Cut, read_cut
 from twin.robot.description import Data, NonNegative, Number, Positive, Robot, first_problem, load_robot
 from twin.yamlfile import read_yaml
 
@@ -56,6 +57,7 @@ class _File(Data):
     posture: _Posture
     hammer: Annotated[Hammer | None, BeforeValidator(_none_if_false)] = Hammer()
     replay: str | None = None
+    cut: dict[str, Any] | str | None = None
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ class PostureFile:
         q: (n,) joint positions, rad (m); ``q_deg`` as the user wrote them.
         hammer: how it is hit, or ``None`` for modes only.
         trajectory: what is replayed, or ``None``.
+        cut: what is milled how, or ``None``.
         inputs: the files that were read, and what was given in memory.
     """
 
@@ -77,6 +80,7 @@ class PostureFile:
     brakes: Literal["on", "off"]
     hammer: Hammer | None
     trajectory: MotionLog | None
+    cut: Cut | None
     inputs: list[Any]
 
 
@@ -149,11 +153,12 @@ def _checked(
     if content.hammer:
         _check_hammer(path, content.hammer)
     log, source = _trajectory(path, trajectory if trajectory is not None else content.replay)
+    cut = None if content.cut is None else read_cut(content.cut, path, path.parent)
     described = robot if isinstance(robot, Robot) else loaded.path
     inputs = [item for item in (*inputs, described, source) if item is not None]
     return PostureFile(
         loaded, content.posture.name, q, list(content.posture.q_deg), content.posture.brakes, content.hammer, log,
-        inputs,
+        cut, inputs,
     )  # fmt: skip
 
 

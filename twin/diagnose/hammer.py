@@ -194,6 +194,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         warnings=[*found.warnings, *elsewhere(search.base, search.others), *strained(best)],
         finalists=finalists(search.base, answer.fits),
+        fits=(before, best),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in answer.missing]
     return finding

@@ -116,6 +116,7 @@ class Finding:
         warnings: of the triage, one line each.
         fit: of ``robot``, where another recording can build on it.
         finalists: what the answer was chosen from, as :func:`twin.diagnose.decide.finalists` has it.
+        fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
     """
 
     recording: str
@@ -137,6 +138,7 @@ class Finding:
     warnings: list[str] = field(default_factory=list)
     fit: Fitted | None = None
     finalists: tuple[dict[str, Any], ...] = ()
+    fits: tuple[Fitted, ...] = ()
     apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None
     following: Callable[[Robot], Robot] | None = None

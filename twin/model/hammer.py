@@ -96,7 +96,8 @@ def simulate_hits(
         Raw hits without windows.
     """
     linear = linearise(mechanism)
-    model, substeps = _stepping_model(mechanism, linear, test.sample_rate_hz)
+    substeps = steps_per_sample(linear, test.sample_rate_hz)
+    model = stepping_model(mechanism, 1 / (test.sample_rate_hz * substeps))
     step = model.opt.timestep
     chain = measurement_chain(linear, mechanism.robot, responses, excitations)
     sense = np.array(
@@ -151,12 +152,16 @@ def simulate_hits(
     return Hits(force, response, test.sample_rate_hz, PRETRIGGER_S)
 
 
-def _stepping_model(mechanism: Mechanism, linear: LinearModel, sample_rate_hz: float) -> tuple[mujoco.MjModel, int]:
-    """A lean model for stepping, and how many steps make a sample so that the fastest pole is resolved."""
-    model = build_spec(mechanism, visual=False, instruments=False).compile()
+def steps_per_sample(linear: LinearModel, sample_rate_hz: float) -> int:
+    """How many steps make a sample so that the fastest pole is resolved."""
     fastest = np.abs(state_matrix_poles(linear)).max(initial=1.0)
-    substeps = max(1, int(np.ceil(fastest / FASTEST / sample_rate_hz)))
-    model.opt.timestep = 1 / (sample_rate_hz * substeps)
+    return max(1, int(np.ceil(fastest / FASTEST / sample_rate_hz)))
+
+
+def stepping_model(mechanism: Mechanism, step_s: float) -> mujoco.MjModel:
+    """A lean model for stepping by Runge–Kutta of fourth order: no contacts, constraints, sensors or drives."""
+    model = build_spec(mechanism, visual=False, instruments=False).compile()
+    model.opt.timestep = step_s
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     model.opt.disableflags |= int(
         mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -164,7 +169,7 @@ def _stepping_model(mechanism: Mechanism, linear: LinearModel, sample_rate_hz: f
         | mujoco.mjtDisableBit.mjDSBL_SENSOR
         | mujoco.mjtDisableBit.mjDSBL_ACTUATION
     )
-    return model, substeps
+    return model
 
 
 def _filtered(cells: np.ndarray, substeps: int) -> np.ndarray:

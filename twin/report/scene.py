@@ -342,6 +342,48 @@ def write_replay(
         finish(_blueprint(rrb.Horizontal(picture, rrb.Vertical(*curves)) if torque else picture, "t"))
 
 
+def write_points(
+    path: str | Path,
+    mechanism: Mechanism,
+    points: np.ndarray,
+    colours: np.ndarray,
+    labels: Sequence[str],
+    text: str,
+    strip: np.ndarray | None = None,
+) -> None:
+    """Record coloured points around a robot at rest.
+
+    Args:
+        path: file to write (.rrd), whole or not at all.
+        mechanism: the robot in its posture.
+        points: (n, 3) m, base frame; ``colours`` (n, 3) sRGB; ``labels`` n, shown where one points.
+        text: Markdown beside the picture.
+        strip: (m, 3) a line through the points, or ``None``.
+    """
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    scene = stage(mechanism)
+    with _recording(path, f"{mechanism.robot.name} map") as (stream, send_blueprint):
+        _log_robot(stream, scene, "robot", dict.fromkeys(scene.bodies, RIGID_COLOUR))
+        at = poses(scene, scene.rest[None])
+        for k, name in enumerate(scene.bodies):
+            pose = rr.Transform3D(
+                translation=at.position[0, k], quaternion=rr.Quaternion(xyzw=at.quaternion[0, k][[1, 2, 3, 0]])
+            )
+            stream.log(f"robot/{name}", pose, static=True)
+        radius = 0.006 * scene.length
+        cloud = rr.Points3D(points, colors=colours, radii=radius, labels=labels, show_labels=False)
+        stream.log("robot/map", cloud, static=True)
+        if strip is not None:
+            stream.log("robot/path", rr.LineStrips3D([strip], colors=[(170, 170, 170)], radii=-1.0), static=True)
+        stream.log("text", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+        content = rrb.Vertical(
+            _view(scene, "robot", "map"), rrb.TextDocumentView(origin="text", name="what it shows"), row_shares=[5, 1]
+        )
+        send_blueprint(_blueprint(content, "t"))
+
+
 def view(path: str | Path) -> str:
     """Open recordings in the Rerun viewer, or say why that cannot be.
 

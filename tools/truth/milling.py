@@ -1,0 +1,194 @@
+"""Milling with the true robot: the delay equation of a cut stepped in time, linear or with the joints' own laws.
+
+The tool's tip moves as the poles of the structure let it, of frequency-dependent laws too; between steps they are
+propagated exactly. The cut pushes with what the chips cost: chips are as thick as the feed and what the tooth before
+has left. Seen from the spindle the tool turns clockwise; x is the feed of the tool against the work, z points from
+the tip to the spindle, and a tooth at φ from +y stands at (sin φ, cos φ).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tools.truth.chain import Array
+from tools.truth.elastic import Structure
+from tools.truth.laws import Complex
+
+FINE = 64  # places within a step at which teeth are looked for: where they enter and leave is averaged
+GRID = 16  # depths in a round of the search for a limit
+
+
+@dataclass(frozen=True)
+class Cut:
+    """What is cut how: `arc` rad where teeth are in the work; `coefficients` (kt, kr, ka) N/m²; directions in the base.
+
+    `axis` points from the tip to the spindle, `feed` is how the tool moves against the work; `tip` (3,) m in the last
+    link's frame.
+    """
+
+    tip: Array
+    axis: Array
+    feed: Array
+    teeth: int
+    arc: tuple[float, float]
+    coefficients: Array
+    spindle_rpm: float
+    feed_per_tooth: float = 1e-4
+
+    @property
+    def period(self) -> float:
+        """From tooth to tooth, s."""
+        return 60 / self.spindle_rpm / self.teeth
+
+
+def arc(immersion: float, up: bool) -> tuple[float, float]:
+    """Where teeth are in the work: up milling begins with no chip at φ = 0."""
+    swept = float(np.arccos(1 - 2 * immersion))
+    return (0.0, swept) if up else (np.pi - swept, np.pi)
+
+
+def last_link(structure: Structure) -> Array:
+    """Rotation (3, 3) of the end of the last link."""
+    return np.asarray(structure.zones[-1][-1].frame.turn)
+
+
+def tip_rows(structure: Structure, cut: Cut) -> Array:
+    """Displacement (3, n) of the tip along feed, normal and axis per unit of every coordinate."""
+    z = cut.axis / np.linalg.norm(cut.axis)
+    x = cut.feed - (cut.feed @ z) * z
+    x = x / np.linalg.norm(x)
+    turn, body = last_link(structure), f"link{len(structure.zones)}"
+    return np.array([structure.row(body, cut.tip, turn.T @ d) for d in (x, np.cross(z, x), z)])
+
+
+def poles(structure: Structure, rows: Array) -> tuple[Complex, Complex]:
+    """λ (nm,) with Im > 0 and residue vectors (nm, 3): receptance Σ u uᵀ/(s − λ) + conjugates.
+
+    Each is followed by Newton's method from where viscous damping alone puts it, through laws that depend on frequency.
+    """
+    frequency, ratio, shapes = structure.modes()
+    start = 2 * np.pi * frequency * (-ratio + 1j * np.sqrt(1 - ratio**2))
+    found, vectors = [], []
+    for s, v in zip(start, shapes.T, strict=True):
+        for _ in range(30):
+            stiffness, slope = dynamic_stiffness(structure, s), _slope(structure, s)
+            w = np.linalg.solve(stiffness, slope @ v)
+            step = (v @ slope @ v) / (v @ slope @ w)
+            v = w / np.linalg.norm(w)
+            s = s - step
+            if abs(step) < 1e-12 * abs(s):
+                break
+        slope = _slope(structure, s)
+        found.append(s)
+        vectors.append(rows @ v / np.sqrt(v @ slope @ v))
+    return np.array(found), np.array(vectors)
+
+
+def dynamic_stiffness(structure: Structure, s: complex) -> Complex:
+    """Z(s), (n, n)."""
+    z = structure.mass * s**2 + structure.damping * s + structure.stiffness
+    for i, terms in structure.dynamic.items():
+        z[i, i] += sum(term(np.array([s]))[0] for term in terms)
+    return np.asarray(z)
+
+
+def _slope(structure: Structure, s: complex) -> Complex:
+    step = 1e-6 * abs(s)
+    return (dynamic_stiffness(structure, s + step) - dynamic_stiffness(structure, s - step)) / (2 * step)
+
+
+def directions(cut: Cut, steps: int) -> Array:
+    """Force on the tip over depth and chip motion, (steps, 3, 3) N/m², at steps of a tooth period."""
+    kt, kr, ka = cut.coefficients
+    place = (np.arange(steps)[:, None] + (np.arange(FINE) + 0.5) / FINE - 0.5) / steps
+    pitch = 2 * np.pi / cut.teeth
+    phi = (place[None] + np.arange(cut.teeth)[:, None, None]) * pitch % (2 * np.pi)
+    inside = ((phi >= cut.arc[0]) & (phi <= cut.arc[1])).astype(float)
+    s, c, o = np.sin(phi), np.cos(phi), np.zeros_like(phi)
+    normal = np.stack([s, c, o])
+    push = -kr * normal - kt * np.stack([c, -s, o]) + ka * np.stack([o, o, o + 1])
+    return np.einsum("iapf,japf,apf->pij", push, normal, inside) / FINE
+
+
+def growth(
+    pole: Complex, residue: Complex, force: Array, depth: Array, period: Array, seconds: float = 6.0, seed: int = 0
+) -> Array:
+    """Growth rate 1/s of a small disturbance in each column, by stepping: below zero the cut is stable.
+
+    pole (nm, nc) and residue (nm, 3, nc) of the tip, force (steps, 3, 3, nc) from `directions`, depth (nc,) m,
+    period (nc,) s between teeth.
+    """
+    steps, columns = len(force), depth.size
+    w = pole * period / steps
+    fade = np.exp(w)
+    late = (np.exp(w) - 1 - w) / (w * pole)
+    early = (np.exp(w) - 1) / pole - late
+    early, late = residue * early[:, None], residue * late[:, None]  # (nm, 3, nc)
+    own = 2 * np.einsum("kic,kjc->ijc", residue, late).real
+    read = 2 * residue
+    rng = np.random.default_rng(seed)
+    z = rng.normal(size=pole.shape) + 1j * rng.normal(size=pole.shape)
+    z /= np.abs(residue).max(axis=1) + 1e-3 * np.abs(residue).max()
+    behind = np.zeros((steps, 3, columns))
+    push = np.zeros((3, columns))
+    count = int(np.ceil(seconds / period.min()))
+    size, level = np.empty((count, columns)), np.zeros(columns)
+    blade = force * depth
+    for number in range(count):
+        for k in range(steps):
+            z = z * fade + (early * push).sum(axis=1)
+            free = (read[:, 0] * z).sum(0).real, (read[:, 1] * z).sum(0).real, (read[:, 2] * z).sum(0).real
+            moved = np.stack(free)
+            A = blade[k]
+            chip = moved - behind[k]
+            push = (A * chip).sum(axis=1)
+            chip = chip + (own * push).sum(axis=1)
+            push = (A * chip).sum(axis=1)
+            z = z + (late * push).sum(axis=1)
+            behind[k] = moved + (own * push).sum(axis=1)
+        energy = np.sqrt((np.abs(z) ** 2 * np.abs(residue).max(axis=1) ** 2).sum(axis=0))
+        size[number] = level + np.log(energy)
+        level += np.log(energy)
+        z, push, behind = z / energy, push / energy, behind / energy
+    half = count // 2
+    time = np.arange(count - half)[:, None] * period
+    away = time - time.mean(axis=0)
+    return np.asarray((away * size[half:]).sum(axis=0) / (away**2).sum(axis=0))
+
+
+def limits(
+    cases: list[tuple[Structure, Cut]], deepest: float, steps: int = 60, seconds: float = 6.0, rounds: int = 3
+) -> Array:
+    """The least depth (m) that chatters in each case, `deepest` where none does: a grid, then finer ones in a cell.
+
+    Grids are even in the logarithm; the first goes down to `deepest` / 3000, and its shallowest unstable depth counts.
+    """
+    low, high = np.full(len(cases), deepest / 3000), np.full(len(cases), deepest)
+    at = np.arange(len(cases))
+    for _ in range(rounds):
+        depth = np.geomspace(low, high, GRID)
+        unstable = growth_at(cases, depth, steps, seconds) > 0
+        first = np.where(unstable.any(axis=0), unstable.argmax(axis=0), GRID - 1)
+        low, high = depth[np.maximum(first - 1, 0), at], depth[first, at]
+    return np.asarray(np.where(high >= deepest * (1 - 1e-9), deepest, np.sqrt(low * high)))
+
+
+def growth_at(cases: list[tuple[Structure, Cut]], depth: Array, steps: int = 60, seconds: float = 6.0) -> Array:
+    """Growth rates (nd, ncase) at depths (nd, ncase), cases of similar tooth periods together."""
+    out = np.empty(depth.shape)
+    order = np.argsort([cut.period for _, cut in cases])
+    for some in np.array_split(order, max(1, len(cases) * len(depth) // 400)):
+        found = [poles(cases[i][0], tip_rows(*cases[i])) for i in some]
+        most = max(len(p) for p, _ in found)
+        pole = np.full((most, len(some)), -1.0 + 1j)
+        residue = np.zeros((most, 3, len(some)), complex)
+        for k, (p, u) in enumerate(found):
+            pole[: len(p), k], residue[: len(p), :, k] = p, u
+        force = np.stack([directions(cases[i][1], steps) for i in some], axis=-1)
+        period = np.array([cases[i][1].period for i in some])
+        each = np.tile(np.arange(len(some)), len(depth))
+        rate = growth(
+            pole[:, each], residue[..., each], force[..., each], depth[:, some].ravel(), period[each], seconds
+        )
+        out[:, some] = rate.reshape(len(depth), len(some))
+    return out
