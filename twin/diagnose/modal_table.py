@@ -46,7 +46,7 @@ WIDER_INERTIA = 10.0  # times its tolerances: the inertia of a link that is not 
 BETTER = 0.5  # of the error on postures left out, set by eye: many an entry brings it to 0.7
 WORSE = 1.1  # of the error on any one posture left out
 HOPELESS = 1e6  # ln evidence taken off one that does not predict
-UNKNOWN, DOUBTED = 0.05, 0.3  # probability of something else beside a name; where the table gives no deviations
+NAMELESS_LEFT, DOUBTED = 0.05, 0.3  # probability of something else beside a name; where the table gives no deviations
 UNSTATED = 3.0  # times the usual deviations: what the scatter of a table without deviations may be
 
 
@@ -330,11 +330,11 @@ def decide_table(
     handicap = [less(fit) for fit, _ in rounds]
     decision = decide(
         [fit for fit, _ in rounds], before, [[h] for h in looked_at], handicap=handicap, scale=scale,
-        other=UNKNOWN if stated else DOUBTED,
+        other=NAMELESS_LEFT if stated else DOUBTED,
     )  # fmt: skip
     if not good:
         beyond = before.misfit > (2.0 if stated else UNSTATED**2)
-        none = 0.0 if beyond else 1 - UNKNOWN
+        none = 0.0 if beyond else 1 - NAMELESS_LEFT
         return replace(decision, probability=[0.0] * len(rounds), none=none, other=1 - none)
     return decision
 
