@@ -98,7 +98,7 @@ def test_every_documented_key_is_there_and_paths_are_relative(found: SimpleNames
     written = json.loads((found.out / "diagnosis.json").read_text())
     assert written == found.data
     assert set(written) >= CONTRACT
-    assert (written["format"], written["version"]) == ("twin-diagnosis", 1)
+    assert (written["format"], written["version"]) == ("twin-diagnosis", 2)
     assert written["model"] == {"robot": "robot.yaml", "mjcf": "robot.xml"}
     assert set(written["location"][0]) == {"recording", "posture", "run", "site", "band_hz", "channels", "share"}
     assert set(written["smallest_visible"][0]) == {"effect", "site", "parameter", "value", "unit"}

@@ -1,5 +1,6 @@
 """The hammer-test diagnosis against the truth code: what is concealed is found, nothing else is, and where is told."""
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -324,7 +325,7 @@ def test_scatter_of_few_lines_that_were_held_out_is_not_held_against_a_name(
 
     base, fit = fitted(0.0, 1.27, 2880, NONE), fitted(600.0, 0.84, 2880, gain)
     unseen = {NONE.key: fitted(0.0, bare, 480, NONE), gain.key: fitted(0.0, named, 480, gain)}
-    monkeypatch.setattr("twin.diagnose.decide.foreseen", lambda fit, kept: unseen[fit.hypothesis.key])
+    monkeypatch.setattr(sys.modules["twin.diagnose.decide"], "foreseen", lambda fit, kept: unseen[fit.hypothesis.key])
     decision = decide([fit], base, [[gain]], kept=Sample(()))
     assert (decision.other > 0.9) == told
     assert (decision.probability[0] > 0.9) != told

@@ -1,3 +1,5 @@
+import sys
+
 """Force levels that disagree: blows stepped against MuJoCo and the truth code; joint, law and size are found."""
 
 from dataclasses import dataclass, replace
@@ -8,8 +10,8 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.commands.compare import compare_hammer
-from twin.commands.diagnose import diagnose_campaign
 from twin.diagnose.edit import is_nonlinear
+from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.held_law import UnderLaw
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, _own, _race, _settling, decide_levels, explain_levels, fit_law, point, with_law
@@ -308,8 +310,10 @@ def test_laws_that_explain_what_is_asked_stay_in_the_race(monkeypatch: pytest.Mo
         ("right", 0.0): 480.0,
         ("wrong", 0.0): 9e4,
     }
-    monkeypatch.setattr("twin.diagnose.levels._tempered", lambda sample, temper: temper)
-    monkeypatch.setattr("twin.diagnose.levels.minimise", lambda o, z, *rest: (z, costs[o.name, o.sample]))
+    monkeypatch.setattr(sys.modules["twin.diagnose.levels"], "_tempered", lambda sample, temper: temper)
+    monkeypatch.setattr(
+        sys.modules["twin.diagnose.levels"], "minimise", lambda o, z, *rest: (z, costs[o.name, o.sample])
+    )
     begun = [(Runner(name, Sample(())), name, np.zeros(1)) for name in ("wrong", "right", "worst")]
     trials, reached = _race(begun, (0.1, 0.0), lambda count: None, 1)  # type: ignore[arg-type]
     assert [trial[1] for trial in trials] == ["right"]

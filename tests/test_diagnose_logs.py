@@ -14,8 +14,7 @@ from test_identify_real import emps, needs, tx40
 
 from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
-from twin.commands import diagnose
-from twin.diagnose import torque
+from twin.diagnose import engine, torque
 from twin.diagnose.joint import followed, pooled, predicted_by
 from twin.diagnose.sentences import sentence
 from twin.diagnose.torque import diagnose_log, with_evidence
@@ -397,18 +396,15 @@ def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> N
 def test_a_second_log_keeps_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """The model of all is the last log's, which stands on the first: nothing of it follows the first one's numbers."""
     told: dict[str, Any] = {}
-    monkeypatch.setattr(diagnose, "predicted_by", lambda *_: [])
-    monkeypatch.setattr(diagnose, "pooled", lambda *_: {})
-    monkeypatch.setattr(torque, "with_evidence", lambda finding: [])
-    monkeypatch.setattr(diagnose, "together", lambda findings, base, robot: told.update(robot=robot))
+    monkeypatch.setattr(engine, "together", lambda findings, base, robot: told.update(robot=robot))
     first, last = (
         SimpleNamespace(
             following=lambda robot: "the first log's", error={}, missing=[], robot=name, model=name, base=""
         )
         for name in ("first", "last")
     )
-    tests = [SimpleNamespace(kind="motion-log", content=None)] * 2
-    diagnose._settled([first, last], tests, [None, None])  # type: ignore[arg-type, list-item]
+    logs = [SimpleNamespace(again=lambda *_: None)] * 2
+    engine._settled([first, last], logs, [None, None])  # type: ignore[arg-type, list-item]
     assert told["robot"] == "last"
 
 
@@ -640,7 +636,8 @@ def test_maps_show_what_was_missed(drifting: Finding) -> None:
 
 def test_a_run_too_short_and_an_unknown_run_are_refused(kr90: Robot) -> None:
     time = np.arange(200) / 250
-    run = MotionRun("a", time, np.zeros((200, 3)), 250.0, torque=np.random.default_rng(0).normal(size=(200, 3)))
+    moving = np.tile(np.sin(time)[:, None], 3)
+    run = MotionRun("a", time, moving, 250.0, torque=np.random.default_rng(0).normal(size=(200, 3)))
     with pytest.raises(InputError, match="too short"):
         prepare(MotionLog({"a": run}), kr90, "log.h5")
 

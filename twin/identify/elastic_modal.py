@@ -269,6 +269,7 @@ class _Modal(Descended):
     free: Parameters
     weighing: ModalObjective
     pairing: list[_Pairing]
+    _last: tuple[bytes, tuple[float, FloatArray, FloatArray]] | None = None
 
     @property
     def data(self) -> float:
@@ -276,7 +277,12 @@ class _Modal(Descended):
         return _data(self.postures)
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
+        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included; a step tried is not evaluated again."""
+        if self._last is None or self._last[0] != z.tobytes():
+            self._last = z.tobytes(), self._evaluated(z)
+        return self._last[1]
+
+    def _evaluated(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         values = self.free.values(z)
         changed = self.free.apply(self.robot, values)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
