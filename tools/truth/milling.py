@@ -73,7 +73,10 @@ def poles(structure: Structure, rows: Array) -> tuple[Complex, Complex]:
     for s, v in zip(start, shapes.T, strict=True):
         for _ in range(30):
             stiffness, slope = dynamic_stiffness(structure, s), _slope(structure, s)
-            w = np.linalg.solve(stiffness, slope @ v)
+            try:
+                w = np.linalg.solve(stiffness, slope @ v)
+            except np.linalg.LinAlgError:  # s is the pole, to the last digit
+                break
             step = (v @ slope @ v) / (v @ slope @ w)
             v = w / np.linalg.norm(w)
             s = s - step
