@@ -30,7 +30,8 @@ bench: install
 
 # Parallel and resumable; REAL=file of `python -m tools.trials real`, for the section on measured recordings.
 proof: install
-	$(BIN)/python -m tools.trials prove --split hammer --recordings hammer levels --each 6 --sizes 2 6 --page docs/proof.md
+	$(BIN)/python -m tools.trials prove --world wrong --split wrong --page out/trials/wrong/wrong.md
+	$(BIN)/python -m tools.trials prove --split hammer --recordings hammer levels --each 6 --sizes 2 6 --page docs/proof.md --wrong out/trials/wrong/wrong.md
 	$(BIN)/python -m tools.trials prove --split logs --recordings log both --each 6 --page docs/proof-logs.md $(if $(REAL),--real $(REAL))
 
 clean:

@@ -14,19 +14,20 @@ from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, m
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import next_test
 from twin.diagnose.noise import pooled_variance, shared_lines
-from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.physical import physical
-from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, minimise, recorded_error
+from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
 from twin.diagnose.search import Search, _about_the_same_axis, _best_of_each, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, judge, rival_of, strained
-from twin.identify.elastic import without_limits
-from twin.identify.parameters import Parameter as Free
-from twin.identify.parameters import Parameters, free_parameters, independent
+from twin.identify.descent import minimise
+from twin.identify.objective import Objective, Sample, factors
+from twin.identify.recorded import without_limits
 from twin.measure.campaign import Campaign, FloatArray, PostureFRF, Quantity, read_campaign
 from twin.model.linear import linearise
 from twin.model.modes import modes
+from twin.model.parameters import Parameter as Free
+from twin.model.parameters import Parameters, free_parameters, independent
 from twin.physics import CATALOGUE
 from twin.physics.effect import link_end
 from twin.robot.description import Robot, load_robot

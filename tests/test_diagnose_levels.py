@@ -7,27 +7,47 @@ import numpy as np
 import pytest
 
 from tools.truth.__main__ import main as truth
-from twin.commands.compare import compare_hammer
-from twin.commands.diagnose import diagnose_campaign
-from twin.diagnose.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
+from twin.diagnose.compare import compare_hammer
 from twin.diagnose.edit import is_nonlinear
+from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.held_law import UnderLaw
-from twin.diagnose.joint_laws import Cubic, Drag, Gap, Law, Slip, SlipAnywhere
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
-from twin.diagnose.levels import Levels, _race, _settling, decide_levels, explain_levels, fit_law, point, with_law
+from twin.diagnose.levels import (
+    Levels,
+    _own,
+    _race,
+    _settling,
+    decide_levels,
+    explain_levels,
+    fit_law,
+    point,
+    view,
+    view_with,
+    with_law,
+)
 from twin.diagnose.levels_beside import _doubted
 from twin.diagnose.levels_finding import check_blows
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.locate import free_blows, free_laws
-from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, descend, minimise
+from twin.diagnose.refit import NONE, descend
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Finding, estimates_of
-from twin.identify.elastic import prepare, without_limits
-from twin.identify.parameters import Parameter, free_parameters, independent, join
-from twin.identify.sensitivity import Observed
+from twin.identify.descent import minimise
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import prepare, without_limits
 from twin.measure.campaign import Campaign, read_campaign
+from twin.model.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
+from twin.model.joint_laws import Drag
+from twin.model.parameters import Parameter, free_parameters, independent, join
+from twin.model.sensitivity import Observed
+from twin.physics import CATALOGUE, amplitude_laws, register
+from twin.physics.backlash import Gap
+from twin.physics.effect import Effect
+from twin.physics.effect import Parameter as Play
+from twin.physics.hardening_stiffness import Cubic
+from twin.physics.hysteresis import Slip, SlipAnywhere
+from twin.physics.joint_law import Law
 from twin.robot.description import Entry, Robot
 
 
@@ -159,7 +179,7 @@ def test_slopes_of_finely_stepped_blows_are_those_of_their_cost(kr90: Robot, tmp
     campaign = recorded(tmp_path, "", "--nominal", "--no-sag", "--postures", "1")
     robot, recordings = without_limits(kr90), prepare(campaign, kr90)
     free = free_parameters(robot, tolerances=False)
-    own = [*SLIP.parameters("hysteresis@joint1.z", 5e6), Parameter("x.pulse", "s", "entry", True, 0.008, 0.2)]
+    own = [*_own(SLIP, "hysteresis@joint1.z", SLIP.usual(5e6)), Parameter("x.pulse", "s", "entry", True, 0.008, 0.2)]
     stepped = Stepped(
         robot, join(free, independent(own)), Sample(tuple(r.every(8) for r in recordings.values())),
         law=SLIP, site="joint1.z", blow=blows(campaign) or {}, closely=True,
@@ -454,3 +474,53 @@ def test_a_law_that_is_described_is_no_answer_and_what_is_missing_beside_it_is(k
     assert [missing.first.key for missing in other.missing] == ["hardening_stiffness@joint2.z"]
     assert not [entry for entry in other.robot.physics if entry.effect == "backlash"]
     assert any("backlash@joint1.z, as described, is not borne out" in warning for warning in other.warnings)
+
+
+def test_an_effect_that_shows_in_force_levels_states_its_law() -> None:
+    """None of the vocabulary is skipped in silence; one without a law, or with another's, says what it lacks."""
+    assert {law.effect for law in amplitude_laws()} == {n for n, e in CATALOGUE.items() if "levels" in e.seen_in}
+
+    class Silent(Effect):
+        name, sites, parameters, seen_in = "silent", ("joint{i}.z",), (Play("gap", "rad"),), frozenset({"levels"})
+
+    class Borrowed(Silent):
+        amplitude_law = Gap()
+
+    for effect, lack in ((Silent(), "expected an amplitude_law"), (Borrowed(), "expected 'silent', found 'backlash'")):
+        with pytest.raises(ValueError, match=lack):
+            register(effect)
+    assert "silent" not in CATALOGUE
+
+
+def test_the_law_supplies_what_a_window_needs_from_outside_the_band(kr90: Robot, tmp_path: Path) -> None:
+    """Beginnings of decays are those of the true law; by the linear model, true but for the gap, they are far off."""
+    nominal = ["--nominal", "--no-sag", "--noise", "0", "--scatter", "0", "--postures", "1"]
+    campaign = recorded(tmp_path, "backlash@joint1.z:gap=5e-5", *nominal)
+    robot, sample, blow = without_limits(kr90), Sample(tuple(prepare(campaign, kr90).values())), blows(campaign)
+    assert blow is not None
+    none = independent([])
+    stepped = Stepped(robot, none, sample, law=Gap(), site="joint1.z", blow=blow, fixed=np.array([5e-5]))
+    worst = []
+    for seen in (
+        view_with((stepped, NONE, np.zeros(0)), sample, blow, 5.0),
+        view(robot, none, np.zeros(0), sample, blow, 5.0),
+    ):
+        predicted = replace(stepped, sample=seen.sample, blow=seen.blow).predicted(np.zeros(0))
+        pairs = zip(predicted, seen.sample.recordings, strict=True)
+        worst.append(max(float(np.linalg.norm(H - r.frf) / np.linalg.norm(r.frf)) for H, r in pairs))
+    assert worst[0] < 0.01
+    assert worst[1] > 3 * worst[0]
+
+
+def test_levels_are_compared_on_the_lines_they_share(kr90: Robot, tmp_path: Path) -> None:
+    """Levels of other lines disagree as well; of postures that disagree without a force, it is said what is missing."""
+    cubic = "hardening_stiffness@joint1.z:cubic=3e13"
+    campaign = recorded(tmp_path, cubic, "--nominal", "--no-sag", "--postures", "1")
+    name, high = list(campaign.postures.items())[1]
+    assert high.coherence is not None
+    fewer = replace(high, frequency=high.frequency[::2], frf=high.frf[::2], coherence=high.coherence[::2])
+    assert triage(replace(campaign, postures={**campaign.postures, name: fewer}), kr90, "test", None).nonlinear
+    bare = {name: replace(p, peak_force_n=None) for name, p in campaign.postures.items()}
+    told = triage(replace(campaign, postures=bare), kr90, "test", None)
+    assert not told.nonlinear
+    assert any("no law of amplitude is sought" in line for line in told.warnings)

@@ -15,10 +15,9 @@ from test_identify_real import emps, needs, tx40
 from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from twin.commands import diagnose
-from twin.commands.compare import compare_log
 from twin.diagnose import torque
-from twin.diagnose.evidence import sentence
 from twin.diagnose.joint import followed, pooled, predicted_by
+from twin.diagnose.sentences import sentence
 from twin.diagnose.torque import diagnose_log, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
@@ -48,12 +47,13 @@ from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Missing, Verdict
 from twin.errors import InputError
-from twin.identify.regressor import inertia_six
 from twin.identify.rigid import Bands
+from twin.identify.rigid_compare import compare_log
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.measure.signals import lowpass
+from twin.model.regressor import inertia_six
 from twin.model.replay import inverse_dynamics
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
@@ -413,7 +413,10 @@ def test_a_second_log_keeps_what_it_found(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_low_speed_friction_or_slip_lists_each_once() -> None:
-    low, slip = (SimpleNamespace(key=key, site="joint2") for key in ("stribeck_friction@joint2", "hysteresis@joint2.z"))
+    low, slip = (
+        SimpleNamespace(effect=effect, site=site, key=f"{effect}@{site}")
+        for effect, site in (("stribeck_friction", "joint2"), ("hysteresis", "joint2.z"))
+    )
     other = SimpleNamespace(key="coulomb_friction@joint2")
     search = SimpleNamespace(system=None, found=[])
     found = Missing(low, 0.6, ((slip, 0.3), (other, 0.05)), "")  # type: ignore[arg-type]

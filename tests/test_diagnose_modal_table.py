@@ -20,10 +20,10 @@ from twin.diagnose.modal_table import (
 )
 from twin.diagnose.refit import NONE
 from twin.errors import InputError
-from twin.identify.elastic import without_limits
 from twin.identify.elastic_modal import modal_postures
-from twin.identify.parameters import free_parameters
+from twin.identify.recorded import without_limits
 from twin.measure.modal_table import ModalTable, TableMode, TablePosture
+from twin.model.parameters import free_parameters
 from twin.robot.description import Robot
 
 MEASURED = Path(__file__).with_name("data") / "table7_measured.yaml"

@@ -9,19 +9,22 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from twin.commands.compare import compare, compare_hammer
+from twin.commands.compare import compare
 from twin.commands.fit import fit
+from twin.diagnose.compare import compare_hammer
 from twin.errors import InputError
-from twin.identify.elastic import fit_frf, minimise, prepare
+from twin.identify.descent import Descended, minimise
+from twin.identify.elastic import fit_frf
 from twin.identify.elastic_compare import judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
-from twin.identify.parameters import free_parameters
+from twin.identify.recorded import prepare
 from twin.identify.uncertainty import combinations, estimates, profile
 from twin.measure.campaign import Campaign, Channels, PostureFRF, as_quantity, read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.uff import write_uff
 from twin.model.frf import frf as reference_frf
 from twin.model.linear import linearise
+from twin.model.parameters import Parameter, free_parameters, independent
 from twin.robot.description import Robot, load_robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
 
@@ -255,6 +258,20 @@ def test_a_channel_without_coherence_counts_for_nothing_in_compare(measured: Sim
     assert spoilt == pytest.approx(whole, rel=0.1)
 
 
+class _Squares(Descended):
+    """½ |A z − b|² over eight numbers of either sign."""
+
+    data = 12.0
+    free = independent([Parameter(f"gain.{k}", "1", "gain", False, 0.0, 1.0) for k in range(8)])
+
+    def __init__(self, A: np.ndarray, b: np.ndarray) -> None:
+        self.A, self.b = A, b
+
+    def __call__(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        r = self.A @ z - self.b
+        return 0.5 * float(r @ r), self.A.T @ r, self.A.T @ self.A
+
+
 def test_bounded_descent_ends_where_bounded_least_squares_does() -> None:
     """Tolerances end at a bound, and what is left of a correlated misfit moves to the others."""
     rng = np.random.default_rng(3)
@@ -262,11 +279,7 @@ def test_bounded_descent_ends_where_bounded_least_squares_does() -> None:
         A = rng.normal(size=(12, 8)) @ np.diag(np.logspace(0, -2, 8))
         b = A @ rng.normal(scale=3.0, size=8) + rng.normal(size=12)
 
-        def objective(z: np.ndarray, A: np.ndarray = A, b: np.ndarray = b) -> tuple[float, np.ndarray, np.ndarray]:
-            r = A @ z - b
-            return 0.5 * float(r @ r), A.T @ r, A.T @ A
-
-        z, cost, _, converged = minimise(objective, np.zeros(8), 60, 1e-9, 1.0)
+        z, cost, _, converged = minimise(_Squares(A, b), np.zeros(8), 60, 1e-9, bound=np.ones(8), slack=0.0)
         assert converged
         assert np.abs(z).max() <= 1
         assert cost == pytest.approx(lsq_linear(A, b, (-1, 1), tol=1e-12).cost, rel=1e-6)

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from twin.identify.parameters import (
+from twin.measure.campaign import Channels
+from twin.model.frf import frf as reference_frf
+from twin.model.frf import measurement_chain
+from twin.model.linear import linearise
+from twin.model.modes import modes
+from twin.model.parameters import (
     Parameters,
     entry_parameter,
     free_parameters,
@@ -11,7 +16,7 @@ from twin.identify.parameters import (
     join,
     link_parameters,
 )
-from twin.identify.sensitivity import (
+from twin.model.sensitivity import (
     Observed,
     Setup,
     contract,
@@ -25,11 +30,6 @@ from twin.identify.sensitivity import (
     structure,
     structures,
 )
-from twin.measure.campaign import Channels
-from twin.model.frf import frf as reference_frf
-from twin.model.frf import measurement_chain
-from twin.model.linear import linearise
-from twin.model.modes import modes
 from twin.robot.description import Robot, load_robot, parse_robot
 from twin.robot.mechanism import assemble, assemble_all
 

@@ -7,12 +7,12 @@ import pytest
 
 from twin.commands.compare import compare
 from twin.commands.excite import krl_program, trajectory_run
-from twin.commands.identify import identify_log
+from twin.commands.identify import identify
 from twin.errors import InputError
 from twin.identify import excitation
 from twin.identify.excitation import Fourier, Problem, excite, violation
-from twin.identify.regressor import flange_path
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log, write_motion_log
+from twin.model.regressor import flange_path
 from twin.model.replay import inverse_dynamics
 from twin.robot.description import Robot, load_robot
 
@@ -22,14 +22,9 @@ DATA = Path(__file__).parent / "data"
 @pytest.fixture(scope="module")
 def found(kr90: Robot) -> list[excitation.Excitation]:
     """Two quick trajectories: one start each, no further search."""
-    patch = pytest.MonkeyPatch()
-    patch.setattr(excitation, "DRAWS", 15)
-    patch.setattr(excitation, "STARTS", 1)
-    patch.setattr(excitation, "HOPS", 0)
-    result = excite(kr90, 1, starts=2, workers=1, iterations=40)
-    result += excite(kr90, 1, starts=1, workers=1, iterations=25, rest=True, seed=2)
-    patch.undo()
-    return result
+    quick = excitation.Settings(draws=15, starts=1, hops=0)
+    result = excite(kr90, 1, starts=2, workers=1, iterations=40, settings=quick)
+    return result + excite(kr90, 1, starts=1, workers=1, iterations=25, rest=True, seed=2, settings=quick)
 
 
 def test_extremes_are_those_of_a_dense_sampling() -> None:
@@ -80,7 +75,7 @@ def test_gradients_are_those_of_central_differences(kr90: Robot) -> None:
         z, h = problem.draw(rng, 0.5), 1e-5
         _, gradient = problem.value_and_gradient(z)
         room, jacobian = problem.workspace(z)
-        assert room.shape == (6 * excitation.GUARDS,)
+        assert room.shape == (6 * problem.settings.guards,)
         for _ in range(5):
             step = rng.normal(size=z.shape)
             ahead, behind = z + h * step, z - h * step
@@ -103,7 +98,7 @@ def test_the_criterion_is_the_condition_number(kr90: Robot, found: list[excitati
     kept = Problem(kr90, 5, 0.1, False, "condition").kept
     assert len(kept) == 15
     e = found[0]
-    from twin.identify.regressor import link_regressor
+    from twin.model.regressor import link_regressor
 
     Y = link_regressor(kr90, e.fourier.motion(np.arange(1237) * 10 / 1237))[:, :, kept].reshape(-1, 15)
     assert np.linalg.cond(Y) == pytest.approx(e.condition, rel=1e-6)
@@ -141,7 +136,7 @@ def test_log_to_robot_and_back(kr90: Robot, found: list[excitation.Excitation], 
         runs[run.name] = MotionRun(run.name, run.time, run.position, 250.0, inverse_dynamics(heavier, motion) + noise)
     path = tmp_path / "log.h5"
     write_motion_log(path, MotionLog(runs, "kr90"))
-    result = identify_log(path, out=tmp_path / "out", hold_out=["run2"])
+    result = identify(path, out=tmp_path / "out", hold_out=["run2"])
     data = result.data()
     assert {"parameters", "error", "model"} <= set(data)
     assert all({"value", "unit", "interval90"} <= set(entry) for entry in data["parameters"].values())

@@ -9,7 +9,7 @@ import pytest
 
 from tests.test_pinocchio import rigid_model
 from twin.identify.base_parameters import structural_base
-from twin.identify.regressor import (
+from twin.model.regressor import (
     Regressor,
     body_of,
     coupling_matrix,

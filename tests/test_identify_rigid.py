@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from tools.coverage_rigid import study
-from twin.commands.compare import compare_log
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
-from twin.identify.regressor import Regressor, pseudo_inertia
 from twin.identify.rigid import (
     Bands,
     Identification,
@@ -22,6 +20,7 @@ from twin.identify.rigid import (
     nearest_possible,
     relative_error,
 )
+from twin.identify.rigid_compare import compare_log
 from twin.measure.motion_log import (
     MotionLog,
     MotionRun,
@@ -31,6 +30,7 @@ from twin.measure.motion_log import (
     write_motion_log,
 )
 from twin.measure.signals import advance, delay_between, differentiate
+from twin.model.regressor import Regressor, pseudo_inertia
 from twin.model.replay import inverse_dynamics
 from twin.physics.motion import Motion
 from twin.robot.description import Robot, load_robot, parse_robot, save_robot

@@ -7,7 +7,7 @@ import numpy as np
 from twin.measure.campaign import PostureFRF
 from twin.measure.modal import ModalResult, identify_modes
 from twin.measure.modal_table import ModalTable, read_modal_table, write_modal_table
-from twin.report.modal_figures import mac_figure, stabilisation_figure, write_modal_figures
+from twin.report.modal_figures import drawn, mac_figure, stabilisation_figure
 
 LABELS = (("21X+", "21Y+", "21Z+", "4Y-"), ("21X+",))
 
@@ -38,9 +38,9 @@ def test_the_auto_mac_has_ones_on_its_diagonal() -> None:
     np.testing.assert_allclose(np.diag(np.asarray(image.get_array())), 1)
 
 
-def test_every_posture_gets_its_figures(tmp_path: Path) -> None:
-    files = write_modal_figures(tmp_path, {"milling": result("milling"), "upright": result("upright", 1.1)})
-    assert {f.name for f in files} == {
+def test_every_posture_gets_its_figures() -> None:
+    figures = drawn({"milling": result("milling"), "upright": result("upright", 1.1)})
+    assert set(figures) == {
         "milling_stabilisation.png",
         "milling_frf.png",
         "milling_automac.png",
@@ -49,7 +49,6 @@ def test_every_posture_gets_its_figures(tmp_path: Path) -> None:
         "upright_automac.png",
         "milling_upright_mac.png",
     }
-    assert all(f.stat().st_size > 5000 for f in files)
 
 
 def test_the_table_of_a_result_holds_frequencies_dampings_and_shapes(tmp_path: Path) -> None:

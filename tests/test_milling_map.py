@@ -6,7 +6,6 @@ import pytest
 from twin.commands.map import make_map
 from twin.errors import InputError
 from twin.identify.damping_transfer import Miss, transfer
-from twin.identify.parameters import Parameter, Parameters
 from twin.identify.posterior import Posterior, load_posterior, save_posterior
 from twin.identify.uncertainty import _interval
 from twin.milling import map as work
@@ -15,6 +14,7 @@ from twin.milling.cut import Cut
 from twin.milling.ensemble import ensemble, quantile_of_safe
 from twin.milling.postures import tips, without_fast
 from twin.milling.tool_point import ToolModes, real_modes, tool_point
+from twin.model.parameters import Parameter, Parameters
 from twin.robot.description import Entry, load_robot
 
 TOOL = {"teeth": 3, "overhang_m": 0.25, "direction": (1, 0, 0), "mass_kg": 20}

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from twin.diagnose.evidence import PROMINENCE, _summits, best_spot, off_by, sentence
 from twin.diagnose.joint import Knowledge, pooled, settled_with, together
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord
+from twin.diagnose.sentences import PROMINENCE, _summits, best_spot, off_by, sentence
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
-from twin.identify.parameters import free_parameters
 from twin.measure.campaign import Channels
+from twin.model.parameters import free_parameters
 from twin.report import diagnosis
 from twin.robot.description import Robot, check_inertia
 

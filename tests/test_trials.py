@@ -21,10 +21,10 @@ from tools.trials.visible import SEEN, hammer_signal, level_signal, multiple_of_
 from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
 from tools.truth.recording import HammerTest, Posture, Truth, draw_postures, draw_truth, plain, write_campaign
-from twin.commands.modal import read_recording
-from twin.diagnose.objective import Objective, Sample
-from twin.identify.elastic import prepare, without_limits
-from twin.identify.parameters import free_parameters
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import prepare, without_limits
+from twin.measure.recordings import read_campaign
+from twin.model.parameters import free_parameters
 from twin.robot.description import load_robot
 
 ERROR = {
@@ -440,7 +440,7 @@ def test_a_reference_starts_at_the_robot_that_was_struck(tmp_path: Path) -> None
         [{"effect": e.kind, "site": e.site, "parameters": e.parameters} for e in hidden], plain(truth.chain)
     )
     robot = without_limits(robot.model_copy(update={"physics": [*robot.physics, *(entries or [])]}))
-    used = list(prepare(read_recording([tmp_path / "frf.h5"]), robot, "").values())
+    used = list(prepare(read_campaign(tmp_path / "frf.h5"), robot, "").values())
     free = free_parameters(robot, [p.name for p in postures], used[0].setup.response.label)
     values = reference.true_values(free, plain(truth))
     predicted = Objective(robot, free, Sample(tuple(used))).predicted(free.coordinates(values))
@@ -492,7 +492,7 @@ def test_what_a_softer_neighbour_imitates_shows_by_its_tolerance_alone(monkeypat
         compliance = 1 / truth.chain.stiffness[0, 0] + sum(1 / e["stiffness"] for e in truth.effects)
         return np.array([1e4 * np.log(compliance), 0.0])
 
-    monkeypatch.setattr(visible, "_nuisances", lambda truth: [visible.Nuisance(soften, width)])
+    monkeypatch.setattr(visible, "_nuisances", lambda *_: [visible.Nuisance(soften, width)])
     k = float(truth.chain.stiffness[0, 0])
     seen = multiple_of_visible(
         Effect("base_compliance", "base.rz", {"stiffness": k, "damping": 0.0}), truth, signal, multiple
@@ -514,7 +514,7 @@ def test_no_size_is_drawn_from_a_channel_that_tells_nothing(tmp_path: Path, monk
     assert asked == [campaign.live]
     brief = replace(campaign, postures=campaign.postures[:1])
     make._strike(brief, 1, tmp_path / "frf.h5", np.random.default_rng(0))
-    (posture,) = read_recording([tmp_path / "frf.h5"]).postures.values()
+    (posture,) = read_campaign(tmp_path / "frf.h5").postures.values()
     size = np.median(np.abs(posture.frf), axis=(0, 1))  # a blow across the arm's plane gives noise there, too: faint
     noise = (np.max(posture.coherence, axis=(0, 1)) < 0.31) & (size > 0.1 * np.median(size))
     assert [campaign.points[k] for k in np.flatnonzero(noise)] == [campaign.dead]

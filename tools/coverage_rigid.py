@@ -15,9 +15,9 @@ import numpy as np
 import typer
 
 from tools.truth.__main__ import main as truth
-from twin.identify.regressor import Regressor, inertial_vector
 from twin.identify.rigid import Identification, identify, relative_error
 from twin.measure.motion_log import read_motion_log
+from twin.model.regressor import Regressor, inertial_vector
 from twin.robot.description import load_robot
 
 

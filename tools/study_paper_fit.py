@@ -30,8 +30,8 @@ import typer
 
 from twin.identify.elastic import Fit
 from twin.identify.elastic_modal import ModalPosture, fit_modes, modal_postures, predict_modes
-from twin.identify.parameters import Parameters, free_parameters
 from twin.measure.modal_table import read_modal_table
+from twin.model.parameters import Parameters, free_parameters
 from twin.robot.description import Robot, Tolerances, load_robot
 
 TABLE = Path(__file__).parents[1] / "tests" / "data" / "table7_measured.yaml"

@@ -1,15 +1,14 @@
 """The ``twin`` command: one thin function per command; everything it calls is imported when it is called."""
 
-import contextlib
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+import twin
 from twin.errors import InputError
 from twin.memory import keep_memory
 
@@ -47,15 +46,19 @@ Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice."
 NoSeed = Annotated[int, typer.Option("--seed", help="Taken as everywhere; nothing here is random.")]
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"twin {twin.__version__}")
+        raise typer.Exit
+
+
 @app.callback()
 def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and stop.", is_eager=True, callback=_print_version)
+    ] = False,
 ) -> None:
-    if version:
-        import twin
-
-        print(twin.__version__)
-        raise typer.Exit
+    pass
 
 
 @app.command()
@@ -80,12 +83,10 @@ def simulate(
     replay: trajectory.h5             # optional motion log or trajectory
     ```
     """
-    from twin.commands.simulate import simulate as run
-
     if out is None and not json:
         out = Path("out") / posture.stem
-    with _progress() as progress:
-        found = run(posture, robot=robot, without=without, out=out, seed=seed, progress=progress)
+    with twin.progress() as progress:
+        found = twin.simulate(posture, robot=robot, without=without, out=out, seed=seed, progress=progress)
     _show(found, json)
 
 
@@ -108,14 +109,12 @@ def modal(
     out) and writes modes.yaml (modal table), UFF 55 shapes, stabilisation charts, FRF overlays, MAC, shapes on the
     robot and modal.json into the output folder, out/RECORDING by default. What the data do not hold is said to be so.
     """
-    from twin.commands.modal import modal as run
-
     if method not in ("plscf", "lsce"):
         raise InputError("--method", method, "expected plscf or lsce")
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.modal(
             recordings, robot=robot, without=without, fmin=fmin, fmax=fmax, max_order=max_order,
             method="lsce" if method == "lsce" else "plscf", out=out, progress=progress,
         )  # fmt: skip
@@ -157,9 +156,9 @@ def fit(
     """Joint stiffness and damping from measured FRFs, with intervals, and what the data do not hold.
 
     Maximum-posterior fit of every spring and damper, over all postures and force levels at once. Masses, centres of
-    mass, inertias, posture angles and channel gains are free within the robot's tolerances; priors and tolerances are
-    data in robot.yaml. Several starts must agree, or it says so. With three postures or more the last is held out and
-    predicted.
+    mass, inertias, posture angles and channel gains are free within the robot's tolerances. Priors and tolerances are
+    data in robot.yaml. The fit starts several times, and says if the starts do not agree. With three postures or more
+    the last one is held out and predicted.
 
     ```
     twin fit measured_frf.h5                     # robot: the file's, else kr90
@@ -168,19 +167,17 @@ def fit(
     twin fit modes.yaml --objective paper        # the paper's Eq. 23
     ```
 
-    Numbers in ( ) are not held by the data: they are bounds, or mostly the prior. Writes robot.yaml, robot.xml
-    (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default; with --json, files are
-    written only where --out says so. Next: twin compare judges the new robot on other recordings, twin diagnose looks
-    for physics it lacks.
+    The data do not hold numbers in ( ): these are bounds, or mostly the prior. The command writes robot.yaml, robot.xml
+    (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default. With --json, files are
+    written only where --out says so. Next: twin compare judges the new robot on other recordings, and twin diagnose
+    looks for physics it lacks.
     """
-    from twin.commands.fit import fit as run
-
     if objective not in ("posterior", "paper"):
         raise InputError("--objective", objective, "expected posterior or paper")
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.fit(
             recordings, robot=robot, without=without, hold_out=hold_out, leave_one_out=leave_one_out,
             objective="paper" if objective == "paper" else "posterior", band_hz=band, tolerances=tolerances,
             starts=starts, out=out, seed=seed, progress=progress,
@@ -212,14 +209,12 @@ def excite(
     limits (of a robot that states them). Writes trajectory.h5, CSV, figures and excite.json into the output folder,
     out/excite by default; a posture file replays trajectory.h5, a controller runs the CSV or KRL.
     """
-    from twin.commands.excite import excitations as run
-
     if criterion not in ("condition", "d-optimal"):
         raise InputError("--criterion", criterion, "expected condition or d-optimal")
     if out is None and not json:
         out = Path("out") / "excite"
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.excite(
             robot=robot, without=without, out=out, count=count, harmonics=harmonics, base_hz=base_hz, rest=rest,
             criterion="d-optimal" if criterion == "d-optimal" else "condition", periods=periods,
             sample_rate_hz=sample_rate_hz, krl=krl, seed=seed, progress=progress,
@@ -243,19 +238,18 @@ def identify(
 ) -> None:
     """Inertial, rotor, friction and compensator parameters from torque logs, with intervals.
 
-    Least squares on base parameters, then the physically consistent set nearest the description. Which friction laws,
-    compensators and cables are fitted is what the robot's physics lists; --without takes one out. Whole runs are held
-    out, of a single run contiguous blocks. Writes robot.yaml, robot.xml, figures and identify.json into the output
-    folder, out/LOG by default. Samples that were dropped, jittered or saturated are repaired with a note, or refused.
+    Least squares on base parameters, then the physically consistent set nearest to the description. The robot's physics
+    entries say which friction laws, compensators and cables are fitted; --without takes one out. Whole runs are held
+    out, or contiguous blocks if there is one run only. The command writes robot.yaml, robot.xml, figures and
+    identify.json into the output folder, out/LOG by default. Dropped, jittered or saturated samples are repaired with a
+    note, or refused.
     """
-    from twin.commands.identify import identify_log as run
-
     if weighting not in ("joint", "none"):
         raise InputError("--weighting", weighting, "expected joint or none")
     if out is None and not json:
         out = Path("out") / log.stem
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.identify(
             log, robot=robot, without=without, out=out, hold_out=hold_out, low_pass=low_pass, weighting=weighting,
             progress=progress,
         )  # fmt: skip
@@ -283,10 +277,10 @@ def compare(
 ) -> None:
     """The error of a robot on recordings, without fitting it, split by posture or run, channel and band.
 
-    One number per recording: RMS of the residual over RMS of the data. FRF lines weigh by one over their variance;
-    torques are low-passed, per joint; modal tables give relative frequency differences. Only what belongs to a
-    recording itself (posture angles, channel gains, torque offsets) is re-estimated within the stated tolerances; with
-    --as-is not even that.
+    One number per recording: RMS of the residual over RMS of the data. FRF lines are weighted by one over their
+    variance. Torques are low-passed and judged joint by joint. Modal tables give relative frequency differences. Only
+    what belongs to a recording itself (posture angles, channel gains, torque offsets) is estimated again, within the
+    stated tolerances. With --as-is not even that is.
 
     ```
     twin compare measured_frf.h5 --robot out/measured_frf/robot.yaml
@@ -295,10 +289,8 @@ def compare(
 
     compare.json and figures are written only where --out says so.
     """
-    from twin.commands.compare import compare as run
-
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.compare(
             recordings, robot=robot, without=without, out=out, as_is=as_is, low_pass=low_pass, stepped=stepped,
             progress=progress,
         )  # fmt: skip
@@ -322,28 +314,106 @@ def diagnose(
 ) -> None:
     """What physics a model leaves out: find it, name it, say how sure, write it into the model and show the proof.
 
-    Refits the model as it is; screens every effect of the vocabulary at every site the recordings can show; refits the
-    most promising; and judges on postures or runs that were not used. The verdict is one of
+    The model is fitted as it is. Then every effect is tried at every site that the recordings can show, and the most
+    promising are fitted. Postures or runs that were not used judge them. The verdict is one of
 
     - **adequate**: nothing is missing that these recordings could show;
     - **named**: each thing missing is one effect at one site, and stands out;
-    - **ambiguous**: the recordings cannot tell several apart; the next test that would is proposed;
+    - **ambiguous**: the recordings cannot tell several answers apart; a test that would is proposed;
     - **located**: the site is clear, no known effect fits; a law is given by its formula;
     - **unexplained**: a mismatch beyond noise that is none of these.
 
-    Recordings of both kinds are settled on one model. Writes the new robot.yaml and robot.xml (always), diagnosis.json,
-    the report diagnosis.html, figures, and the modes before and after (see twin view) into the output folder,
+    Several recordings get one model. The command writes the new robot.yaml and robot.xml (always), diagnosis.json, the
+    report diagnosis.html, figures, and the modes before and after (see twin view) into the output folder,
     out/RECORDING by default. With --json, files are written only where --out says so.
 
     Try it on what is known: twin diagnose frf.h5 --without transverse_compliance@joint1.x conceals a soft bearing.
     """
-    from twin.commands.diagnose import diagnose as run
-
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with _progress() as progress:
-        found = run(
+    with twin.progress() as progress:
+        found = twin.diagnose(
             recordings, robot=robot, without=without, hold_out=hold_out, out=out, seed=seed, progress=progress
+        )  # fmt: skip
+    _show(found, json)
+
+
+@app.command()
+def lobes(
+    given: Annotated[
+        Path,
+        typer.Argument(
+            metavar="POSTURE|ROBOT|FRF|FOLDER",
+            help="posture.yaml, robot.yaml, a hammer test of the tool (.h5, .uff), or a fit's or diagnosis' folder.",
+        ),
+    ],
+    robot: Robot = None,
+    without: Without = None,
+    cut: Annotated[
+        Path | None,
+        typer.Option(
+            help="cut.yaml: tool, coefficients, immersion.", show_default="the posture file's, else a usual cut"
+        ),
+    ] = None,
+    q: Annotated[
+        str | None,
+        typer.Option(
+            "--q", metavar="Q1,Q2,…", help="Posture of a robot, degrees.", show_default="middle of the limits"
+        ),
+    ] = None,
+    posture: Annotated[
+        str | None, typer.Option(help="Which posture of a hammer test.", show_default="the first")
+    ] = None,
+    rpm: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="LOW HIGH", help="Spindle speeds.", show_default="the cut's")
+    ] = None,
+    draws: Annotated[int, typer.Option(min=0, help="Draws of the posterior for the depth that is 90 % sure.")] = 100,
+    in_time: Annotated[
+        int,
+        typer.Option(
+            "--in-time", min=0, metavar="N", help="Also step the cut in MuJoCo at N speeds, nonlinear joints and all."
+        ),
+    ] = 0,
+    out: Out = None,
+    json: Json = False,
+    seed: Seed = 0,
+) -> None:
+    """How deep a robot may cut in a posture, at every spindle speed, and how sure.
+
+    Solves the delay equation of milling with the full FRF at the tool's tip, all modes and cross terms, by a spectral
+    method; Hopf, flip and low-frequency mode coupling are one calculation. Of a robot that twin fit or twin diagnose
+    wrote, it gives the depth that is stable with 90 % probability, cutting coefficients included.
+
+    ```yaml
+    robot: out/measured_frf/robot.yaml                  # posture.yaml
+    posture: {name: milling, q_deg: [0, 70, -100]}
+    cut:                                                # or the path of a cut.yaml
+      tool: {diameter_m: 0.016, teeth: 2, helix_deg: 30, overhang_m: 0.25, mass_kg: 12}
+      coefficients: aluminium_7075                      # or kt_n_per_m2: 6.0e8, kr_n_per_m2: 1.8e8 …
+      immersion: 0.5                                    # radial depth over diameter
+      milling: down
+      feed_per_tooth_m: 1.0e-4
+      feed_direction: [1, 0, 0]                         # in the robot's base frame
+      spindle_rpm: [1000, 12000]
+    ```
+
+    ```
+    twin lobes posture.yaml
+    twin lobes out/measured_frf --q 0,70,-100 --cut cut.yaml
+    twin lobes tool_frf.h5 --cut cut.yaml               # no model: straight from the measured FRF
+    twin lobes posture.yaml --in-time 3                 # amplitudes, slip, gaps: where linear lobes lie
+    ```
+
+    Prints limits and writes lobes.json and lobes.png (chart, frequency at the limit, forced vibration and surface
+    location error of the safe cut) into the output folder, out/GIVEN by default; with --json, files are written only
+    where --out says so. docs/milling.md explains every number. Next: twin map does the same over the workspace.
+    """
+    if out is None and not json:
+        out = Path("out") / (given.stem or given.name)
+    with twin.progress() as progress:
+        found = twin.lobes(
+            given, robot=robot, without=without, cut=cut, q_deg=None if q is None else _numbers("--q", q, float),
+            posture=posture, spindle_rpm=rpm, draws=draws, in_time=in_time, out=out, seed=seed, progress=progress,
         )  # fmt: skip
     _show(found, json)
 
@@ -425,7 +495,7 @@ def map_(
     if out is None and not json:
         out = Path("out") / "map"
     counts = None if posture_grid is None else _numbers("--posture-grid", posture_grid, int)
-    with _progress() as progress:
+    with twin.progress() as progress:
         found = run(
             cut, robot=robot, without=without, random=random, grid=grid, posture_grid=counts, path=path, box=box,
             place=place, place_turn_deg=place_turn_deg,
@@ -468,27 +538,6 @@ def view(
 
         said = to_json({"shown": said})
     print(said)
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[str, int], Callable[[int], None]]]:
-    """Progress bars on standard error, gone when the work is done."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    bars = Progress(*columns, console=Console(stderr=True), transient=True)
-
-    def start(description: str, total: int) -> Callable[[int], None]:
-        bars.start()
-        task = bars.add_task(description, total=total)
-        return lambda count: bars.advance(task, count)
-
-    try:
-        yield start
-    finally:
-        if bars.tasks:
-            bars.stop()
 
 
 def _show(result: Any, json: bool) -> None:

@@ -12,6 +12,12 @@ T = TypeVar("T")
 Progress = Callable[[str, int], Callable[[int], None]]
 """Called with a description and a total; returns the function that advances."""
 
+
+def silent(description: str, total: int) -> Callable[[int], None]:
+    """Progress that nobody is shown."""
+    return lambda count: None
+
+
 MOST = 4  # processes: every one takes memory of its own
 
 

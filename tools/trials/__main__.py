@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from tools.trials import ask, make, real, reference, score, store
+from tools.trials import ask, make, real, reference, score, store, wrong, wrong_score
 from tools.trials.cases import RECORDINGS, SIZES
 from tools.trials.report import page
 from twin.diagnose.decide import calibration
@@ -32,6 +32,9 @@ EXAMPLES = """
   calibrate  open the answers, print the temperature under which stated probabilities mean what they say
   real       put measured recordings to `twin diagnose`; the file that is written goes into the page by --real
 
+With --world wrong the description or the recording of every case is wrong beyond what it says of itself; with --world
+regression they are the cases that were once told wrongly. Their page is a section, which --wrong puts first on another.
+
 Every step goes on where it was interrupted; a result of another version of the engine is asked for again. The
 development split has a fixed seed; the seed of a sealed split is drawn in secret, and its making and every opening of
 its answers are entered in its ledger with the hash of the engine.
@@ -41,6 +44,7 @@ its answers are entered in its ledger with the hash of the engine.
   python -m tools.trials prove --split sealed --cases 240 --minutes 70      # report on what was done by then
   python -m tools.trials prove --split small --recordings hammer levels --each 6 --sizes 2 6   # every effect six times
   python -m tools.trials run --split sealed --scheduler tcp://HOST:8786  # needs twin[distributed]
+  python -m tools.trials prove --world wrong --split sealed-wrong --cases 240
   python -m tools.trials real recordings.yaml --out real.json               # see tools/trials/real.py
 """
 
@@ -106,6 +110,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("recordings", nargs="?", type=Path, help="list of measured recordings, for `real`")
     parser.add_argument("--out", type=Path, help="folder of the splits (default out/trials), file of `real`")
     parser.add_argument("--split", default="development", help="development, or any name for a sealed one")
+    parser.add_argument("--world", choices=("described", "wrong", "regression"), default="described", help="for `make`")
     parser.add_argument("--cases", type=_positive(int), default=240)
     parser.add_argument(
         "--each", type=_positive(int), help="every effect so often alone, others in proportion, instead of --cases"
@@ -127,6 +132,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--page", type=Path, help="Markdown page to write (default: in the split's folder)")
     parser.add_argument("--real", type=Path, help="file of `real`, for the page")
+    parser.add_argument("--wrong", type=Path, help="section of a wrong world (Markdown), first on the page")
     options = parser.parse_args(arguments)
     if options.sizes[0] > options.sizes[1]:
         parser.error("--sizes: expected the smaller first")
@@ -146,8 +152,11 @@ def main(arguments: list[str] | None = None) -> None:
     if options.step in ("make", "run", "prove"):
         with executor(options.processes, options.scheduler) as pool:
             if options.step != "run":
-                seed = DEVELOPMENT_SEED if options.split == "development" else None
-                _make(split, pool, options.cases, seed, options.kinds, options.each or 0, tuple(options.sizes))
+                seed = DEVELOPMENT_SEED if "development" in options.split else None
+                if options.world != "described":
+                    _make_wrong(split, pool, options.cases, seed, options.world)
+                else:
+                    _make(split, pool, options.cases, seed, options.kinds, options.each or 0, tuple(options.sizes))
             if options.step != "make":
                 _run(split, options.limit, deadline, pool)
     if options.step == "refer":
@@ -156,7 +165,8 @@ def main(arguments: list[str] | None = None) -> None:
     if options.step == "calibrate":
         _calibrate(split)
     if options.step in ("score", "prove"):
-        _score(split, options.page or split / "proof.md", measured)
+        first = options.wrong.read_text() if options.wrong else ""
+        _score(split, options.page or split / "proof.md", measured, first)
 
 
 def _make(split: Path, pool: Executor, *drawn: Any) -> None:
@@ -173,6 +183,18 @@ def _make(split: Path, pool: Executor, *drawn: Any) -> None:
     )
 
 
+def _make_wrong(split: Path, pool: Executor, count: int, seed: int | None, world: str) -> None:
+    """Record what `wrong.prepare` draws."""
+    new = not (split / "answers" / "plan.json").exists()
+    jobs = [(split, *case) for case in wrong.prepare(split, count, seed, world)]
+    if new:
+        store.entered(split, f"{len(jobs)} cases drawn")
+    else:
+        print(f"{split}: the {len(jobs)} cases drawn before stay; another --split for others", file=sys.stderr)
+    lines = every("record", pool, wrong.make, jobs)
+    store.write(split / "manifest.json", {"format": "twin-trials", "version": 2, "world": world, "cases": lines})
+
+
 def _run(split: Path, limit_s: float, deadline: float | None, pool: Executor) -> None:
     if not (split / "manifest.json").exists():
         sys.exit(f"{split}: no cases yet; make first")
@@ -186,7 +208,9 @@ def _run(split: Path, limit_s: float, deadline: float | None, pool: Executor) ->
     # The slow first, so that no process is left with one at the end; where time may run out, in the order of the
     # names, which know nothing of the cases.
     todo.sort(key=lambda c: (-len(c["files"]), *sorted(c["files"])) if deadline is None else (c["id"],))
-    asked = every("diagnose", pool, ask.ask, [(split, c["id"], c["without"], limit_s, deadline) for c in todo])
+    asked = every(
+        "diagnose", pool, ask.ask, [(split, c["id"], c["without"], limit_s, deadline, c.get("robot")) for c in todo]
+    )
     if not all(asked):
         print(f"time is up: {sum(not a for a in asked)} cases not asked; the same command goes on", file=sys.stderr)
 
@@ -198,6 +222,19 @@ def _refer(split: Path, pool: Executor) -> None:
 
 def _opened(split: Path, why: str) -> tuple[list[score.Scored], dict[str, Any], dict[str, Any], Any]:
     """Answers beside results: cases, results by id, manifest, ledger. Enters the opening into the ledger."""
+    results, manifest, ledger = _unsealed(split, why)
+    cases = [
+        score.scored(_answer(split, name), result, reference.kept(split, name)) for name, result in results.items()
+    ]
+    return cases, results, manifest, ledger
+
+
+def _answer(split: Path, name: str) -> Any:
+    return store.read(split / "answers" / f"{name}.json")
+
+
+def _unsealed(split: Path, why: str) -> tuple[dict[str, Any], dict[str, Any], Any]:
+    """Results by id, manifest, ledger, after a check that nothing was changed since the split was made."""
     if not (split / "manifest.json").exists():
         sys.exit(f"{split}: no cases yet; make first")
     manifest = store.read(split / "manifest.json")
@@ -211,28 +248,37 @@ def _opened(split: Path, why: str) -> tuple[list[score.Scored], dict[str, Any], 
     for c in manifest["cases"]:
         if store.sha256(split / "answers" / f"{c['id']}.json") != c["answer"]:
             sys.exit(f"{split}: the answer of {c['id']} is not the one that was sealed")
+        if "description" in c and store.sha256(split / c["robot"]) != c["description"]:
+            sys.exit(f"{split}: {c['robot']} is not the one that was sealed")
         for name, digest in c["files"].items():
             if store.sha256(split / "recordings" / c["id"] / name) != digest:
                 sys.exit(f"{split}: recordings/{c['id']}/{name} is not the one that was sealed")
     ledger = store.entered(split, f"answers opened: {why} of {len(results)} cases")
-    cases = [
-        score.scored(
-            store.read(split / "answers" / f"{c['id']}.json"), results[c["id"]], reference.kept(split, c["id"])
-        )
-        for c in manifest["cases"]
-        if c["id"] in results
-    ]
-    return cases, results, manifest, ledger
+    return results, manifest, ledger
 
 
-def _score(split: Path, target: Path, measured: str) -> None:
+def _score(split: Path, target: Path, measured: str, first: str = "") -> None:
+    if store.read(split / "manifest.json").get("world"):
+        _score_wrong(split, target)
+        return
     cases, results, manifest, ledger = _opened(split, "score")
     without = {c["id"]: c["without"] for c in manifest["cases"]}
     target.parent.mkdir(parents=True, exist_ok=True)
-    page(target, f"Proof: {split.name} split", cases, results, split, without, ledger, manifest, measured)
+    page(target, f"Proof: {split.name} split", cases, results, split, without, ledger, manifest, measured, first)
     for name, value in score.headline(cases).items():
         print(f"{name:40s} {value:.3g}" if isinstance(value, float) else f"{name:40s} {value}")
     store.write(split / "scores.json", json.loads(json.dumps(score.headline(cases), default=str)))
+    print(f"wrote {target}")
+
+
+def _score_wrong(split: Path, target: Path) -> None:
+    """The section about a wrong world."""
+    results, manifest, ledger = _unsealed(split, "score")
+    cases = [wrong_score.judged(_answer(split, name), result) for name, result in results.items()]
+    store.write_text(split / "cases.md", "\n".join(wrong_score.every(cases)) + "\n")
+    store.write_text(target, wrong_score.section(cases, len(manifest["cases"]), results, ledger))
+    for name, value in wrong_score.headline(cases).items():
+        print(f"{name:52s} {value:.3g}" if isinstance(value, float) else f"{name:52s} {value}")
     print(f"wrote {target}")
 
 

@@ -22,33 +22,43 @@ MEMORY_BYTES = 6 * 2**30
 EDITED = "01234"  # first digits of the names of the cases that are put to the edit test too: 5 of 16
 
 
-def ask(split: Path, name: str, without: list[str], limit_s: float = LIMIT_S, deadline: float | None = None) -> bool:
+def ask(
+    split: Path,
+    name: str,
+    without: list[str],
+    limit_s: float = LIMIT_S,
+    deadline: float | None = None,
+    robot: str | None = None,
+) -> bool:
     """Diagnose one case and keep the result; a refusal, a crash and a timeout are answers too.
 
-    Whether it was asked: past `deadline` (clock of the machine, s) it is left for another time.
+    Whether it was asked: past `deadline` (clock of the machine, s) it is left for another time. `robot`: file of its
+    description in the split; `None`: the recording names a shipped one.
     """
     if deadline is not None and time.time() > deadline:
         return False
     result: dict[str, Any] = {"id": name, "engine": engine_hash(), "code": -1, "diagnosis": None, "edit_error": None}
-    begin = time.perf_counter()
+    begin, used = time.perf_counter(), _cpu_s()
     try:
         with TemporaryDirectory() as scratch:
-            _put(split, name, without, limit_s, Path(scratch) / "out", result)
+            options = [word for entry in without for word in ("--without", entry)]
+            options += ["--robot", str(split / robot)] if robot else []
+            _put(split, name, options, limit_s, Path(scratch) / "out", result)
     except Exception:  # of the trial itself: kept with the case, the others go on
         result["complaint"] = traceback.format_exc()
-    write(split / "results" / f"{name}.json", {"wall_s": time.perf_counter() - begin, **result})
+    spent = {"wall_s": time.perf_counter() - begin, "cpu_s": _cpu_s() - used}
+    write(split / "results" / f"{name}.json", {**spent, **result})
     return True
 
 
-def _put(split: Path, name: str, without: list[str], limit_s: float, out: Path, result: dict[str, Any]) -> None:
+def _put(split: Path, name: str, options: list[str], limit_s: float, out: Path, result: dict[str, Any]) -> None:
     recordings = map(str, sorted((split / "recordings" / name).glob("*.h5")))
-    options = [word for entry in without for word in ("--without", entry)]
     begin = time.perf_counter()
     code, said, complaint = run(["diagnose", *recordings, *options, "--json", "--out", str(out)], limit_s)
     result.update(wall_s=time.perf_counter() - begin, code=code, complaint=complaint[-4000:])
     if code == 0:
         result["diagnosis"] = json.loads(said)
-        if name[0] in EDITED:
+        if name[0] in EDITED and (split / "edit" / name).exists():
             result["edit_error"] = _edit(next((split / "edit" / name).glob("*.h5")), out / "robot.yaml", limit_s)
 
 
@@ -72,6 +82,12 @@ def run(arguments: list[str], limit_s: float) -> tuple[int, str, str]:
     if process.returncode < 0:  # as the system does where memory runs out
         complaint += f"\nkilled by signal {-process.returncode}"
     return process.returncode, said, complaint
+
+
+def _cpu_s() -> float:
+    """Processor time of the commands that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _bounded() -> None:

@@ -31,12 +31,12 @@ from tools.truth.effects import Effect
 from tools.truth.elastic import Structure, assemble
 from tools.truth.milling import Cut, arc, growth_at, last_link, poles, tip_rows
 from tools.truth.recording import draw_postures, plain
-from twin.commands.diagnose import diagnose_campaign
-from twin.commands.modal import read_recording
+from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError
 from twin.identify.posterior import FILE, Posterior, save_posterior
+from twin.measure.recordings import read_campaign
 from twin.milling.cut import read_cut
 from twin.milling.ensemble import ensemble, quantile_of_safe
 from twin.milling.map import lobes
@@ -129,7 +129,7 @@ def ask(split: Path, name: str, without: list[str], deadline: float | None) -> b
     begin = time.process_time()
     try:
         given = load_robot("kr90").without(without)
-        finding = diagnose_campaign(read_recording([source]), given, str(source))
+        finding = diagnose_campaign(read_campaign(source), given, str(source))
         for stage, fit in zip(("before", "after"), finding.fits, strict=True):
             keep_model(split / "models" / name / stage, fit)
         result |= {

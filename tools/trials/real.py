@@ -128,7 +128,7 @@ def section(content: dict[str, Any]) -> str:
             said += f" ({values})" if values else ""
             said += f"; or {rivals}" if rivals else ""
             lines.append(said + (f". {e['evidence']}" if e.get("evidence") else ""))
-        lines += [f"- Triage: {note}" for note in d.get("triage") or []]
+        lines += [f"- Triage: {note['text']}" for note in d.get("triage") or []]
         if d["effects"] or d.get("triage"):
             lines.append("")
         lines += [*_errors(d["error"] or {}), ""]

@@ -16,18 +16,18 @@ import numpy as np
 
 from tools.trials.cases import struck
 from tools.trials.store import engine_hash, read, write
-from twin.commands.modal import read_recording
-from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.joint_reaction import Stepped, blows
-from twin.diagnose.objective import Sample
 from twin.diagnose.physical import physical
-from twin.diagnose.refit import NONE, Fitted, descend, minimise
+from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.struck import judge_struck, law_of
 from twin.diagnose.triage import Triage, triage
-from twin.identify.elastic import Recorded, without_limits
+from twin.identify.descent import minimise
 from twin.identify.elastic_compare import judge
-from twin.identify.parameters import SIX, Parameters, free_parameters
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
+from twin.measure.recordings import read_campaign
+from twin.model.parameters import SIX, Parameters, free_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry, Robot, load_robot
 
@@ -98,7 +98,7 @@ def held_out_error(split: Path, name: str) -> float | None:
     if not laws:
         return judge(physical(_refitted(base, free, sample, z).robot), known.kept).error
     (entry,) = laws
-    campaign = read_recording([split / "recordings" / name / "frf.h5"])
+    campaign = read_campaign(split / "recordings" / name / "frf.h5")
     pulse_s = struck(answer["kind"], answer["recording"], answer["seed"], answer["number"]).pulse_s
     how = {group: replace(b, pulse_s=pulse_s, known=True) for group, b in (blows(campaign) or {}).items()}
     law, sizes, site, _ = law_of(base.model_copy(update={"physics": [*base.physics, entry]}))
@@ -150,9 +150,9 @@ def _posed(split: Path, name: str, answer: dict[str, Any]) -> tuple[Robot, list[
     if entries is None:
         return None
     source = split / "recordings" / name / "frf.h5"
-    campaign = read_recording([source])
+    campaign = read_campaign(source)
     given = load_robot(campaign.robot or "kr90").without(answer["without"])
-    laws = [entry for entry in entries if entry.effect in AMPLITUDE]
+    laws = [entry for entry in entries if CATALOGUE[entry.effect].amplitude_law]
     given = given.model_copy(update={"physics": [*given.physics, *(e for e in entries if e not in laws)]})
     base, found = without_limits(given), triage(campaign, given, str(source), None)
     free = _free(base, found.used)

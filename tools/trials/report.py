@@ -62,13 +62,14 @@ interval."""
 def page(
     path: Path, title: str, cases: Sequence[Scored], results: dict[str, dict[str, Any]], split: Path,
     without: dict[str, list[str]], ledger: Sequence[dict[str, str]], manifest: dict[str, Any],
-    real: str = "",
+    real: str = "", first: str = "",
 ) -> None:  # fmt: skip
     """Write `path` (Markdown) and figures beside it in a folder of the same name.
 
     `reading.md` in that folder, written by hand, is taken in: its first line tells the engine that it is about.
 
-    `manifest`: of the split, of which `cases` have a result; `real`: section on measured recordings.
+    `manifest`: of the split, of which `cases` have a result; `real`, `first`: sections on measured
+    recordings, and on worlds that are not as described.
     """
     figures = path.with_suffix("")
     figures.mkdir(parents=True, exist_ok=True)
@@ -82,6 +83,7 @@ def page(
     openings = [e for e in ledger if e["why"].startswith("answers opened")]
     parts = [
         f"# {title}", "",
+        *([first.strip(), "", "## Robots as described", ""] if first else []),
         f"{len(cases)} of {len(manifest['cases'])} cases ({kinds}), judged by engine {', '.join(engines)}"
         f"{'' if len(engines) == 1 else ' — **more than one**'}; the answers have been opened {len(openings)} time(s).",
         "", EXPLAINED.format(sizes=manifest.get("sizes", SIZES)), "",

@@ -141,7 +141,7 @@ def scored(answer: dict[str, Any], result: dict[str, Any], reference: float | No
         for e in d["effects"]
         if e["effect"] != "discovered"
     )
-    intervals, values = _parameters(effects, d["effects"])
+    intervals, values = named_parameters(effects, d["effects"])
     location = [str((d.get("location") or [{}])[0].get("site") or "")]
     location += [str(e["site"]) for e in d["effects"] if e["effect"] == "discovered"]
     return Scored(
@@ -150,7 +150,7 @@ def scored(answer: dict[str, Any], result: dict[str, Any], reference: float | No
         d["verdict"], groups, float(d["probabilities"]["none"]), float(d["probabilities"]["other"]),
         d.get("error") or {}, intervals, values, " ".join(location),
         next(iter(numbers(result.get("edit_error"))), None), float(result["wall_s"]),
-        "" if result["diagnosis"] else _last_line(result.get("complaint", "")),
+        "" if result["diagnosis"] else last_line(result.get("complaint", "")),
         answer.get("circumstances", {}), answer.get("overlap"), reference,
     )  # fmt: skip
 
@@ -161,11 +161,11 @@ def numbers(error: Any) -> list[float]:
     return [float(v) for v in values if isinstance(v, int | float)]
 
 
-def _last_line(text: str) -> str:
+def last_line(text: str) -> str:
     return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "")
 
 
-def _parameters(
+def named_parameters(
     truth: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]]
 ) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
     """90 % intervals and true values of scalar parameters of effects that were named rightly.

@@ -29,9 +29,14 @@ def read(path: Path) -> Any:
 
 def write(path: Path, content: Any) -> None:
     """Whole or not at all."""
+    write_text(path, json.dumps(content, indent=1))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}.{os.getpid()}")
-    aside.write_text(json.dumps(content, indent=1))
+    aside.write_text(text, encoding="utf-8")
     os.replace(aside, path)
 
 

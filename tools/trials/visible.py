@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from tools.truth.chain import Array, Link, Tolerances, kr90
+from tools.truth.chain import Array, Chain, Link, Tolerances, kr90
 from tools.truth.effects import Effect
 from tools.truth.motion import Log, Run, motor_torque
-from tools.truth.recording import SENSORS, HammerTest, Posture, Truth, accelerance, hit_variance
+from tools.truth.recording import HammerTest, Posture, Truth, accelerance, hit_variance
 
 SEEN = 8.0
 LINES = 40  # of an FRF, standing for all
@@ -62,8 +62,19 @@ def scaled(effect: Effect, factor: float) -> Effect:
     return Effect(kind, effect.site, p)
 
 
-def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: float, project: bool = True) -> Effect:
+def multiple_of_visible(
+    effect: Effect,
+    truth: Truth,
+    signal: Signal,
+    multiple: float,
+    project: bool = True,
+    *,
+    described: Chain | None = None,
+    known: Tolerances | None = None,
+) -> Effect:
     """The effect at so many times its smallest visible size on the recording of `truth`, which is without it.
+
+    `described`: the robot as its description has it (default: KR90), `known` how well it knows it.
 
     Raises:
         ValueError: the recording shows no usual size of it, or less of that multiple than of the smallest.
@@ -78,15 +89,9 @@ def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: 
         if 0.5 * float(np.sum(changed(smallest * multiple) ** 2)) < SEEN:
             raise ValueError(f"{effect.kind}@{effect.site}: expected more of it to show more")
         return scaled(effect, smallest * multiple)
-    nuisances = list(_nuisances(truth))
+    nuisances = list(_nuisances(truth, described or kr90(), known or Tolerances()))
     tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
-    ends = ((n.change(truth, STEP), n.change(truth, -STEP)) for n in nuisances)
-    J = np.array([(signal(up) - signal(down)) / (2 * STEP) for up, down in ends]).T
-    # by orthogonal factors: what is left may be 1e-5 of the signature, which normal equations lose
-    Q, R = np.linalg.qr(np.vstack([J, np.eye(J.shape[1])]))
-    whole = np.concatenate([tangent, np.zeros(J.shape[1])])
-    hiding = np.linalg.solve(R, Q.T @ whole)
-    left = float(np.sum((whole - Q @ (Q.T @ whole)) ** 2))
+    hiding, left = _hidden(signal, truth, nuisances, tangent)
     if not left > 0:
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
     factor = float(np.sqrt(2 * SEEN / left) * multiple)
@@ -101,6 +106,24 @@ def multiple_of_visible(effect: Effect, truth: Truth, signal: Signal, multiple: 
     if factor > LARGEST_FACTOR:  # as a gap in a joint whose load never changes sign
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows at a usual size")
     return scaled(effect, factor)
+
+
+def shows(truth: Truth, signal: Signal, change: Array, described: Chain, known: Tolerances) -> float:
+    """How far a change of the recording, in units of its noise, shows: ln of a likelihood ratio, to first order.
+
+    What nobody knows exactly has moved to explain it, each number paying for its deviations as the description states.
+    """
+    return 0.5 * _hidden(signal, truth, list(_nuisances(truth, described, known)), change)[1]
+
+
+def _hidden(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], change: Array) -> tuple[Array, float]:
+    """Deviations by which nuisances hide a change of the recording best, to first order, and the squares left."""
+    ends = ((n.change(truth, STEP), n.change(truth, -STEP)) for n in nuisances)
+    J = np.array([(signal(up) - signal(down)) / (2 * STEP) for up, down in ends]).T
+    # by orthogonal factors: what is left may be 1e-5 of the signature, which normal equations lose
+    Q, R = np.linalg.qr(np.vstack([J, np.eye(J.shape[1])]))
+    whole = np.concatenate([change, np.zeros(J.shape[1])])
+    return np.linalg.solve(R, Q.T @ whole), float(np.sum((whole - Q @ (Q.T @ whole)) ** 2))
 
 
 def overlap(first: Effect, second: Effect, truth: Truth, signal: Signal) -> float:
@@ -169,9 +192,9 @@ def _visible_factor(changed: Callable[[float], Array]) -> float:
     raise ValueError("expected an effect of which some size shows in this recording")
 
 
-def _nuisances(truth: Truth) -> Iterator[Nuisance]:
+def _nuisances(truth: Truth, described: Chain, known: Tolerances) -> Iterator[Nuisance]:
     """What a modeller does not know, in deviations."""
-    chain, log, known, described = truth.chain, not truth.posture_error, Tolerances(), kr90()
+    chain, log = truth.chain, not truth.posture_error
 
     def of_chain(name: str, index: tuple[int, ...], width: float) -> Nuisance:
         def change(truth: Truth, z: float) -> Truth:
@@ -205,7 +228,7 @@ def _nuisances(truth: Truth) -> Iterator[Nuisance]:
     for i in range(chain.n):
         yield of_link(i, lambda link, z: replace(link, mass=link.mass * (1 + 0.03 * z)))
         for k in range(3):
-            yield of_link(i, lambda link, z, k=k: replace(link, com=link.com + 0.01 * z * np.eye(3)[k]))
+            yield of_link(i, lambda link, z, k=k: replace(link, com=link.com + known.com * z * np.eye(3)[k]))
             for j in range(k + 1):
                 yield of_link(i, lambda link, z, j=j, k=k: replace(link, inertia=_changed(link.inertia, j, k, z)))
     if log:
@@ -225,7 +248,7 @@ def _nuisances(truth: Truth) -> Iterator[Nuisance]:
     for name in truth.posture_error:
         for i in range(chain.n):
             yield of_posture(name, i)
-    for channel in SENSORS:
+    for channel in truth.sensors:
         yield of_gain(channel.label)
 
 
@@ -251,6 +274,7 @@ def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Seque
         if key in known:
             before, found = known[key]
             same = before.chain is truth.chain and before.effects == truth.effects and before.gain == truth.gain
+            same = same and before.moved is truth.moved
             if same and np.array_equal(before.posture_error[posture.name], truth.posture_error[posture.name]):
                 return found
         found = accelerance(replace(truth, sag=False), (posture,), thin)[0][0, 0][:, :, list(points)]

@@ -4,7 +4,7 @@ Everything is written in the base frame (Kane's equations: forces on every body 
 velocities), vectorised over leading axes of `q`. SI and radians.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import pi
 from typing import Any
 
@@ -32,6 +32,7 @@ class Chain:
     frame (infinite stiffness: no such hinge). `viscous`, `coulomb` (n,): friction at the gear output.
     `compensator` (n, 3): B_l of Σ B_l cos(l q). `limits` (n, 3): |q| bounds are `range_` (n, 2), speed and
     acceleration bounds (n,). `workspace` (3, 2): bounds of the flange point.
+    `gravity` (3,) m/s² in the frame of the robot's foot.
     """
 
     dh: Array
@@ -48,6 +49,7 @@ class Chain:
     speed: Array
     acceleration: Array
     workspace: Array
+    gravity: Array = field(default_factory=GRAVITY.copy)
 
     @property
     def n(self) -> int:

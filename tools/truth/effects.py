@@ -91,6 +91,12 @@ EFFECTS: dict[str, Kind] = {
     "sensor_gain": Kind(r"sensor:\S+", {"gain": (1.02, 1.2)}, "chain"),
     "sensor_misalignment": Kind(r"sensor:\d+", {"angles": (SIGNED, 0.1)}, "chain"),
     "hammer_misalignment": Kind(r"hammer:\S+", {"angles": (SIGNED, 0.2)}, "chain"),
+    "floor_mode": Kind(  # springs by name, N/m and N·m/rad; moments of inertia of the slab about x, y, z
+        "base",
+        {"mass": (1e3, 1e4), "inertia": (5e2, 1e4), "damping_ratio": (0.01, 0.05)},
+        "frf",
+        ("x", "y", "z", "rx", "ry", "rz"),
+    ),
     # Outside the catalogue: what a diagnosis must locate and must not misname.
     "eddy_current_damper": Kind(JOINT_Z, {"coefficient": (3e5, 1e7)}, "levels"),
     "posture_stiffness": Kind(JOINT_Z, {"amplitude": (0.1, 0.4), "phase": (SIGNED, 3.1)}, "frf"),
@@ -108,6 +114,7 @@ LENGTHS = {  # parameters that are lists
     ("sensor_misalignment", "angles"): 3,
     ("hammer_misalignment", "angles"): 2,
     ("payload", "com"): 3,
+    ("floor_mode", "inertia"): 3,
     ("attached_resonator", "position"): 3,
 }
 

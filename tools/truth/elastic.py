@@ -15,7 +15,6 @@ from scipy.linalg import eig
 from scipy.special import ndtr
 
 from tools.truth.chain import (
-    GRAVITY,
     Array,
     Chain,
     Link,
@@ -145,8 +144,8 @@ class _Builder:
         self.springs.append(spring)
         return (*frame.path, len(self.names) - 1)
 
-    def matrices(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Screws (n, 6), M, C, K (n, n) and the weight's load on the springs (n,)."""
+    def matrices(self, g: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Screws (n, 6), M, C, K (n, n) and the load on the springs (n,) under gravity g (3,)."""
         n = len(self.names)
         screws, springs = np.array(self.screws).reshape(n, 6), np.array(self.springs).reshape(n, 3)
         path = np.zeros((len(self.bodies), n, 1))
@@ -160,7 +159,7 @@ class _Builder:
         mass = np.einsum("b,bik,bjk->ij", masses, jv, jv) + np.einsum("bik,bkl,bjl->ij", jw, inertias, jw)
         # Potential −Σ m g·p: its gradient is the load on the springs, its Hessian the gravity stiffness. For i at
         # or inboard of j on a path, ∂²p/∂u_i∂u_j = ω_i × ∂p/∂u_j.
-        weight = masses[:, None] * GRAVITY
+        weight = masses[:, None] * g
         swing = np.cross(jw[:, :, None], jv[:, None])
         upper = np.triu(-np.einsum("bk,bijk->ij", weight, swing))
         gravity = upper + np.triu(upper, 1).T
@@ -231,7 +230,7 @@ def _assemble(
                 raise TruthError(f"{e.kind}@{e.site}: expected one nonlinear effect at a joint; this is the second")
             laws[index[e.site]] = law
 
-    screws, m, c, k, load = builder.matrices()
+    screws, m, c, k, load = builder.matrices(chain.gravity)
     dynamic = {i: tuple(terms) for i, terms in builder.dynamic.items()}
     return Structure(tuple(builder.names), screws, m, c, k, load, tuple(tuple(z) for z in zones), dynamic, laws)
 
@@ -243,6 +242,21 @@ def _base(builder: _Builder, effects: tuple[Effect, ...]) -> Frame:
             if e.kind == "base_compliance" and e.axis == name:
                 joint = builder.slide if len(name) == 1 else builder.hinge
                 frame = joint(frame, e.site, AXES[name[-1]], e["stiffness"], e["damping"])
+    for e in effects:
+        if e.kind == "floor_mode":
+            frame = _floor(builder, frame, e)
+    return frame
+
+
+def _floor(builder: _Builder, frame: Frame, e: Effect) -> Frame:
+    """A slab under the robot's foot, a body of its own on springs; every spring has the same damping ratio."""
+    for name in ("x", "y", "z", "rx", "ry", "rz"):
+        if name in e.parameters:
+            moved = e["mass"] if len(name) == 1 else e.array("inertia")["xyz".index(name[1])]
+            c = 2 * e["damping_ratio"] * np.sqrt(e[name] * moved)
+            joint = builder.slide if len(name) == 1 else builder.hinge
+            frame = joint(frame, f"floor.{name}", AXES[name[-1]], e[name], c)
+    builder.bodies.append((Link(e["mass"], np.zeros(3), np.diag(e.array("inertia"))), frame))
     return frame
 
 

@@ -157,7 +157,7 @@ def _torque(truth: Truth, log: Log, run: Run, q: Array, v: Array, a: Array) -> t
     of = {kind: [e for e in truth.effects if e.kind == kind] for kind in {e.kind for e in truth.effects}}
     carried = tuple(loaded(link, i, chain, of.get("payload", [])) for i, link in enumerate(chain.links))
     parts = {
-        "links": inverse_dynamics(replace(chain, links=carried), q, v, a),
+        "links": inverse_dynamics(replace(chain, links=carried), q, v, a, chain.gravity),
         "compensator": compensator(chain, q, log.compensator),
     }
     for e in of.get("gravity_compensator", []):

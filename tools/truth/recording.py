@@ -125,7 +125,11 @@ class HammerTest:
 
 @dataclass(frozen=True)
 class Truth:
-    """The robot as it is: the chain, the concealed effects, and what belongs to this recording alone."""
+    """The robot as it is: the chain, the concealed effects, and what belongs to this recording alone.
+
+    `sensors`, `hammer`: the channels as the recording states them. `moved`: by site (`sensor:NODE`, `hammer:LABEL`)
+    how far (3,) m a point is from where it is stated.
+    """
 
     chain: Chain
     effects: tuple[Effect, ...] = ()
@@ -133,6 +137,9 @@ class Truth:
     gain: dict[str, float] = field(default_factory=dict)
     sag: bool = True
     seed: int | None = None
+    sensors: tuple[Channel, ...] = SENSORS
+    hammer: tuple[Channel, ...] = HAMMER
+    moved: dict[str, Array] = field(default_factory=dict)
 
     @property
     def nonlinear(self) -> bool:
@@ -148,6 +155,8 @@ def draw_truth(
     chain: Chain | None = None,
     sag: bool = True,
     log: bool = False,
+    sensors: tuple[Channel, ...] = SENSORS,
+    hammer: tuple[Channel, ...] = HAMMER,
 ) -> Truth:
     """A truth near `chain` (default KR90). Robot, recording and each effect have a random stream of their own.
 
@@ -164,9 +173,11 @@ def draw_truth(
             for e in effects
         ),
         {p.name: np.deg2rad(tolerances.posture_deg) * recording.uniform(-1, 1, chain.n) for p in postures},
-        {c.label: 1 + tolerances.gain * recording.uniform(-1, 1) for c in SENSORS},
+        {c.label: 1 + tolerances.gain * recording.uniform(-1, 1) for c in sensors},
         sag,
         seed,
+        sensors,
+        hammer,
     )
 
 
@@ -204,18 +215,18 @@ def rows(truth: Truth, structure: Structure) -> tuple[Array, Array]:
 
     def row(channel: Channel, site: str) -> Array:
         direction = turned.get(site, np.eye(3)) @ channel.direction
-        return structure.row(channel.body, np.array(channel.position), direction)
+        return structure.row(channel.body, channel.position + truth.moved.get(site, np.zeros(3)), direction)
 
     return (
-        np.array([row(c, f"sensor:{c.node}") for c in SENSORS]),
-        np.array([row(c, f"hammer:{c.label}") for c in HAMMER]),
+        np.array([row(c, f"sensor:{c.node}") for c in truth.sensors]),
+        np.array([row(c, f"hammer:{c.label}") for c in truth.hammer]),
     )
 
 
 def channel_factor(truth: Truth, s: Complex) -> Complex:
     """What each sensor channel multiplies its signal with, (nf, nr): gains and delays."""
-    factor = np.tile([truth.gain.get(c.label, 1.0) for c in SENSORS], (len(s), 1)).astype(complex)
-    for i, c in enumerate(SENSORS):
+    factor = np.tile([truth.gain.get(c.label, 1.0) for c in truth.sensors], (len(s), 1)).astype(complex)
+    for i, c in enumerate(truth.sensors):
         for e in truth.effects:
             if e.site == f"sensor:{c.label}" and e.kind == "sensor_gain":
                 factor[:, i] *= e["gain"]
@@ -241,7 +252,7 @@ def accelerance(
     directions = [rows(truth, structure) for structure in structures]
     s = test.decay + 2j * np.pi * test.frequency
     if structures[0].laws:
-        shape = (len(test.peaks), test.averages if test.spread else 1, len(HAMMER))
+        shape = (len(test.peaks), test.averages if test.spread else 1, len(truth.hammer))
         spread = test.spread * (rng or np.random.default_rng(0)).uniform(-1, 1, shape)
         peaks = np.asarray(test.peaks)[:, None, None] * (1 + spread)
         force = half_sine(peaks.ravel(), test.pulse_s, STEP_HZ)
@@ -347,7 +358,7 @@ def write_campaign(
             file.attrs.update(format="frf-campaign", version=1, comment="hammer test, roving hammer")
             if robot:
                 file.attrs["robot"] = robot
-            for name, channels in (("response", SENSORS), ("excitation", HAMMER)):
+            for name, channels in (("response", truth.sensors), ("excitation", truth.hammer)):
                 group = file.create_group(name)
                 group["label"] = [c.label for c in channels]
                 group["body"] = [c.body for c in channels]
@@ -397,8 +408,8 @@ def _fill(
 
 
 def check(truth: Truth, test: HammerTest) -> None:
-    labels = {f"sensor:{c.label}" for c in SENSORS} | {f"hammer:{c.label}" for c in HAMMER}
-    labels |= {f"sensor:{c.node}" for c in SENSORS}
+    labels = {f"sensor:{c.label}" for c in truth.sensors} | {f"hammer:{c.label}" for c in truth.hammer}
+    labels |= {f"sensor:{c.node}" for c in truth.sensors}
     for e in truth.effects:
         if EFFECTS[e.kind].shows == "log" or e.site == "log":
             raise TruthError(f"{e.kind}@{e.site}: expected an effect that a hammer test shows; this one is for `log`")

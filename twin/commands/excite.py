@@ -1,6 +1,7 @@
 """``twin excite``: robot in; excitation trajectories, as files a controller can run, and their figures out."""
 
-from dataclasses import dataclass, field
+import os
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -8,17 +9,20 @@ import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
 from twin.files import writing
-from twin.identify.excitation import Criterion, Excitation, Limits, excite, violation
+from twin.identify.excitation import Criterion, Excitation, Limits, violation
+from twin.identify.excitation import excite as optimise
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
-from twin.parallel import Progress
+from twin.measure.recordings import traced
+from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.robot.description import Robot, load_robot
+from twin.result import Result, Table
+from twin.robot.description import SHIPPED, Robot, load_robot
 
 SPLINE_POINTS = 100  # of a KRL spline block, per period
 
 
 @dataclass
-class Excitations:
+class Excitations(Result):
     """What ``twin excite`` found; prints itself, and is the JSON of the command.
 
     Attributes:
@@ -33,8 +37,21 @@ class Excitations:
     room: list[float]
     rest: bool
     criterion: Criterion
+    periods: int = 1
+    sample_rate_hz: float = 250.0
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
+
+    drawn_by = "twin.report.excite_figures"
+
+    @property
+    def trajectory(self) -> MotionLog:
+        """The trajectories sampled, a run each: what ``twin.simulate`` replays."""
+        runs = {
+            name: trajectory_run(name, e, self.periods, self.sample_rate_hz)
+            for name, e in ((f"excitation{k}", e) for k, e in enumerate(self.found, start=1))
+        }
+        return MotionLog(runs, self.robot.name, "trajectory")
 
     def data(self) -> dict[str, Any]:
         """The JSON of the command."""
@@ -46,6 +63,14 @@ class Excitations:
             "files": self.files,
             "provenance": self.origin,
         }
+
+    def tables(self) -> list[Table]:
+        """Condition number and room of every trajectory."""
+        rows = [
+            (str(k), f"{e.condition:.2f}", f"{room:.2g}")
+            for k, (e, room) in enumerate(zip(self.found, self.room, strict=True), start=1)
+        ]
+        return [Table(("trajectory", "condition number", "least room to a limit"), rows, (1, 2))]
 
     def __str__(self) -> str:
         first = self.found[0].fourier
@@ -63,11 +88,10 @@ class Excitations:
         return "\n".join(lines)
 
 
-def excitations(
+def excite(
+    robot: Robot | str | Path | None = None,
     *,
-    robot: str | None = None,
     without: list[str] | None = None,
-    out: Path | None = None,
     count: int = 6,
     harmonics: int = 5,
     base_hz: float = 0.1,
@@ -76,15 +100,15 @@ def excitations(
     periods: int = 1,
     sample_rate_hz: float = 250.0,
     krl: bool = False,
+    out: str | Path | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Excitations:
     """Optimised excitation trajectories of a robot, within its limits at all times.
 
     Args:
-        robot: shipped name, ``robot.yaml`` or URDF.
-        without: entries to remove.
-        out: folder for trajectory.h5, CSV, KRL, figures and JSON; ``None`` writes nothing.
+        robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; kr90 by default.
+        without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         count: how many.
         harmonics, base_hz: of the Fourier series.
         rest: start and end at rest.
@@ -92,6 +116,7 @@ def excitations(
         periods: how often a period is repeated in the files.
         sample_rate_hz: of the files.
         krl: write KUKA spline programs too (A_i = −q_i in degrees); the trajectories then start and end at rest.
+        out: folder for trajectory.h5, CSV, KRL, figures and JSON; ``None`` writes nothing.
         seed: of the random starts.
         progress: makes progress bars.
 
@@ -99,28 +124,26 @@ def excitations(
         InputError: bad input, or no trajectory within the limits.
     """
     check_out(out)
-    progress = progress or (lambda description, total: lambda step: None)
     rest = rest or krl  # a spline block starts and ends at a standstill
     loaded = load_robot(robot or "kr90").without(without or [])
     limits = Limits.of(loaded)
     starts = count + 1
-    tick = progress("trajectories", starts)
-    found = excite(
+    tick = (progress or silent)("trajectories", starts)
+    found = optimise(
         loaded, count, harmonics=harmonics, base_hz=base_hz, rest=rest, criterion=criterion, seed=seed, starts=starts,
         progress=tick,
     )  # fmt: skip
     room = [-violation(loaded, e.fourier, limits) for e in found]
-    result = Excitations(loaded, found, room, rest, criterion)
+    result = Excitations(loaded, found, room, rest, criterion, periods, sample_rate_hz)
     options = {
         "robot": robot, "without": without or [], "count": count, "harmonics": harmonics, "base_hz": base_hz,
         "rest": rest, "criterion": criterion, "periods": periods, "sample_rate_hz": sample_rate_hz, "seed": seed,
     }  # fmt: skip
-    inputs = [robot] if robot and Path(robot).is_file() else []
-    result.origin = provenance(inputs, options)
+    result.origin = provenance(traced([], robot), options)
     if out is not None:
         with Outputs(out) as outputs:
             result.files = outputs.files
-            _write(result, outputs, periods, sample_rate_hz, krl)
+            _write(result, outputs, krl)
     return result
 
 
@@ -157,19 +180,16 @@ def krl_program(name: str, found: Excitation, periods: int) -> str:
     return "\n".join(lines)
 
 
-def _write(result: Excitations, name: Outputs, periods: int, rate: float, krl: bool) -> None:
-    from twin.report import motion_figures
-    from twin.report.figures import save
-
-    runs = {}
-    for k, e in enumerate(result.found, start=1):
-        stem = f"excitation{k}"
-        runs[stem] = trajectory_run(stem, e, periods, rate)
-        write_motion_log(name(f"{stem}.csv"), MotionLog({stem: runs[stem]}))
+def _write(result: Excitations, name: Outputs, krl: bool) -> None:
+    trajectory = result.trajectory
+    for e, (stem, run) in zip(result.found, trajectory.runs.items(), strict=True):
+        write_motion_log(name(f"{stem}.csv"), MotionLog({stem: run}))
         if krl:
             with writing(name(f"{stem}.src")) as stream:
-                stream.write(krl_program(stem, e, periods))
-        title = f"{result.robot.name}, trajectory {k}: condition number {e.condition:.1f}"
-        save(motion_figures.excitation(result.robot, e, title), name(f"{stem}.png"))
-    write_motion_log(name("trajectory.h5"), MotionLog(runs, result.robot.name))
+                stream.write(krl_program(stem, e, result.periods))
+    name.draw(result)
+    described, robot = result.robot.path, result.robot.name
+    if described is not None and described.parent != SHIPPED:
+        robot = os.path.relpath(described, name.out)
+    write_motion_log(name("trajectory.h5"), replace(trajectory, robot=robot))
     write_json(name("excite.json"), result.data())

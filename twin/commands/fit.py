@@ -8,20 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from twin.commands.modal import read_recording
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
 from twin.identify.damping_transfer import Miss, Transfer, foretold, transfer
-from twin.identify.elastic import (
-    Fit,
-    Recorded,
-    base_name,
-    fit_frf,
-    noise_stated,
-    prepare,
-    within_limits,
-    without_limits,
-)
+from twin.identify.elastic import Fit, fit_frf
 from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
     ModalObjective,
@@ -32,8 +22,8 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
-from twin.identify.parameters import SATURATED, Parameters, free_parameters
 from twin.identify.posterior import FILE, Posterior, save_posterior
+from twin.identify.recorded import Recorded, base_name, noise_stated, prepare, within_limits, without_limits
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
     Combination,
@@ -45,17 +35,19 @@ from twin.identify.uncertainty import (
 )
 from twin.measure.campaign import VARIANCE_FLOOR_QUANTILE, Campaign, FloatArray, dead_channels
 from twin.measure.modal import identify_modes
-from twin.measure.modal_table import ModalTable, read_modal_table
+from twin.measure.modal_table import ModalTable
+from twin.measure.recordings import Given, Recording, read_one, traced
 from twin.measure.shapes import mac
 from twin.model.linear import linearise
 from twin.model.modes import Modes, modes
-from twin.parallel import Progress
+from twin.model.parameters import SATURATED, Parameters, free_parameters
+from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.robot.description import Robot, load_robot, parse_robot, save_robot
+from twin.result import Result, Table
+from twin.robot.description import Robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, save_mjcf
 
-TABLES = (".yaml", ".yml")
 LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
 CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
@@ -65,7 +57,7 @@ PROFILED = 4  # parameters whose profile is drawn
 
 
 @dataclass
-class FitResult:
+class FitResult(Result):
     """What ``twin fit`` found; prints itself, and is the JSON of the command.
 
     Attributes:
@@ -96,6 +88,8 @@ class FitResult:
     model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
     origin: dict[str, Any] = field(default_factory=dict)
     damping: Transfer = field(default_factory=lambda: transfer([]))
+
+    drawn_by = "twin.report.fit_report"
 
     def data(self) -> dict[str, Any]:
         """The JSON of the command."""
@@ -140,6 +134,22 @@ class FitResult:
             "files": self.files,
             "provenance": self.origin,
         }
+
+    def tables(self) -> list[Table]:
+        """Springs and dampers with their intervals, pale where the data do not hold them, and the errors."""
+        shown = [e for e in self.estimates if e.parameter.kind in ("spring", "entry")]
+        rows = [
+            (e.parameter.name, f"{e.value:.4g}", "{:.4g} … {:.4g}".format(*e.interval90), e.parameter.unit)
+            for e in shown
+        ]
+        errors = [(k.replace("_", " "), f"{v:.2%}") for k, v in self.error.items() if v is not None]
+        return [
+            Table(
+                ("parameter", "value", "90 % interval", "unit"), rows, (1, 2),
+                [k for k, e in enumerate(shown) if not e.identifiable],
+            ),
+            Table(("error", ""), errors, (1,)),
+        ]  # fmt: skip
 
     def __str__(self) -> str:
         fit = self.fit
@@ -187,9 +197,9 @@ class FitResult:
 
 
 def fit(
-    paths: Sequence[str | Path],
+    recording: Given,
     *,
-    robot: str | None = None,
+    robot: Robot | str | Path | None = None,
     without: list[str] | None = None,
     hold_out: list[str] | None = None,
     leave_one_out: bool = False,
@@ -197,15 +207,15 @@ def fit(
     band_hz: tuple[float, float] | None = None,
     tolerances: bool = True,
     starts: int = 4,
-    out: Path | None = None,
+    out: str | Path | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
     """Fit a robot to a hammer test or a modal table.
 
     Args:
-        paths: one ``frf-campaign`` file or modal table, or universal files that belong together.
-        robot: shipped name, ``robot.yaml`` or URDF; wins over the recording's.
+        recording: a :class:`Campaign` or :class:`ModalTable`, or its file, or universal files that belong together.
+        robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; wins over the recording's.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         hold_out: postures not used, by name; by default the last of three or more, an empty list for none.
         leave_one_out: also fit with every posture left out in turn.
@@ -221,27 +231,27 @@ def fit(
         InputError: bad input; nothing is written.
     """
     check_out(out)
-    progress = progress or (lambda description, total: lambda count: None)
-    path = Path(paths[0])
+    progress = progress or silent
+    given = read_one(recording, "frf-campaign", "modal-table")
+    described = given.described(robot, without)
+    _require_springs(described)
     options = {
         "robot": robot, "without": without or [], "hold_out": hold_out, "leave_one_out": leave_one_out,
         "objective": objective, "band_hz": band_hz, "tolerances": tolerances, "starts": starts, "seed": seed,
     }  # fmt: skip
-    if path.suffix.lower() in TABLES:
-        if len(paths) > 1:
-            raise InputError(paths[1], "", "expected one modal table")
-        found = _fit_table(path, robot, without, hold_out, leave_one_out, objective, tolerances, starts, seed)
+    if given.kind == "modal-table":
+        found = _fit_table(given, described, hold_out, leave_one_out, objective, tolerances, starts, seed)
     else:
         if objective == "paper":
             raise InputError("--objective", "paper", "Eq. 23 needs modes: give a modal table (twin modal writes one)")
         found = _fit_campaign(
-            paths, robot, without, hold_out, leave_one_out, band_hz, tolerances, starts, seed, progress, out is not None
+            given, described, hold_out, leave_one_out, band_hz, tolerances, starts, seed, progress, out is not None
         )
-    found.origin = provenance(paths, options)
+    found.origin = provenance(traced([given], robot), options)
     if out is not None:
         with Outputs(out) as outputs:
             found.files = outputs.files
-            _write(found, outputs, path, progress)
+            _write(found, outputs, progress)
     return found
 
 
@@ -249,9 +259,8 @@ def fit(
 
 
 def _fit_campaign(
-    paths: Sequence[str | Path],
-    robot: str | None,
-    without: list[str] | None,
+    given: Recording,
+    described: Robot,
     hold_out: list[str] | None,
     leave_one_out: bool,
     band_hz: tuple[float, float] | None,
@@ -261,9 +270,7 @@ def _fit_campaign(
     progress: Progress,
     profiled: bool,
 ) -> FitResult:
-    campaign, source = read_recording(paths), str(paths[0])
-    described = _robot(robot, campaign.robot, Path(source)).without(without or [])
-    _require_springs(described)
+    campaign, source = given.content, given.source
     recordings = list(prepare(campaign, described, source, band_hz).values())
     names = list(dict.fromkeys(r.setup.name for r in recordings))
     aliases = {group: base_name(campaign, group) for group in campaign.postures}
@@ -376,7 +383,7 @@ class _PostureModes:
 
 
 def _modes_at(robot: Robot, r: Recorded) -> _PostureModes:
-    from twin.identify.sensitivity import structure
+    from twin.model.sensitivity import structure
 
     mechanism = assemble(without_limits(robot), r.setup.q, brakes=r.setup.brakes or "off")
     return _PostureModes(modes(linearise(mechanism)), structure(mechanism))
@@ -420,9 +427,8 @@ def _misses_unseen(result: FitResult, recordings: Sequence[Recorded]) -> list[Mi
 
 
 def _fit_table(
-    path: Path,
-    robot: str | None,
-    without: list[str] | None,
+    given: Recording,
+    described: Robot,
     hold_out: list[str] | None,
     leave_one_out: bool,
     objective: ModalObjective,
@@ -430,11 +436,9 @@ def _fit_table(
     starts: int,
     seed: int,
 ) -> FitResult:
-    table: ModalTable = read_modal_table(path)
-    described = _robot(robot, table.robot, path).without(without or [])
-    _require_springs(described)
-    measured = modal_postures(table, described, str(path))
-    held = _held_out(str(path), hold_out, list(measured), {name: name for name in measured})
+    table: ModalTable = given.content
+    measured = modal_postures(table, described, given.source)
+    held = _held_out(given.source, hold_out, list(measured), {name: name for name in measured})
     free = _modal_parameters(described, tolerances)
 
     def run(used: list[str]) -> tuple[Fit, Robot]:
@@ -453,7 +457,7 @@ def _fit_table(
             left_out[name] = frequency_error(predict_modes(changed, {name: measured[name]}))
         misses += misses_left_out(other, changed, measured[name])
     result = FitResult(
-        str(path), final, fitted, estimates(fitted), combinations(fitted), held, error, {"held_out": None},
+        given.source, final, fitted, estimates(fitted), combinations(fitted), held, error, {"held_out": None},
         {name: _paired(described, posture, [m for m in paired if m.posture == name], name in held)
          for name, posture in measured.items()},
         [], left_out,
@@ -498,10 +502,6 @@ def _paired(robot: Robot, posture: ModalPosture, found: Sequence[PairedMode], he
 
 
 # --- shared -----------------------------------------------------------------------------------------------------------
-
-
-def _robot(given: str | None, named: str | None, source: Path) -> Robot:
-    return load_robot(given) if given else load_robot(named or "kr90", relative_to=source.parent)
 
 
 def _require_springs(robot: Robot) -> None:
@@ -651,8 +651,8 @@ def _runs(mask: FloatArray) -> list[tuple[int, int]]:
 # --- what is written --------------------------------------------------------------------------------------------------
 
 
-def _write(found: FitResult, name: Outputs, path: Path, progress: Progress) -> None:
-    from twin.report import figures, fit_report
+def _write(found: FitResult, name: Outputs, progress: Progress) -> None:
+    from twin.report import fit_report
     from twin.report.html import write_html
 
     save_robot(name("robot.yaml"), found.robot)
@@ -664,17 +664,11 @@ def _write(found: FitResult, name: Outputs, path: Path, progress: Progress) -> N
     mechanism = assemble(found.robot, within_limits(found.robot, found.robot.angles(first["q_deg"])))
     save_mjcf(name("robot.xml"), build_spec(mechanism))
     found.model = {"robot": str(name.out / "robot.yaml"), "mjcf": str(name.out / "robot.xml")}
-    images = {}
-    drawn = fit_report.draw(found)
-    tick = progress("figures", len(drawn))
-    for file, figure in drawn.items():
-        tick(1)
-        images[file] = name(file)
-        figures.save(figure, images[file])
+    images = name.draw(found, progress)
     report = name("report.html")
     write_json(name("fit.json"), found.data())
     footer = f"twin {found.origin['version']} · " + " · ".join(
         f"{k} {v[:12]}" for k, v in found.origin["inputs"].items()
     )
-    title = f"{found.robot.name} fitted to {path.name}"
+    title = f"{found.robot.name} fitted to {Path(found.source).name}"
     write_html(report, title, fit_report.lead(found), fit_report.sections(found, images), footer)

@@ -7,18 +7,20 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.errors import InputError
-from twin.identify.rigid import Bands, Identification, identify, joint_run, relative_error
-from twin.measure.motion_log import MotionLog, check_against, read_motion_log, require_axes
-from twin.parallel import Progress
+from twin.identify.rigid import Bands, Identification, in_joints, relative_error
+from twin.identify.rigid import identify as estimate
+from twin.measure.motion_log import MotionLog
+from twin.measure.recordings import Given, read_one, traced
+from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.robot.description import Robot, load_robot, save_robot
+from twin.result import Result, Table
+from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, save_mjcf
 
 
 @dataclass
-class Identified:
+class Identified(Result):
     """What ``twin identify`` found; prints itself, and is the JSON of the command.
 
     Attributes:
@@ -34,6 +36,13 @@ class Identified:
     files: list[str] = field(default_factory=list)
     model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
     origin: dict[str, Any] = field(default_factory=dict)
+
+    drawn_by = "twin.report.identify_figures"
+
+    @property
+    def robot(self) -> Robot:
+        """The physically consistent robot nearest to the description."""
+        return self.found.robot
 
     def errors(self) -> dict[str, dict[str, list[float]]]:
         """Relative error and RMS (N·m, N) per joint of the robot written, and of the unconstrained least squares."""
@@ -80,6 +89,26 @@ class Identified:
             "provenance": self.origin,
         }
 
+    def tables(self) -> list[Table]:
+        """Parameters with their intervals, and errors by joint."""
+        found, errors = self.found.estimate, self.errors()
+        rows = [
+            (
+                name, f"{found.value[k]:.5g}", "{:.5g} … {:.5g}".format(*found.interval90[k]), found.base.units[k],
+                "" if found.identifiable[k] else "not identifiable from this log",
+            )
+            for k, name in enumerate(found.base.names)
+        ]  # fmt: skip
+        dim = [k for k, held in enumerate(found.identifiable) if not held]
+        joints = [
+            (f"joint{i + 1}", *(f"{errors['error'][part][i]:.2%}" for part in ("train", "held_out")))
+            for i in range(self.robot.axis_count)
+        ]
+        return [
+            Table(("parameter", "value", "90 % interval", "unit", ""), rows, (1, 2), dim),
+            Table(("torque error", "fitted", "held out"), joints, (1, 2)),
+        ]
+
     def __str__(self) -> str:
         found, estimate = self.found, self.found.estimate
         low, high = found.bands.fit
@@ -111,47 +140,43 @@ class Identified:
         return "\n".join(lines)
 
 
-def identify_log(
-    path: str | Path,
+def identify(
+    log: Given,
     *,
-    robot: str | None = None,
+    robot: Robot | str | Path | None = None,
     without: list[str] | None = None,
-    out: Path | None = None,
     hold_out: list[str] | None = None,
     low_pass: tuple[float, float] = (3.0, 4.0),
     weighting: str = "joint",
+    out: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Identified:
     """Rigid-body, rotor, friction and compensator parameters from a motion log.
 
     Args:
-        path: motion log, HDF5 or CSV.
-        robot: shipped name, ``robot.yaml`` or URDF; wins over the log's.
-        without: entries to remove.
-        out: folder for robot.yaml, robot.xml, figures and identify.json; ``None`` writes nothing.
+        log: a :class:`MotionLog`, or its file, HDF5 or CSV.
+        robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; wins over the log's.
+        without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         hold_out: runs not to fit; chosen when empty.
         low_pass: pass and stop frequency for torque and columns, Hz.
         weighting: ``"joint"`` or ``"none"``.
+        out: folder for robot.yaml, robot.xml, figures and identify.json; ``None`` writes nothing.
         progress: makes progress bars.
 
     Raises:
         InputError: bad input; nothing is written.
     """
-    check_low_pass(low_pass)
     check_out(out)
-    progress = progress or (lambda description, total: lambda step: None)
-    log = read_motion_log(path)
-    name, folder = (robot, None) if robot else (log.robot or "kr90", Path(path).parent)
-    loaded = load_robot(name, folder).without(without or [])
-    joints = in_joints(log, loaded)
-    tick = progress("identify", 1)
     bands = Bands(fit=low_pass)
-    found = identify(log, loaded, bands=bands, hold_out=hold_out or None, weighting=weighting)
+    given = read_one(log, "motion-log")
+    described = given.described(robot, without)
+    joints = in_joints(given.content, described)
+    tick = (progress or silent)("identify", 1)
+    found = estimate(given.content, described, bands=bands, hold_out=hold_out or None, weighting=weighting)
     tick(1)
-    result = Identified(str(path), found, joints)
-    inputs = [str(path), *([name] if Path(name).is_file() else [])]
+    result = Identified(given.source, found, joints)
     options = {"robot": robot, "without": without or [], "hold_out": hold_out or [], "low_pass": list(low_pass)}
-    result.origin = provenance(inputs, {**options, "weighting": weighting})
+    result.origin = provenance(traced([given], robot), {**options, "weighting": weighting})
     if out is not None:
         with Outputs(out) as outputs:
             result.files = outputs.files
@@ -159,34 +184,7 @@ def identify_log(
     return result
 
 
-def check_low_pass(low_pass: tuple[float, float]) -> None:
-    """Raise unless the taper runs from a lower to a higher frequency.
-
-    Raises:
-        InputError: it does not.
-    """
-    if not 0 < low_pass[0] < low_pass[1]:
-        raise InputError("--low-pass", "", f"expected 0 < pass < stop, found {low_pass[0]:g} {low_pass[1]:g}")
-
-
-def in_joints(log: MotionLog, robot: Robot) -> MotionLog:
-    """A log as recorded (motors) in joint coordinates, checked against the robot.
-
-    Raises:
-        InputError: number of axes, units or limits do not fit.
-    """
-    require_axes(log, robot.axis_count)
-    turned = MotionLog(
-        {name: joint_run(robot, run) for name, run in log.runs.items()}, log.robot, log.source, log.notes
-    )
-    check_against(turned, robot)
-    return turned
-
-
 def _write(result: Identified, name: Outputs) -> None:
-    from twin.report import motion_figures
-    from twin.report.figures import save
-
     found = result.found
     save_robot(name("robot.yaml"), found.robot)
     middle = np.mean([run.position.mean(axis=0) for run in result.log.runs.values()], axis=0)
@@ -195,12 +193,6 @@ def _write(result: Identified, name: Outputs) -> None:
             middle[i] = np.clip(middle[i], *axis.limits.position)
     save_mjcf(name("robot.xml"), build_spec(assemble(found.robot, middle)))
     result.model = {"robot": result.files[0], "mjcf": result.files[1]}
-    robot, split = found.regressor.robot, found.split
-    first = result.log.runs[split.train[0].name]
-    save(motion_figures.signals(robot, first, found.bands), name("signals.png"))
-    for rows, title, file in ((split.train, "fitted", "fitted"), (split.held_out, "held out", "held_out")):
-        predicted = [r.matrix @ found.parameters + r.known for r in rows]
-        save(motion_figures.prediction(robot, rows, {"predicted": predicted}, title), name(f"{file}.png"))
-    save(motion_figures.residuals(robot, split.train, found.parameters), name("residuals.png"))
+    name.draw(result)
     path = name("identify.json")
     write_json(path, result.data())

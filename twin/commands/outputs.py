@@ -7,9 +7,11 @@ from pathlib import Path
 from types import TracebackType
 
 from twin.errors import InputError
+from twin.parallel import Progress, silent
+from twin.result import Result
 
 
-def check_out(out: Path | None) -> None:
+def check_out(out: str | Path | None) -> None:
     """Raise before the work starts what would spoil it at the end.
 
     Raises:
@@ -17,6 +19,7 @@ def check_out(out: Path | None) -> None:
     """
     if out is None:
         return
+    out = Path(out)
     if out.exists() and not out.is_dir():
         raise InputError("--out", str(out), "is a file; expected a folder")
     parent = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
@@ -31,8 +34,8 @@ class Outputs:
         files: where the files will be, in the order they were asked for.
     """
 
-    def __init__(self, out: Path) -> None:
-        self.out = out
+    def __init__(self, out: str | Path) -> None:
+        self.out = Path(out)
         self.files: list[str] = []
 
     def __enter__(self) -> "Outputs":
@@ -45,6 +48,18 @@ class Outputs:
         """Path to write a file of that name to."""
         self.files.append(str(self.out / name))
         return self.stage / name
+
+    def draw(self, result: Result, progress: Progress = silent) -> dict[str, Path]:
+        """Write a result's figures as PNG; file name → where it is for now."""
+        from twin.report.figures import save
+
+        figures, images = result.figures(), {}
+        tick = progress("figures", len(figures))
+        for name, figure in figures.items():
+            images[f"{name}.png"] = self(f"{name}.png")
+            save(figure, images[f"{name}.png"])
+            tick(1)
+        return images
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

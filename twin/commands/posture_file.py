@@ -1,5 +1,6 @@
-"""``posture.yaml``: which robot, in which posture, how it is hit, what it replays."""
+"""``posture.yaml``: which robot, in which posture, how it is hit, what it replays, what it cuts."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -8,6 +9,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from twin.errors import InputError
+from twin.measure.motion_log import MotionLog, read_motion_log
+from twin.milling.cut import Cut, read_cut
 from twin.robot.description import Data, NonNegative, Number, Positive, Robot, first_problem, load_robot
 from twin.yamlfile import read_yaml
 
@@ -54,6 +57,7 @@ class _File(Data):
     posture: _Posture
     hammer: Annotated[Hammer | None, BeforeValidator(_none_if_false)] = Hammer()
     replay: str | None = None
+    cut: dict[str, Any] | str | None = None
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,9 @@ class PostureFile:
         robot: description, removals applied.
         q: (n,) joint positions, rad (m); ``q_deg`` as the user wrote them.
         hammer: how it is hit, or ``None`` for modes only.
-        replay: path of a trajectory or motion log to replay.
-        inputs: the files that were read.
+        trajectory: what is replayed, or ``None``.
+        cut: what is milled how, or ``None``.
+        inputs: the files that were read, and what was given in memory.
     """
 
     robot: Robot
@@ -74,55 +79,106 @@ class PostureFile:
     q_deg: list[float]
     brakes: Literal["on", "off"]
     hammer: Hammer | None
-    replay: Path | None
-    inputs: list[Path]
+    trajectory: MotionLog | None
+    cut: Cut | None
+    inputs: list[Any]
 
 
-def read_posture_file(path: str | Path, robot: str | None = None, without: list[str] | None = None) -> PostureFile:
+def read_posture_file(
+    path: str | Path,
+    robot: Robot | str | Path | None = None,
+    without: Sequence[str] | None = None,
+    **changes: Any,
+) -> PostureFile:
     """Read and check a posture file.
 
     Args:
         path: the file.
         robot: wins over the robot named in the file, which wins over ``kr90``.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
+        changes: ``brakes``, ``hammer`` and ``trajectory`` that win over the file's, unless ``None``.
 
     Raises:
         InputError: one line that names the file, the field and what was expected.
     """
-    path = Path(path)
-    data: dict[str, Any] = read_yaml(path)
+    return _checked(read_yaml(path), Path(path), robot, without, [Path(path)], **changes)
+
+
+def posture_in_memory(
+    posture: Mapping[str, Any] | Sequence[float] | np.ndarray,
+    robot: Robot | str | Path | None = None,
+    without: Sequence[str] | None = None,
+    **changes: Any,
+) -> PostureFile:
+    """The content of a posture file, or axis positions (n,) in degrees (m) alone, which are not hit unless asked for.
+
+    Raises:
+        InputError: as :func:`read_posture_file`.
+    """
+    if isinstance(posture, Mapping):
+        data: dict[str, Any] = dict(posture)
+    else:
+        data = {"posture": {"q_deg": np.asarray(posture, float).tolist()}, "hammer": False}
+    return _checked(data, Path("posture"), robot, without, [], **changes)
+
+
+def _checked(
+    data: dict[str, Any],
+    path: Path,
+    robot: Robot | str | Path | None,
+    without: Sequence[str] | None,
+    inputs: list[Any],
+    *,
+    brakes: str | None = None,
+    hammer: Mapping[str, Any] | bool | None = None,
+    trajectory: MotionLog | str | Path | None = None,
+) -> PostureFile:
+    if brakes is not None:
+        data = {**data, "posture": {**data.get("posture", {}), "brakes": brakes}}
+    if hammer is not None:
+        data = {**data, "hammer": {} if hammer is True else hammer}
     try:
         content = _File.model_validate(data)
     except ValidationError as error:
         where, message = first_problem(error)
         raise InputError(path, where, message) from error
-    loaded = load_robot(robot) if robot else load_robot(content.robot or "kr90", relative_to=path.parent)
-    loaded = loaded.without(without or [])
+    loaded = load_robot(robot or content.robot or "kr90", None if robot else path.parent)
+    loaded = loaded.without(list(without or []))
     if len(content.posture.q_deg) != loaded.axis_count:
         raise InputError(
             path, "posture.q_deg",
             f"expected {loaded.axis_count} values for robot {loaded.name}, found {len(content.posture.q_deg)}",
         )  # fmt: skip
     q = loaded.check_posture(loaded.angles(content.posture.q_deg), str(path), "posture.q_deg")
-    replay = None
-    if content.replay is not None:
-        replay = next((p for p in (path.parent / content.replay, Path(content.replay)) if p.is_file()), None)
-        if replay is None:
-            raise InputError(path, "replay", f"{content.replay}: no such file")
     if content.hammer:
-        lines = 1 / content.hammer.pulse_s
-        if content.hammer.sample_rate_hz < 4 * lines:
-            raise InputError(
-                path,
-                "hammer.sample_rate_hz",
-                f"a pulse of {content.hammer.pulse_s:g} s needs at least {4 * lines:g} Hz",
-            )
-        if content.hammer.duration_s * content.hammer.sample_rate_hz > LONGEST_RECORD:
-            raise InputError(path, "hammer.duration_s", f"expected at most {LONGEST_RECORD:.0e} samples in a record")
-        if content.hammer.duration_s < 4 * content.hammer.pulse_s:
-            raise InputError(path, "hammer.duration_s", "expected a record much longer than the pulse")
-    inputs = [path, *([loaded.path] if loaded.path else []), *([replay] if replay else [])]
+        _check_hammer(path, content.hammer)
+    log, source = _trajectory(path, trajectory if trajectory is not None else content.replay)
+    cut = None if content.cut is None else read_cut(content.cut, path, path.parent)
+    described = robot if isinstance(robot, Robot) else loaded.path
+    inputs = [item for item in (*inputs, described, source) if item is not None]
     return PostureFile(
-        loaded, content.posture.name, q, list(content.posture.q_deg), content.posture.brakes, content.hammer, replay,
-        inputs,
+        loaded, content.posture.name, q, list(content.posture.q_deg), content.posture.brakes, content.hammer, log,
+        cut, inputs,
     )  # fmt: skip
+
+
+def _check_hammer(path: Path, hammer: Hammer) -> None:
+    lines = 1 / hammer.pulse_s
+    if hammer.sample_rate_hz < 4 * lines:
+        raise InputError(
+            path, "hammer.sample_rate_hz", f"a pulse of {hammer.pulse_s:g} s needs at least {4 * lines:g} Hz"
+        )
+    if hammer.duration_s * hammer.sample_rate_hz > LONGEST_RECORD:
+        raise InputError(path, "hammer.duration_s", f"expected at most {LONGEST_RECORD:.0e} samples in a record")
+    if hammer.duration_s < 4 * hammer.pulse_s:
+        raise InputError(path, "hammer.duration_s", "expected a record much longer than the pulse")
+
+
+def _trajectory(path: Path, given: MotionLog | str | Path | None) -> tuple[MotionLog | None, Any]:
+    """What is replayed, and its file or itself; a relative path is looked up beside the posture file first."""
+    if given is None or isinstance(given, MotionLog):
+        return given, given
+    found = next((p for p in (path.parent / given, Path(given)) if p.is_file()), None)
+    if found is None:
+        raise InputError(path, "replay", f"{given}: no such file")
+    return read_motion_log(found), found

@@ -1,27 +1,32 @@
 """``twin simulate``: posture in; modes, hammer FRFs, torques and pictures out."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.commands.posture_file import PostureFile, read_posture_file
+from twin.commands.posture_file import PostureFile, posture_in_memory, read_posture_file
 from twin.errors import InputError
+from twin.measure.campaign import Campaign, write_campaign
+from twin.measure.motion_log import MotionLog, MotionRun, require_axes, write_motion_log
+from twin.model.hammer import HammerTest
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import Modes, modes
-from twin.parallel import Progress
+from twin.model.replay import Replay, inverse_dynamics, motion_of, recorded_torque, replay
+from twin.model.simulated_test import simulated_test
+from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.robot.description import save_robot
+from twin.result import Result, Table
+from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, save_mjcf
 
-FREQUENCY_SHARE = 0.8  # FRFs are kept up to this share of 1/pulse, where a half sine still excites
-
 
 @dataclass
-class Simulation:
+class Simulation(Result):
     """What ``twin simulate`` found; prints itself, and is the JSON of the command.
 
     Attributes:
@@ -38,10 +43,33 @@ class Simulation:
     mechanism: Mechanism
     linear: LinearModel
     modes: Modes
-    campaign: Any = None
-    replays: dict[str, Any] = field(default_factory=dict)
+    campaign: Campaign | None = None
+    replays: dict[str, "Replayed"] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
+
+    drawn_by = "twin.report.simulation_figures"
+
+    @property
+    def robot(self) -> Robot:
+        """The description, removals applied."""
+        return self.case.robot
+
+    @property
+    def log(self) -> MotionLog:
+        """The replays as a motion log: what the twin's motors and encoders did."""
+        runs = {
+            name: MotionRun(
+                name, r.replay.time, r.replay.position, r.run.sample_rate_hz, r.replay.torque,
+                link_position=r.replay.link_position,
+            )
+            for name, r in self.replays.items()
+        }  # fmt: skip
+        return MotionLog(runs, self.robot.name, f"{self.case.name}, replayed")
+
+    def stem(self, run: str) -> str:
+        """Name of the files about a run."""
+        return "replay" if len(self.replays) == 1 else f"replay-{run}"
 
     def data(self) -> dict[str, Any]:
         """The JSON of the command, SI except where a name ends in its unit."""
@@ -66,6 +94,18 @@ class Simulation:
             "files": self.files,
             "provenance": self.origin,
         }
+
+    def tables(self) -> list[Table]:
+        """Modes, with the deflections that hold most of their strain energy."""
+        m = self.modes
+        rows = [
+            (
+                str(k + 1), f"{m.frequency_hz[k]:.2f} Hz", f"{m.damping_percent[k]:.2f} %",
+                ", ".join(f"{site} {share:.0%}" for site, share in m.dominant(k)),
+            )
+            for k in range(len(m))
+        ]  # fmt: skip
+        return [Table(("mode", "frequency", "damping", "share of strain energy"), rows, (1, 2))]
 
     def __str__(self) -> str:
         case = self.case
@@ -102,27 +142,36 @@ class Simulation:
 
 
 @dataclass(frozen=True)
-class _Replayed:
-    run: Any
-    replay: Any
+class Replayed:
+    """One run of a trajectory: ``run`` as given, ``replay`` in time, ``inverse`` dynamics' torque (nt, n), N·m (N)."""
+
+    run: MotionRun
+    replay: Replay
     inverse: np.ndarray
 
 
 def simulate(
-    path: str | Path,
+    posture: str | Path | Mapping[str, Any] | Sequence[float] | np.ndarray,
     *,
-    robot: str | None = None,
+    robot: Robot | str | Path | None = None,
     without: list[str] | None = None,
-    out: Path | None = None,
+    brakes: Literal["on", "off"] | None = None,
+    hammer: Mapping[str, Any] | bool | None = None,
+    trajectory: MotionLog | str | Path | None = None,
+    out: str | Path | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Simulation:
-    """Modes, hammer test and replay of a posture file.
+    """Modes, hammer test and replay of one posture.
 
     Args:
-        path: ``posture.yaml``.
-        robot: shipped name, ``robot.yaml`` or URDF; wins over the file's.
+        posture: a posture file, a mapping with the content of one, or axis positions (n,) in degrees (m).
+        robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; wins over the file's.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
+        brakes: wins over the file's; ``"on"`` unless one says otherwise.
+        hammer: wins over the file's: keys as in a posture file, ``True`` for three hits of 300 N, ``False`` for modes
+            only. Positions alone are not hit unless this says so.
+        trajectory: wins over the file's ``replay``: what the twin follows.
         out: folder for MJCF, recordings, figures, ``.rrd`` and JSON; ``None`` writes nothing.
         seed: of the hammer test's noise.
         progress: makes progress bars.
@@ -130,14 +179,14 @@ def simulate(
     Raises:
         InputError: bad input; nothing is written.
     """
-    progress = progress or (lambda description, total: lambda count: None)
+    progress = progress or silent
     check_out(out)
-    case = read_posture_file(path, robot, without)
-    runs = None
-    if case.replay:
-        from twin.measure.motion_log import read_motion_log, require_axes
-
-        runs = require_axes(read_motion_log(case.replay), case.robot.axis_count)
+    changes = {"brakes": brakes, "hammer": hammer, "trajectory": trajectory}
+    if isinstance(posture, str | Path):
+        case = read_posture_file(posture, robot, without, **changes)
+    else:
+        case = posture_in_memory(posture, robot, without, **changes)
+    runs = require_axes(case.trajectory, case.robot.axis_count) if case.trajectory else None
     mechanism = assemble(case.robot, case.q, brakes=case.brakes)
     linear = linearise(mechanism)
     found = Simulation(case, mechanism, linear, modes(linear))
@@ -145,130 +194,43 @@ def simulate(
         raise InputError(case.robot.name, case.name, "the posture is not a stable equilibrium: a stiffness is too low")
     found.origin = provenance(case.inputs, {"robot": robot, "without": without or [], "seed": seed})
     if case.hammer and linear.coordinates and case.robot.accelerometers:
-        found.campaign = _hammer(case, mechanism, linear, seed, progress)
-    if runs:
-        from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
-
-        for name, run in runs.runs.items():
-            tick = progress(f"replay {name}", len(run.time))
-            stepped = replay(case.robot, run, progress=tick, source=runs.source)
-            exact = recorded_torque(case.robot, run.time, inverse_dynamics(case.robot, motion_of(run)))
-            found.replays[name] = _Replayed(run, stepped, exact)
+        test = HammerTest(seed=seed, **case.hammer.model_dump(exclude={"force_n", "raw_hits"}))
+        found.campaign = simulated_test(
+            mechanism, linear, test, case.hammer.force_n, name=case.name, q_deg=case.q_deg,
+            raw_hits=case.hammer.raw_hits, progress=progress,
+        )  # fmt: skip
+    for name, run in runs.runs.items() if runs else ():
+        tick = progress(f"replay {name}", len(run.time))
+        stepped = replay(case.robot, run, progress=tick, source=runs.source if runs else "")
+        exact = recorded_torque(case.robot, run.time, inverse_dynamics(case.robot, motion_of(run)))
+        found.replays[name] = Replayed(run, stepped, exact)
     if out is not None:
         with Outputs(out) as outputs:
             _write(found, outputs)
     return found
 
 
-def _hammer(case: PostureFile, mechanism: Mechanism, linear: LinearModel, seed: int, progress: Progress) -> Any:
-    from twin.measure.campaign import Campaign
-    from twin.measure.spectra import posture_from_hits
-    from twin.model.hammer import HammerTest, channels, simulate_hits, window_rate
-
-    options = case.hammer
-    assert options is not None
-    levels = options.force_n
-    test = HammerTest(seed=seed, **options.model_dump(exclude={"force_n", "raw_hits"}))
-    excitations = [point.label for point in case.robot.test_points]
-    responses = list(case.robot.accelerometers)
-    rate = window_rate(linear, test.duration_s)
-    tick = progress("hammer test", len(levels) * len(excitations) * test.hits)
-    postures = {}
-    for level in levels:
-        name = case.name if len(levels) == 1 else f"{case.name}@{level:g}N"
-        hits = simulate_hits(mechanism, test, level, excitations, responses, progress=tick)
-        posture, _ = posture_from_hits(
-            name, np.array(case.q_deg), case.brakes, hits,
-            exponential_window_rate=rate, fmax=FREQUENCY_SHARE / test.pulse_s,
-        )  # fmt: skip
-        postures[name] = replace(
-            posture,
-            hits=posture.hits if options.raw_hits else None,
-            frf=posture.frf * _structural_share(case, linear, posture, responses, excitations),
-        )
-    comment = "simulated by twin simulate" + (
-        "; structural damping and integral action, which no time stepping has, put in by the ratio of the linear FRFs "
-        "with them and with viscous dampers in their stead" if _unstepped(linear) else ""
-    )  # fmt: skip
-    sides = channels(mechanism, responses), channels(mechanism, excitations)
-    return Campaign(*sides, postures, "robot.yaml", comment)
-
-
-def _unstepped(linear: Any) -> bool:
-    return bool(linear.loss.any() or linear.integral.any())
-
-
-def _structural_share(
-    case: PostureFile, linear: LinearModel, posture: Any, responses: list[str], excitations: list[str]
-) -> np.ndarray | float:
-    """What complex stiffnesses and servos' integral action make of the FRFs that MuJoCo steps."""
-    if not _unstepped(linear):
-        return 1.0
-    from twin.model.frf import frf, measurement_chain
-
-    frequency, rate = np.maximum(posture.frequency, posture.frequency[1] / 2), posture.exponential_window_rate
-    both = [
-        frf(
-            model, frequency, measurement_chain(model, case.robot, responses, excitations), exponential_window_rate=rate
-        )
-        for model in (linear, linear.stepped)
-    ]
-    return both[0] / both[1]
-
-
 def _write(found: Simulation, name: Outputs) -> None:
-    from twin.report import figures, scene
+    from twin.report import scene
 
-    case, mechanism = found.case, found.mechanism
-    save_robot(name("robot.yaml"), case.robot)
-    save_mjcf(name("robot.xml"), build_spec(mechanism))
+    robot = found.robot
+    save_robot(name("robot.yaml"), robot)
+    save_mjcf(name("robot.xml"), build_spec(found.mechanism))
     if len(found.modes):
-        figures.save(figures.mode_shapes(mechanism, found.modes), name("modes.png"))
-        scene.write_modes(name("modes.rrd"), mechanism, found.modes)
+        scene.write_modes(name("modes.rrd"), found.mechanism, found.modes)
     if found.campaign:
-        from twin.measure.campaign import write_campaign
-        from twin.model.frf import frf, measurement_chain
-
-        write_campaign(name("hammer.h5"), found.campaign)
-        excitation = found.campaign.excitation.label
-        flange = [label for label in case.robot.accelerometers if label in excitation][:3]
-        columns = [excitation.index(label) for label in flange]
-        first = next(iter(found.campaign.postures.values()))
-        rows = slice(0, 3)
-        band = first.frequency >= 4
-        chain = measurement_chain(found.linear, case.robot, case.robot.accelerometers[rows], flange)
-        exact = frf(found.linear, first.frequency[band], chain, exponential_window_rate=first.exponential_window_rate)
-        shown = {"linear model": exact} | {
-            f"hammer test {key}": p.frf[band][:, rows][:, :, columns] for key, p in found.campaign.postures.items()
-        }
-        figures.save(
-            figures.frf_matrix(
-                first.frequency[band], shown, case.robot.accelerometers[rows], flange, "accelerance",
-                modes_hz=found.modes.frequency_hz,
-            ),
-            name("frf.png"),
-        )  # fmt: skip
+        write_campaign(name("hammer.h5"), replace(found.campaign, robot="robot.yaml"))
+    for key, item in found.replays.items():
+        r = item.replay
+        torque = {"twin": r.torque, "inverse dynamics": item.inverse}
+        if item.run.torque is not None:
+            torque["measured"] = item.run.torque
+        servo = assemble(robot, r.position[0], brakes="off", drives="servo")
+        stem = found.stem(key)
+        scene.write_replay(name(f"{stem}.rrd"), servo, r.time, r.position, r.deflections, torque)
     if found.replays:
-        units = ["N·m" if axis.type == "revolute" else "N" for axis in case.robot.axes]
-        from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
-
-        runs = {}
-        for key, item in found.replays.items():
-            r = item.replay
-            runs[key] = MotionRun(
-                key, r.time, r.position, item.run.sample_rate_hz, r.torque, link_position=r.link_position
-            )
-            stem = "replay" if len(found.replays) == 1 else f"replay-{key}"
-            figures.save(
-                figures.replay(r.time, item.run.torque, r.torque, item.inverse, case.robot.joint_names, units),
-                name(f"{stem}.png"),
-            )
-            torque = {"twin": r.torque, "inverse dynamics": item.inverse}
-            if item.run.torque is not None:
-                torque["measured"] = item.run.torque
-            servo = assemble(case.robot, r.position[0], brakes="off", drives="servo")
-            scene.write_replay(name(f"{stem}.rrd"), servo, r.time, r.position, r.deflections, torque)
-        write_motion_log(name("replay.h5"), MotionLog(runs, "robot.yaml"))
+        write_motion_log(name("replay.h5"), replace(found.log, robot="robot.yaml"))
+    name.draw(found)
     path = name("simulate.json")
     found.files = name.files
     write_json(path, found.data())

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.commands.compare import recording_kind
-from twin.commands.modal import read_recording
 from twin.commands.outputs import check_out
 from twin.errors import InputError
+from twin.measure.motion_log import read_motion_log, require_axes
+from twin.measure.recordings import read_recordings, recording_kind, robot_of
 from twin.robot.description import Robot, load_robot
 from twin.yamlfile import read_yaml
 
@@ -16,7 +16,7 @@ from twin.yamlfile import read_yaml
 def view(
     path: str | Path, out: Path | None = None, *, robot: str | None = None, without: list[str] | None = None
 ) -> str:
-    """Open an output folder, a ``.rrd``, a robot or a motion recording; with ``out`` write a ``.rrd`` instead.
+    """Open an output folder, a ``.rrd``, a robot or a recording; with ``out`` write a ``.rrd`` instead.
 
     Returns:
         One line that says what was opened or written.
@@ -35,22 +35,35 @@ def view(
     check_out(target.parent)
     if target.is_dir():
         raise InputError("--out", str(target), "is a folder; expected a file name.rrd")
-    suffix = path.suffix.lower()
-    if suffix in (".yaml", ".yml") and path.is_file() and "postures" in read_yaml(path):
-        from twin.measure.modal_table import read_modal_table
-
-        table = read_modal_table(path)
-        _write_posture(table.robot, next(iter(table.postures.values())).q_deg, path, robot, without, target)
-    elif suffix in (".yaml", ".yml", ".urdf", ".xml", ""):
+    if _is_robot(path):
         shown = load_robot(path).without(without or [])
         middle = [np.mean(axis.limits.position) if axis.limits and axis.limits.position else 0.0 for axis in shown.axes]
         _write_modes(shown, np.array(middle), target)
-    elif recording_kind(path)[0] == "motion-log":
+    elif _is_motion(path):
         _write_log(path, robot, without, target)
     else:
-        campaign = read_recording([path])
-        _write_posture(campaign.robot, next(iter(campaign.postures.values())).q_deg, path, robot, without, target)
+        (recording,) = read_recordings([path])
+        posture = next(iter(recording.content.postures.values()))
+        _write_posture(recording.described(robot, without), posture.q_deg, path, target)
     return f"wrote {target}" if out is not None else scene.view(target)
+
+
+def _is_robot(path: Path) -> bool:
+    """A description: YAML that is no modal table, a URDF, or the name of a shipped robot."""
+    suffix = path.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        return not path.is_file() or "postures" not in read_yaml(path)
+    return suffix in (".urdf", ".xml") or (suffix == "" and not path.is_file())
+
+
+def _is_motion(path: Path) -> bool:
+    """A motion log or a trajectory."""
+    try:
+        return recording_kind(path) == "motion-log"
+    except InputError as error:
+        if error.field == "format" and "trajectory" in error.expected:
+            return True
+        raise
 
 
 def _write_modes(robot: Robot, q: np.ndarray, target: Path) -> None:
@@ -64,33 +77,22 @@ def _write_modes(robot: Robot, q: np.ndarray, target: Path) -> None:
     scene.write_modes(target, mechanism, modes(linearise(mechanism)))
 
 
-def _write_posture(
-    named: str | None,
-    q_deg: Sequence[float] | np.ndarray,
-    path: Path,
-    robot: str | None,
-    without: list[str] | None,
-    target: Path,
-) -> None:
+def _write_posture(robot: Robot, q_deg: Sequence[float] | np.ndarray, path: Path, target: Path) -> None:
     """The robot of a recording in its first posture, moving in the model's modes."""
-    shown = load_robot(robot) if robot else load_robot(named or "kr90", relative_to=path.parent)
-    shown = shown.without(without or [])
-    if len(q_deg) != shown.axis_count:
+    if len(q_deg) != robot.axis_count:
         raise InputError(
-            path, "q_deg", f"expected {shown.axis_count} values for robot {shown.name}, found {len(q_deg)}"
+            path, "q_deg", f"expected {robot.axis_count} values for robot {robot.name}, found {len(q_deg)}"
         )
-    _write_modes(shown, shown.check_posture(shown.angles(q_deg), str(path)), target)
+    _write_modes(robot, robot.check_posture(robot.angles(q_deg), str(path)), target)
 
 
 def _write_log(path: Path, named: str | None, without: list[str] | None, target: Path) -> None:
-    from twin.measure.motion_log import read_motion_log, require_axes
     from twin.model.replay import replay
     from twin.report import scene
     from twin.robot.mechanism import assemble
 
     log = read_motion_log(path)
-    robot = load_robot(named) if named else load_robot(log.robot or "kr90", relative_to=path.parent)
-    robot = robot.without(without or [])
+    robot = robot_of(path, log.robot, named).without(without or [])
     require_axes(log, robot.axis_count)
     target.parent.mkdir(parents=True, exist_ok=True)
     found = replay(robot, next(iter(log.runs.values())))

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.objective import Sample
 from twin.diagnose.refit import Fitted, foreseen
 from twin.diagnose.search import REACH
+from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.yamlfile import read_yaml
 

@@ -1,6 +1,6 @@
 """Checks run on the new model as it was written: MuJoCo predicts what the search's algebra predicts; what an edit does.
 
-The search evaluates FRFs with its own algebra (:mod:`twin.identify.sensitivity`). Here the written files are read
+The search evaluates FRFs with its own algebra (:mod:`twin.model.sensitivity`). Here the written files are read
 again, compiled by MuJoCo, and predict the same: FRFs linearised, torque in time along a run. Blows in time are in
 :mod:`twin.diagnose.levels_finding`.
 """
@@ -13,12 +13,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from twin.diagnose.joint_laws import AMPLITUDE
 from twin.diagnose.records import FrfRecord, Stage
-from twin.identify.elastic import without_limits
-from twin.identify.parameters import independent
-from twin.identify.sensitivity import Setup, observe
-from twin.identify.sensitivity import frf as algebra
+from twin.identify.recorded import without_limits
 from twin.measure.campaign import QUANTITIES, ComplexArray, FloatArray, laplace
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
@@ -26,7 +22,12 @@ from twin.model.expansion import with_channels
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
 from twin.model.modes import modes
+from twin.model.parameters import independent
 from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
+from twin.model.sensitivity import Setup, observe
+from twin.model.sensitivity import frf as algebra
+from twin.physics import CATALOGUE
+from twin.physics.payload import Payload
 from twin.robot.description import Entry, Robot
 from twin.robot.mechanism import assemble
 
@@ -94,7 +95,7 @@ def check_xml(mjcf: Path, robot: Robot, q: np.ndarray, brakes: Any) -> dict[str,
 
 def is_nonlinear(robot: Robot) -> bool:
     """Whether what was found last answers differently to different force levels."""
-    return any(entry.effect in AMPLITUDE for entry in robot.physics[-1:])
+    return any(CATALOGUE[entry.effect].amplitude_law for entry in robot.physics[-1:])
 
 
 def check_replayed(robot: Robot, run: MotionRun, source: str) -> dict[str, Any]:
@@ -157,7 +158,7 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
 def _with_payload(robot: Robot, mass: float) -> Robot:
     """With a point mass more at the flange's centre."""
     values: dict[str, Any] = {"mass": mass, "com": [float(v) for v in robot.flange.position]}
-    entry = Entry(effect="payload", site="flange", **values)
+    entry = Entry(effect=Payload.name, site="flange", **values)
     return robot.model_copy(update={"physics": [*robot.physics, entry]})
 
 

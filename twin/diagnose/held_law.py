@@ -1,6 +1,6 @@
 """A joint's law of amplitude, held as what it was to every blow: how linear models are fitted to a nonlinear robot.
 
-After a blow F the law adds a torque T at joint j of a robot that is linear otherwise (:mod:`twin.diagnose.blow`):
+After a blow F the law adds a torque T at joint j of a robot that is linear otherwise (:mod:`twin.model.blow`):
 
     H = H_lin − G_j T/F,    T/F = κ φ/F + rest,
 
@@ -13,9 +13,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from twin.identify.elastic import Recorded
-from twin.identify.sensitivity import Observed, Structure, frf, frf_slopes
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import ComplexArray
+from twin.model.sensitivity import Observed, Structure, frf, frf_slopes
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,24 @@ class UnderLaw(Recorded):
     def of(cls, r: Recorded, site: str, kappa: ComplexArray, rest: ComplexArray) -> "UnderLaw":
         """A recording with a law held."""
         return cls(**{f.name: getattr(r, f.name) for f in fields(Recorded)}, site=site, kappa=kappa, rest=rest)
+
+    def respond(self, seen: Observed, model: Structure) -> ComplexArray:
+        """FRFs (nf, nr, ne) of a model where and as they were recorded, the law included."""
+        joint = receptances(seen, model.coordinates.index(self.site), self.s, self.power)
+        return joint.reacting(joint.reaction(self.kappa, self.rest))
+
+    def respond_slopes(self, seen: Observed, model: Structure, rate: Observed) -> tuple[ComplexArray, ComplexArray]:
+        """The same and its derivatives (n, nf, nr, ne)."""
+        joint = receptances(seen, model.coordinates.index(self.site), self.s, self.power, rate)
+        reaction = joint.reaction(self.kappa, self.rest)
+        return joint.reacting(reaction), joint.slopes(reaction, joint.reaction_slopes(self.kappa, reaction))
+
+    def probed(self, count: int) -> "UnderLaw":
+        """What receptance is asked for with ``count`` more excitations; to them the law is what it is to blows on
+        average."""
+        mean = np.tile(self.kappa.mean(axis=1, keepdims=True), count)
+        rest = np.zeros((len(self.s), count))
+        return replace(self, power=0, kappa=np.hstack([self.kappa, mean]), rest=np.hstack([self.rest, rest]))
 
     def every(self, step: int) -> "UnderLaw":
         """Every ``step``-th line."""
@@ -102,29 +120,3 @@ def receptances(seen: Observed, index: int, s: ComplexArray, power: int, rate: O
         H, dH = frf_slopes(wide, rate, s, power)
         rates = dH[:, :, :-1, :-1], dH[:, :, :-1, -1], dH[:, :, -1, :-1] * back, dH[:, :, -1, -1] * back[:, 0]
     return Receptances(H[:, :-1, :-1], H[:, :-1, -1], H[:, -1, :-1] * back, H[:, -1, -1] * back[:, 0], rates)
-
-
-def with_blows(r: Recorded, count: int) -> Recorded:
-    """What receptance is asked for with ``count`` more excitations, the law to them what it is to blows on average."""
-    if not isinstance(r, UnderLaw):
-        return replace(r, power=0)
-    mean = np.tile(r.kappa.mean(axis=1, keepdims=True), count)
-    rest = np.zeros((len(r.s), count))
-    return replace(r, power=0, kappa=np.hstack([r.kappa, mean]), rest=np.hstack([r.rest, rest]))
-
-
-def respond(seen: Observed, model: Structure, r: Recorded) -> ComplexArray:
-    """FRFs (nf, nr, ne) of a model where and as they were recorded, a held law included."""
-    if not isinstance(r, UnderLaw):
-        return frf(seen, r.s, r.power)
-    joint = receptances(seen, model.coordinates.index(r.site), r.s, r.power)
-    return joint.reacting(joint.reaction(r.kappa, r.rest))
-
-
-def respond_slopes(seen: Observed, model: Structure, rate: Observed, r: Recorded) -> tuple[ComplexArray, ComplexArray]:
-    """The same and its derivatives (n, nf, nr, ne)."""
-    if not isinstance(r, UnderLaw):
-        return frf_slopes(seen, rate, r.s, r.power)
-    joint = receptances(seen, model.coordinates.index(r.site), r.s, r.power, rate)
-    reaction = joint.reaction(r.kappa, r.rest)
-    return joint.reacting(reaction), joint.slopes(reaction, joint.reaction_slopes(r.kappa, reaction))

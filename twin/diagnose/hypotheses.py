@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from twin.identify.parameters import Parameter, Parameters, independent, join
 from twin.measure.campaign import Brakes, Channels, FloatArray
+from twin.model.parameters import Parameter, Parameters, Sprung, independent, join
 from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
+from twin.physics.effect import Companion
 from twin.physics.effect import Parameter as Quantity
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import axis_placement, matrix_of
@@ -22,31 +23,6 @@ from twin.robot.frames import axis_placement, matrix_of
 WIDENED = {"stiffness": np.log(3.0), "mass": 0.15, "com": 0.05, "inertia": 0.3, "gain": 0.1, "damping": np.log(20.0)}
 """Prior deviation of a base parameter that is suspected of being wrong beyond its tolerance."""
 SAME = 0.05  # rad: angles of joint 1 that far apart are two
-
-
-@dataclass(frozen=True)
-class Sprung(Parameters):
-    """Parameters whose springs are named after their coordinate, so that their derivatives are closed forms.
-
-    Attributes:
-        written: the same under the names of the description, through which values enter a robot.
-    """
-
-    written: Parameters
-
-    def select(self, keep: Iterable[int]) -> "Sprung":
-        """The parameters at some indices."""
-        keep = list(keep)
-        some = super().select(keep)
-        return Sprung(some.items, some.covariance, self.written.select(keep))
-
-    def apply(self, robot: Robot, values: FloatArray) -> Robot:
-        """The robot with the values that belong to it."""
-        return self.written.apply(robot, values)
-
-    def apply_one(self, robot: Robot, index: int, value: float) -> Robot:
-        """The robot with one value changed."""
-        return self.written.apply_one(robot, index, value)
 
 
 @dataclass(frozen=True)
@@ -154,14 +130,14 @@ def entry_hypothesis(base: Robot, effect: str, site: str, values: dict[str, Any]
         numbers = given if quantity.length else [given]
         for k, number in enumerate(numbers):
             name = f"{key}.{quantity.name}" + (f"[{k}]" if quantity.length else "")
-            if effect == "transverse_compliance":
+            if CATALOGUE[effect].hinge:
                 name = f"{site}.{quantity.name}"
             own.append(_parameter(effect, name, quantity, float(number)))
     return Hypothesis(effect, site, (entry,), tuple(own))
 
 
 def _parameter(effect: str, name: str, quantity: Quantity, centre: float) -> Parameter:
-    kind = "spring" if effect == "transverse_compliance" else "entry"
+    kind = "spring" if CATALOGUE[effect].hinge else "entry"
     return Parameter(name, quantity.unit, kind, quantity.log, centre, quantity.spread, "usual size")  # type: ignore[arg-type]
 
 
@@ -184,15 +160,11 @@ def suspects(
     brakes: Iterable[Brakes | None],
     band_hz: tuple[float, float],
 ) -> list[list[Hypothesis]]:
-    """Every entry that a hammer test could show and the description does not have; one list of variants for each.
-
-    Brakes known to be on in every posture rule the servo out.
-    """
-    present = {(entry.effect, entry.site) for entry in base.physics}
-    held = all(state == "on" for state in brakes)
+    """Every entry that a hammer test could show and the description does not have; one list of variants for each."""
+    present, brakes = {(entry.effect, entry.site) for entry in base.physics}, list(brakes)
     found: list[list[Hypothesis]] = []
     for name, effect in CATALOGUE.items():
-        if "hammer" not in effect.seen_in or (name == "servo_compliance" and held):
+        if "hammer" not in effect.seen_in or not effect.shown_by(brakes):
             continue
         for site in sites(name, base.axis_count, response, excitation):
             if (name, site) in present and not effect.repeatable:
@@ -238,38 +210,23 @@ def companions(
     hypothesis: Hypothesis, base: Robot, parameters: Parameters, postures_q: Sequence[FloatArray]
 ) -> list[Hypothesis]:
     """What a hypothesis is known to be hard to tell from, by mechanics: judged beside it in any case."""
-    n, site, axes = base.axis_count, hypothesis.site, same_axes(base, postures_q)
-    found: list[tuple[str, str]] = []
-    for key, axis in axes.items():
-        if axis == axes.get(hypothesis.key) and key != hypothesis.key:
-            effect, _, where = key.partition("@")
-            found.append((effect, where))
-    if hypothesis.effect == "payload":
-        last = {"flange": f"link{n}", f"link{n}": "flange"}
-        found += [("payload", last[site])] if site in last else []
-        found += [("parameter", f"link{n if site == 'flange' else site[4:]}.mass")]
-    elif hypothesis.effect == "servo_compliance":
-        found += [("parameter", f"{site}.z.stiffness")]
-    elif hypothesis.effect == "link_flexibility":
-        found += [("parameter", f"joint{site[4]}.{axis}.stiffness") for axis in "yz"]
+    axes = same_axes(base, postures_q)
+    found = [
+        Companion(key.partition("@")[0], key.partition("@")[2])
+        for key, axis in axes.items()
+        if axis == axes.get(hypothesis.key) and key != hypothesis.key
+    ]
+    if hypothesis.entries:
+        (entry,) = hypothesis.entries
+        found += CATALOGUE[hypothesis.effect].companions(base, hypothesis.site, base.values(entry))
     present = {(entry.effect, entry.site) for entry in base.physics}
-    hypotheses = []
-    if hypothesis.effect == "attached_resonator":
-        found.append(("payload", site))  # which it is below its own frequency
-        (entry,) = hypothesis.entries  # where it sits decides which of its axes couples to a joint
-        for number in range(max(1, int(site[4:]) - 1), min(n, int(site[4:]) + 1) + 1):
-            link = f"link{number}"
-            usual = entry.values if link == site else CATALOGUE[hypothesis.effect].typical(base, link) or {}
-            for axis in "xyz" if usual else "":
-                if (link, axis) != (site, entry.values["axis"]):
-                    there = {**usual, "frequency_hz": entry.values["frequency_hz"], "axis": axis}
-                    hypotheses.append(entry_hypothesis(base, hypothesis.effect, link, there))
-    for effect, where in found:
-        if effect == "parameter":
-            hypotheses += [h for h in widened(parameters) if h.site == where]
-        elif (effect, where) not in present or CATALOGUE[effect].repeatable:
-            values = CATALOGUE[effect].typical(base, where)
-            hypotheses += [entry_hypothesis(base, effect, where, values)] if values else []
+    hypotheses: list[Hypothesis] = []
+    for one in found:
+        if one.effect == "parameter":
+            hypotheses += [h for h in widened(parameters) if h.site == one.site]
+        elif one.effect in CATALOGUE and ((one.effect, one.site) not in present or CATALOGUE[one.effect].repeatable):
+            values = one.values or CATALOGUE[one.effect].typical(base, one.site)
+            hypotheses += [entry_hypothesis(base, one.effect, one.site, dict(values))] if values else []
     return hypotheses
 
 
@@ -288,19 +245,22 @@ def same_axes(base: Robot, postures_q: Sequence[FloatArray]) -> dict[str, str]:
     for number in (2,) if turned else (2, 0, 1):
         nearest = next(k for k in np.argsort(-along[:, number]) if f"base.r{'xyz'[k]}" not in found.values())
         axis, coordinate = f"base.r{'xyz'[nearest]}", f"joint1.{'xyz'[number]}"
-        names = [f"base_compliance@{axis}", f"parameter@{coordinate}.stiffness"]
-        names += [f"transverse_compliance@{coordinate}"] if number != 2 else []
-        found |= dict.fromkeys(names, axis)
+        of_base, of_joint = (_springs(base, site) for site in (axis, coordinate))
+        found |= dict.fromkeys([*of_base, f"parameter@{coordinate}.stiffness", *of_joint], axis)
     return found
 
 
+def _springs(base: Robot, coordinate: str) -> list[str]:
+    """Keys of the effects that are a spring on a coordinate."""
+    n = base.axis_count
+    return [f"{name}@{coordinate}" for name, e in CATALOGUE.items() if e.sprung and e.is_site(coordinate, n)]
+
+
 def merged(one: Hypothesis, other: Hypothesis, base: Robot) -> list[Hypothesis]:
-    """A mass that hangs at a link and a mass that swings may be one: it hangs there and swings along any axis."""
-    pieces = {piece.effect: piece for piece in (one, other)}
-    load, swing = pieces.get("payload"), pieces.get("attached_resonator")
-    if load is None or swing is None:
-        return []
-    (entry,), site = swing.entries, f"link{base.axis_count}" if load.site == "flange" else load.site
-    usual = CATALOGUE[swing.effect].typical(base, site) or {}
-    there = ({**usual, "frequency_hz": entry.values["frequency_hz"], "axis": axis} for axis in "xyz")
-    return [entry_hypothesis(base, swing.effect, site, values) for values in there]
+    """What two things may be as one."""
+    found: list[Companion] = []
+    for piece, beside in ((one, other), (other, one)):
+        if piece.entries:
+            values, effect = base.values(piece.entries[0]), CATALOGUE[piece.effect]
+            found += effect.merged(base, piece.site, values, beside.effect, beside.site)
+    return [entry_hypothesis(base, c.effect, c.site, dict(c.values or {})) for c in found]

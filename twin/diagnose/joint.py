@@ -14,10 +14,10 @@ from twin.diagnose.decide import calibration
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word
-from twin.identify.parameters import Parameters, entry_parameter, independent, join
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
-from twin.physics import CATALOGUE
+from twin.model.parameters import Parameters, entry_parameter, independent, join
+from twin.physics import CATALOGUE, effect_named
 from twin.robot.description import Robot
 
 
@@ -130,7 +130,7 @@ def together(findings: Sequence[Finding], base: Robot, robot: Robot) -> Verdict:
     word: Word = "adequate"
     if missing:
         word = "ambiguous" if any(m.rivals for m in missing) else "named"
-        word = "located" if all(m.first.effect == "discovered" for m in missing) else word
+        word = "located" if all(effect_named(m.first.effect).part == "law" for m in missing) else word
     elif "unexplained" in words:
         word = "unexplained"
     return Verdict(list(findings), word, missing, none, other, base, robot)
@@ -173,11 +173,12 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
     """
     from twin.diagnose.torque import predicted_torque
     from twin.diagnose.torque_fit import base_of
-    from twin.diagnose.torque_laws import RECORDING
     from twin.diagnose.torque_signal import prepare
 
     new = [e for e in finding.robot.physics if e not in finding.given.physics]
-    found_there = {(e.effect, e.site) for e in new if e.effect in RECORDING}  # the numbers may have moved since
+    found_there = {
+        (e.effect, e.site) for e in new if CATALOGUE[e.effect].records_torque
+    }  # the numbers may have moved since
     recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
     robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
     prepared = prepare(log, robot, finding.recording, hold_out)

@@ -11,24 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.joint_laws import LAWS
 from twin.diagnose.joint_reaction import Blow
-from twin.diagnose.levels import LINES, Levels, View, excited, point, with_law
-from twin.diagnose.objective import Sample
+from twin.diagnose.levels import EFFORT, Levels, View, excited, point, with_law
 from twin.diagnose.refit import Fitted
 from twin.diagnose.triage import HOMOGENEOUS, NEAR
 from twin.errors import InputError
-from twin.identify.elastic import Recorded
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import ComplexArray, FloatArray
+from twin.physics import CATALOGUE, amplitude_laws
 from twin.robot.description import Robot
 
-EXCITATIONS = 5  # a law is looked at by
-FACTORS = np.geomspace(1e-4, 1.0, 9)  # of the largest size
-POSTURES = 8  # drawn, beside those recorded
-SOFTER, HARDER = 0.4, 2.5  # times the lightest and the hardest blows
 
-
-def smallest_visible_laws(robot: Robot, base: Fitted, sample: Sample, blow: dict[str, Blow]) -> list[dict[str, Any]]:
+def smallest_visible_laws(
+    robot: Robot, base: Fitted, sample: Sample, blow: dict[str, Blow], excitations: int = 5
+) -> list[dict[str, Any]]:
     """The size of every law at every sprung joint from which force levels of these recordings would disagree.
 
     A linear model is the same at all levels, so that nothing it has free can hide a law: what counts is the triage's
@@ -38,18 +35,20 @@ def smallest_visible_laws(robot: Robot, base: Fitted, sample: Sample, blow: dict
     Args:
         robot: the description that was fitted; ``base`` its optimum.
         sample: recordings; ``blow`` how each was hit.
+        excitations: that are looked at.
     """
+    factors = np.geomspace(1e-4, 1.0, 9)  # of the largest size
     pairs = _extremes(sample, blow)
     if not pairs:
         return []
     count = pairs[0][0].frf.shape[2]
-    index = np.unique(np.linspace(0, count - 1, EXCITATIONS).round().astype(int)).tolist()
+    index = np.unique(np.linspace(0, count - 1, excitations).round().astype(int)).tolist()
     few = Sample(tuple(excited(r, index) for pair in pairs for r in pair))
     found = []
     for i, axis in enumerate(robot.axes):
         if axis.stiffness is None:
             continue
-        for law in LAWS:
+        for law in amplitude_laws():
             stepped, hypothesis = with_law(robot, base, law, f"joint{i + 1}.z", few, blow)
             amplitude = stepped.deflection(base.z)
             if not np.isfinite(amplitude):  # a base model so far off that stepping it diverges says nothing of sizes
@@ -57,15 +56,15 @@ def smallest_visible_laws(robot: Robot, base: Fitted, sample: Sample, blow: dict
             law = law.at(amplitude)
             largest = law.sizes(float(axis.stiffness), amplitude)[-2]
             stepped = replace(stepped, law=law)
-            levels = stepped.predicted_at([point(stepped, base.values, largest * factor) for factor in FACTORS])
-            factor = _first_seen(np.array([_disagreement(few, predicted) for predicted in levels]))
+            levels = stepped.predicted_at([point(stepped, base.values, largest * factor) for factor in factors])
+            factor = _first_seen(factors, np.array([_disagreement(few, predicted) for predicted in levels]))
             if factor is None:
                 continue
             entry = law.entry(largest * factor)
-            name = "yield_torque" if "yield_torque" in entry else law.names[0]
+            name = law.shown or law.names[0]
             found.append({
                 "effect": law.effect, "site": hypothesis.site, "parameter": name,
-                "value": float(np.sum(entry[name])), "unit": "N·m" if name == "yield_torque" else law.units[0],
+                "value": float(np.sum(entry[name])), "unit": CATALOGUE[law.effect].unit(name),
             })  # fmt: skip
     return found
 
@@ -94,18 +93,18 @@ def _disagreement(sample: Sample, predicted: Sequence[ComplexArray]) -> float:
     return worst
 
 
-def _first_seen(beyond: FloatArray) -> float | None:
-    """The factor at which a disagreement over ``FACTORS`` first fails the triage: a law may hide again by growing."""
+def _first_seen(factors: FloatArray, beyond: FloatArray) -> float | None:
+    """The factor at which a disagreement ``beyond`` noise first fails the triage: a law may hide again by growing."""
     limit = HOMOGENEOUS - 1  # noise alone makes 1
     seen = np.flatnonzero(beyond >= limit)
     if not len(seen):
         return None
     k = int(seen[0])
     if not k:
-        return float(FACTORS[0] * np.sqrt(limit / beyond[0]))
+        return float(factors[0] * np.sqrt(limit / beyond[0]))
     low, high = np.log(np.maximum(beyond[k - 1 : k + 1], 1e-12))
     share = (np.log(limit) - low) / (high - low)
-    return float(FACTORS[k - 1] * (FACTORS[k] / FACTORS[k - 1]) ** share)
+    return float(factors[k - 1] * (factors[k] / factors[k - 1]) ** share)
 
 
 def next_blows(
@@ -123,16 +122,16 @@ def next_blows(
         sample: what was fitted to; ``blow`` how it was hit.
     """
     place = next(p for p in levels.places if p.site == first.hypothesis.site)
-    few, _ = View(0.0, sample.thin(LINES), blow).telling(place, EXCITATIONS)
+    few, _ = View(0.0, sample.thin(EFFORT.lines), blow).telling(place, 5)
     forces = [b.peak_n for b in blow.values()]
     reference = max(few.recordings, key=lambda r: blow[r.group].peak_n)
     usual = blow[reference.group]
     postures = list({r.setup.q.tobytes(): r.setup.q for r in few.recordings}.values())
-    tests = [(q, force) for q in postures for force in (SOFTER * min(forces), HARDER * max(forces))]
+    tests = [(q, force) for q in postures for force in (0.4 * min(forces), 2.5 * max(forces))]
     free = (-np.pi / 2, np.pi / 2)
     limits = [(axis.limits.position if axis.limits else None) or free for axis in robot.axes]
     rng = np.random.default_rng(seed)
-    tests += [(np.array([rng.uniform(*limit) for limit in limits]), max(forces)) for _ in range(POSTURES)]
+    tests += [(np.array([rng.uniform(*limit) for limit in limits]), max(forces)) for _ in range(8)]
     objective = levels.objectives[levels.fits.index(first)]
     if rival is None:
         null = np.zeros(len(objective.law.names))

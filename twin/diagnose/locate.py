@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.diagnose.held_law import UnderLaw, receptances
-from twin.diagnose.objective import Objective, Sample, factors
 from twin.diagnose.refit import Fitted
-from twin.identify.sensitivity import observe_all
+from twin.identify.objective import Objective, Sample, factors
 from twin.measure.campaign import FloatArray
+from twin.model.sensitivity import observe_all
 
 BANDS = 8
 SCALES = (0.3, 0.1, 0.03, 0.01, 0.003)

@@ -9,18 +9,18 @@ Otherwise the table cannot tell, and the finding says so.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from twin.diagnose.decide import Decision, decide
-from twin.diagnose.evidence import sentence
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together, widened
 from twin.diagnose.physical import physical
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
+from twin.diagnose.sentences import sentence
 from twin.diagnose.verdict import Finding, judge, missing_of, parts
 from twin.errors import InputError
-from twin.identify.elastic import without_limits
 from twin.identify.elastic_modal import (
     ModalPosture,
     fit_modes,
@@ -28,9 +28,11 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
-from twin.identify.parameters import Parameters, free_parameters
+from twin.identify.recorded import without_limits
 from twin.measure.campaign import Channels, FloatArray
 from twin.measure.modal_table import ModalTable
+from twin.measure.recordings import Recording
+from twin.model.parameters import Parameters, free_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Axis, Robot
 
@@ -54,6 +56,30 @@ class LeftOut:
 
     by_posture: dict[str, float]
     pooled: float
+
+
+@dataclass
+class Table:
+    """A modal table as evidence."""
+
+    recording: Recording
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Postures."""
+        return self.recording.names
+
+    def explain(self, given: Robot, told_by: Finding | None, *, processes: int, **options: Any) -> Finding:
+        """See :class:`twin.diagnose.evidence.Evidence`."""
+        start = told_by.model if told_by else given
+        return diagnose_table(self.recording.content, start, self.recording.source, **options)
+
+    def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
+        """Nothing: what comes after it starts from its model."""
+
+    def checks(self, written: Robot, finding: Finding, alone: bool) -> list[dict[str, Any]]:
+        """Nothing beside what every written model is checked for."""
+        return []
 
 
 def diagnose_table(
@@ -124,15 +150,14 @@ def diagnose_table(
 
 
 def mechanical_suspects(base: Robot) -> list[Hypothesis]:
-    """Entries that move modes and that the description does not have; a resonator, which adds one, is not among them:
-    a table that lacks a mode does not say that there is none."""
+    """Entries that move modes and that the description does not have. What adds a mode is not among them: a table that
+    lacks a mode does not say that there is none."""
     present = {(entry.effect, entry.site) for entry in base.physics}
     none = Channels((), (), np.zeros((0, 3)), np.zeros((0, 3)))
     found = []
     for name, effect in CATALOGUE.items():
-        if "hammer" not in effect.seen_in or any("LABEL" in s or "NODE" in s for s in effect.sites):
-            continue
-        if name == "attached_resonator":
+        of_channels = any("LABEL" in s or "NODE" in s for s in effect.sites)
+        if "hammer" not in effect.seen_in or of_channels or effect.adds_mode:
             continue
         for site in sites(name, base.axis_count, none, none):
             values = effect.typical(base, site)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis, same_axes
-from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError
-from twin.identify.sensitivity import Setup, frf, observe
+from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import Brakes, FloatArray
+from twin.model.sensitivity import Setup, frf, observe
 from twin.robot.description import Robot
 
 SEEN = 8.0  # ln Bayes factor from which an effect would be seen

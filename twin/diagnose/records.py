@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from twin.diagnose.objective import Objective, Sample
 from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted
-from twin.identify.elastic import Recorded
 from twin.identify.elastic_compare import judge, relative_error
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import QUANTITIES, Brakes, Channels, ComplexArray, FloatArray, Quantity
 from twin.robot.description import Robot
 
@@ -30,6 +30,7 @@ class FrfRecord:
         measured: (nf, nr, ne); ``variance`` of real and imaginary part, infinite where a line is not used.
         predicted: stage → (nf, nr, ne).
         modes_hz: stage → natural frequencies of the model in this posture.
+        shared: lines that carry the noise of one independent line.
     """
 
     name: str
@@ -45,6 +46,7 @@ class FrfRecord:
     variance: FloatArray
     predicted: Mapping[Stage, ComplexArray]
     modes_hz: Mapping[Stage, FloatArray] = field(default_factory=dict)
+    shared: float = 1.0
 
     def energy(self, stage: Stage) -> FloatArray:
         """|residual|²/σ² (nf, nr, ne); zero where a line is not used; two for every line that is pure noise."""
@@ -139,7 +141,12 @@ Record = FrfRecord | LogRecord | ModalRecord
 
 
 def frf_records(
-    given: Robot, before: Fitted, after: Fitted, used: Sequence[Recorded], kept: Sequence[Recorded]
+    given: Robot,
+    before: Fitted,
+    after: Fitted,
+    used: Sequence[Recorded],
+    kept: Sequence[Recorded],
+    shared: float = 1.0,
 ) -> tuple[list[FrfRecord], dict[str, Any]]:
     """Every posture of a campaign beside the three models, and the errors of a diagnosis.
 
@@ -150,6 +157,7 @@ def frf_records(
         given: the description as it came.
         before, after: base model and answer, both fitted to all lines of ``used``.
         used, kept: recordings fitted to and held out.
+        shared: lines that carry the noise of one independent line.
 
     Returns:
         Records, used ones first, and stage → ``train`` and ``held_out`` (``None`` without any).
@@ -177,7 +185,7 @@ def frf_records(
             FrfRecord(
                 r.group, r.setup.name, k >= len(used), r.setup.q, r.setup.brakes, r.setup.response, r.setup.excitation,
                 r.frequency, QUANTITIES[r.power], r.frf, r.variance,
-                {stage: predicted[stage][k] for stage in STAGES},
+                {stage: predicted[stage][k] for stage in STAGES}, shared=shared,
             )
         )  # fmt: skip
     return records, errors

@@ -8,27 +8,21 @@ described is known least of all: its prior has heavy tails.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from twin.diagnose.hypotheses import Hypothesis, Sprung, together
-from twin.diagnose.objective import Objective, Sample
-from twin.identify.elastic import Recorded
-from twin.identify.parameters import Parameters, independent, join, recording_parameters
+from twin.identify.descent import minimise
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameters, independent, join, recording_parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 NONE = Hypothesis("none", "")
-LARGEST_STEP = 5.0  # length of the first step, in prior deviations
-TURN = 0.75  # of a step: its longest correction for the bend
-STRAIGHT = 0.02  # of a step: a bend that corrects less is not asked for again,
-KEPT = 0.9  # while steps keep so much of what they promise
-HOPE = 5.0  # times the expected gain: more is not hoped for
 ASTRAY = 100.0  # times the variance of noise: how badly such a fit foretells needs no last digit
-SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
 WIDER = (1.0, 2.0, 4.0)
 TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
@@ -172,92 +166,6 @@ def in_doubt_of_size(fit: Fitted) -> Fitted:
 def _normal(x: FloatArray, covariance: FloatArray) -> float:
     """Logarithm of a normal density at x about zero, without 2π."""
     return float(-0.5 * x @ np.linalg.solve(covariance, x) - 0.5 * np.linalg.slogdet(covariance)[1])
-
-
-class Descended(Protocol):
-    """A cost over prior coordinates, as :class:`Objective` is one."""
-
-    free: Parameters
-
-    @property
-    def data(self) -> float: ...
-
-    def cost(self, z: FloatArray) -> float: ...
-
-    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]: ...
-
-    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None: ...
-
-
-def minimise(
-    objective: Descended, z: FloatArray, iterations: int, tolerance: float, hopeless: float = np.inf
-) -> tuple[FloatArray, float, FloatArray, bool]:
-    """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of the valley it goes
-    along (geodesic acceleration; Transtrum and Sethna, arXiv:1201.5885): z, cost, Gauss–Newton matrix, and whether
-    the expected gain fell below ``tolerance``, or below a share of the misfit beyond noise: where that is large the
-    model lacks something. It is given up where ``HOPE`` times the expected gain does not bring it below ``hopeless``.
-
-    The region is a ball in the prior's metric, so that what holds steps back are parameters that the data hardly hold
-    (the logarithm of a damper near zero) and those it shortens; directions the data hold well are left to Newton. The
-    curvature of value = mean · eˣ itself, ∂²/∂x² = ∂/∂x, is added where it is positive. The region grows as long as the
-    model keeps its promises: one that lacks something can want a nuisance at twenty prior deviations.
-    """
-    reach, data, bent = LARGEST_STEP, objective.data, True
-    log = np.array([p.log for p in objective.free]) * np.diag(objective.free.root)
-    cost, gradient, information = objective(z)
-    for _ in range(iterations):
-        if not (np.isfinite(cost) and np.isfinite(information).all()):
-            return z, np.inf, np.eye(len(z)), False
-        expected = 0.5 * float(gradient @ np.linalg.solve(information, gradient))
-        if expected < max(tolerance, SLACK * (cost - 0.55 * data)):
-            return z, cost, information, True
-        if cost - HOPE * expected > hopeless:
-            return z, cost, information, False
-        slope = objective.free.along(z, gradient)
-        curvature, axes = np.linalg.eigh(information + np.diag(np.maximum(log * (slope - z), 0)))
-        along = axes.T @ gradient
-        while True:
-            step, damping = _within(reach, curvature, axes, along)
-            bend = objective.bend(z, step) if bent else None
-            if bend is not None:
-                turn = -0.5 * axes @ ((axes.T @ bend) / (curvature + damping))
-                bent = bool(np.linalg.norm(turn) > STRAIGHT * np.linalg.norm(step))
-                if np.linalg.norm(turn) < TURN * np.linalg.norm(step):
-                    step = step + turn
-            end = objective.free.moved(z, step)
-            trial = objective.cost(end)
-            promised = -float(gradient @ step) - 0.5 * float(step @ information @ step)
-            if np.isfinite(trial) and trial < cost:
-                break
-            reach, bent = 0.25 * min(reach, float(np.linalg.norm(step))), True
-            if reach < 1e-6:
-                return z, cost, information, False
-        kept = (cost - trial) / max(promised, 1e-300)
-        bent = bent or not KEPT < kept < 1 / KEPT
-        if kept < 0.25:
-            reach = 0.5 * float(np.linalg.norm(step))
-        elif kept > 0.75 and damping > 0:
-            reach *= 3
-        z = end
-        cost, gradient, information = objective(z)
-    return z, cost, information, False
-
-
-def _within(reach: float, curvature: FloatArray, axes: FloatArray, along: FloatArray) -> tuple[FloatArray, float]:
-    """The step of a quadratic model that is not longer than ``reach``, and the damping that keeps it so.
-
-    Args:
-        curvature, axes: eigenvalues (n,) and vectors (n, n); ``along`` (n,) the gradient on these axes.
-    """
-    damping = 0.0
-    for _ in range(30):
-        step = -along / (curvature + damping)
-        length = float(np.linalg.norm(step))
-        if length <= 1.1 * reach:
-            break
-        slope = -float(np.sum(step**2 / (curvature + damping))) / length
-        damping -= (length / reach) * (length - reach) / slope  # Newton on 1/length, which is nearly linear
-    return axes @ step, damping
 
 
 def descend(

@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from twin.diagnose.held_law import respond, with_blows
 from twin.diagnose.hypotheses import Hypothesis, together
-from twin.diagnose.objective import Objective, Sample, factors
-from twin.diagnose.refit import WIDER, Fitted, minimise
-from twin.identify.parameters import SIX, Parameters
-from twin.identify.sensitivity import observe
+from twin.diagnose.refit import WIDER, Fitted
+from twin.identify.descent import minimise
+from twin.identify.objective import Objective, Sample, factors
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
+from twin.model.parameters import SIX, Parameters
+from twin.model.sensitivity import observe
 from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
@@ -481,7 +481,7 @@ class _Scan:
                 excitation=_with_point(r.setup.excitation, body, place),
             )  # fmt: skip
             seen, model = observe(robot, setup, self.objective.parameters, values)
-            found.append(respond(seen, model, with_blows(r, 3)))
+            found.append(r.probed(3).respond(seen, model))
         return found
 
 

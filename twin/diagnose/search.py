@@ -12,13 +12,14 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis, Sprung, companions, merged, same_axes, together
 from twin.diagnose.locate import free_laws
-from twin.diagnose.objective import Objective, Sample
-from twin.diagnose.refit import NONE, Fitted, descend, minimise, of_its_size
+from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
+from twin.identify.descent import minimise
 from twin.identify.elastic import AGREEMENT
-from twin.identify.parameters import Parameter, Parameters
-from twin.identify.sensitivity import observe_all, poles
+from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter, Parameters
+from twin.model.sensitivity import observe_all, poles
 from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
@@ -129,16 +130,16 @@ def explain(
         if not found or found[0].evidence() <= best.evidence():
             break
         before, best = best, _without_last(robot, search, best, found[0], sample)
-        if not _worth(before, found[0]):  # recordings that are not fitted to may yet bear it out
+        if not worth(before, found[0]):  # recordings that are not fitted to may yet bear it out
             break
-        if not _worth(best, found[0]):  # it had only not converged
+        if not worth(best, found[0]):  # it had only not converged
             continue
         best = max([found[0], *_everywhere(robot, search, found, sample, suspects)], key=lambda fit: fit.evidence())
         if number:
             best = _reconsider(robot, search, best, sample, suspects, progress)
     best = _needed(robot, search, best, sample)
     there = _where_it_is(robot, search, best, sample, suspects, progress)
-    if _worth(best, there):
+    if worth(best, there):
         _needed(robot, search, there, sample)
     _about_the_same_axis(robot, search, sample)
     return search
@@ -192,7 +193,8 @@ def _where_it_is(
     return max([best, *_refits(robot, search, places, sample)], key=lambda fit: fit.evidence())
 
 
-def _worth(simpler: Fitted, richer: Fitted) -> bool:
+def worth(simpler: Fitted, richer: Fitted) -> bool:
+    """Whether what a hypothesis has more than a simpler one pays for the search to go on."""
     return richer.evidence() - simpler.evidence() >= WORTH * max(1.0, richer.misfit)
 
 
@@ -292,7 +294,7 @@ def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitte
         fit = descend(robot, rest, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=near)
         if known is None or fit.cost < known.cost:
             search.fits[rest.identity] = known = fit
-        if not _worth(known, best):
+        if not worth(known, best):
             return _needed(robot, search, known, sample)
     return best
 

@@ -6,25 +6,22 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from twin.diagnose.blow import COARSE_HZ
-from twin.diagnose.joint_laws import AMPLITUDE, LAWS, Law, Slip
 from twin.diagnose.joint_reaction import PULSE_SPREAD, Blow, Stepped
-from twin.diagnose.objective import Sample
-from twin.diagnose.refit import minimise
-from twin.identify.elastic import Recorded, without_limits
+from twin.identify.descent import minimise
 from twin.identify.elastic_compare import Judged, recording_set, relative_error
-from twin.identify.parameters import independent
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
+from twin.model.blow import COARSE_HZ
+from twin.model.parameters import independent
+from twin.physics import CATALOGUE
+from twin.physics.joint_law import Law
 from twin.robot.description import Entry, Robot
-
-LINES, AGAIN = 25, 8  # lines and iterations of what belongs to the recordings themselves
-LONGEST = 3.0  # prior deviations of the logarithm of a blow's length within which it is sought
-EXACTLY = 0.02  # to which it is
 
 
 def amplitude_entries(robot: Robot) -> list[Entry]:
     """The robot's entries that answer differently to different force levels."""
-    return [entry for entry in robot.physics if entry.effect in AMPLITUDE]
+    return [entry for entry in robot.physics if CATALOGUE[entry.effect].amplitude_law]
 
 
 def without_laws(robot: Robot) -> Robot:
@@ -37,21 +34,24 @@ def without_laws(robot: Robot) -> Robot:
 def law_of(robot: Robot) -> tuple[Law, FloatArray, str, Robot]:
     """The law of a robot's last entry of amplitude, its sizes, its site, and the robot without it."""
     entry = amplitude_entries(robot)[-1]
-    values = entry.model_extra or {}
+    stated = CATALOGUE[entry.effect].amplitude_law
+    assert stated is not None
+    law, sizes = stated.described(entry.values)
     robot = robot.model_copy(update={"physics": [other for other in robot.physics if other is not entry]})
-    if entry.effect == "hysteresis":
-        sizes = np.array(values["stiffness"])
-        return Slip(tuple(np.array(values["yield_torque"]) / sizes)), sizes, entry.site, robot
-    law = next(law for law in LAWS if law.effect == entry.effect)
-    return law, np.array([values[law.names[0]]]), entry.site, robot
+    return law, sizes, entry.site, robot
 
 
-def settle(judged: Stepped) -> FloatArray:
-    """Posture angles and channel gains (n,) in prior deviations that the recordings ask for."""
-    z, few = np.zeros(len(judged.free)), judged.sample.thin(LINES)
-    for temper in (0.1, 0.02):
-        z, *_ = minimise(replace(judged, sample=few, temper=temper, rate_hz=COARSE_HZ), z, AGAIN, 0.1)
-    return minimise(replace(judged, sample=few, closely=True), z, AGAIN, 0.1)[0]
+def settle(judged: Stepped, lines: int = 25, iterations: int = 8) -> FloatArray:
+    """Posture angles and channel gains (n,) in prior deviations that the recordings ask for.
+
+    They hardly change what the law does: it is stepped, then held while they are fitted, in turns.
+    """
+    z, few = np.zeros(len(judged.free)), judged.sample.thin(lines)
+    stepped = replace(judged, sample=few)
+    for temper in (0.1, 0.02, 0.0, 0.0):
+        held = Objective(judged.robot, judged.parameters, Sample(tuple(stepped.held(z)), few.repeat), temper)
+        z, *_ = minimise(held, z, iterations, 0.1)
+    return z
 
 
 def judge_struck(
@@ -83,9 +83,12 @@ def judge_struck(
     )
 
 
-def _long(judged: Stepped, z: FloatArray | None = None) -> Stepped:
-    """With blows as long as explains the recordings best."""
-    z, few = np.zeros(len(judged.free)) if z is None else z, judged.sample.thin(LINES)
+def _long(
+    judged: Stepped, z: FloatArray | None = None, lines: int = 25, within: float = 3.0, exactly: float = 0.02
+) -> Stepped:
+    """With blows as long as explains the recordings best, sought ``within`` so many prior deviations of the logarithm
+    of their length, to ``exactly`` such a logarithm."""
+    z, few = np.zeros(len(judged.free)) if z is None else z, judged.sample.thin(lines)
 
     def of(longer: float) -> Stepped:
         blow = {group: replace(b, pulse_s=b.pulse_s * float(np.exp(longer))) for group, b in judged.blow.items()}
@@ -94,5 +97,5 @@ def _long(judged: Stepped, z: FloatArray | None = None) -> Stepped:
     def cost(longer: float) -> float:
         return replace(of(longer), sample=few, rate_hz=COARSE_HZ).cost(z) + 0.5 * (longer / PULSE_SPREAD) ** 2
 
-    reach = LONGEST * PULSE_SPREAD
-    return of(float(minimize_scalar(cost, bounds=(-reach, reach), options={"xatol": EXACTLY}).x))
+    reach = within * PULSE_SPREAD
+    return of(float(minimize_scalar(cost, bounds=(-reach, reach), options={"xatol": exactly}).x))

@@ -1,16 +1,19 @@
 """What a motion log says is missing from a robot description: the motion-log side of ``twin diagnose``."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial, reduce
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import Decision
-from twin.diagnose.evidence import sentence
-from twin.diagnose.records import STAGES, LogRecord, Stage
+from twin.diagnose.decide import Decision, calibration
+from twin.diagnose.edit import check_replayed
+from twin.diagnose.joint import followed, pooled, predicted_by, shared
+from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage
 from twin.diagnose.refit import Fitted
+from twin.diagnose.sentences import sentence
 from twin.diagnose.torque_fit import (
     Base,
     System,
@@ -24,13 +27,12 @@ from twin.diagnose.torque_fit import (
     with_presliding,
     worth,
 )
-from twin.diagnose.torque_laws import RECORDING, log_suspects, model_torque, with_values
+from twin.diagnose.torque_laws import log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
-    FURTHER,
-    SETTLED,
+    REFITTED,
     Progress,
     Search,
     Step,
@@ -44,19 +46,16 @@ from twin.diagnose.torque_search import (
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
-from twin.identify.parameters import entry_parameter
-from twin.identify.regressor import inertial_vector
-from twin.identify.rigid import Bands
+from twin.identify.rigid import Bands, in_joints
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
-from twin.physics import CATALOGUE
+from twin.measure.recordings import Recording
+from twin.model.parameters import entry_parameter
+from twin.model.regressor import inertial_vector
+from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
-
-LASTING = 2  # times the order of the noise's autoregression: lags over which a misfit is like itself
-WORSE = 1.05  # times the error of the fit: what bodies that can exist may cost without a word
-SETTLING_S = 0.15  # about a stop, where the encoder cannot tell creeping from standing: not counted in errors
 
 
 def diagnose_log(
@@ -108,7 +107,7 @@ def diagnose_log(
         list(prepared.held_out), records, where, sites,
         [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
-            *prepared.notes, *map(_restless, restless), *_told_apart(search), *_narrow(search),
+            *prepared.notes, *not_sought(robot), *map(_restless, restless), *_told_apart(search), *_narrow(search),
             *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays),
@@ -161,7 +160,10 @@ def with_evidence(finding: Finding) -> list[Missing]:
 
     The encoders' step that shows a gap is told where it was found: the torque shows none.
     """
-    return [m if m.first.effect == "backlash" else replace(m, evidence=_evidence(m, finding)) for m in finding.missing]
+    return [
+        m if effect_named(m.first.effect).part == "play" else replace(m, evidence=_evidence(m, finding))
+        for m in finding.missing
+    ]
 
 
 def _evidence(missing: Missing, finding: Finding) -> str:
@@ -200,7 +202,7 @@ def _told_apart(search: Search) -> list[str]:
     for step in [search.first, *search.steps]:
         for fit in step.decision.ranked:
             trial = step.trials.get(fit.hypothesis.key)
-            whole = trial is not None and len(trial.column.joints) > 1 and fit.hypothesis.effect in RECORDING
+            whole = trial is not None and len(trial.column.joints) > 1 and trial.suspect.effect.records_torque
             if whole and fit.hypothesis.key not in found:
                 gain = fit.evidence() - step.base.evidence()
                 alone[fit.hypothesis.key] = max(alone.get(fit.hypothesis.key, 0.0), gain)
@@ -208,8 +210,8 @@ def _told_apart(search: Search) -> list[str]:
     together = search.after.evidence() - base_fit(search.plain).evidence()
     for key, gain in alone.items():
         beside = {f.hypothesis.key: f.evidence() - last.base.evidence() for f in last.decision.ranked}.get(key, 0.0)
-        if found and gain > FURTHER and not last.accepted:
-            clear = beside < FURTHER and gain < together - FURTHER
+        if found and gain > calibration()["further"] and not last.accepted:
+            clear = beside < calibration()["further"] and gain < together - calibration()["further"]
             names = ", ".join(sorted(found))
             notes.append(
                 f"{key} alone would gain {gain:.0f} in ln evidence, {names} together {together:.0f}; beside them it "
@@ -222,13 +224,13 @@ def _slips(search: Search) -> dict[str, list[str]]:
     """Of each slip found, what became of dry friction, and how far low-speed friction would do in its place."""
     notes: dict[str, list[str]] = {}
     for slip in search.found:
-        if slip.first.hypothesis.effect != "hysteresis":
+        if not slip.effect.memory:
             continue
         own = notes.setdefault(slip.key, [])
         site = slip.first.hypothesis.site.partition(".")[0]
-        dry, low = f"coulomb_friction@{site}", f"stribeck_friction@{site}"
+        dry, low = f"{effect_of('dry').name}@{site}", f"{_fading()}@{site}"
         looks = [{f.hypothesis.key: f.evidence() - s.base.evidence() for f in s.decision.ranked} for s in search.steps]
-        if (gain := max((look.get(dry, 0.0) for look in looks), default=0.0)) > FURTHER:
+        if (gain := max((look.get(dry, 0.0) for look in looks), default=0.0)) > calibration()["further"]:
             more = any(s.key == dry and not possible(search.system, s) for s in search.found)
             own.append(
                 f"Coulomb friction at {site} came first, with a gain of {gain:.0f} in ln evidence; slip, which is dry "
@@ -240,7 +242,7 @@ def _slips(search: Search) -> dict[str, list[str]]:
             ]
         both = [look for look in looks if low in look and slip.key in look]
         if both:
-            tells = "tells" if both[-1][slip.key] - both[-1][low] > FURTHER else "does not tell"
+            tells = "tells" if both[-1][slip.key] - both[-1][low] > calibration()["further"] else "does not tell"
             own.append(
                 f"Slip gained {both[-1][slip.key]:.0f} in ln evidence where low-speed friction in its place gained "
                 f"{max(both[-1][low], 0.0):.0f}: the log {tells} them apart."
@@ -263,10 +265,10 @@ def _slips(search: Search) -> dict[str, list[str]]:
 
 def _late(search: Search) -> dict[str, list[str]]:
     """Of a delay found beside slip, how much of what it would have explained slip does: they are nearly alike."""
-    slips = [step for step in search.found if step.first.hypothesis.effect == "hysteresis"]
+    slips = [step for step in search.found if step.effect.memory]
     notes: dict[str, list[str]] = {}
     for step in search.found:
-        if step.first.hypothesis.effect != "time_delay" or not slips:
+        if not (step.effect.records_torque and "reversals" in step.effect.log_tests) or not slips:
             continue
         most = max(
             fit.evidence() - other.base.evidence()
@@ -274,8 +276,8 @@ def _late(search: Search) -> dict[str, list[str]]:
             for fit in other.decision.ranked
             if fit.hypothesis.key == step.key
         )
-        lost = search.after.evidence() - base_fit(left_out(search.system, step, iterations=SETTLED)).evidence()
-        told = "tells" if lost > FURTHER else "does not tell"
+        lost = search.after.evidence() - base_fit(left_out(search.system, step, iterations=REFITTED)).evidence()
+        told = "tells" if lost > calibration()["further"] else "does not tell"
         notes[step.key] = [
             f"Without slip in the model it gained up to {most:.0f} in ln evidence, beside slip it is worth {lost:.0f}: "
             f"the log {told} them apart, and slip does {max(0.0, 1 - lost / most):.0%} of what a delay would."
@@ -298,7 +300,7 @@ def _finalists(search: Search, found: Sequence[Play]) -> tuple[dict[str, Any], .
     """Fits to the torque, and gaps by what they take off the misfit of the encoders."""
     base = search.finalists[0]
     gaps = (
-        {**base, "effect": "backlash", "site": p.site, "misfit": base["misfit"] - p.fall / base["data"],
+        {**base, "effect": effect_of("play").name, "site": p.site, "misfit": base["misfit"] - p.fall / base["data"],
          "own_parameters": 1}
         for p in found
     )  # fmt: skip
@@ -307,7 +309,7 @@ def _finalists(search: Search, found: Sequence[Play]) -> tuple[dict[str, Any], .
 
 def _visible(found: Sequence[Play]) -> list[dict[str, Any]]:
     return [
-        {"effect": "backlash", "site": play.site, "parameter": "gap", "value": play.visible, "unit": "rad"}
+        {"effect": effect_of("play").name, "site": play.site, "parameter": "gap", "value": play.visible, "unit": "rad"}
         for play in found
         if np.isfinite(play.visible)
     ]
@@ -325,13 +327,14 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         (found,) = missing_of(step.decision, step.base)
         if step.trial is not None:  # its numbers as they are with everything else in the model
             numbers = estimates_of(settled, search.system.own(step.trial.suspect))
-            if found.first.effect == "joint_coupling":
+            if name := step.effect.profiled:
                 drop = 0.5 * NINETY**2 * _inflation(search.system)
-                numbers["ratio"]["interval90"] = list(profiled(search.system, step.trial.suspect, 0, drop))
+                number = [p.quantity for p in step.trial.suspect.hypothesis.own].index(name)
+                numbers[name]["interval90"] = list(profiled(search.system, step.trial.suspect, number, drop))
             found = replace(found, first=replace(found.first, parameters=numbers))
-        if found.first.effect == "discovered":
+        if step.effect.part == "law":
             found = _with_formula(found, step.first)
-        missing += _with_coulomb(search, step, found, settled) if found.first.effect == "hysteresis" else [found]
+        missing += _with_coulomb(search, step, found, settled) if step.effect.memory else [found]
     missing = [_or_slip(search, one, missing) for one in missing]
     if search.law:
         _, _, fit = search.law
@@ -342,7 +345,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     if not missing:
         return "adequate" if first.none >= 0.5 else word_of(first), [], first.none, first.other
     word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"
-    if any(m.first.effect == "discovered" for m in missing):
+    if any(effect_named(m.first.effect).part == "law" for m in missing):
         word = "located"
     return word, missing, first.none, max(first.other, other)
 
@@ -353,20 +356,22 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
     That is Coulomb friction, which holds what it has at rest. Both together are the torque that is written as slip.
     """
     system, (joint,) = search.system, step.joints
-    key = f"coulomb_friction@joint{joint + 1}"
+    name = effect_of("dry").name
+    key = f"{name}@joint{joint + 1}"
     described = any(f"{e.effect}@{e.site}" == key for e in system.base.regressor.robot.physics)
     dry = [s for s in search.found if s.key == key]
     if described or any(possible(system, s) for s in dry) or step.trial is None:
         return [slip]
     suspect = step.trial.suspect
     once, own = at_once(system, suspect), system.own(suspect)
-    count = len(own) // 2
+    width = len(suspect.effect.elements)
+    count = len(own) // width
     if len(once) == count and not dry:  # the longest stays what it is: all of the torque is told of one of both
         travel = np.divide(*(slip.first.parameters[name]["value"] for name in ("yield_torque", "stiffness")))
         once.remove(int(np.argmax(travel)))
     if not once:
         return [slip]
-    at = [own[2 * k] for k in once] + [k for s in dry if s.trial for k in system.own(s.trial.suspect)]
+    at = [own[width * k] for k in once] + [k for s in dry if s.trial for k in system.own(s.trial.suspect)]
     deviations = np.array([settled.parameters[k].deviation for k in at])
     covariance = np.linalg.inv(settled.information)[np.ix_(at, at)]
     torque, spread = float(settled.values[at].sum()), float(np.sqrt(deviations @ covariance @ deviations))
@@ -374,14 +379,14 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
         return [slip]
     if len(once) == count:  # all of slip that shows is that it holds more at rest than is left of it in motion
         once = []
-    unit = slip.first.parameters["yield_torque"]["unit"]
+    unit, dry_name = slip.first.parameters["yield_torque"]["unit"], effect_of("dry").parameters[0].name
     number = {"value": torque, "unit": unit, "interval90": [torque - NINETY * spread, torque + NINETY * spread]}
     left = [k for k in range(count) if k not in once]
     parameters = {
         name: {**item, "value": [item["value"][k] for k in left], "interval90": [item["interval90"][k] for k in left]}
         for name, item in slip.first.parameters.items()
     }
-    coulomb = replace(slip.first, effect="coulomb_friction", site=f"joint{joint + 1}", parameters={"torque": number})
+    coulomb = replace(slip.first, effect=name, site=f"joint{joint + 1}", parameters={dry_name: number})
     rest = replace(slip, first=replace(slip.first, parameters=parameters))
     return [Missing(coulomb, slip.probability, (), ""), rest]
 
@@ -392,7 +397,8 @@ def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Miss
     Both hold more at rest than friction is in motion, and how the one falls with speed lies between two samples: that
     the one has the better fit says nothing of which it is, where neither law is exact.
     """
-    slips = [m for m in missing if m.first.key == f"hysteresis@{found.first.site}.z"]
+    memory = [m for m in missing if effect_named(m.first.effect).memory]
+    slips = [m for m in memory if m.first.site.partition(".")[0] == found.first.site]
     if found.first.key not in (step.key for step in _at_rest(search)) or not slips:
         return found
     slip = slips[0].first
@@ -403,8 +409,13 @@ def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Miss
 
 def _at_rest(search: Search) -> list[Step]:
     """Low-speed friction that was found and shows at rest only."""
-    low = (s for s in search.found if s.first.hypothesis.effect == "stribeck_friction" and s.trial is not None)
+    low = (s for s in search.found if s.effect.fades_over and s.trial is not None)
     return [s for s in low if s.trial and seen_at_rest_only(search.system, s.trial.suspect)]
+
+
+def _fading() -> str:
+    """Name of the friction that is largest at rest and fades with speed."""
+    return next(name for name, effect in CATALOGUE.items() if effect.fades_over)
 
 
 def _with_formula(found: Missing, fit: Fitted) -> Missing:
@@ -425,11 +436,12 @@ def _inflated(system: System) -> Fitted:
     return replace(fit, information=(fit.information - eye) / scale + eye, misfit=min(fit.misfit, 1.0))
 
 
-def _inflation(system: System) -> float:
+def _inflation(system: System, lasting: int = 2) -> float:
+    """Factor on the data's variance; a misfit is like itself over ``lasting`` times the order of the autoregression."""
     density = []
     for joint in range(len(system.whitening)):
         e = system.residual[system.rows(joint)]
-        lags = np.arange(1, min(LASTING * system.order, len(e) // 4))
+        lags = np.arange(1, min(lasting * system.order, len(e) // 4))
         correlation = np.array([e[k:] @ e[:-k] for k in lags]) / len(e)
         density.append(e @ e / len(e) + 2 * float((1 - lags / (lags[-1] + 1)) @ correlation))
     return max(1.0, base_fit(system).misfit, float(np.mean(density)))
@@ -477,8 +489,11 @@ def _after(search: Search) -> tuple[Fitted, list[Entry]]:
     return after, [*search.system.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
 
 
-def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any]) -> list[str]:
-    """What it costs that links must be bodies that can exist: a log holds combinations of their inertias alone."""
+def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any], worse: float = 1.05) -> list[str]:
+    """What it costs that links must be bodies that can exist: a log holds combinations of their inertias alone.
+
+    Up to ``worse`` times the error of the fit it may cost without a word.
+    """
     last, (after, entries) = search.system, _after(search)
     z = that_can_exist(last, after.z)
     if z is after.z:
@@ -490,7 +505,7 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any]) -> list[
         missed = torque - predicted_torque(search.plain.base, k, last.plain(z), entries, settled)[settled]
         rest, whole = rest + np.sum(missed**2, axis=0), whole + np.sum(torque**2, axis=0)
     error = float(np.sqrt(np.mean(rest / np.maximum(whole, 1e-300))))
-    if error < WORSE * errors["after"]["train"]:
+    if error < worse * errors["after"]["train"]:
         return []
     return [
         f"no bodies that can exist have the fitted combinations of inertias: with the nearest that do, in robot.yaml, "
@@ -513,12 +528,12 @@ def predicted_torque(base: Base, k: int, z: FloatArray, entries: Sequence[Entry]
     return np.asarray(predicted + rest.mean(axis=0) * weight / (weight + level))
 
 
-def _settled(run: Run) -> np.ndarray:
-    """Rows (m,) at which no axis is about to stop or start."""
+def _settled(run: Run, about_s: float = 0.15) -> np.ndarray:
+    """Rows (m,) at which no axis is about to stop or start: there an encoder cannot tell creeping from standing."""
     out = np.ones(len(run.time), bool)
     for joint in range(run.torque.shape[1]):
         for sample in stops_of(run, joint):
-            out &= np.abs(run.time - run.dense.time[min(sample, len(run.dense.time) - 1)]) > SETTLING_S
+            out &= np.abs(run.time - run.dense.time[min(sample, len(run.dense.time) - 1)]) > about_s
     return out
 
 
@@ -530,3 +545,41 @@ def _pooled(records: Sequence[LogRecord], stage: Stage) -> float | None:
     torque = np.concatenate([r.measured[r.valid] for r in records])
     ratio = np.mean(rest**2, axis=0) / np.maximum(np.mean(torque**2, axis=0), 1e-300)
     return float(np.sqrt(np.mean(ratio)))
+
+
+@dataclass
+class Log:
+    """A motion log as evidence."""
+
+    recording: Recording
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Runs."""
+        return self.recording.names
+
+    def explain(self, given: Robot, told_by: Finding | None, **options: Any) -> Finding:
+        """See :class:`twin.diagnose.evidence.Evidence`."""
+        in_joints(self.recording.content, given)  # axes, units and limits fit
+        start = told_by.robot if told_by else given
+        return diagnose_log(self.recording.content, start, self.recording.source, **options)
+
+    def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
+        """What the log said, with the errors of the model that all end with, and what the last recording adds to it."""
+        finding.records = predicted_by(robot, self.recording.content, finding, hold_out)
+        finding.error = {**finding.error, "after": pooled(finding.records, "after")}
+        finding.missing = [followed(m, finding.model, robot) for m in finding.missing]
+        finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
+
+    def checks(self, written: Robot, finding: Finding, alone: bool) -> list[dict[str, Any]]:
+        """A run under servos against its inverse dynamics."""
+        name = next((name for name in self.names if name in finding.held_out), self.names[0])
+        return [check_replayed(written, self.recording.content.runs[name], self.recording.source)]
+
+
+def _seen_by(finding: Finding, missing: Missing) -> Missing:
+    """Another recording's answer with a second sentence of evidence, of a hammer test that shows it too."""
+    if not any(isinstance(r, FrfRecord) for r in finding.records) or not shared(missing.first.effect):
+        return missing
+    text = sentence(missing.first.title, finding.records, finding.error, finding.held_out)
+    return replace(missing, evidence=f"{missing.evidence} In {Path(finding.recording).name}: {text}")

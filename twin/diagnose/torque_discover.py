@@ -9,16 +9,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from twin.diagnose.decide import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.torque_fit import Columns, System, Trial, settle, span_of, start
-from twin.diagnose.torque_laws import USUAL, Suspect
-from twin.identify.parameters import Parameter
+from twin.diagnose.torque_laws import USUAL_SHARE, Suspect
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter
+from twin.physics import effect_of
 from twin.robot.description import Entry
-
-MOST_TERMS = 5
-WORTH = 8.0  # ln evidence that one more term must gain
-ENOUGH = 0.03  # of the first terms' gain, too
 
 
 def library(axes: int, joint: int, speed: float, revolute: Sequence[bool]) -> list[str]:
@@ -57,7 +55,7 @@ def unnamed(law: Trial) -> bool:
     return any(term not in named and not term.startswith(f"sign({v})*exp(") for term in terms)
 
 
-def discover(system: System, joint: int, most: int = MOST_TERMS) -> tuple[Trial, int] | None:
+def discover(system: System, joint: int, most: int = 5) -> tuple[Trial, int] | None:
     """A law of ``most`` terms for what the model misses at a joint, and the number of terms it was chosen from.
 
     ``None`` where no term is worth its place.
@@ -66,7 +64,7 @@ def discover(system: System, joint: int, most: int = MOST_TERMS) -> tuple[Trial,
     runs = system.base.runs
     terms = library(robot.axis_count, joint, span_of(runs, joint)[2], [a.type == "revolute" for a in robot.axes])
     site = f"joint{joint + 1}"
-    scale = USUAL * float(np.sqrt(np.mean(np.concatenate([r.torque[r.valid, joint] for r in runs]) ** 2)))
+    scale = USUAL_SHARE * float(np.sqrt(np.mean(np.concatenate([r.torque[r.valid, joint] for r in runs]) ** 2)))
     units, widths, kept = [], [], []
     for term in terms:
         torque = system.torque([_entry(site, f"c1*{term}", [1.0])])
@@ -82,32 +80,33 @@ def discover(system: System, joint: int, most: int = MOST_TERMS) -> tuple[Trial,
     if not chosen:
         return None
     formula = " + ".join(f"c{k + 1}*{kept[c]}" for k, c in enumerate(chosen))
-    key = f"discovered@{site}"
+    key = f"{effect_of('law').name}@{site}"
     own = tuple(
         Parameter(f"{key}.coefficients[{k}]", "N·m", "entry", False, 0.0, widths[c], "usual size")
         for k, c in enumerate(chosen)
     )
     entry = _entry(site, formula, [0.0] * len(own))
-    hypothesis = Hypothesis("discovered", site, (entry,), own)
+    hypothesis = Hypothesis(entry.effect, site, (entry,), own)
     sizes = tuple(range(len(own)))
     suspect = Suspect(hypothesis, np.zeros((1, len(own))), sizes, np.zeros(len(own), bool))
     return settle(system, start(system, suspect)), len(kept)
 
 
 def _entry(site: str, formula: str, coefficients: list[float]) -> Entry:
-    data = {"effect": "discovered", "site": site, "formula": formula, "coefficients": coefficients}
+    data = {"effect": effect_of("law").name, "site": site, "formula": formula, "coefficients": coefficients}
     return Entry.model_validate(data)
 
 
 def _match(system: System, whitened: Columns, most: int) -> list[int]:
     """Indices of the columns that explain the residual, most first."""
     G, pull = system.projected(whitened)
+    numbers = calibration()
     chosen: list[int] = []
     before = 0.0
     while len(chosen) < most:
         gains = np.array([_evidence(G, pull, [*chosen, k]) if k not in chosen else -np.inf for k in range(len(pull))])
         best = int(np.argmax(gains))
-        if gains[best] - before < max(WORTH, ENOUGH * before):
+        if gains[best] - before < max(numbers["term"], numbers["term_share"] * before):
             break
         chosen.append(best)
         before = float(gains[best])

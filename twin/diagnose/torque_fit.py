@@ -23,10 +23,7 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_laws import (
-    BENT,
-    REFERRING,
-    TURNING,
-    USUAL,
+    USUAL_SHARE,
     State,
     Suspect,
     canonical,
@@ -35,52 +32,29 @@ from twin.diagnose.torque_laws import (
     on_dense,
     presliding_columns,
     smooth_columns,
-    turning_level,
     with_values,
 )
 from twin.diagnose.torque_signal import Prepared, Run
-from twin.identify.parameters import TOLERANCE_DEVIATION, Parameter, Parameters, independent, join, link_parameters
-from twin.identify.regressor import Column, Regressor, body_of, inertial_vector, pseudo_inertia
-from twin.identify.rigid import nearest_possible
+from twin.identify.rigid import MOST_TAKEN, nearest_possible
 from twin.measure.campaign import FloatArray
 from twin.measure.signals import lowpass
+from twin.model.parameters import Parameter, Parameters, independent, join, link_parameters
+from twin.model.regressor import Column, Regressor, body_of, inertial_vector, pseudo_inertia
 from twin.parallel import spread
-from twin.physics import CATALOGUE
+from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
-FARTHEST = 3.0  # prior deviations of a shape (a speed, an order, a travel)
-ORDER = 30  # of the autoregression, less where runs are short
-LARGEST_KEPT = 20_000_000  # numbers of a suspect's columns kept from one search to the next
-MOST_FITTED = 0.4  # share of a log's rows that the richest model may fit: what is left of a short log tells its noise
-MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit may have explained away
-RIDGE = 1e-4  # of the noise's power: white noise added to the autoregression, so that stop bands are not amplified
-ROTOR, COMPENSATOR = 0.1 * TOLERANCE_DEVIATION, 0.1 * TOLERANCE_DEVIATION  # relative: described to ±10 %
-FRICTION = 0.5  # relative prior deviation of described friction
-RIPPLE, RIPPLE_ORDERS = 1e-3, 14  # of a joint's RMS torque, per order up to: what any gear and motor adds
-SERIES = 0.003  # of the largest coefficient: what a compensator's series is off by
-SHAPE, SHAPE_ORDERS = 1e-3, 6  # of the largest coefficient, in every order up to: no compensator is a series of three
-PROFILE = (1.0, 1.6, 2.5, 4.0, 6.0, 9.0, 13.0)  # deviations at which a profile is looked at
-FEW = 10  # starts that are all refined of what goes into the model
-TRIED, KEPT = 3, 0.7  # starts of a suspect that are evaluated, until one keeps so much of the gain it promised
-ALIKE = 1e-3  # of a gain, and rows of a delay: through a recording so much alike, columns are what they were
-NEAR = 0.01  # prior deviations: so far from where they were taken, slopes are what they were
-CONVERGED, EXACT = 0.02, 1e-5  # of ½ χ², and its share: less is no gain
-STEPS = (1e-3, 0.02)  # of a prior deviation, for differences: as far as the rows tell a number, within
-OFFSET = 0.01  # of a joint's RMS torque: zero of its current sensor
-CREEP_S = 0.16  # about a stop: the encoder hardly counts, the axis may creep
-SPEED_ERROR = 7e-4  # of the largest speed: what encoder and low-pass leave of doubt at a reversal
+FARTHEST_SHAPE = 3.0  # prior deviations of a shape (a speed, an order, a travel)
+NOISE_ORDER = 30  # of the autoregression, less where runs are short
+RIPPLE_ORDERS = 14  # up to which any gear and motor adds waves of the joint's angle
+CONVERGED = 0.02  # of ½ χ²: less is no gain
+DIFFERENCES = (1e-3, 0.02)  # of a prior deviation, for differences: as far as the rows tell a number, within
 RINGING = 16  # rows that the low-pass rings before and after a step
-MOST_STOPS = 60  # per run that the noise is estimated without
-STANDSTILL_S = 0.12  # shorter is a reversal
-TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
+PRESLIDING_TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
 PRESLIDING, UNLIKE = 0.5, 5e-4  # share of dry friction that does, per travel: common to all joints, and of one alone
-ELEMENTS, SLIGHT = 10, 1e-3  # of slip that presliding is written as, at most, and the share of dry friction worth one
-MISTIMED = 0.02  # rows: a doubt of friction that is late by less is where it was
-HELD = 0.1  # of dry friction that presliding holds through a standstill: doubt, how the axis crept to its rest
-UNKNOWN = 0.1  # of a joint's RMS torque: contribution of an entry described as zero; a rotor's may be all of it
 
 
 @dataclass(frozen=True)
@@ -174,7 +148,7 @@ class Base:
         torque += turning
         load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
         friction = np.zeros_like(load)
-        roles = [CATALOGUE[c.name.partition("@")[0]].role if c.group == "entry" else "" for c in self.regressor.columns]
+        roles = [effect_named(c.name.partition("@")[0]).role for c in self.regressor.columns]
         for column, axis, law in self.regressor.laws(run.dense):
             if roles[column] == "load":
                 load[:, axis] += values[column] * law
@@ -191,72 +165,91 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
         runs: with their rows.
         sliding: (n,) see :class:`Base`; as described by default.
     """
-    robot, columns = regressor.robot, regressor.columns
-    n = robot.axis_count
+    robot = regressor.robot
     scale = np.sqrt(np.mean(np.concatenate([r.torque[r.valid] for r in runs]) ** 2, axis=0))
-    matrices, known = [], []
-    curved = any(e.effect == "payload" or e.effect not in _LINEAR_EFFECTS for e in robot.physics) or any(
-        drive.rotor_mass for drive in robot.drives
-    )
+    offset = 0.01 * scale  # zero of a joint's current sensor
+    matrices, known = _matrices(regressor, runs)
+    links, covariance = link_parameters(robot)
+    others = _other_parameters(regressor, runs, matrices, scale)
+    inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
+    spread = scipy.linalg.block_diag(inertial, np.diag([p.deviation for p in others]))
+    described = np.zeros(robot.axis_count)
+    for entry in robot.physics:
+        if CATALOGUE[entry.effect].part == "dry":
+            described[axis_of(entry.site)] += dry_level(entry)
+    if sliding is None:
+        sliding = described * (np.count_nonzero(described) > 1)
+    sizes = _wave_sizes(robot, scale)
+    ripple, none = [], []
     for run in runs:
-        matrix = np.zeros((*run.torque.shape, len(columns)))
+        none.append(np.zeros((*run.torque.shape, len(PRESLIDING_TRAVELS["revolute"]))))
+        angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
+        ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
+    own = [*others, *_ordinary(runs, sizes, offset)]
+    parameters = join(Parameters(tuple(links), covariance), independent(own))
+    base = Base(
+        regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset,
+        np.maximum(USUAL_SHARE * scale, described), ripple, np.zeros(robot.axis_count), none, none,
+    )  # fmt: skip
+    return _sliding(base, sliding)
+
+
+def _matrices(regressor: Regressor, runs: Sequence[Run]) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Columns (m, n, p) of every run, and the torque (m, n) of what has none."""
+    matrices, known, n = [], [], regressor.robot.axis_count
+    for run in runs:
+        matrix = np.zeros((*run.torque.shape, len(regressor.columns)))
         matrix[:, :, : 11 * n] = run.bodies
         for column, axis, law in regressor.laws(run.dense):
             matrix[:, axis, column] += run.filtered(law)
         matrices.append(matrix)
-        known.append(run.filtered(regressor.known_torque(run.dense)) if curved else np.zeros_like(run.torque))
-    links, covariance = link_parameters(robot)
-    inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
-    others, width = [], []
-    for k, other in enumerate(columns[10 * n :], 10 * n):
+        complete = regressor.complete
+        known.append(np.zeros_like(run.torque) if complete else run.filtered(regressor.known_torque(run.dense)))
+    return matrices, known
+
+
+def _other_parameters(
+    regressor: Regressor, runs: Sequence[Run], matrices: Sequence[FloatArray], scale: FloatArray
+) -> list[Parameter]:
+    """Rotors and entries, with the prior that the description states; of zeros what a joint's torque allows."""
+    found, n = [], regressor.robot.axis_count
+    for k, other in enumerate(regressor.columns[10 * n :], 10 * n):
         rms = np.sqrt(
             np.mean(np.concatenate([m[r.valid][:, :, k] for m, r in zip(matrices, runs, strict=True)]) ** 2, axis=0)
         )
-        share = 1.0 if other.group == "rotor" else UNKNOWN
+        share = 1.0 if other.group == "rotor" else 0.1  # of a joint's torque, that an entry described as zero may be
         unknown = share * float(np.max(scale / np.maximum(rms, 1e-300), where=rms > 0, initial=0.0))
-        deviation = _deviation(robot, columns, k) or unknown or 1.0
-        width.append(deviation)
-        others.append(Parameter(other.name, other.unit, "entry", False, other.value, deviation, "description"))
-    spread = scipy.linalg.block_diag(inertial, np.diag(width))
-    offset = OFFSET * scale
-    offsets = [
-        Parameter(f"torque_offset@joint{j + 1}.{run.name}", "N·m", "gain", False, 0.0, float(max(offset[j], 1e-12)))
-        for run in runs
-        for j in range(n)
-    ]
-    sizes = _wave_sizes(robot, scale)
-    waves = [
-        Parameter(f"ordinary_ripple@joint{j + 1}.{name}{order}", "N·m", "gain", False, 0.0, float(sizes[j, order - 1]))
-        for j in range(n)
-        for name in ("sin", "cos")
-        for order in range(1, RIPPLE_ORDERS + 1)
-    ]
-    friction = USUAL * scale
-    described = np.zeros(n)
-    for entry in robot.physics:
-        if entry.effect == "coulomb_friction":
-            described[axis_of(entry.site)] += entry.values["torque"]
-    friction = np.maximum(friction, described)
-    if sliding is None:
-        sliding = described * (np.count_nonzero(described) > 1)
-    travels = len(TRAVELS["revolute"])
+        deviation = _deviation(regressor.robot, regressor.columns, k) or unknown or 1.0
+        found.append(Parameter(other.name, other.unit, "entry", False, other.value, deviation, "description"))
+    return found
+
+
+def _ordinary(runs: Sequence[Run], waves: FloatArray, offset: FloatArray) -> list[Parameter]:
+    """What every drive and recording has: presliding alike at all joints, waves, presliding of one joint, offsets."""
+    joints = range(1, len(offset) + 1)
     slides = [
         Parameter(f"ordinary_presliding{where}.travel{k + 1}", "1", "gain", False, 0.0, width)
-        for where, width in (("", PRESLIDING), *((f"@joint{j + 1}", UNLIKE) for j in range(n)))
-        for k in range(travels)
+        for where, width in (("", PRESLIDING), *((f"@joint{j}", UNLIKE) for j in joints))
+        for k in range(len(PRESLIDING_TRAVELS["revolute"]))
     ]
-    ripple, none = [], []
-    for run in runs:
-        none.append(np.zeros((*run.torque.shape, travels)))
-        angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
-        ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
-    own = [*others, *slides[:travels], *waves, *slides[travels:], *offsets]
-    parameters = join(Parameters(tuple(links), covariance), independent(own))
-    base = Base(
-        regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset, friction, ripple,
-        np.zeros(n), none, none,
-    )  # fmt: skip
-    return _sliding(base, sliding)
+    ripple = [
+        Parameter(f"ordinary_ripple@joint{j}.{name}{k + 1}", "N·m", "gain", False, 0.0, float(waves[j - 1, k]))
+        for j in joints
+        for name in ("sin", "cos")
+        for k in range(waves.shape[1])
+    ]
+    offsets = [
+        Parameter(f"torque_offset@joint{j}.{run.name}", "N·m", "gain", False, 0.0, float(max(offset[j - 1], 1e-12)))
+        for run in runs
+        for j in joints
+    ]
+    common = len(PRESLIDING_TRAVELS["revolute"])
+    return [*slides[:common], *ripple, *slides[common:], *offsets]
+
+
+def dry_level(entry: Entry) -> float:
+    """Of an entry that is dry friction, N·m (N)."""
+    return float(entry.values[CATALOGUE[entry.effect].parameters[0].name])
 
 
 def _sliding(base: Base, sliding: FloatArray) -> Base:
@@ -269,28 +262,18 @@ def _sliding(base: Base, sliding: FloatArray) -> Base:
                 presliding[k][:, j] *= now / before
                 uneven[k][:, j] *= now > 0
             elif now > 0:
-                turning, uneven[k][:, j] = presliding_columns(run, j, TRAVELS[axes[j].type])
+                turning, uneven[k][:, j] = presliding_columns(run, j, PRESLIDING_TRAVELS[axes[j].type])
                 presliding[k][:, j] = now * turning
     return replace(base, sliding=sliding, presliding=presliding, uneven=uneven)
 
 
-_LINEAR_EFFECTS = frozenset(
-    {
-        "viscous_friction", "coulomb_friction", "presliding", "asymmetric_friction", "stribeck_friction", "hysteresis",
-        "gravity_compensator", "cable_stiffness", "torque_ripple", "rotor_inertia", "transverse_compliance",
-        "base_compliance", "link_flexibility", "servo_compliance", "structural_damping", "hardening_stiffness",
-        "sensor_gain", "sensor_misalignment", "hammer_misalignment", "time_delay", "torque_constant",
-    }
-)  # fmt: skip
-
-
-def _wave_sizes(robot: Robot, scale: FloatArray) -> FloatArray:
-    """Prior deviation (n, RIPPLE_ORDERS) of sines and cosines of a joint's angle that any drive or compensator adds."""
-    sizes = np.tile(RIPPLE * scale[:, None] / np.sqrt(RIPPLE_ORDERS), RIPPLE_ORDERS)
+def _wave_sizes(robot: Robot, scale: FloatArray, ripple: float = 1e-3) -> FloatArray:
+    """Prior deviation (n, RIPPLE_ORDERS) of sines and cosines of a joint's angle that any drive or series adds."""
+    sizes = np.tile(ripple * scale[:, None] / np.sqrt(RIPPLE_ORDERS), RIPPLE_ORDERS)
     for entry in robot.physics:
-        if entry.effect == "gravity_compensator":
-            largest = float(np.abs(entry.values["coefficients"]).max())
-            sizes[axis_of(entry.site), :SHAPE_ORDERS] += SHAPE * largest
+        waves = CATALOGUE[entry.effect].departure(entry.values, RIPPLE_ORDERS)
+        if np.any(waves):
+            sizes[axis_of(entry.site)] += waves
     turning = np.array([axis.type == "revolute" for axis in robot.axes])
     return np.maximum(sizes * turning[:, None], 1e-12)
 
@@ -298,16 +281,10 @@ def _wave_sizes(robot: Robot, scale: FloatArray) -> FloatArray:
 def _deviation(robot: Robot, columns: Sequence[Column], k: int) -> float:
     column = columns[k]
     if column.group == "rotor":
-        drive = robot.drives[k - 10 * robot.axis_count]
-        return ROTOR * drive.rotor_inertia
-    effect = column.name.partition("@")[0]
-    if effect == "gravity_compensator":
-        key = column.name.rpartition(".")[0]
-        largest = max(abs(c.value) for c in columns if c.name.startswith(key))
-        return float(np.hypot(COMPENSATOR * column.value, SERIES * largest))
-    if effect == "rotor_inertia":
-        return ROTOR * abs(column.value)
-    return FRICTION * abs(column.value)
+        return effect_of("inertia").described_deviation(robot.drives[k - 10 * robot.axis_count].rotor_inertia, 0.0)
+    key = column.name.rpartition(".")[0]
+    largest = max(abs(c.value) for c in columns if c.name.startswith(key))
+    return CATALOGUE[column.name.partition("@")[0]].described_deviation(column.value, largest)
 
 
 def _link_spread(robot: Robot, items: Sequence[Parameter]) -> FloatArray:
@@ -521,15 +498,18 @@ class System:
         return columns.rows.T @ columns.rows - across @ self.inverse @ across.T, pull
 
 
-def _stops(system: System) -> list[list[Stop]]:
-    """Where an axis stops, starts or turns back: directions of the whitened rows, with the prior of its friction."""
+def _stops(system: System, held: float = 0.1) -> list[list[Stop]]:
+    """Where an axis stops, starts or turns back: directions of the whitened rows, with the prior of its friction.
+
+    ``held`` is the share of dry friction that presliding holds through a standstill: doubt, how the axis crept to it.
+    """
     out: list[list[Stop]] = []
     for j, whitening in enumerate(system.whitening):
         found: list[Stop] = []
         at = 0
         for run, mask in zip(system.base.runs, system.masks, strict=True):
             place = at + np.cumsum(mask) - 1
-            events = stop_columns(run, j, HELD * bool(system.base.sliding[j]), system.late)
+            events = stop_columns(run, j, held * bool(system.base.sliding[j]), system.late)
             if len(system.turning) and np.count_nonzero(system.turning[j]) > 1:  # where its drive turns back, too
                 state = replace(run.dense, velocity=run.dense.velocity @ system.turning.T)
                 drive = stop_columns(replace(run, dense=state), j, recorded_late=system.late)
@@ -558,30 +538,35 @@ def _stops(system: System) -> list[list[Stop]]:
     return out
 
 
-def stop_columns(run: Run, joint: int, held: float = 0.0, recorded_late: float = 0.0) -> list[tuple[slice, FloatArray]]:
+def stop_columns(
+    run: Run, joint: int, held: float = 0.0, recorded_late: float = 0.0, creep_s: float = 0.16, inexact: float = 7e-4
+) -> list[tuple[slice, FloatArray]]:
     """Moments at which friction is in doubt, in order: rows, and low-passed torque (rows, b) per unit of friction.
 
     About a stop or start boxes, each of half a row or less, that together say nothing of it. At a reversal two of them,
     or more: the sign changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of
     their distance, and by what an error of the speed makes of a slow reversal; how late moves its middle, too. Where an
     axis all but stops and goes on, it may as well have turned back for as long as its speed is less than that error,
-    within ``CREEP_S`` of where it is least. With ``held``, the share of friction that may be held through a standstill,
+    within ``creep_s`` of where it is least. With ``held``, the share of friction that may be held through a standstill,
     one more for the time between stop and start. All of it is in the torque as late as that is recorded, in s.
+
+    About a stop the encoder hardly counts for ``creep_s``, and the axis may creep; ``inexact`` times the largest speed
+    is what encoder and low-pass leave of doubt at a reversal.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
     count = len(run.time)
-    reach = max(1, int(np.ceil(CREEP_S * run.rate_hz)))
+    reach = max(1, int(np.ceil(creep_s * run.rate_hz)))
     stops = stops_of(run, joint)
     rests = dict(zip(stops[::2], stops[1::2], strict=True)) if held else {}
-    events = [(float(sample), CREEP_S, 1.0) for sample in stops]
+    events = [(float(sample), creep_s, 1.0) for sample in stops]
     speed, moving = run.dense.velocity[:, joint], np.ones(len(run.dense.time), bool)
     for first, last in zip(stops[::2], stops[1::2], strict=True):
         moving[max(0, first - reach * step) : last + reach * step + 1] = False
-    error = SPEED_ERROR * float(np.abs(speed).max())
+    error = inexact * float(np.abs(speed).max())
     for at, late in _turns(speed, error):
         if moving[round(at)]:
-            late = np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(late / dense_hz, CREEP_S))
+            late = np.hypot(1 / (np.sqrt(12) * run.sample_hz), min(late / dense_hz, creep_s))
             events.append((at, float(late), float(np.sqrt(2))))  # both boxes: twice friction for so long
     found = []
     shift = recorded_late * dense_hz
@@ -589,7 +574,7 @@ def stop_columns(run: Run, joint: int, held: float = 0.0, recorded_late: float =
         lasting = rests.get(round(at), round(at)) - round(at) if size == 1 else 0
         at += shift
         end = round(at) + lasting
-        first, last = round(at) // step - reach - RINGING, end // step + reach + RINGING + ORDER
+        first, last = round(at) // step - reach - RINGING, end // step + reach + RINGING + NOISE_ORDER
         near = slice(max(0, first), min(count - 1, last))
         if near.start >= near.stop:
             continue
@@ -631,13 +616,13 @@ def _begins(event: tuple[slice, FloatArray]) -> int:
     return int(event[0].start)
 
 
-def stops_of(run: Run, joint: int) -> list[int]:
-    """Dense samples at which a joint comes to rest or starts to move."""
+def stops_of(run: Run, joint: int, shortest_s: float = 0.12) -> list[int]:
+    """Dense samples at which a joint comes to rest or starts to move; a shorter standstill is a reversal."""
     speed = run.dense.velocity[:, joint]
     still = (run.dense.sign(speed) == 0).astype(int)
     edges = np.diff(np.concatenate([[0], still, [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    least = STANDSTILL_S * len(speed) / (run.dense.time[-1] - run.dense.time[0])
+    least = shortest_s * len(speed) / (run.dense.time[-1] - run.dense.time[0])
     found: list[int] = []
     for first, last in zip(starts, ends, strict=True):
         if last - first > least:
@@ -645,11 +630,14 @@ def stops_of(run: Run, joint: int) -> list[int]:
     return found
 
 
-def refer(system: System, z: FloatArray) -> list[FloatArray]:
-    """Let laws that act on other torques see the model at z: what was found adds (m, n) to the recorded torque."""
+def refer(system: System, z: FloatArray, alike: float = 1e-3) -> list[FloatArray]:
+    """Let laws that act on other torques see the model at z: what was found adds (m, n) to the recorded torque.
+
+    Through a recording whose gains, and delay in rows, are so much ``alike``, columns are what they were.
+    """
     added = _refer(system, z, system.entries(z))
     now = np.array([system.state[0].delay * system.base.runs[0].rate_hz, *system.state[0].gain])
-    if len(system.recording) and np.abs(now - system.recording).max() > ALIKE:
+    if len(system.recording) and np.abs(now - system.recording).max() > alike:
         system.screened, system.slopes, system.recording = {}, {}, now
     elif not len(system.recording):
         system.recording = now
@@ -709,11 +697,12 @@ def worth(system: System, suspect: Suspect) -> float:
     return base_fit(system).evidence() - base_fit(without(system, suspect)).evidence()
 
 
-def relinearised(system: System, iterations: int = 8) -> System:
+def relinearised(system: System, iterations: int = 8, exact: float = 1e-5) -> System:
     """The same rows with all that was found linearised at its numbers as they are beside all else.
 
     Gauss–Newton on all numbers at once: each was linearised where it was found, before the others were. What a
-    recording's gain and delay make of a change of the base model is left out of the slopes, not of the torque.
+    recording's gain and delay make of a change of the base model is left out of the slopes, not of the torque. It ends
+    where a step gains less than ``CONVERGED`` and ``exact`` times the cost.
     """
     z = _taken(system)
     here, cost = linearised(system, z)
@@ -727,7 +716,7 @@ def relinearised(system: System, iterations: int = 8) -> System:
         if gained <= 0:
             break
         z, here, cost = z + share * step, ahead, reached
-        if gained < CONVERGED + EXACT * cost:
+        if gained < CONVERGED + exact * cost:
             break
     return here
 
@@ -741,7 +730,7 @@ def _taken(system: System) -> FloatArray:
     for suspect in system.found:
         at = system.own(suspect)
         u = system.slopes[suspect.name][0] if suspect.name in system.slopes else z[:0]
-        if suspect.hypothesis.effect not in REFERRING and len(u) == len(at):
+        if not suspect.effect.refers and len(u) == len(at):
             z[at], fixed[at] = u, True
     if fixed.any():
         pull = system.A.transposed(system.y) - system.information[:, fixed] @ z[fixed]
@@ -749,19 +738,20 @@ def _taken(system: System) -> FloatArray:
     return z
 
 
-def with_doubts(system: System) -> System:
+def with_doubts(system: System, mistimed: float = 0.02) -> System:
     """The same with friction in doubt where and when what was found puts it, and refitted.
 
     A drive that turns with other axes too has dry friction that steps where it turns back, not where its axis does:
     taken for exact there, steps that the encoder cannot time would tell the ratio far too well. Torque that is recorded
     late steps late: what a doubt in the wrong place leaves of a reversal looks like low-speed friction.
+    Late by less than ``mistimed`` rows it is where it was.
     """
     turning, late = np.eye(len(system.whitening)), system.state[0].delay
     for entry in system.entries(system.z):
-        if entry.effect == "joint_coupling":
-            turning[axis_of(entry.values["from"]), axis_of(entry.site)] += entry.values["ratio"]
+        drive, axis, ratio = CATALOGUE[entry.effect].spins(entry.site, entry.values)
+        turning[drive, axis] += ratio
     still = turning if np.any(turning != np.eye(len(turning))) else system.turning[:0]
-    if np.array_equal(still, system.turning) and abs(late - system.late) * system.base.runs[0].rate_hz < MISTIMED:
+    if np.array_equal(still, system.turning) and abs(late - system.late) * system.base.runs[0].rate_hz < mistimed:
         return system
     here = replace(system, turning=still, late=late)
     here.assemble()
@@ -770,10 +760,12 @@ def with_doubts(system: System) -> System:
     return relinearised(replace(here, A=A, y=system.y + here.data - system.data, slopes={}, screened={}))
 
 
-def linearised(system: System, z: FloatArray, doubt: FloatArray | None = None) -> tuple[System, float]:
+def linearised(
+    system: System, z: FloatArray, doubt: FloatArray | None = None, near: float = 0.01
+) -> tuple[System, float]:
     """The system with what was found linearised at z, and ½ χ² + ½ zᵀz there; ``doubt`` (z,) deviations, as it has z.
 
-    They are those of the system's own fit by default.
+    They are those of the system's own fit by default. Slopes taken within ``near`` of their numbers are kept.
     """
     size = len(system.base.parameters)
     doubt = np.sqrt(np.diag(system.inverse)) if doubt is None else doubt
@@ -784,9 +776,9 @@ def linearised(system: System, z: FloatArray, doubt: FloatArray | None = None) -
     beside = []
     for suspect in here.found:
         at = here.own(suspect)
-        now = z if suspect.hypothesis.effect in REFERRING else z[at]  # it depends on all numbers, or on its own
+        now = z if suspect.effect.refers else z[at]  # it depends on all numbers, or on its own
         u, slopes = here.slopes.get(suspect.name, (now, None))
-        if slopes is None or len(u) != len(now) or np.any(np.abs(now - u) > NEAR * (1 + np.abs(u))):
+        if slopes is None or len(u) != len(now) or np.any(np.abs(now - u) > near * (1 + np.abs(u))):
             slopes = _slopes(here, suspect, z, doubt[at])
             here.slopes[suspect.name] = now, slopes
         for part, j in enumerate(slopes.joints):
@@ -799,7 +791,7 @@ def linearised(system: System, z: FloatArray, doubt: FloatArray | None = None) -
 def _slopes(system: System, suspect: Suspect, z: FloatArray, doubt: FloatArray) -> Columns:
     """Of something found, beside all else at z."""
     aside = system
-    if suspect.hypothesis.effect in REFERRING:
+    if suspect.effect.refers:
         aside = copy(system)
         _refer(aside, z, system.entries(z, without=suspect))
     return _whitened(aside, suspect, z[system.own(suspect)], doubt=doubt)[1]
@@ -811,7 +803,7 @@ def _bounded(system: System, z: FloatArray) -> FloatArray:
     for suspect in system.found:
         at = system.own(suspect)
         log = np.array([p.log for p in suspect.hypothesis.own])
-        out[at] = np.where(log, np.clip(z[at], -FARTHEST, FARTHEST), z[at])
+        out[at] = np.where(log, np.clip(z[at], -FARTHEST_SHAPE, FARTHEST_SHAPE), z[at])
     return out
 
 
@@ -857,47 +849,56 @@ def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Ro
     return fitted.model_copy(update={"physics": [*fitted.physics, *added]})
 
 
-def with_presliding(system: System, z: FloatArray, robot: Robot) -> Robot:
+def with_presliding(system: System, z: FloatArray, robot: Robot, slight: float = 1e-3) -> Robot:
     """The description at z with the fit's ordinary ``presliding``, which its Coulomb friction gives up.
 
     After a reversal a bristle of travel t has turned round by 1 − exp(−x/t), an element of yield torque Y and
     stiffness K by min(K x/(2 Y), 1): elements of all travels together turn as the fitted bristles do, in the least
-    squares of a logarithmic grid, none below zero (Masing's rule; Iwan, J. Appl. Mech. 33, 1966).
+    squares of a logarithmic grid, none below zero (Masing's rule; Iwan, J. Appl. Mech. 33, 1966). An element of less
+    than a ``slight`` share of dry friction is none.
     """
     base = system.base
     travels, first = base.presliding[0].shape[2], base.spread.shape[1]
     z = system.plain(z)
     alone = first + travels + base.regressor.robot.axis_count * base.ripple[0].shape[2]
-    found = [entry for entry in system.entries(z) if entry.effect in TURNING]
+    found = [entry for entry in system.entries(z) if entry.site.startswith("joint")]
+    dry_name, slip_name = effect_of("dry").name, effect_of("slip").name
     physics = list(robot.physics)
     for j in np.flatnonzero(base.sliding).tolist():
         site = f"joint{j + 1}"
-        dry = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("coulomb_friction", site)), None)
+        dry = next((k for k, e in enumerate(physics) if (e.effect, e.site) == (dry_name, site)), None)
         if dry is None:
             continue
         own = z[alone + j * travels : alone + (j + 1) * travels]
         moved = np.concatenate([r.motion.velocity[:, j] for r in base.runs])
-        level = base.sliding[j] + sum(turning_level(e.effect, e.values, moved) for e in found if axis_of(e.site) == j)
+        here = [e for e in found if axis_of(e.site) == j]
+        level = base.sliding[j] + sum(CATALOGUE[e.effect].turning(e.values, moved) for e in here)
         share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + UNLIKE * own)
-        scale = TRAVELS[base.regressor.robot.axes[j].type]
-        x = np.geomspace(scale[0] / 10, 10 * scale[-1], 80)
-        ends = np.geomspace(scale[0] / 3, 5 * scale[-1], ELEMENTS)
-        torque, _ = nnls(np.minimum(x[:, None] / ends, 1), (1 - np.exp(-x[:, None] / scale)) @ share)
-        coulomb = float(physics[dry].values["torque"])
-        turned = [e for e in physics if e.effect == "joint_coupling" and e.values["from"] == site]
-        free = max(coulomb - sum(robot.values(e)["friction"][1] for e in turned), 0.0)  # the rest turns with two axes
+        ends, torque = _slip_elements(PRESLIDING_TRAVELS[base.regressor.robot.axes[j].type], share)
+        coulomb = dry_level(physics[dry])
+        turned = (CATALOGUE[e.effect].shared_dry(robot.values(e)) for e in physics)
+        free = max(coulomb - sum(shared for drive, shared in turned if drive == site), 0.0)  # else it turns with two
         torque *= min(1.0, free / max(float(torque.sum()), 1e-300))
-        some = torque > SLIGHT * coulomb
+        some = torque > slight * coulomb
         if not some.any():
             continue
-        left = {"torque": max(coulomb - float(torque[some].sum()), 0.0)}
-        physics[dry] = Entry.model_validate({"effect": "coulomb_friction", "site": site, **left})
+        level_name = CATALOGUE[dry_name].parameters[0].name
+        left = {level_name: max(coulomb - float(torque[some].sum()), 0.0)}
+        physics[dry] = Entry.model_validate({"effect": dry_name, "site": site, **left})
         slip = {"yield_torque": torque[some].tolist(), "stiffness": (2 * torque / ends)[some].tolist()}
-        at = next((k for k, e in enumerate(physics) if (e.effect, e.site) == ("presliding", site)), len(physics))
+        at = next((k for k, e in enumerate(physics) if (e.effect, e.site) == (slip_name, site)), len(physics))
         if at < len(physics):
             slip = {name: [*physics[at].values[name], *items] for name, items in slip.items()}
-        physics[at : at + 1] = [Entry.model_validate({"effect": "presliding", "site": site, **slip})]
+        physics[at : at + 1] = [Entry.model_validate({"effect": slip_name, "site": site, **slip})]
     return robot.model_copy(update={"physics": physics})
+
+
+def _slip_elements(travels: FloatArray, share: FloatArray, count: int = 10) -> tuple[FloatArray, FloatArray]:
+    """Travels of elements, rad (m), and their yield torques: together they turn round as bristles of ``share`` do."""
+    x = np.geomspace(travels[0] / 10, 10 * travels[-1], 80)
+    ends = np.geomspace(travels[0] / 3, 5 * travels[-1], count)
+    torque, _ = nnls(np.minimum(x[:, None] / ends, 1), (1 - np.exp(-x[:, None] / travels)) @ share)
+    return ends, torque
 
 
 def that_can_exist(system: System, z: FloatArray) -> FloatArray:
@@ -935,15 +936,15 @@ def _rounded(entry: Entry, robot: Robot) -> Entry:
 
     What slip that holds more at rest than friction is in motion takes back of dry friction is a law without a name.
     """
-    values = dict(entry.model_extra or {})
-    if entry.effect == "coulomb_friction" and values["torque"] < 0:
-        law = {"formula": f"c1*sign(v{axis_of(entry.site) + 1})", "coefficients": [values["torque"]]}
-        return Entry.model_validate({"effect": "discovered", "site": entry.site, **law})
-    for parameter in CATALOGUE[entry.effect].parameters:
+    values, effect = dict(entry.model_extra or {}), CATALOGUE[entry.effect]
+    if effect.part == "dry" and (level := dry_level(entry)) < 0:
+        law = {"formula": f"c1*sign(v{axis_of(entry.site) + 1})", "coefficients": [level]}
+        return Entry.model_validate({"effect": effect_of("law").name, "site": entry.site, **law})
+    for parameter in effect.parameters:
         if parameter.nonnegative and parameter.name in values and not parameter.word:
             given = values[parameter.name]
             values[parameter.name] = [max(x, 0.0) for x in given] if isinstance(given, list) else max(given, 0.0)
-    return Entry(effect=entry.effect, site=entry.site, **CATALOGUE[entry.effect].nearest(robot, entry.site, values))
+    return Entry(effect=entry.effect, site=entry.site, **effect.nearest(robot, entry.site, values))
 
 
 # --- noise ------------------------------------------------------------------------------------------------------------
@@ -972,7 +973,7 @@ def _order(runs: Sequence[Run]) -> int:
     for run in runs:
         edges = np.flatnonzero(np.diff(np.concatenate([[0], run.valid.astype(int), [0]])))
         lengths += (edges[1::2] - edges[::2]).tolist()
-    return int(np.clip(np.median(lengths) / 6, 2, ORDER)) if lengths else 2
+    return int(np.clip(np.median(lengths) / 6, 2, NOISE_ORDER)) if lengths else 2
 
 
 def _plain_fit(system: System) -> FloatArray:
@@ -1003,8 +1004,10 @@ def _dry_friction(base: Base) -> FloatArray:
     """
     found = np.zeros_like(base.friction)
     order, valid = _order(base.runs), [r.valid for r in base.runs]
+    dry = effect_of("dry")
     for j, scale in enumerate(base.friction):
-        described = [k for k, p in enumerate(base.parameters) if p.name == f"coulomb_friction@joint{j + 1}.torque"]
+        level = f"{dry.name}@joint{j + 1}.{dry.parameters[0].name}"
+        described = [k for k, p in enumerate(base.parameters) if p.name == level]
         fastest = span_of(base.runs, j)[2]
         parts = []
         for k, (run, rest) in enumerate(zip(base.runs, base.rest, strict=True)):
@@ -1071,12 +1074,12 @@ def _noise(
     stops = []
     for k, run in enumerate(base.runs):
         doubts = [(near, boxes) for near, boxes in stop_columns(run, j) if boxes.shape[1] > 2]  # not a step's alone
-        for near, boxes in doubts[:MOST_STOPS]:
+        for near, boxes in doubts[:60]:  # enough of a long run
             stops.append(np.zeros((len(valid), boxes.shape[1])))
             stops[-1][(ends[k - 1] if k else 0) :][near] = boxes
     y = data * valid
     recorded = np.concatenate([r.torque for r in base.runs])[:, j]
-    usual = USUAL * np.sqrt(np.mean(data[valid] ** 2) + np.mean(recorded**2))
+    usual = USUAL_SHARE * np.sqrt(np.mean(data[valid] ** 2) + np.mean(recorded**2))
     B = np.column_stack([free, *extra, *stops]) * valid[:, None]
     scale = np.sqrt(np.mean(B**2, axis=0))
     B = np.column_stack([_rows(base, j) * valid[:, None], usual * (B / np.where(scale > 0, scale, 1))])
@@ -1085,7 +1088,7 @@ def _noise(
     Q = B @ (turn[:, keep] / np.sqrt(size[keep]))
     size, along = size[keep], Q.T @ y
     variance = 1e-2 * float(np.mean(y**2))
-    least = _ridge(size, MOST_FITTED * float(valid.sum()))
+    least = _ridge(size, 0.4 * float(valid.sum()))  # what is left of a short log tells its noise
     for _ in range(6):  # of the noise, and how far the data hold each direction against its prior
         share = size / (size + max(variance, least))
         e = y - Q @ (share * along)
@@ -1126,11 +1129,11 @@ def _start_columns(system: System, suspect: Suspect, start: FloatArray) -> list[
     columns = list(here)
     for k in suspect.sizes:
         shifted = start.copy()
-        shifted[k] += STEPS[1] * own[k].deviation
+        shifted[k] += DIFFERENCES[1] * own[k].deviation
         moved = system.torque(with_values(suspect.hypothesis, shifted))
         for still in here:
             moved = [a - b for a, b in zip(moved, still, strict=True)]
-        columns.append([part / STEPS[1] for part in moved])
+        columns.append([part / DIFFERENCES[1] for part in moved])
     return columns
 
 
@@ -1164,10 +1167,13 @@ def _correlation(residual: list[FloatArray], Q: list[FloatArray], valid: list[np
     return correlation if correlation[0] > 0 else np.eye(1, order + 1)[0]
 
 
-def prediction_filter(correlation: FloatArray) -> FloatArray:
-    """Prediction-error filter (order + 1,) over the innovation's deviation (Levinson)."""
+def prediction_filter(correlation: FloatArray, ridge: float = 1e-4) -> FloatArray:
+    """Prediction-error filter (order + 1,) over the innovation's deviation (Levinson).
+
+    White noise of ``ridge`` times the noise's power is added, so that stop bands are not amplified.
+    """
     correlation = correlation.copy()
-    correlation[0] *= 1 + RIDGE
+    correlation[0] *= 1 + ridge
     coefficients = scipy.linalg.solve_toeplitz(correlation[:-1], correlation[1:])
     innovation = correlation[0] - coefficients @ correlation[1:]
     return np.concatenate([[1.0], -coefficients]) / np.sqrt(max(innovation, 1e-12 * correlation[0]))
@@ -1219,8 +1225,8 @@ def _whitened(
     """
     own = suspect.hypothesis.own
     if slopes and doubt is None:
-        doubt = _doubt(system, _whitened(system, suspect, u, doubt=np.full(len(u), STEPS[1]))[1])
-    steps = np.clip(np.zeros(len(u)) if doubt is None else doubt, *STEPS)
+        doubt = _doubt(system, _whitened(system, suspect, u, doubt=np.full(len(u), DIFFERENCES[1]))[1])
+    steps = np.clip(np.zeros(len(u)) if doubt is None else doubt, *DIFFERENCES)
 
     def torque(at: FloatArray) -> list[FloatArray]:
         return system.torque(with_values(suspect.hypothesis, own_values(own, at)))
@@ -1238,7 +1244,8 @@ def _whitened(
 def _doubt(system: System, slopes: Columns) -> FloatArray:
     """Deviations (m,) of numbers that have such slopes, in those of their priors."""
     information, _ = system.projected(slopes)
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(information))))))
+    held, vectors = np.linalg.eigh(information)  # of a record without noise rounding leaves some below zero
+    return np.asarray(np.sqrt(vectors**2 @ (1 / (1 + np.maximum(held, 0)))))
 
 
 def _gain(system: System, column: Columns, u: FloatArray) -> float:
@@ -1246,8 +1253,11 @@ def _gain(system: System, column: Columns, u: FloatArray) -> float:
     return float(pull[0] - 0.5 * information[0, 0] - 0.5 * u @ u)
 
 
-def start(system: System, suspect: Suspect) -> Trial:
-    """The best of a suspect's starts, sizes solved for; without slopes, to be settled."""
+def start(system: System, suspect: Suspect, largest_kept: int = 20_000_000) -> Trial:
+    """The best of a suspect's starts, sizes solved for; without slopes, to be settled.
+
+    Up to ``largest_kept`` numbers of its columns are kept from one search to the next.
+    """
     own, sizes = suspect.hypothesis.own, list(suspect.sizes)
     first = int(not suspect.vanishes)
     width = first + len(sizes)
@@ -1255,7 +1265,7 @@ def start(system: System, suspect: Suspect) -> Trial:
     if whitened is None:
         columns = [column for values in suspect.starts for column in _start_columns(system, suspect, values)]
         whitened = system.whiten(*columns)
-        if whitened.rows.size < LARGEST_KEPT and suspect.hypothesis.effect not in REFERRING:
+        if whitened.rows.size < largest_kept and not suspect.effect.refers:
             system.screened[suspect.name] = whitened
     across = system.across(whitened)
     pulls = whitened.rows.T @ system.on(system.residual, whitened)
@@ -1277,14 +1287,14 @@ def start(system: System, suspect: Suspect) -> Trial:
         gain = float(weight @ pulls[part] - 0.5 * weight @ information @ weight - 0.5 * u @ u)
         promised.append((gain, number, u, weight))
     promised.sort(key=lambda item: -item[0])
-    if suspect.hypothesis.effect not in BENT:
+    if suspect.effect.linear:
         gain, number, u, weight = promised[0]
         rows = whitened.rows[:, number * width : (number + 1) * width] @ weight[:, None]
         return Trial(suspect, u, gain, Columns(whitened.joints, rows), Columns(whitened.joints, rows[:, :0]))
     found: list[Trial] = []
-    for gain, _, u, _ in promised[:TRIED]:
+    for gain, _, u, _ in promised[:3]:
         found.append(evaluate(system, suspect, u, slopes=False))
-        if found[-1].gain > KEPT * gain:  # a law that is not linear keeps its promise only near where it started
+        if found[-1].gain > 0.7 * gain:  # a law that is not linear keeps its promise only near where it started
             break
     return max(found, key=lambda trial: trial.gain)
 
@@ -1293,8 +1303,8 @@ def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
     """u with sizes that cannot be negative at zero or above, and shapes where they are looked for."""
     own = suspect.hypothesis.own
     bounded = zip(own, suspect.nonnegative, strict=True)
-    least = [-FARTHEST if p.log else -p.mean / p.deviation if bound else -np.inf for p, bound in bounded]
-    return np.clip(u, least, [FARTHEST if p.log else np.inf for p in own])
+    least = [-FARTHEST_SHAPE if p.log else -p.mean / p.deviation if bound else -np.inf for p, bound in bounded]
+    return np.clip(u, least, [FARTHEST_SHAPE if p.log else np.inf for p in own])
 
 
 def settle(system: System, trial: Trial) -> Trial:
@@ -1304,17 +1314,17 @@ def settle(system: System, trial: Trial) -> Trial:
     values = own_values(own, trial.u)
     if np.any((same := canonical(trial.suspect.hypothesis, values)) != values):
         trial = refine(system, evaluate(system, trial.suspect, own_prior(own, same)))
-    for _ in range(2 if trial.suspect.hypothesis.effect in REFERRING else 0):
+    for _ in range(2 if trial.suspect.effect.refers else 0):
         again = copy(system)
         refer(again, eliminated(system, trial))
         trial = refine(again, evaluate(again, trial.suspect, trial.u))
     return trial
 
 
-def from_every_start(system: System, trial: Trial) -> Trial:
+def from_every_start(system: System, trial: Trial, few: int = 10) -> Trial:
     """The best of a settled trial and of its few starts, refined: where steps meet, a law has more than one optimum."""
     suspect = trial.suspect
-    if len(suspect.starts) > FEW or suspect.hypothesis.effect in REFERRING:
+    if len(suspect.starts) > few or suspect.effect.refers:
         return trial
     starts = [own_prior(suspect.hypothesis.own, values) for values in suspect.starts]
     return max([trial, *(refine(system, evaluate(system, suspect, u)) for u in starts)], key=lambda t: t.gain)
@@ -1333,7 +1343,7 @@ def profiled(system: System, suspect: Suspect, own: int, drop: float) -> tuple[f
     ends = []
     for side in (-1, 1):
         inside, here, fell = best.u[own], best, 0.0
-        for far in PROFILE:
+        for far in (1.0, 1.6, 2.5, 4.0, 6.0, 9.0, 13.0):  # deviations
             there = best.u[own] + side * far * deviation
             u = here.u + covariance[own] / covariance[own, own] * (there - here.u[own])
             here = refine(rest, evaluate(rest, suspect, _inside(suspect, u)), 4, own)

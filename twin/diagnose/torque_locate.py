@@ -9,22 +9,19 @@ import numpy as np
 
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.torque_fit import base_of
-from twin.diagnose.torque_laws import RECORDING, entry_torque
+from twin.diagnose.torque_laws import entry_torque
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_signal import run_of
 from twin.identify.rigid import Bands, joint_run
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.parallel import spread
-
-BANDS = 6
-WIDE_HZ = 40.0  # how far above the fit's band a disturbance is looked for
-WIDE_S = 60.0  # of every run
-WIDE_BANDS = 8
-EXCESS = 3.0  # times the quietest run's power in a band is a disturbance
+from twin.physics import CATALOGUE
 
 
-def spots(records: Sequence[LogRecord], source: str, stop_hz: float, count: int = 5) -> list[dict[str, Any]]:
+def spots(
+    records: Sequence[LogRecord], source: str, stop_hz: float, count: int = 5, bands: int = 6
+) -> list[dict[str, Any]]:
     """Where most of the refitted base model's residual is, beyond noise: run, joint, band, share of all.
 
     Args:
@@ -32,7 +29,7 @@ def spots(records: Sequence[LogRecord], source: str, stop_hz: float, count: int 
         source: the file, as given.
         stop_hz: of the low-pass.
     """
-    edges = np.concatenate([[0.0], np.geomspace(stop_hz / 2 ** (BANDS - 1), stop_hz, BANDS)])
+    edges = np.concatenate([[0.0], np.geomspace(stop_hz / 2 ** (bands - 1), stop_hz, bands)])
     found = []
     for record in records:
         rate = (len(record.time) - 1) / (record.time[-1] - record.time[0])
@@ -54,26 +51,35 @@ def spots(records: Sequence[LogRecord], source: str, stop_hz: float, count: int 
     ]
 
 
-def disturbances(log: MotionLog, search: Search, source: str, processes: int = 1) -> list[dict[str, Any]]:
+def disturbances(
+    log: MotionLog, search: Search, source: str, processes: int = 1, *, wide_hz: float = 40.0, excess: float = 3.0
+) -> list[dict[str, Any]]:
     """Bands above the fit's in which one run is restless and another is not.
 
     The model has the answer's friction and loads, not its delays and gains: these act on every band alike.
+
+    Args:
+        log: as recorded; search: what was found; source: the file.
+        processes: the work is spread over so many.
+        wide_hz: up to which a disturbance is looked for.
+        excess: times the quietest run's power in a band is restless.
     """
-    runs = [run for run in log.runs.values() if run.torque is not None and run.sample_rate_hz >= 2.5 * WIDE_HZ]
+    longest_s, count = 60.0, 8  # of every run; bands
+    runs = [run for run in log.runs.values() if run.torque is not None and run.sample_rate_hz >= 2.5 * wide_hz]
     if len(runs) < 2:
         return []
     system = search.system
     regressor = system.base.regressor
     below = system.base.runs[0].bands.fit[1]
-    bands = Bands((0.9 * WIDE_HZ, WIDE_HZ), (1.2 * WIDE_HZ, 1.5 * WIDE_HZ))
-    edges = np.linspace(below, 0.9 * WIDE_HZ, WIDE_BANDS + 1)
+    bands = Bands((0.9 * wide_hz, wide_hz), (1.2 * wide_hz, 1.5 * wide_hz))
+    edges = np.linspace(below, 0.9 * wide_hz, count + 1)
     z = system.plain(search.after.z)
-    entries = [e for e in system.entries(search.after.z) if e.effect not in RECORDING]
+    entries = [e for e in system.entries(search.after.z) if not CATALOGUE[e.effect].records_torque]
 
     def power(number: int) -> FloatArray:
         """Of what the model leaves of a run, (bands, joints)."""
         run = runs[number]
-        end = int(min(len(run.time), WIDE_S * run.sample_rate_hz))
+        end = int(min(len(run.time), longest_s * run.sample_rate_hz))
         short = replace(
             run, time=run.time[:end], position=run.position[:end], torque=run.torque[:end],  # type: ignore[index]
             velocity=None, acceleration=None, link_position=None,
@@ -101,7 +107,7 @@ def disturbances(log: MotionLog, search: Search, source: str, processes: int = 1
     places = []
     for k, run in enumerate(runs):
         for joint in range(P.shape[2]):
-            loud = P[k, :, joint] > EXCESS * quiet[:, joint]
+            loud = P[k, :, joint] > excess * quiet[:, joint]
             if loud.any():
                 first, last = np.flatnonzero(loud)[[0, -1]]
                 share = float(P[k, loud, joint].sum() / total)

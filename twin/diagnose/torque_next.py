@@ -1,16 +1,30 @@
-"""What to record next where a motion log leaves rivals: the motion, load or temperature in which they differ."""
+"""What to record next where a motion log leaves rivals: the motion, load or temperature in which they differ.
+
+Every effect states the recordings that show it (:attr:`Effect.log_tests`); here stands what these recordings are.
+"""
 
 from typing import Any
 
 from twin.diagnose.verdict import Missing
+from twin.physics import CATALOGUE
+from twin.physics.statements import Test
 
-LOAD = frozenset({"payload", "parameter", "torque_constant", "rotor_inertia", "gravity_compensator", "cable_stiffness"})
-SLIDING = frozenset(
-    {
-        "coulomb_friction", "viscous_friction", "asymmetric_friction", "stribeck_friction", "hysteresis",
-        "load_dependent_friction", "time_delay", "backlash", "discovered",
-    }
-)  # fmt: skip
+ADVICE: dict[Test, str] = {
+    "clock": "the same motion from cold and again after an hour's work: only warm-up changes with the clock",
+    "load": "the same motion with and without a known payload at the flange: friction that follows the load changes",
+    "reversals": "slow motion with short reversals (10⁻⁴ to 10⁻² rad) and standstills of a second: memory holds its "
+    "torque through a standstill, sliding friction and a delay do not",
+    "speeds": "constant speeds from 1 % to 90 % of the limit, both ways: each friction law has its own curve over "
+    "speed",
+    "mass": "the same motion once more with a known mass at the flange: it scales with the torque constant, "
+    "and adds to a payload",
+    "acceleration": "one axis at a time, at rest and at the largest acceleration: what the others do to it shows apart",
+    "sweep": "one slow sweep of the axis over its whole range, there and back: torque over position at constant speed",
+}
+"""Tests, the most telling first."""
+
+OTHERWISE = "the same trajectories at half the speed, with standstills of a second"
+OFF: tuple[Test, ...] = ("mass", "sweep")  # what shows a number of the description that is off: it is a mass or a load
 
 
 def next_log(missing: Missing) -> dict[str, Any]:
@@ -23,27 +37,12 @@ def next_log(missing: Missing) -> dict[str, Any]:
     }
 
 
-def _advice(effects: set[str]) -> str:
-    if "friction_drift" in effects:
-        return "the same motion from cold and again after an hour's work: only warm-up changes with the clock"
-    if "load_dependent_friction" in effects:
-        return "the same motion with and without a known payload at the flange: friction that follows the load changes"
-    if {"hysteresis", "time_delay"} & effects and effects <= SLIDING:
-        return (
-            "slow motion with short reversals (10⁻⁴ to 10⁻² rad) and standstills of a second: memory holds its torque "
-            "through a standstill, sliding friction and a delay do not"
-        )
-    if effects <= SLIDING:
-        return (
-            "constant speeds from 1 % to 90 % of the limit, both ways: each friction law has its own curve over speed"
-        )
-    if effects <= {"payload", "parameter", "torque_constant"}:
-        return (
-            "the same motion once more with a known mass at the flange: it scales with the torque constant, "
-            "and adds to a payload"
-        )
-    if effects & {"rotor_inertia", "joint_coupling"}:
-        return "one axis at a time, at rest and at the largest acceleration: what the others do to it shows apart"
-    if effects & LOAD or "torque_ripple" in effects:
-        return "one slow sweep of the axis over its whole range, there and back: torque over position at constant speed"
-    return "the same trajectories at half the speed, with standstills of a second"
+def _advice(names: set[str]) -> str:
+    """What a test shows of one alone tells it from the other; some need both to show, each in its own way."""
+    shown = [CATALOGUE[name].log_tests if name in CATALOGUE else OFF for name in names]
+    some = {test for tests in shown for test in tests}
+    both = {test for test in some if all(test in tests for tests in shown)}
+    useful = (some - {"reversals", "speeds", "mass"}) | both
+    if "speeds" in both and "reversals" in some:
+        useful.add("reversals")
+    return next((ADVICE[test] for test in ADVICE if test in useful), OTHERWISE)

@@ -18,15 +18,11 @@ from twin.diagnose.torque_signal import Run
 from twin.diagnose.verdict import Candidate, Missing
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
+from twin.physics import effect_of
 from twin.robot.description import Entry, Robot
 
 USUAL_GAP = 5e-4  # rad at the gear output (m): a few minutes of arc
-DOUBT = (0.003, 0.01, 0.03, 0.06, 0.12)  # of a joint's RMS load: over which the gap is crossed
-INEXACT = 0.005  # of a gap: what the law of its crossing is off by
-STEP = 0.05  # of the logarithm of that load, for differences
-ORDER = 10  # of the noise's autoregression
-FIRST = 13.0  # ln evidence below which nothing is named, as for torques
-LEAST = 0.1  # of its gain on the rows used, per row, that rows not used must show
+CROSSED_OVER = (0.003, 0.01, 0.03, 0.06, 0.12)  # of a joint's RMS load: over which the gap is crossed
 
 
 @dataclass(frozen=True)
@@ -64,7 +60,7 @@ class Play:
     @property
     def seen(self) -> bool:
         """Whether it is named."""
-        return self.gain > FIRST and (self.held is None or self.held > 0)
+        return self.gain > calibration()["first"] and (self.held is None or self.held > 0)
 
 
 def plays(system: System, kept: Sequence[Run], kept_states: Sequence[State]) -> list[Play]:
@@ -85,27 +81,29 @@ def _widest(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint
     def at(log_share: float) -> Play:
         return _play(used, aside, joint, float(np.exp(log_share)))
 
-    grid = np.log(DOUBT)
+    grid = np.log(CROSSED_OVER)
     coarse = [at(x) for x in grid]
     k = int(np.argmax([play.gain for play in coarse]))
-    if coarse[k].gain <= FIRST:
+    if coarse[k].gain <= calibration()["first"]:
         return coarse[k]
     ends = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
     x = float(minimize_scalar(lambda x: -at(x).gain, bounds=ends, method="bounded", options={"xatol": 0.01}).x)
-    low, here, high = at(x - STEP), at(x), at(x + STEP)
-    bend = max(2 * here.gain - low.gain - high.gain, 0.0) / STEP**2
-    turn = (high.gap - low.gap) / (2 * STEP)
-    parts = here.deviation, turn / np.sqrt(max(bend, 1.0)), INEXACT * here.gap
+    step, inexact = 0.05, 0.005  # for differences; of a gap, what the law of its crossing is off by
+    low, here, high = at(x - step), at(x), at(x + step)
+    bend = max(2 * here.gain - low.gain - high.gain, 0.0) / step**2
+    turn = (high.gap - low.gap) / (2 * step)
+    parts = here.deviation, turn / np.sqrt(max(bend, 1.0)), inexact * here.gap
     return replace(here, deviation=float(np.linalg.norm(parts)))
 
 
 def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: int, share: float) -> Play:
+    numbers = calibration()
     scale = float(np.sqrt(np.mean(np.concatenate([s.load[:, joint] for _, s in used]) ** 2))) + 1e-12
     X, g, y, valid = _columns(used, joint, scale, share)
     rich = np.column_stack([X, g])[valid]
     rest = y - np.column_stack([X, g]) @ np.linalg.lstsq(rich, y[valid], rcond=1e-9)[0]
     e = np.where(valid, rest, 0.0)
-    order = min(ORDER, int(valid.sum()) // 20)
+    order = min(10, int(valid.sum()) // 20)  # of the noise's autoregression
     correlation = np.array([e[: len(e) - k] @ e[k:] for k in range(order + 1)]) / max(int(valid.sum()), 1)
     if not correlation[0] > 1e-24:
         return Play(joint, 0.0, np.inf, -np.inf, 0.0, None, np.inf)
@@ -116,7 +114,7 @@ def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: 
     information = float(column @ column)
     pull = float(column @ data)
     gap = max(pull / (information + 1 / USUAL_GAP**2), 0.0)
-    occam = 0.5 * np.log1p(information * USUAL_GAP**2) - np.log(2.0) + np.log(len(DOUBT))
+    occam = 0.5 * np.log1p(information * USUAL_GAP**2) - np.log(2.0) + np.log(len(CROSSED_OVER))
     gain = 0.5 * gap * pull - occam
     held = None
     if aside:
@@ -127,9 +125,9 @@ def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: 
         expected = 0.5 * gap * pull * len(white2) / max(len(white), 1)
         seen = float(gap * (column2 @ data2) - 0.5 * gap**2 * (column2 @ column2))
         if 0.5 * gap**2 * float(column2 @ column2) > 1.0:  # a load that keeps its sign there says nothing
-            held = seen - LEAST * min(expected, 0.5 * gap**2 * float(column2 @ column2))
+            held = seen - numbers["foretold"] * min(expected, 0.5 * gap**2 * float(column2 @ column2))
     deviation = 1 / np.sqrt(information + 1 / USUAL_GAP**2)
-    needed = max(FIRST, calibration()["temperature"] * np.log(60.0)) + occam
+    needed = max(numbers["first"], numbers["temperature"] * np.log(60.0)) + occam
     return Play(
         joint, gap, float(deviation), gain, gap * pull, held, float(np.sqrt(2 * needed / max(information, 1e-30)))
     )
@@ -165,7 +163,7 @@ def _white(whitening: FloatArray, columns: FloatArray, valid: np.ndarray) -> Flo
 
 def with_play(robot: Robot, play: Play) -> Robot:
     """The description with the gap in it."""
-    entry = Entry.model_validate({"effect": "backlash", "site": play.site, "gap": play.gap})
+    entry = Entry.model_validate({"effect": effect_of("play").name, "site": play.site, "gap": play.gap})
     return robot.model_copy(update={"physics": [*robot.physics, entry]})
 
 
@@ -178,7 +176,7 @@ def missing_play(play: Play, robot: Robot) -> Missing:
     """
     ends = [max(play.gap + side * NINETY * play.deviation, 0.0) for side in (-1, 1)]
     first = Candidate(
-        "backlash", play.site, play.gain, robot,
+        effect_of("play").name, play.site, play.gain, robot,
         {"gap": {"value": play.gap, "unit": "rad", "interval90": ends}},
     )  # fmt: skip
     evidence = (

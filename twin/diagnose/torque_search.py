@@ -43,47 +43,15 @@ from twin.diagnose.torque_fit import (
     without,
     worth,
 )
-from twin.diagnose.torque_laws import REFERRING, USUAL, Suspect, smooth_columns
+from twin.diagnose.torque_laws import USUAL_SHARE, Suspect, smooth_columns
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress, spread
-from twin.physics import CATALOGUE
-from twin.physics.effect import axis_of
+from twin.physics import effect_named, effect_of
+from twin.physics.effect import Effect, axis_of
 from twin.robot.description import Entry
 
-FINALISTS = 8
-RACE = 0.05  # of the best gain: less is not refined
-REACH = 0.9  # of the gain of a free function of the joint's state: less is no name
-SLIGHT = 0.01  # of the evidence gained by names: less is their laws' inexactness
-SEEN = 15.0  # ln evidence of such a function from which something is there
-SIMPLER = 0.9  # of the best gain: a hypothesis with fewer numbers that reaches it is preferred
-ROUNDS = 5  # of looking for more with what was found in the model
-FIRST = 13.0  # ln evidence below which nothing is named: the largest of nulls
-FURTHER = 25.0  # ln evidence that a second thing must gain: it was looked for among more
-SWITCH = 2.0  # ln evidence by which another must explain everything better to take the place of what was found
-DOUBTFUL = 10.0  # times that: less lost at once, and what was found is tried without again
-WIDENED = 5.0  # factor on the prior deviation of a base parameter suspected to be off beyond its tolerance
-RELIEF = 0.5  # of the evidence gained: less from the residual, and it comes from tension against priors
-STRAINED = 25.0  # square of the description's departures per held direction, in tolerances: it allows too little
-HARM = 2.0  # of ½ χ² on rows not used that such an entry may cost
-UNLIKE_OTHERS = 20.0  # factor on how far presliding of a joint with a slip of its own may be from the others'
-LEAST_OTHER = 0.01  # probability that something has no name here, at least
-REFINED = frozenset({"hysteresis", "stribeck_friction"})
-"""Laws that are Coulomb friction in a limit: where there is none, it comes first if it does most of what they do."""
-
-AGEING = frozenset({"friction_drift"})
-"""Laws of the clock: runs kept aside hold the same motions as those used, not the same hour of the warm-up."""
-
-MOST = 0.5  # of their gain
-TRIED = 3  # answers of one look, where runs not used do not bear out the first
-ELEMENTS = 3  # of slip at a joint, at most
-NEARLY_EVERY = 0.05  # share of reversals after which an axis may move less than an element that yields at once
-BEYOND = 5.0  # deviations above zero of what an element yields at: other finds shift it, too
-TRAVELS = (0.1, 10.0)  # of a further element over that of the strongest there is
-EXACT = 2e-3  # of the evidence gained so far: what laws already in the model may be off by
-SHARE = 0.1  # of the gain on the rows used, per row, that runs not used must show
-SETTLED = 3  # steps of all numbers beside what is judged or left out: all were refined before
-LEAST = 0.001  # of the whitened residual's power on the joints concerned: less improvement is not worth a name
+REFITTED = 3  # steps of all numbers beside what is judged or left out: all were refined before
 
 
 @dataclass
@@ -116,6 +84,11 @@ class Step:
     def trial(self) -> Trial | None:
         """Of the first, ``None`` where it is a number of the base model."""
         return self.trials.get(self.key)
+
+    @property
+    def effect(self) -> Effect:
+        """What the first is."""
+        return effect_named(self.first.hypothesis.effect)
 
     @property
     def key(self) -> str:
@@ -156,7 +129,7 @@ class Step:
         if self.trial is None:
             fit = base_fit(with_wider(wide, self.first.hypothesis), self.first.hypothesis)
         else:
-            fit = fitted(wide, refine(wide, evaluate(wide, self.trial.suspect, self.trial.u), SETTLED))
+            fit = fitted(wide, refine(wide, evaluate(wide, self.trial.suspect, self.trial.u), REFITTED))
         return fit.evidence() - base_fit(wide).evidence()
 
 
@@ -165,7 +138,8 @@ def too_narrow(system: System, fit: Fitted) -> Hypothesis:
     described = np.arange(system.base.spread.shape[1])
     held = float(np.sum(1 - np.diag(np.linalg.inv(fit.information))[described]))
     tension = float(np.sum(fit.z[described] ** 2)) / max(held, 1.0)
-    names = [system.parameters.names[k] for k in described] if tension > STRAINED else []
+    far = calibration()["far"] ** 2
+    names = [system.parameters.names[k] for k in described] if tension > far else []
     return Hypothesis("parameter", "description", scale=tuple((name, float(np.sqrt(tension))) for name in names))
 
 
@@ -191,7 +165,7 @@ class Search:
     after: Fitted
     free: FloatArray
     left: FloatArray
-    other: tuple[int, float] = (0, LEAST_OTHER)
+    other: tuple[int, float] = (0, 0.0)
     law: tuple[int, Trial, Fitted] | None = None
     aside: Base | None = None
     narrow: float = 1.0
@@ -214,11 +188,13 @@ class Search:
 
     def unreached(self) -> tuple[int, float]:
         """The joint where names explain least of what is missing, and the probability that it has no name here."""
-        worst, most = 0, LEAST_OTHER
-        least = max(SEEN, SLIGHT * sum(step.gain for step in self.found))
+        numbers = calibration()
+        worst, most = 0, numbers["least_other"]
+        least = max(numbers["first"], numbers["unnamed_share"] * sum(step.gain for step in self.found))
         for joint, left in enumerate(self.left):
             if left > least:
-                p = float(np.clip(1 / (1 + np.exp(-(REACH - 0.1 - self.reached(joint)) / 0.03)), LEAST_OTHER, 0.99))
+                short = (numbers["named_reach"] - self.reached(joint)) / numbers["unexplained_width"]
+                p = float(np.clip(1 / (1 + np.exp(-short)), numbers["least_other"], 0.99))
                 if p > most:
                     worst, most = joint, p
         return worst, most
@@ -226,7 +202,7 @@ class Search:
 
 def explain(
     system: System, kept: Sequence[Run], suspects: Sequence[Suspect], progress: Progress | None = None,
-    processes: int = 1,
+    processes: int = 1, rounds: int = 5,
 ) -> Search:  # fmt: skip
     """Look for what is missing, one thing after the other; where names do not reach, for a law.
 
@@ -235,13 +211,14 @@ def explain(
         kept: runs (or blocks) not used.
         suspects: all that could be missing.
         processes: what can be is spread over so many.
+        rounds: of looking for more with what was found in the model, at most.
     """
     plain = system
     progress = progress or (lambda description, total: lambda count: None)
     judge = Judge(system, kept) if kept else None
     free = free_gains(system, processes)
     steps: list[Step] = []
-    for number in range(ROUNDS):
+    for number in range(rounds):
         known = {s.name for s in system.found}
         open_ = [s for s in suspects if s.name not in known]
         step = _look(system, open_, progress("screen" if not number else "look for more", len(open_)), processes)
@@ -277,7 +254,8 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
     With the probability that it is the truth: names and laws are alike likely, and so are all terms of the library.
     The names there lose that much of theirs.
     """
-    found = [(0, LEAST_OTHER)]
+    numbers = calibration()
+    found = [(0, numbers["least_other"])]
     alone = [step for step in search.found if len(step.joints) == 1]
     for joint in sorted({step.joints[0] for step in alone}):
         names = [step for step in alone if step.joints == (joint,)]
@@ -292,23 +270,28 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
         if judge is not None and (judge.density(extended(rest, law), fit) < judge.density(search.system, search.after)):
             continue
         named = search.after.evidence() - base_fit(rest).evidence()
-        lead = fit.evidence() - search.after.evidence() - EXACT * named
-        odds = lead / calibration()["temperature"] - len(fit.hypothesis.own) * np.log(count)
-        other = float(np.clip(1 / (1 + np.exp(-odds)), LEAST_OTHER, 0.99))
+        lead = fit.evidence() - search.after.evidence() - numbers["inexact"] * named
+        odds = lead / numbers["temperature"] - len(fit.hypothesis.own) * np.log(count)
+        other = float(np.clip(1 / (1 + np.exp(-odds)), numbers["least_other"], 0.99))
         found.append((joint, other))
         for step in names:
             step.decision = replace(step.decision, probability=[(1 - other) * p for p in step.decision.probability])
     return found
 
 
-def _first_borne_out(step: Step, earlier: Sequence[Step], suspects: Sequence[Suspect], judge: "Judge | None") -> Step:
-    """The step with the first of its answers that goes into the model; as it is where none does."""
+def _first_borne_out(
+    step: Step, earlier: Sequence[Step], suspects: Sequence[Suspect], judge: "Judge | None", tried: int = 3
+) -> Step:
+    """The step with the first of its answers that goes into the model; as it is where none of those ``tried`` does."""
     answer = step
-    for _ in range(TRIED):
+    for _ in range(tried):
         if _borne_out(answer, earlier, judge):
             return answer
         left = [fit for fit in answer.decision.ranked if fit.hypothesis.key != answer.key]
-        if max((fit.evidence() for fit in left), default=-np.inf) - step.base.evidence() < MOST * step.gain:
+        if (
+            max((fit.evidence() for fit in left), default=-np.inf) - step.base.evidence()
+            < calibration()["mostly"] * step.gain
+        ):
             break
         answer = _decided(step.system, step.trials, left, suspects)
     return step
@@ -318,10 +301,11 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     """Whether the first answer of a step goes into the model; the runs not used have their say."""
     if not step.decision.ranked or step.decision.probability[0] < step.decision.none:
         return False
-    gained = sum(other.gain for other in earlier)
-    needed = max(EXACT * gained, (FURTHER if earlier else FIRST) * max(1.0, step.misfit))
+    gained, numbers = sum(other.gain for other in earlier), calibration()
+    least = numbers["further"] if earlier else numbers["first"]
+    needed = max(numbers["inexact"] * gained, least * max(1.0, step.misfit))
     gain = step.borne
-    enough = gain > (min(needed, FIRST) if judge is not None else needed)
+    enough = gain > (min(needed, numbers["first"]) if judge is not None else needed)
     if enough and judge is not None:  # what runs not used say counts as what those used do
         step.held, enough = judge.gain(step.system, step.first, step.trial)
         enough = enough and gain + max(step.held, 0.0) > needed
@@ -343,7 +327,7 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
             joint = trial.column.joints[0]
             joints[joint] = max(joints.get(joint, 0.0), fit.evidence() - step.base.evidence())
     for joint in sorted(joints, key=lambda j: -joints[j]):
-        if joint in taken or joints[joint] < FURTHER:
+        if joint in taken or joints[joint] < calibration()["further"]:
             continue
         again = {k: t for k, t in step.trials.items() if t.column.joints == (joint,)}
         trials = {k: refine(system, evaluate(system, t.suspect, t.u), 3) for k, t in again.items()}
@@ -368,17 +352,19 @@ def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], jud
 
     for number, step in enumerate(steps):
         gains = {fit.hypothesis.key: fit.evidence() - step.base.evidence() for fit in step.decision.ranked}
-        rivals = [trial for key, trial in step.trials.items() if gains.get(key, 0.0) > MOST * step.gain]
+        rivals = [
+            trial for key, trial in step.trials.items() if gains.get(key, 0.0) > calibration()["mostly"] * step.gain
+        ]
         if not step.accepted or step.trial is None or len(rivals) < 2:
             continue
-        others = left_out(system, step, iterations=SETTLED)
+        others = left_out(system, step, iterations=REFITTED)
         trials = {t.suspect.hypothesis.key: settle(others, _as_suspected(t, suspects)) for t in rivals}
         fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others, suspects)]
         again = _decided(others, trials, fits, suspects)
         if again.key == step.key or again.trial is None:
             continue
         other = accepted(others, again)
-        if likely(other) > likely(system) + SWITCH and possible(other, again):
+        if likely(other) > likely(system) + calibration()["tie"] and possible(other, again):
             again.trials[again.key] = unshrunk(again.trial)
             again.accepted, again.held = True, step.held
             steps[number], system = again, other
@@ -418,26 +404,29 @@ def left_out(system: System, *steps: Step, iterations: int = 8) -> System:
     return relinearised(system, iterations)
 
 
-def _freed(system: System, step: Step) -> Hypothesis:
-    """Numbers of the base model that a step's first answer frees; a joint whose friction slips is like no other."""
+def _freed(system: System, step: Step, unlike_others: float = 20.0) -> Hypothesis:
+    """Numbers of the base model that a step's first answer frees; a joint whose friction slips is like no other.
+
+    How it turns round may be ``unlike_others`` times as far from the other joints' as a joint's without slip.
+    """
     hypothesis = step.first.hypothesis
-    if hypothesis.effect != "hysteresis":
+    if not step.effect.memory:
         return Hypothesis("parameter", hypothesis.site, scale=hypothesis.scale)
     own = tuple(f"ordinary_presliding@joint{j + 1}." for j in step.joints)
-    numbers = tuple((n, UNLIKE_OTHERS) for n in system.base.parameters.names if n.startswith(own))
+    numbers = tuple((n, unlike_others) for n in system.base.parameters.names if n.startswith(own))
     return Hypothesis("parameter", hypothesis.site, scale=numbers)
 
 
 def _all_grown(steps: Sequence[Step], system: System, judge: "Judge | None") -> System:
     """The model with slip of as many elements as the rows bear, before another law is sought for what one leaves."""
     for step in steps:
-        if step.accepted and step.first.hypothesis.effect == "hysteresis" and not step.grown:
+        if step.accepted and step.effect.elements and not step.grown:
             system, step.grown = _grown(step, system, judge), True
     return system
 
 
-def _grown(step: Step, system: System, judge: "Judge | None") -> System:
-    """The model with as many slip elements at a joint as the rows bear: one stands for a first guess only."""
+def _grown(step: Step, system: System, judge: "Judge | None", most: int = 3) -> System:
+    """The model with as many slip elements at a joint as the rows bear, up to ``most``: one is a first guess only."""
 
     def likely(model: System) -> tuple[float, float]:
         fit = base_fit(model)
@@ -446,15 +435,16 @@ def _grown(step: Step, system: System, judge: "Judge | None") -> System:
     others = left_out(system, step)
     wide = with_wider(others, _freed(others, step))
     before = likely(system)
-    for _ in range(ELEMENTS - 1):
+    for _ in range(most - 1):
         trial = step.trials[step.key]
         trial = replace(trial, u=system.z[system.own(trial.suspect)])
-        starts = [evaluate(wide, *_with_element(trial, factor), slopes=False) for factor in TRAVELS]
+        starts = [evaluate(wide, *_with_element(trial, factor), slopes=False) for factor in (0.1, 10.0)]
         best = max(starts, key=lambda t: t.gain)
         longer = replace(step, trials={step.key: refine(wide, evaluate(wide, best.suspect, best.u), 4)})
         grown = accepted(others, longer)
         after = likely(grown)
-        if after[0] - before[0] < max(FURTHER, EXACT * step.gain) or after[1] < before[1]:
+        numbers = calibration()
+        if after[0] - before[0] < max(numbers["further"], numbers["inexact"] * step.gain) or after[1] < before[1]:
             break
         if not _clear(grown, longer):
             break
@@ -469,56 +459,63 @@ def _clear(system: System, step: Step) -> bool:
     at = system.own(suspect)
     doubt = np.sqrt(np.diag(np.linalg.inv(system.information))[at]) * [p.deviation for p in suspect.hypothesis.own]
     sizes = suspect.nonnegative & ~np.array([p.log for p in suspect.hypothesis.own])
-    return bool((own_values(suspect.hypothesis.own, system.z[at]) > BEYOND * doubt)[sizes].all())
+    return bool((own_values(suspect.hypothesis.own, system.z[at]) > calibration()["far"] * doubt)[sizes].all())
 
 
 def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
     """A slip suspect with one element more, of half the strongest's torque and ``factor`` of its travel."""
-    suspect, hypothesis = trial.suspect, trial.suspect.hypothesis
-    values = own_values(hypothesis.own, trial.u).reshape(-1, 2)  # yield torque and stiffness of each
-    strongest = values[np.argmax(values[:, 0])]
-    new = np.array([0.5 * strongest[0], 0.5 * strongest[1] / factor])
+    suspect, hypothesis, names = trial.suspect, trial.suspect.hypothesis, trial.suspect.effect.elements
+    width = len(names)
+    values = own_values(hypothesis.own, trial.u).reshape(-1, width)
+    new = suspect.effect.another(values, factor)
     count = len(values)
     (entry,) = hypothesis.entries
-    own = [*hypothesis.own, *(replace(p, name=p.name.replace("[0]", f"[{count}]")) for p in hypothesis.own[:2])]
-    lists = {name: [*entry.values[name], entry.values[name][0]] for name in ("yield_torque", "stiffness")}
+    first = hypothesis.own[:width]
+    own = [*hypothesis.own, *(replace(p, name=p.name.replace("[0]", f"[{count}]")) for p in first)]
+    lists = {name: [*entry.values[name], entry.values[name][0]] for name in names}
     longer = Entry.model_validate({"effect": entry.effect, "site": entry.site, **lists})
     grown = replace(
         suspect, hypothesis=replace(hypothesis, entries=(longer,), own=tuple(own)),
-        nonnegative=np.concatenate([suspect.nonnegative, suspect.nonnegative[:2]]),
+        nonnegative=np.concatenate([suspect.nonnegative, suspect.nonnegative[:width]]),
     )  # fmt: skip
     return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
 
-def _pruned(steps: Sequence[Step], system: System) -> System:
-    """The model without what later finds have made needless, least needed first; it is accepted no more."""
+def _pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0) -> System:
+    """The model without what later finds have made needless, least needed first; it is accepted no more.
+
+    What loses at once ``doubtful`` times what it needs is not tried without, but for what acts on the same joint.
+    """
+    further = calibration()["further"]
     while True:
         found = [s for s in steps if s.accepted]
         near = set(found[-1].joints) if found and len(found[-1].joints) < 3 else set()  # the recording is at all joints
         shorter = {
-            k: left_out(system, step, iterations=SETTLED)
+            k: left_out(system, step, iterations=REFITTED)
             for k, step in enumerate(found[:-1])
-            if step.trial is None or set(step.joints) & near or worth(system, step.trial.suspect) < DOUBTFUL * FURTHER
+            if step.trial is None or set(step.joints) & near or worth(system, step.trial.suspect) < doubtful * further
         }
         if not shorter:
             return system
         needless = max(shorter, key=lambda k: base_fit(shorter[k]).evidence())
-        if base_fit(system).evidence() - base_fit(shorter[needless]).evidence() > FURTHER:
+        if base_fit(system).evidence() - base_fit(shorter[needless]).evidence() > further:
             return system
         found[needless].accepted, system = False, relinearised(shorter[needless])
 
 
-def at_once(system: System, suspect: Suspect) -> list[int]:
+def at_once(system: System, suspect: Suspect, otherwise: float = 0.05) -> list[int]:
     """Which slip elements (their numbers) turn round between two samples of the record after nearly every reversal.
+
+    ``otherwise`` is the share of reversals after which the axis may move less.
 
     Of their travel a log shows nothing but what creeps at rest.
     """
     moved, _ = _after_reversals(system, axis_of(suspect.hypothesis.site))
     if not moved.size:
         return []
-    values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)]).reshape(-1, 2)
-    travel = 2 * values[:, 0] / values[:, 1]  # yield torque over stiffness, from one sense of motion to the other
-    return np.flatnonzero(travel < np.quantile(moved, NEARLY_EVERY)).tolist()
+    effect = suspect.effect
+    values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)]).reshape(-1, len(effect.elements))
+    return np.flatnonzero(effect.travel(values) < np.quantile(moved, otherwise)).tolist()
 
 
 def seen_at_rest_only(system: System, suspect: Suspect) -> bool:
@@ -527,8 +524,9 @@ def seen_at_rest_only(system: System, suspect: Suspect) -> bool:
     Of how friction falls with speed such a record shows nothing, only that more is held at rest than in motion.
     """
     _, speed = _after_reversals(system, axis_of(suspect.hypothesis.site))
-    _, velocity = own_values(suspect.hypothesis.own, system.z[system.own(suspect)])
-    return bool(speed.size and np.median(speed) > velocity)
+    own = suspect.hypothesis.own
+    values = dict(zip((p.quantity for p in own), own_values(own, system.z[system.own(suspect)]), strict=True))
+    return bool(speed.size and np.median(speed) > values[suspect.effect.fades_over])
 
 
 def _after_reversals(system: System, joint: int) -> tuple[FloatArray, FloatArray]:
@@ -568,8 +566,10 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
     fit = fitted(system, trial)
     if judge is not None and not judge.gain(system, fit, trial)[1]:
         return
-    beside = relinearised(extended(system, trial), SETTLED)
-    needless = [s for s in search.found if s.trial is not None and worth(beside, s.trial.suspect) < FURTHER]
+    beside = relinearised(extended(system, trial), REFITTED)
+    needless = [
+        s for s in search.found if s.trial is not None and worth(beside, s.trial.suspect) < calibration()["further"]
+    ]
     if needless:  # they made up for what the law does
         for step in needless:
             step.accepted = False
@@ -612,33 +612,37 @@ def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], s
     later = {k: first for k, first in [*_ladder(system, fits, gains), *_composed(fits, gains, trials)]}
     best = max((gain for k, gain in enumerate(gains) if k not in later), default=0.0)
     numbers = [_numbers(f.hypothesis) for f in fits]
+    simpler, further = calibration()["simpler"], calibration()["further"]
     near = [
-        m for k, (m, gain) in enumerate(zip(numbers, gains, strict=True)) if gain > SIMPLER * best and k not in later
+        m for k, (m, gain) in enumerate(zip(numbers, gains, strict=True)) if gain > simpler * best and k not in later
     ]
-    handicap = [(1 - SIMPLER) * max(best, 0.0) * (m > min(near, default=0)) for m in numbers]
+    handicap = [(1 - simpler) * max(best, 0.0) * (m > min(near, default=0)) for m in numbers]
     for k, first in later.items():
-        handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + FURTHER)
-    hypotheses = [[s.hypothesis] for s in suspects]
-    return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=0.01, scale=1.0), trials)
+        handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + further)
+    hypotheses, other = [[s.hypothesis] for s in suspects], calibration()["least_other"]
+    return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=other, scale=1.0), trials)
 
 
 def _numbers(hypothesis: Hypothesis) -> int:
     """How many a hypothesis has to be fitted; that a law without a name was chosen counts as one."""
-    return max(len(hypothesis.own), len(hypothesis.scale)) + (hypothesis.effect == "discovered")
+    return max(len(hypothesis.own), len(hypothesis.scale)) + (effect_named(hypothesis.effect).part == "law")
 
 
 def _ladder(system: System, fits: Sequence[Fitted], gains: FloatArray) -> list[tuple[int, int]]:
-    """Laws that refine dry friction where the model has none, each with the plain one that comes first."""
-    present = {entry.site for entry in system.base.regressor.robot.physics if entry.effect == "coulomb_friction"}
-    present |= {s.hypothesis.site for s in system.found if s.hypothesis.effect == "coulomb_friction"}
-    plain = {f.hypothesis.site: k for k, f in enumerate(fits) if f.hypothesis.effect == "coulomb_friction"}
+    """Laws that refine a plain one (dry friction) where the model has none, each with the plain one before it."""
+    refined = {effect_named(fit.hypothesis.effect).refines for fit in fits} - {""}
     found = []
-    for k, fit in enumerate(fits):
-        site = fit.hypothesis.site.partition(".")[0]
-        first = plain.get(site)
-        refines = fit.hypothesis.effect in REFINED and site not in present
-        if refines and first is not None and gains[first] > MOST * gains[k]:
-            found.append((k, first))
+    for part in sorted(refined):
+        name = effect_of(part).name
+        present = {entry.site for entry in system.base.regressor.robot.physics if entry.effect == name}
+        present |= {s.hypothesis.site for s in system.found if s.hypothesis.effect == name}
+        plain = {f.hypothesis.site: k for k, f in enumerate(fits) if f.hypothesis.effect == name}
+        for k, fit in enumerate(fits):
+            site = fit.hypothesis.site.partition(".")[0]
+            first = plain.get(site)
+            refines = effect_named(fit.hypothesis.effect).refines == part and site not in present
+            if refines and first is not None and gains[first] > calibration()["mostly"] * gains[k]:
+                found.append((k, first))
     return found
 
 
@@ -648,9 +652,10 @@ def _composed(fits: Sequence[Fitted], gains: FloatArray, trials: dict[str, Trial
     A delay of the whole log beats slip at any one joint, and loses to slip at all.
     """
     best: dict[str, dict[int, int]] = {}
+    further = calibration()["further"]
     for k, fit in enumerate(fits):
         trial = trials.get(fit.hypothesis.key)
-        if trial is not None and len(trial.column.joints) == 1 and gains[k] > FURTHER:
+        if trial is not None and len(trial.column.joints) == 1 and gains[k] > further:
             own = best.setdefault(fit.hypothesis.effect, {})
             joint = trial.column.joints[0]
             own[joint] = max(own.get(joint, k), k, key=lambda i: gains[i])
@@ -660,21 +665,22 @@ def _composed(fits: Sequence[Fitted], gains: FloatArray, trials: dict[str, Trial
     strongest = max(sums, key=lambda effect: sums[effect])
     first = max(best[strongest].values(), key=lambda k: gains[k])
     several = (k for k, f in enumerate(fits) if (t := trials.get(f.hypothesis.key)) and len(t.column.joints) > 1)
-    return [(k, first) for k in several if sums[strongest] > gains[k] + FURTHER]
+    return [(k, first) for k in several if sums[strongest] > gains[k] + further]
 
 
 def _varied(started: Sequence[Trial]) -> list[Trial]:
     """The most promising, at most half of them from one effect; and the three best that act on each joint alone."""
-    least = max(RACE * started[0].gain, 1.0)
+    numbers = calibration()
+    least, most = max(numbers["race"] * started[0].gain, 1.0), int(numbers["finalists"])
     kept: list[Trial] = []
     for trial in started:
         same = sum(other.suspect.hypothesis.effect == trial.suspect.hypothesis.effect for other in kept)
-        if same < FINALISTS // 2 and trial.gain > least:
+        if same < most // 2 and trial.gain > least:
             kept.append(trial)
-        if len(kept) == FINALISTS:
+        if len(kept) == most:
             break
     for joint in {trial.column.joints[0] for trial in started if len(trial.column.joints) == 1}:
-        own = [trial for trial in started if trial.column.joints == (joint,) and trial.gain > FURTHER]
+        own = [trial for trial in started if trial.column.joints == (joint,) and trial.gain > numbers["further"]]
         kept += [trial for trial in own[:3] if not any(trial is other for other in kept)]
     return kept
 
@@ -695,7 +701,7 @@ def free_gain(system: System, joint: int) -> float:
     """Evidence gained by a free smooth function of a joint's position and velocity."""
     runs = system.base.runs
     middle, half, speed = span_of(runs, joint)
-    scale = USUAL * np.sqrt(np.mean(np.concatenate([r.torque[r.valid, joint] for r in runs]) ** 2))
+    scale = USUAL_SHARE * np.sqrt(np.mean(np.concatenate([r.torque[r.valid, joint] for r in runs]) ** 2))
     rows = system.whitened(joint, [scale * smooth_columns(run, joint, middle, half, speed) for run in runs])
     information, pull = system.projected(Columns((joint,), rows))
     inside = information + np.eye(len(pull))
@@ -708,21 +714,22 @@ def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
     A rotor's inertia is one thing with two names: where its effect is a suspect, it is that.
     """
     names = system.parameters.names
-    turning = {s.hypothesis.site[5:] for s in suspects if s.hypothesis.effect == "rotor_inertia"}
+    turning = {s.hypothesis.site[5:] for s in suspects if s.effect.part == "inertia"}
     drives = system.base.regressor.robot.drives
     turning = {number for number in turning if not drives[int(number) - 1].coupling}
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         owner, _, quantity = name.partition(".")
         link, rotor = owner.startswith("link"), owner.removeprefix("drive")
-        if (link and quantity == "mass") or (quantity == "rotor_inertia" and rotor not in turning):
+        drive = owner.startswith("drive") and rotor not in turning
+        if (link and quantity == "mass") or drive:
             groups[name] = [k]
-        elif name.startswith("gravity_compensator@"):
+        elif effect_named(name.partition("@")[0]).doubted:
             groups.setdefault(name.partition("[")[0], []).append(k)
     found = []
     for name, members in groups.items():
         if not any(k in system.widened for k in members):
-            hypothesis = Hypothesis("parameter", name, scale=tuple((names[k], WIDENED) for k in members))
+            hypothesis = Hypothesis("parameter", name, scale=tuple((names[k], calibration()["far"]) for k in members))
             found.append(base_fit(with_wider(system, hypothesis), hypothesis))
     return found
 
@@ -789,8 +796,8 @@ class Judge:
         wide, settled = with_wider(system, fit.hypothesis) if fit.hypothesis.scale else system, fit
         if trial is not None:
             wide = extended(system, trial)
-        if trial is not None and (system.found or fit.hypothesis.effect in REFERRING):
-            wide = relinearised(wide, SETTLED)  # what was found before, or the torques it is made of, beside the new
+        if trial is not None and (system.found or trial.suspect.effect.refers):
+            wide = relinearised(wide, REFITTED)  # what was found before, or the torques it is made of, beside the new
             settled = base_fit(wide)
         if self.before is None or self.before[0] is not system:  # several are put to one model
             self.before = system, self.rest(system, base)
@@ -802,12 +809,13 @@ class Judge:
         power = sum(0.5 * float(np.sum(before[self.system.rows(j)] ** 2)) for j in joints)
         trained = 0.5 * (base.misfit * base.data - settled.misfit * settled.data)
         expected = trained * self.system.count / max(system.count, 1)
-        if fit.hypothesis.effect in AGEING:
+        if effect_named(fit.hypothesis.effect).ages:
             expected = min(expected, 0.5 * float(np.sum((before - after) ** 2)))
         # What only relieves the tension of numbers against their priors cannot show here: it must do no harm.
-        if trained < RELIEF * (fit.evidence() - base.evidence()):
-            return rise / scale, bool(rise > -HARM * scale - 0.01 * power)
-        return rise / scale, bool(rise > max(SHARE * expected, LEAST * power))
+        numbers = calibration()
+        if trained < numbers["mostly"] * (fit.evidence() - base.evidence()):
+            return rise / scale, bool(rise > -numbers["tie"] * scale - 0.01 * power)
+        return rise / scale, bool(rise > max(numbers["foretold"] * expected, numbers["least_foretold"] * power))
 
     def density(self, system: System, fit: Fitted) -> float:
         """ln predictive density of a fit of all numbers of a system."""
@@ -820,7 +828,7 @@ def smallest_visible(system: System, suspects: Sequence[Suspect], processes: int
     Other numbers of the entry are free beside it; a list's are taken in proportion. A slip element is given by the
     torque it yields at. The work is spread over ``processes``.
     """
-    suspects = [s for s in suspects if s.hypothesis.effect != "discovered"]
+    suspects = [s for s in suspects if s.effect.part != "law"]
     return list(spread(lambda number: _visible_size(system, suspects, number), len(suspects), processes))
 
 
@@ -845,7 +853,7 @@ def _visible_size(system: System, suspects: Sequence[Suspect], number: int) -> d
     occam = 0.5 * np.log1p(energy) * max(1, len(own) - 1)
     needed = numbers["temperature"] * np.log(2 * (len(effects) + 1) * sites) + max(occam, 2.0)
     ratio = float(np.sqrt(2 * needed / energy))
-    null = CATALOGUE[hypothesis.effect].parameters[0].null
+    null = suspect.effect.parameters[0].null
     parameter, value = own[first], own_values(own, u)[first]
     size = abs(value - null) * ratio if suspect.sizes else abs(value) * ratio
     return {

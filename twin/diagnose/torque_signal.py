@@ -16,23 +16,14 @@ import scipy.interpolate
 import scipy.signal
 
 from twin.errors import InputError
-from twin.identify.regressor import Regressor
 from twin.identify.rigid import Bands, joint_run, motion_of_run, split
 from twin.identify.rigid import Rows as _Rows
 from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import MotionLog, MotionRun, saturated
+from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion, saturated
 from twin.measure.signals import lowpass
+from twin.model.regressor import Regressor
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
-
-LARGEST_BAND_HZ = 10.0
-LONG_S, LEAST_BAND_HZ = 600.0, 1.5  # a longer log has motion enough at lower frequencies, down to
-ROWS = 2.5  # per second and hertz of the low-pass
-SMOOTH, DENSE = 2, 8  # instants per row of smooth laws, and at least of laws that step
-RECORDED = 1e-5  # of its largest density: torque was low-passed in recording where its spectrum falls below
-CLEAR = 0.75  # of that frequency is clear of the recording's own low-pass
-SHORTEST = 80.0  # seconds times hertz of the low-pass, over all runs
-MOST_CUT = 0.05  # share of a run whose torque may be cut off
 
 
 @dataclass(frozen=True)
@@ -119,10 +110,20 @@ def _circle(last: int, rate_hz: float, step: int, pass_hz: float, stop_hz: float
     return _Circle(memory, after, rows, np.linspace(0, 1, last + memory + after + 1), gain)
 
 
-def bands_of(log: MotionLog) -> Bands:
-    """The low-pass a log allows: 10 Hz, less where it is long, sampled slowly or its torque low-passed in recording."""
+def bands_of(
+    log: MotionLog, largest_hz: float = 10.0, least_hz: float = 1.5, long_s: float = 600.0, recorded: float = 1e-5
+) -> Bands:
+    """The low-pass a log allows: 10 Hz, less where it is long, sampled slowly or its torque low-passed in recording.
+
+    Args:
+        log: with torque.
+        largest_hz, least_hz: within which it ends, for its length's sake.
+        long_s: a longer log has motion enough at lower frequencies.
+        recorded: torque was low-passed in recording where its density falls below so much of its largest.
+    """
+    clear = 0.75  # of that frequency is clear of the recording's own low-pass
     seconds = sum(float(run.time[-1] - run.time[0]) for run in log.runs.values())
-    stop = float(np.clip(LARGEST_BAND_HZ * LONG_S / seconds, LEAST_BAND_HZ, LARGEST_BAND_HZ))
+    stop = float(np.clip(largest_hz * long_s / seconds, least_hz, largest_hz))
     for run in log.runs.values():
         if run.torque is None:
             continue
@@ -131,22 +132,32 @@ def bands_of(log: MotionLog) -> Bands:
         length = min(len(run.torque), int(max(20 * rate, 256)))
         frequency, power = scipy.signal.welch(run.torque, rate, nperseg=length, axis=0)
         share = np.max(power / np.maximum(power.max(axis=0), 1e-300), axis=1)
-        held = np.flatnonzero(share > RECORDED)
+        held = np.flatnonzero(share > recorded)
         if held.size and frequency[held[-1]] < 0.4 * rate:
-            stop = min(stop, max(CLEAR * float(frequency[held[-1]]), 8 / (run.time[-1] - run.time[0])))
+            stop = min(stop, max(clear * float(frequency[held[-1]]), 8 / (run.time[-1] - run.time[0])))
     return Bands((0.8 * stop, stop), (1.2 * stop, 1.5 * stop))
 
 
-def run_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Run:
-    """A run in joint coordinates as rows."""
+def run_of(
+    regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: float = 2.5, coarse: int = 2, fine: int = 8
+) -> Run:
+    """A run in joint coordinates as rows.
+
+    Args:
+        regressor: of the robot.
+        run: in joint coordinates.
+        bands: low-passes.
+        rows_per_hz: rows per second and hertz of the low-pass.
+        coarse, fine: instants per row of smooth laws, and at least of laws that step.
+    """
     assert run.torque is not None
     rate = run.sample_rate_hz
     bands = bands.within(rate)
     stop = bands.fit[1]
-    upsample = max(1, int(np.ceil(DENSE * ROWS * stop / rate)))
-    keep = max(1, int(rate / (2 * DENSE * ROWS * stop)))
+    upsample = max(1, int(np.ceil(fine * rows_per_hz * stop / rate)))
+    keep = max(1, int(rate / (2 * fine * rows_per_hz * stop)))
     wide = motion_of_run(run, bands, upsample)
-    step = max(1, int(rate * upsample / keep / (ROWS * stop)))
+    step = max(1, int(rate * upsample / keep / (rows_per_hz * stop)))
     count = (len(wide.time) - 1) // (keep * step) + 1
     at = slice(0, (count - 1) * keep * step + 1, keep)
     dense = Motion(
@@ -159,7 +170,7 @@ def run_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Run:
         q, v, a = (_at(wide.time, x, time) for x in (wide.position, wide.velocity, wide.acceleration))
         return Motion(time, q, v, a, sign=_mean_sign(wide.sign))
 
-    smooth, rows = on(SMOOTH), on(1)
+    smooth, rows = on(coarse), on(1)
 
     def thin(signal: FloatArray) -> FloatArray:
         return _at(run.time, lowpass(signal, rate, *bands.fit), rows.time)
@@ -168,7 +179,7 @@ def run_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Run:
     flat = bodies.reshape(len(smooth.time), -1)
     used = np.flatnonzero(np.any(flat != 0, axis=0))
     thinned = np.zeros((count, flat.shape[1]))
-    thinned[:, used] = lowpass(flat[:, used], rows_hz * SMOOTH, *bands.fit)[::SMOOTH]
+    thinned[:, used] = lowpass(flat[:, used], rows_hz * coarse, *bands.fit)[::coarse]
     trim = 3 / stop
     valid = (rows.time > run.time[0] + trim) & (rows.time < run.time[-1] - trim)
     cut = saturated(run).any(axis=1)
@@ -224,20 +235,23 @@ def prepare(
     Raises:
         InputError: no torque, torque cut off too often, a run too short, or a name to hold out that is not there.
     """
+    refuse_without_motion(log, source)
     bands = bands or bands_of(log)
+    shortest = 80.0  # seconds times hertz of the low-pass, over all runs; of one run half of it
     regressor = Regressor(robot)
     runs, notes = [], list(log.notes)
     seconds = sum(float(run.time[-1] - run.time[0]) for run in log.runs.values())
-    if seconds * bands.fit[1] < SHORTEST:
-        least = SHORTEST / bands.fit[1]
+    if seconds * bands.fit[1] < shortest:
+        least = shortest / bands.fit[1]
         raise InputError(source, "runs", f"too short to judge: {seconds:.2g} s in all, expected {least:.2g} s or more")
     for name, run in log.runs.items():
         if run.torque is None:
             raise InputError(source, f"runs/{name}/torque", "missing: a trajectory cannot be diagnosed")
-        if (run.time[-1] - run.time[0]) * bands.fit[1] < 40:
-            raise InputError(source, f"runs/{name}/time", f"shorter than {40 / bands.fit[1]:.2g} s: too short to judge")
-        if (share := saturated(run).any(axis=1).mean()) > MOST_CUT:
-            raise InputError(source, f"runs/{name}/torque", f"saturated for {share:.0%} of the run")
+        if (run.time[-1] - run.time[0]) * bands.fit[1] < 0.5 * shortest:
+            raise InputError(
+                source, f"runs/{name}/time", f"shorter than {0.5 * shortest / bands.fit[1]:.2g} s: too short to judge"
+            )
+        refuse_saturated(run, source)
         runs.append(run_of(regressor, joint_run(robot, run), bands))
     none = np.zeros((0, 0))
     rows = [

@@ -5,15 +5,18 @@ from itertools import combinations
 
 import numpy as np
 
-from twin.diagnose.noise import pooled_variance, shared_lines
+from twin.diagnose.noise import ANALYSER, perfect, pooled_variance, shared_lines
+from twin.diagnose.note import Note
 from twin.errors import InputError
-from twin.identify.elastic import Recorded, base_name, prepare
-from twin.measure.campaign import Campaign, frf_variance
-from twin.measure.spectra import Check, driving_points, force_levels, linearity, reciprocity
+from twin.identify.recorded import Recorded, base_name, prepare
+from twin.measure.campaign import Campaign, PostureFRF, frf_variance
+from twin.measure.spectra import Check, driving_points, linearity, reciprocity
 from twin.robot.description import Robot
 
 NEAR = 5  # lines over which disagreement is pooled
+INDEPENDENT_LINES = 25  # of a record whose error is not noise
 HOMOGENEOUS = 2.0  # linear robots reach 1.4
+REPEAT = "repeat"  # the name of a check of a posture recorded again, nobody knows how hard
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,7 @@ class Triage:
         checks: what was looked at; ``warnings`` what failed.
         nonlinear: force levels disagree by more than their noise.
         shared: lines that carry the noise of one independent line.
+        assumed: what the recording does not state and was taken for granted, one sentence each.
     """
 
     recordings: dict[str, Recorded]
@@ -33,6 +37,7 @@ class Triage:
     checks: tuple[Check, ...]
     nonlinear: bool
     shared: float = 1.0
+    assumed: tuple[str, ...] = ()
 
     @property
     def used(self) -> list[Recorded]:
@@ -46,8 +51,10 @@ class Triage:
 
     @property
     def warnings(self) -> list[str]:
-        """Failed checks, one line each."""
-        return [str(check) for check in self.checks if not check.passed]
+        """Failed checks, one line each, and what was assumed."""
+        failed = [check for check in self.checks if not check.passed]
+        notes = [Note(str(check).removeprefix("FAIL "), check.kind.replace(" ", "_"), "fail") for check in failed]
+        return [*notes, *self.assumed]
 
 
 def believed(campaign: Campaign, robot: Robot, source: str) -> tuple[dict[str, Recorded], float]:
@@ -87,7 +94,22 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
         held = [groups.get(name, name) for name in hold_out]
         if set(held) >= set(names):
             raise InputError("--hold-out", ", ".join(hold_out), "nothing is left to fit to")
-    return Triage(recordings, tuple(held), (*checks, *levels), any(not check.passed for check in levels), shared)
+    noiseless = [name for name, posture in campaign.postures.items() if perfect(posture)]
+    if noiseless:  # what an analyser or a simulation is off by is smooth over lines
+        lines = float(np.median([len(campaign.postures[name].frequency) for name in noiseless]))
+        shared = max(shared, lines / INDEPENDENT_LINES)
+    assumed = [
+        f"{', '.join(noiseless)}: the coherence is one, so the recording states no noise; it is believed to "
+        f"{ANALYSER:.1%} of the response, what the channels of an analyser agree to"
+    ]
+    nonlinear = any(check.kind == "linearity" and not check.passed for check in levels)
+    unknown = "postures disagree without a peak_force_n that says how hard they were hit: no law of amplitude is sought"
+    forceless = any(check.kind == REPEAT and not check.passed for check in levels)
+    notes = [
+        *(Note(text, "noise_unstated", "note") for text in assumed if noiseless),
+        *([Note(unknown, "force_unstated", "note")] if forceless else ()),
+    ]
+    return Triage(recordings, tuple(held), (*checks, *levels), nonlinear, shared, tuple(notes))
 
 
 def _linear(campaign: Campaign, recordings: dict[str, Recorded]) -> list[Check]:
@@ -99,19 +121,36 @@ def _linear(campaign: Campaign, recordings: dict[str, Recorded]) -> list[Check]:
     if any(frf_variance(posture) is None for posture in campaign.postures.values()):
         return linearity(campaign)
     checks = []
-    for group in force_levels(campaign):
+    for group in _repeated(campaign):
         for low, high in combinations(group, 2):
             a, b = recordings.get(low.name), recordings.get(high.name)
-            if a is None or b is None or a.frf.shape != b.frf.shape:
+            if a is None or b is None:
                 continue
-            variance = 2 * (a.variance + b.variance)
+            _, one, two = np.intersect1d(a.frequency.round(6), b.frequency.round(6), return_indices=True)
+            if not len(one):
+                continue
+            variance = 2 * (a.variance[one] + b.variance[two])
             live = np.isfinite(variance) & (variance > 0)
-            ratio = np.divide(np.abs(b.frf - a.frf) ** 2, variance, out=np.zeros(live.shape), where=live)
+            ratio = np.divide(np.abs(b.frf[two] - a.frf[one]) ** 2, variance, out=np.zeros(live.shape), where=live)
             count = np.convolve(live.sum(axis=(1, 2)), np.ones(NEAR), "same")
             value = float(np.max(np.convolve(ratio.sum(axis=(1, 2)), np.ones(NEAR), "same") / np.maximum(count, 1)))
-            subject = f"{low.name} ({low.peak_force_n:.0f} N) and {high.name} ({high.peak_force_n:.0f} N)"
-            checks.append(Check("linearity", subject, value, value < HOMOGENEOUS))
+            known = low.peak_force_n is not None and high.peak_force_n is not None
+            names = [f"{p.name} ({p.peak_force_n:.0f} N)" if known else p.name for p in (low, high)]
+            checks.append(Check("linearity" if known else REPEAT, " and ".join(names), value, value < HOMOGENEOUS))
     return checks
+
+
+def _repeated(campaign: Campaign) -> list[list[PostureFRF]]:
+    """Postures recorded more than once, whatever their lines; the lowest force first."""
+    groups: list[list[PostureFRF]] = []
+    for posture in campaign.postures.values():
+        for group in groups:
+            if np.allclose(group[0].q_deg, posture.q_deg) and group[0].brakes == posture.brakes:
+                group.append(posture)
+                break
+        else:
+            groups.append([posture])
+    return [sorted(group, key=lambda p: p.peak_force_n or 0.0) for group in groups if len(group) > 1]
 
 
 def _spared(names: list[str], recordings: dict[str, Recorded]) -> list[str]:

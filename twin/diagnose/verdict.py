@@ -11,14 +11,17 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.diagnose.decide import Decision, calibration
+from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
 from twin.identify.uncertainty import NINETY
+from twin.result import Result, Table
 from twin.robot.description import Entry, Robot
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]
 
+PARTS = ("train", "held_out")
 STRAINED = 3.5  # prior deviations
 MEANING: dict[Word, str] = {
     "adequate": "adequate: nothing is missing that these recordings could show",
@@ -147,7 +150,7 @@ class Finding:
 
 
 @dataclass
-class Verdict:
+class Verdict(Result):
     """``twin diagnose``'s answer; ``data()`` is the content of diagnosis.json.
 
     Attributes:
@@ -169,6 +172,8 @@ class Verdict:
     model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
+
+    drawn_by = "twin.report.diagnosis"
 
     @classmethod
     def of(cls, finding: Finding) -> "Verdict":
@@ -221,12 +226,12 @@ class Verdict:
     def data(self) -> dict[str, Any]:
         """Plain data in the format ``twin-diagnosis``."""
         data = {
-            "format": "twin-diagnosis", "version": 1, "verdict": self.word,
+            "format": "twin-diagnosis", "version": 2, "verdict": self.word,
             "effects": [missing.data() for missing in self.missing],
             "probabilities": {"none": self.none, "other": self.other},
             "location": self.location, "error": self.error, "smallest_visible": self.smallest_visible,
             "next_test": self.next_test, "model": self.model, "held_out": self.held_out,
-            "triage": [text for finding in self.findings for text in finding.warnings],
+            "triage": [_note(text).data() for finding in self.findings for text in finding.warnings],
             "finalists": [row for finding in self.findings for row in finding.finalists],
             "checks": self.checks, "payload_edit": self.payload_edit,
             "recordings": [
@@ -238,6 +243,26 @@ class Verdict:
             "files": self.files, "provenance": self.origin,
         }  # fmt: skip
         return dict(_finite(data))
+
+    def tables(self) -> list[Table]:
+        """Answers with their probabilities, parameters of the first answers, errors by recording."""
+        answers: list[tuple[str, str]] = []
+        for missing in self.missing:
+            answers.append((missing.first.title, f"{missing.probability:.2f}"))
+            answers += [(f"or {rival.title}", f"{p:.2f}") for rival, p in missing.rivals]
+        answers += [("nothing missing", f"{self.none:.2f}"), ("something else", f"{self.other:.2f}")]
+        numbers = [(m.first.title, row) for m in self.missing for row in parameter_rows(m.first.parameters)]
+        errors = [
+            (finding.recording, stage.replace("_", " "), *(_percent(finding.error[stage][p]) for p in PARTS))
+            for finding in self.findings
+            for stage in STAGES
+        ]
+        found = [
+            Table(("what is missing", "probability"), answers, (1,)),
+            Table(("", "parameter"), numbers),
+            Table(("recording", "error", "used", "held out"), errors, (2, 3)),
+        ]
+        return [table for table in found if table.rows]
 
     def __str__(self) -> str:
         lines = [MEANING[self.word]]
@@ -274,6 +299,15 @@ class Verdict:
         if self.files:
             lines.append("  wrote " + ", ".join(self.files))
         return "\n".join(lines)
+
+
+def _percent(error: float | None) -> str:
+    return "" if error is None else f"{error:.2%}"
+
+
+def _note(text: str) -> Note:
+    """A sentence of the triage, of no special kind where it has none."""
+    return text if isinstance(text, Note) else Note(text)
 
 
 def _finite(data: Any) -> Any:
@@ -417,18 +451,27 @@ def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
 
 
 def strained(fit: Fitted) -> list[str]:
-    """Described stiffnesses that a fit takes much further than their description allows, a sentence each.
+    """Described numbers that a fit takes much further than their description allows, a sentence each.
 
     What is in series with such a spring, about its axis, may be all that is wrong with it.
     """
-    found, widened = [], dict(fit.hypothesis.scale)
-    for p, value in list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]:
-        if p.quantity != "stiffness" or not p.log:
+    found: list[str] = []
+    widened = dict(fit.hypothesis.scale)
+    base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
+    for p, value in base:
+        if p.kind == "sag" or p.quantity == "damping":
             continue
-        off = abs(float(np.log(value / p.mean))) * widened.get(p.name, 1.0) / p.deviation
+        change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
+        off = abs(change) * widened.get(p.name, 1.0) / p.deviation
         if off > STRAINED:
-            found.append(
-                f"{p.site} comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard "
-                "deviations off: either that is wrong, or something in series about the same axis looks like it"
+            told = (
+                f"comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard deviations off"
             )
+            if p.quantity == "stiffness":
+                text = (
+                    f"{p.site} {told}: either that is wrong, or something in series about the same axis looks like it"
+                )
+            else:
+                text = f"{p.name} {told}: it may be wrong there, or the description's tolerance too narrow"
+            found.append(Note(text, "description"))
     return found

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.identify.regressor import INERTIAL, Column, Regressor
+from twin.model.regressor import INERTIAL, Column, Regressor
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 
-TOLERANCE = 1e-10  # of a column's norm: what is left of a dependent column is rounding
+ROUNDING = 1e-10  # of a column's norm: what is left of a dependent column is rounding
 INDEPENDENT = 1e-5  # of a column's norm: less is an axis a few microradians off (π written as 3.14159), not a parameter
 _KEPT_FIRST = ("Izz", "mcx", "mcy", "Ixx", "Ixz", "Ixy", "Iyz", "Iyy", "mcz", "mass")
 
@@ -67,7 +67,7 @@ def base_parameters(matrix: np.ndarray, columns: list[Column]) -> BaseParameters
         columns: (p,).
     """
     scale = np.linalg.norm(matrix, axis=0)
-    none = np.flatnonzero(scale <= TOLERANCE * max(scale.max(), 1e-300))
+    none = np.flatnonzero(scale <= ROUNDING * max(scale.max(), 1e-300))
     # Rows are squeezed to p first, so that the loop below is over small vectors.
     R: np.ndarray = np.asarray(np.linalg.qr(matrix / np.where(scale > 0, scale, 1), mode="r"))
     order = sorted((k for k in range(len(columns)) if k not in none), key=lambda k: _preference(columns[k], k))
@@ -86,7 +86,7 @@ def base_parameters(matrix: np.ndarray, columns: list[Column]) -> BaseParameters
     combine[:, used] = np.linalg.lstsq(R[:, kept], R[:, used], rcond=None)[0]
     combine *= scale[None, :] / scale[kept][:, None]
     size = np.abs(combine) * scale[kept][:, None] / np.where(scale > 0, scale, 1)[None, :]
-    combine[size < TOLERANCE] = 0.0
+    combine[size < ROUNDING] = 0.0
     combine[:, kept] = np.eye(len(kept))
     return BaseParameters(columns, np.array(kept), combine, none)
 
@@ -124,7 +124,7 @@ def _lengths(robot: Robot) -> dict[str, float]:
     symbols = {}
     for i, axis in enumerate(robot.axes):
         for name, value in ((f"a{i}", axis.a), (f"d{i + 1}", axis.d)):
-            if abs(value) > TOLERANCE:
+            if abs(value) > ROUNDING:
                 symbols[name] = abs(value)
     return symbols
 

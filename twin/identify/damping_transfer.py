@@ -15,8 +15,8 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
 from twin.identify.posterior import Posterior
-from twin.identify.sensitivity import structures
 from twin.model.linear import state_matrix
+from twin.model.sensitivity import structures
 from twin.robot.description import Robot
 from twin.robot.mechanism import assemble_all
 

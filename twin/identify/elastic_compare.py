@@ -13,23 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from twin.identify.elastic import (
-    TEMPERS,
-    Fit,
-    Recorded,
-    coarse,
-    linear_objective,
-    log_objective,
-    minimise,
-    model_frf,
-    noise_stated,
-    without_limits,
-)
+from twin.identify.descent import minimise
+from twin.identify.elastic import TEMPERS, Fit, coarse
 from twin.identify.elastic_modal import PairedMode, frequency_error, modal_postures, predict_modes
-from twin.identify.parameters import Parameters, independent, join, recording_parameters
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded, noise_stated, without_limits
 from twin.identify.uncertainty import posterior
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
+from twin.model.parameters import Parameters, independent, join, recording_parameters
 from twin.robot.description import Robot
 
 BANDS = 6  # a recording's frequency range is judged in this many equal bands
@@ -133,19 +125,20 @@ def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False) 
     z = np.zeros(len(free))
     if len(free):
         few = coarse(recordings)
-        first, _, _, _ = minimise(log_objective(robot, free, few), z, 10, 0.1, free.bound)
+        first, *_ = minimise(Objective(robot, free, few, logarithmic=True), z, 10, 0.1, bound=free.bound)
         ends = []
         for end in (z, first):
             for temper in TEMPERS:
-                end, cost, *_ = minimise(linear_objective(robot, free, few, temper), end, 10, 0.1, free.bound)
+                end, cost, *_ = minimise(Objective(robot, free, few, temper), end, 10, 0.1, bound=free.bound)
             ends.append((end, cost))
         (best, least), (other, more) = sorted(ends, key=lambda end: end[1])
         apart = more < least + CLOSE and not np.allclose(best, other, atol=SAME)
-        whole = linear_objective(robot, free, recordings, exact=True)
-        ends = [minimise(whole, start, 20, 1e-3, free.bound)[:2] for start in ([best, other] if apart else [best])]
+        whole = Objective(robot, free, Sample(tuple(recordings)), exact=True)
+        starts = [best, other] if apart else [best]
+        ends = [minimise(whole, start, 20, 1e-3, bound=free.bound, slack=0.0)[:2] for start in starts]
         z = min(ends, key=lambda end: end[1])[0]
     values = free.values(z)
-    predicted = tuple(model_frf(robot, r, free, values) for r in recordings)
+    predicted = tuple(Objective(robot, free, Sample(tuple(recordings))).predicted(z))
     return Judged(tuple(recordings), predicted, free, values, relative_error(recordings, predicted))
 
 
@@ -180,7 +173,7 @@ def expected_error(robot: Robot, fit: Fit, recordings: Sequence[Recorded]) -> fl
     nuisance = recording_set(robot, recordings)
     both = join(physical, nuisance)
     z = both.coordinates(np.concatenate([fit.values[own], nuisance.values(np.zeros(len(nuisance)))]))
-    _, _, information = linear_objective(robot, both, recordings)(z)
+    _, _, information = Objective(robot, both, Sample(tuple(recordings)))(z)
     information = information - np.eye(len(z))
     n = len(own)
     root = physical.root

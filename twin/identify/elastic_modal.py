@@ -13,12 +13,14 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from twin.errors import InputError
-from twin.identify.elastic import Fit, Objective, Start, agreement, minimise, recorded_posture, without_limits
-from twin.identify.parameters import Parameters, free_parameters
-from twin.identify.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
+from twin.identify.descent import Descended, minimise
+from twin.identify.elastic import Fit, Start, agreement
+from twin.identify.recorded import recorded_posture, without_limits
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.measure.shapes import mac
+from twin.model.parameters import Parameters, free_parameters
+from twin.model.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
 from twin.robot.description import Robot
 
 ModalObjective = Literal["posterior", "paper"]
@@ -143,7 +145,7 @@ def fit_modes(
         ends.append(_descend(robot, postures, parameters, objective, z))
     ends.sort(key=lambda end: end[1])
     z, cost, information, converged = ends[0]
-    data = sum(2 * len(p.frequency_hz) - int(np.isnan(p.damping).sum()) for p in postures)
+    data = _data(postures)
     values = parameters.values(z)
     reached = tuple(Start(end[1], end[0], end[2]) for end in ends)
     agreeing, rival = agreement(reached)
@@ -160,16 +162,19 @@ def _descend(
     objective: ModalObjective,
     z: FloatArray,
 ) -> tuple[FloatArray, float, FloatArray, bool]:
+    """Descent from z, modes paired again every few steps: where two of the model cross, another pairing goes on."""
     pairing: list[_Pairing] | None = None
-    converged = False
+    converged = stuck = False
     cost, information = np.inf, np.eye(len(z))
-    for _ in range(12):
+    for _ in range(40):
         before, pairing = pairing, _pair(robot, postures, parameters, z, pairing)
-        if before is not None and all(np.array_equal(a.model, b.model) for a, b in zip(before, pairing, strict=True)):
+        same = before and all(np.array_equal(a.model, b.model) for a, b in zip(before, pairing, strict=True))
+        if same and (converged or stuck):
             break
-        z, cost, information, converged = minimise(
-            _modal_objective(robot, postures, parameters, objective, pairing), z, 60, 1e-6, parameters.bound
-        )
+        cost_of = _Modal(robot, postures, parameters, objective, pairing)
+        least = cost
+        z, cost, information, converged = minimise(cost_of, z, 3, 1e-6, bound=parameters.bound, slack=0.0, reach=2.0)
+        stuck = bool(same) and cost > least - 1e-6
         pairing = _signed(robot, postures, parameters, z, pairing)
     for posture, pairs in zip(postures, pairing or (), strict=True):
         cost += 0.5 * float(np.sum((FARTHEST / posture.frequency_spread[pairs.model < 0]) ** 2))
@@ -251,25 +256,38 @@ def _shares(shape: ComplexArray, strain: FloatArray) -> FloatArray:
     return np.asarray(energy / np.linalg.norm(energy, axis=1, keepdims=True))
 
 
-def _modal_objective(
-    robot: Robot,
-    postures: Sequence[ModalPosture],
-    parameters: Parameters,
-    objective: ModalObjective,
-    pairing: list[_Pairing],
-) -> Objective:
-    def evaluate(z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        values = parameters.values(z)
-        changed = parameters.apply(robot, values)
+@dataclass
+class _Modal(Descended):
+    """The cost of a robot on modes that are paired with its own.
+
+    Attributes:
+        weighing: by the modes' spread (``posterior``) or as in the paper's Eq. 23 (``paper``).
+    """
+
+    robot: Robot
+    postures: Sequence[ModalPosture]
+    free: Parameters
+    weighing: ModalObjective
+    pairing: list[_Pairing]
+
+    @property
+    def data(self) -> float:
+        """Number of real data."""
+        return _data(self.postures)
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
+        values = self.free.values(z)
+        changed = self.free.apply(self.robot, values)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
-        for posture, pairs in zip(postures, pairing, strict=True):
-            seen, model = observe(changed, posture.setup, parameters, values)
+        for posture, pairs in zip(self.postures, self.pairing, strict=True):
+            seen, model = observe(changed, posture.setup, self.free, values)
             pole, shape = poles(seen)
             rows = np.flatnonzero((pairs.model >= 0) & (pairs.model < len(pole)))
             column = pairs.model[rows]
             size, real = np.abs(pole[column]), pole[column].real
             f_spread, zeta_spread = posture.frequency_spread[rows], posture.damping_spread[rows]
-            if objective == "paper":
+            if self.weighing == "paper":
                 f_spread = np.full(len(rows), PAPER_SHARPNESS / np.sqrt(PAPER_WEIGHTS[0]))
                 zeta_spread = np.full(len(rows), PAPER_SHARPNESS / np.sqrt(PAPER_WEIGHTS[1]))
             measured = 2 * np.pi * posture.frequency_hz[rows]
@@ -280,9 +298,7 @@ def _modal_objective(
                 [(size / measured - 1) / f_spread, np.where(stated, (-real / size / ratio - 1) / zeta_spread, 0)]
             )
             cost += 0.5 * float(r @ r)
-            rate = contract(
-                slopes(changed, posture.setup, parameters, values, seen, model), parameters.transform(values)
-            )
+            rate = contract(slopes(changed, posture.setup, self.free, values, seen, model), self.free.transform(values))
             dpole = pole_slopes(seen, rate, pole[column], shape[:, column])
             dsize = (pole[column].conj() * dpole).real / size
             dzeta = -dpole.real / size + real * dsize / size**2
@@ -291,7 +307,10 @@ def _modal_objective(
             information += J @ J.T
         return cost, gradient, information
 
-    return evaluate
+
+def _data(postures: Sequence[ModalPosture]) -> int:
+    """Number of frequencies and damping ratios."""
+    return sum(2 * len(p.frequency_hz) - int(np.isnan(p.damping).sum()) for p in postures)
 
 
 def predict_modes(robot: Robot, postures: Mapping[str, ModalPosture], by_order: bool = False) -> list[PairedMode]:

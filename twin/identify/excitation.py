@@ -4,9 +4,7 @@ Swevers, Ganseman, Tükel, De Schutter, Van Brussel, IEEE T-RA 13 (1997); paper,
 """
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any, Literal
 
 import numpy as np
@@ -14,26 +12,49 @@ from scipy.optimize import minimize
 
 from twin.errors import InputError
 from twin.identify.base_parameters import structural_base
-from twin.identify.regressor import Regressor, flange_path, link_regressor
+from twin.model.regressor import Regressor, flange_path, link_regressor
+from twin.parallel import cores, spread
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 
 Criterion = Literal["condition", "d-optimal"]
 
-ROWS = 50  # instants per period in the criterion
-GUARDS = 48  # instants per period at which the optimiser holds limits; more are added where a solution leaves them
-SHARPNESS = 12.0, 60.0  # exponents of the smooth stand-in for the condition number: to search, and at the end
-DRAWS = 60  # random motions per trajectory
-STARTS = 5  # of these, from which local searches start
-CLEAR = 1e-2  # of each limit's range (m of the workspace) that such a start keeps
-CHAINS = 2  # ends of these that go on
-HOPS = 15  # local searches of each from around its best so far; the criterion has many local minima
-HOP = (0.1, 0.4)  # size of such a step in mean sizes of the variables
-ROUNDS = 10  # of added guards, at most
-MARGIN = 1e-4  # of each limit's range (m of the workspace), kept at the guards; grows by as much every round
-TOLERANCE = 3e-5  # by which the optimiser may miss a guard; less than the margin
 FINE_S = 1e-3  # grid of the last check
-FTOL = 1e-5
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the optimiser works.
+
+    Attributes:
+        rows: instants per period in the criterion.
+        guards: instants per period at which it holds limits; more are added where a solution leaves them.
+        sharpness: exponents of the smooth stand-in for the condition number: to search, and at the end.
+        draws: random motions per trajectory.
+        starts: of these, from which local searches start.
+        clear: of each limit's range (m of the workspace), which these keep.
+        chains: ends of these that go on.
+        hops: local searches of each from around its best so far; the criterion has many local minima.
+        hop: size of such a step in mean sizes of the variables.
+        rounds: of added guards, at most.
+        margin: of each limit's range (m of the workspace), kept at the guards; grows by as much every round.
+        tolerance: by which the optimiser may miss a guard; less than the margin.
+        converged: change of the criterion at which a local search ends.
+    """
+
+    rows: int = 50
+    guards: int = 48
+    sharpness: tuple[float, float] = (12.0, 60.0)
+    draws: int = 60
+    starts: int = 5
+    clear: float = 1e-2
+    chains: int = 2
+    hops: int = 15
+    hop: tuple[float, float] = (0.1, 0.4)
+    rounds: int = 10
+    margin: float = 1e-4
+    tolerance: float = 3e-5
+    converged: float = 1e-5
 
 
 @dataclass(frozen=True)
@@ -174,22 +195,27 @@ class Problem:
         criterion: ``"condition"`` number, or ``"d-optimal"`` (log determinant of the covariance).
     """
 
-    def __init__(self, robot: Robot, harmonics: int, base_hz: float, rest: bool, criterion: Criterion) -> None:
+    def __init__(
+        self, robot: Robot, harmonics: int, base_hz: float, rest: bool, criterion: Criterion,
+        settings: Settings | None = None,
+    ) -> None:  # fmt: skip
         self.robot, self.base_hz, self.criterion = robot, base_hz, criterion
         self.limits = Limits.of(robot)
-        self.margin, self.sharpness = MARGIN, SHARPNESS[0]
+        self.settings = settings or Settings()
+        self.margin, self.sharpness = self.settings.margin, self.settings.sharpness[0]
         n = robot.axis_count
         bare = robot.model_copy(
             update={
                 "physics": [],
-                "drives": [drive.model_copy(update={"rotor_inertia": 0.0}) for drive in robot.drives],
+                "drives": [drive.model_copy(update=dict(rotor_inertia=0.0)) for drive in robot.drives],
             }
         )
         base = structural_base(Regressor(bare))
         self.kept = base.kept[base.kept < 10 * n]
         period = 1 / base_hz
-        self.bases = _bases(np.arange(ROWS) * period / ROWS, harmonics, base_hz)
-        self.instants = (np.arange(GUARDS) + 0.25) * period / GUARDS
+        instants, guards = self.settings.rows, self.settings.guards
+        self.bases = _bases(np.arange(instants) * period / instants, harmonics, base_hz)
+        self.instants = (np.arange(guards) + 0.25) * period / guards
         free = np.eye(2 * harmonics)
         if rest:
             rows = np.zeros((2, 2 * harmonics))
@@ -232,14 +258,14 @@ class Problem:
         coefficients, centre = self.unpack(z)
         states = np.stack([B @ coefficients for B in self.bases])  # (3, nt, n)
         states[0] += centre
-        n, h = len(centre), 1e-6
+        n, h, instants = len(centre), 1e-6, self.settings.rows
         varied = np.repeat(states[:, None], 3 * n + 1, axis=1)  # (3, 3n + 1, nt, n)
         for k in range(3 * n):
             varied[k // n, k + 1, :, k % n] += h
-        Y = self.columns(*varied.reshape(3, -1, n)).reshape(3 * n + 1, ROWS, n, -1)
+        Y = self.columns(*varied.reshape(3, -1, n)).reshape(3 * n + 1, instants, n, -1)
         slopes = (Y[1:] - Y[0]) / h
-        rows = Y[0].reshape(ROWS * n, -1)
-        squares, vectors = np.linalg.eigh(rows.T @ rows / ROWS)
+        rows = Y[0].reshape(instants * n, -1)
+        squares, vectors = np.linalg.eigh(rows.T @ rows / instants)
         squares = np.maximum(squares, 1e-12)
         if self.criterion == "condition":
             # the largest over the smallest, as p-norms: smooth where singular values meet, which they do at the optimum
@@ -250,8 +276,8 @@ class Problem:
         else:
             value = -0.5 * np.mean(np.log(squares))
             share = -0.5 / (squares * len(squares))
-        weight = (2 / ROWS * (rows @ vectors * share) @ vectors.T).reshape(ROWS, n, -1)
-        by_state = np.einsum("ktjb,tjb->kt", slopes, weight).reshape(3, n, ROWS)
+        weight = (2 / instants * (rows @ vectors * share) @ vectors.T).reshape(instants, n, -1)
+        by_state = np.einsum("ktjb,tjb->kt", slopes, weight).reshape(3, n, instants)
         by_series = sum(B.T @ g.T for B, g in zip(self.bases, by_state, strict=True))  # (2H, n)
         gradient = np.column_stack(
             [(self.free.T @ by_series).T * self.speed[:, None], by_state[0].sum(axis=1) * self.span]
@@ -306,22 +332,23 @@ class Problem:
     def within(self, z: np.ndarray) -> bool:
         """Whether variables hold the limits at the guards."""
         C, c = self.linear_constraints()
-        return bool(min((C @ z + c).min(), self.workspace(z)[0].min(initial=0.0)) > -TOLERANCE)
+        return bool(min((C @ z + c).min(), self.workspace(z)[0].min(initial=0.0)) > -self.settings.tolerance)
 
     def starts(self, rng: np.random.Generator) -> list[np.ndarray]:
-        """Random variables within the limits at the guards, the best :data:`STARTS` of many draws.
+        """Random variables within the limits at the guards, the best of many draws.
 
         A large motion brought within the limits ends better than a small one that grows. Only where none can be brought
         in are smaller ones drawn.
         """
         found: list[tuple[float, np.ndarray]] = []
-        for k in range(2 * DRAWS):
-            if k >= DRAWS and found:
+        draws = self.settings.draws
+        for k in range(2 * draws):
+            if k >= draws and found:
                 break
-            z = self.brought_in(self.draw(rng, min(1.0, 2 - k / DRAWS)))
+            z = self.brought_in(self.draw(rng, min(1.0, 2 - k / draws)))
             if self.within(z):
                 found.append((self.value_and_gradient(z)[0], z))
-        return [z for _, z in sorted(found, key=lambda pair: pair[0])[:STARTS]]
+        return [z for _, z in sorted(found, key=lambda pair: pair[0])[: self.settings.starts]]
 
     def draw(self, rng: np.random.Generator, fill: float) -> np.ndarray:
         """Random series of which every axis fills its own limits to the share ``fill``; the flange may be anywhere."""
@@ -342,10 +369,11 @@ class Problem:
     def brought_in(self, z: np.ndarray) -> np.ndarray:
         """Variables near ``z`` (…,) with as little as can be outside the limits at the guards, by least squares."""
         C, c = self.linear_constraints()
+        clear = self.settings.clear
 
         def outside(z: np.ndarray) -> tuple[float, np.ndarray]:
             room, slope = self.workspace(z)
-            below, past = np.minimum(C @ z + c - CLEAR, 0), np.minimum(room - CLEAR, 0)
+            below, past = np.minimum(C @ z + c - clear, 0), np.minimum(room - clear, 0)
             return float(below @ below + past @ past), 2 * (below @ C + past @ slope)
 
         return np.asarray(minimize(outside, z, jac=True, method="L-BFGS-B", options={"maxiter": 60}).x)
@@ -386,32 +414,34 @@ class Problem:
             constraints.append({"type": "ineq", **room})
         minimize(
             criterion, z, jac=True, method="SLSQP", constraints=constraints,
-            options={"maxiter": iterations, "ftol": FTOL},
+            options={"maxiter": iterations, "ftol": self.settings.converged},
         )  # fmt: skip
         return lowest, best
 
 
-def _one(job: tuple[Robot, int, float, bool, Criterion, int, int]) -> Excitation | None:
+def _one(job: tuple[Robot, int, float, bool, Criterion, int, int, Settings]) -> Excitation | None:
     """A trajectory from one seed: local searches, then guards where it leaves a limit, until it does so nowhere."""
-    robot, harmonics, base_hz, rest, criterion, seed, iterations = job
-    problem = Problem(robot, harmonics, base_hz, rest, criterion)
+    robot, harmonics, base_hz, rest, criterion, seed, iterations, settings = job
+    problem = Problem(robot, harmonics, base_hz, rest, criterion, settings)
     rng = np.random.default_rng(seed)
-    found = sorted((problem.solve(z, iterations) for z in problem.starts(rng)), key=lambda pair: pair[0])[:CHAINS]
+    found = sorted((problem.solve(z, iterations) for z in problem.starts(rng)), key=lambda pair: pair[0])[
+        : settings.chains
+    ]
     if not found:
         return None
     for k, (lowest, best) in enumerate(found):
-        for _ in range(HOPS):
-            size = np.exp(rng.uniform(*np.log(HOP))) * np.abs(best).mean()
+        for _ in range(settings.hops):
+            size = np.exp(rng.uniform(*np.log(settings.hop))) * np.abs(best).mean()
             hop = problem.solve(best + size * rng.normal(size=best.shape), iterations)
             lowest, best = min((lowest, best), hop, key=lambda pair: pair[0])
         found[k] = lowest, best
     _, best = min(found, key=lambda pair: pair[0])
-    for _ in range(ROUNDS):
+    for _ in range(settings.rounds):
         fourier = problem.fourier(best)
         if violation(robot, fourier, problem.limits) <= 0:
             return judge(robot, fourier, problem.kept)
         problem.guard(fourier)
-        problem.margin, problem.sharpness = problem.margin + MARGIN, SHARPNESS[1]
+        problem.margin, problem.sharpness = problem.margin + settings.margin, settings.sharpness[1]
         _, best = problem.solve(best, iterations)
     return None
 
@@ -435,7 +465,8 @@ def excite(
     seed: int = 0,
     starts: int | None = None,
     iterations: int = 50,
-    workers: int = 2,
+    workers: int | None = None,
+    settings: Settings | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Excitation]:
     """Different optimised trajectories of a robot, the best first, none of which leaves a limit at any time.
@@ -449,27 +480,23 @@ def excite(
         seed: of the random starts.
         starts: how many are searched for; the best ``count`` are returned. One more than ``count`` by default.
         iterations: of the optimiser, at most.
-        workers: processes.
+        workers: processes; by default as many as serve.
+        settings: of the search.
         progress: called with the number of starts finished.
 
     Raises:
         InputError: no limits, or no trajectory within them.
     """
+    settings = settings or Settings()
     jobs = [
-        (robot, harmonics, base_hz, rest, criterion, 1000 * seed + k, iterations) for k in range(starts or count + 1)
+        (robot, harmonics, base_hz, rest, criterion, 1000 * seed + k, iterations, settings)
+        for k in range(starts or count + 1)
     ]
     found = []
-    if workers > 1 and len(jobs) > 1:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            for result in pool.map(_one, jobs):
-                found.append(result)
-                if progress:
-                    progress(1)
-    else:
-        for job in jobs:
-            found.append(_one(job))
-            if progress:
-                progress(1)
+    for result in spread(lambda k: _one(jobs[k]), len(jobs), workers or cores()):
+        found.append(result)
+        if progress:
+            progress(1)
     good = [result for result in found if result is not None]
     if len(good) < count:
         raise InputError(

@@ -4,7 +4,7 @@ The file holds the optimum, the prior and the data's information of every free n
 a model (modes in an unseen posture, a depth of cut) can be given with its interval:
 
     /            attrs  format="twin-posterior", version=1
-    name (n,)    as ``twin.identify.parameters`` names them: ``joint1.z.stiffness``, ``link3.mass`` …
+    name (n,)    as ``twin.model.parameters`` names them: ``joint1.z.stiffness``, ``link3.mass`` …
     log (n,)     value = mean · eˣ, else mean + x;   mean (n,), covariance (n, n) of x: the prior
     z (n,)       the optimum, x = L z, L Lᵀ = covariance;   information (n, n) of the data in z
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.files import replacing
-from twin.identify.parameters import Kind, Parameter, Parameters
+from twin.model.parameters import Kind, Parameter, Parameters
 from twin.robot.description import Robot
 
 FILE = "posterior.h5"
@@ -71,7 +71,9 @@ class Posterior:
         follow = np.linalg.solve(precision[np.ix_(rest, rest)], across)  # of the rest, per unit of the few
         held = self.information[np.ix_(few, few)] - across.T @ follow
         size, axes = np.linalg.eigh(0.5 * (held + held.T))
-        w, z = self._walk(rng, count, few, (axes * np.maximum(size, 0.0)) @ axes.T)  # where sizes are in doubt, below zero
+        w, z = self._walk(
+            rng, count, few, (axes * np.maximum(size, 0.0)) @ axes.T
+        )  # where sizes are in doubt, below zero
         factor = np.linalg.cholesky(precision[np.ix_(rest, rest)])
         out = np.tile(self.z, (count, 1))
         out[:, few] = z

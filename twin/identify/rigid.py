@@ -9,36 +9,37 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.fft
 import scipy.linalg
+from scipy.special import ndtri
 
 from twin.errors import InputError
 from twin.identify.base_parameters import BaseParameters, base_parameters, structural_base
-from twin.identify.regressor import (
+from twin.measure.campaign import FloatArray
+from twin.measure.motion_log import (
+    MotionLog,
+    MotionRun,
+    check_against,
+    refuse_saturated,
+    refuse_without_motion,
+    require_axes,
+    saturated,
+)
+from twin.measure.signals import advance, differentiate, lowpass
+from twin.model.regressor import (
     Regressor,
     coupling_matrix,
     inertial_vector,
     pseudo_inertia,
     rotor_body_regressor,
 )
-from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import MotionLog, MotionRun, saturated
-from twin.measure.signals import advance, differentiate, lowpass
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
-QUANTILE = 1.6448536269514722  # of the standard normal, for a 90 % interval
-SAMPLED_HZ = 80.0  # a log this fast holds samples of the torque, a slower one was filtered before it was thinned out
-STEP_RATE_HZ = 200.0  # then laws are evaluated at least this often: friction steps where the axis turns back
-SMOOTH_RATE = 8.0  # links' columns are evaluated at least this many times the motion's band
-ROWS_PER_HZ = 5.0  # rows kept per second and hertz of the low-pass
-CORRELATION_S = 4.0  # residuals farther apart are taken as independent
-STILL = 4.0  # standard deviations of the velocity's noise below which an axis stands
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit is allowed to have explained away
 PASSED = 0.3  # share of a column's amplitude the low-pass must leave for its parameter to be called identifiable
 TOO_SHORT = "{:.2g} s are too short: the ends of the low-pass take up all of it"
-LEAST_INFORMED = 1.0  # a parameter with a standard deviation above this many times its scale is not identified
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,10 @@ class Bands:
 
     fit: tuple[float, float] = (3.0, 4.0)
     motion: tuple[float, float] = (10.0, 12.0)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fit[0] < self.fit[1]:
+            raise InputError("--low-pass", "", f"expected 0 < pass < stop, found {self.fit[0]:g} {self.fit[1]:g}")
 
     def within(self, rate_hz: float) -> "Bands":
         """The same with the motion's band below half the sampling rate, and not below that of the fit."""
@@ -109,10 +114,22 @@ def joint_run(robot: Robot, run: MotionRun) -> MotionRun:
     )
 
 
-def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1) -> Motion:
+def in_joints(log: MotionLog, robot: Robot) -> MotionLog:
+    """A log as recorded (motors) in joint coordinates, checked against the robot.
+
+    Raises:
+        InputError: number of axes, units or limits do not fit.
+    """
+    require_axes(log, robot.axis_count)
+    turned = replace(log, runs={name: joint_run(robot, run) for name, run in log.runs.items()})
+    check_against(turned, robot)
+    return turned
+
+
+def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1, still: float = 4.0) -> Motion:
     """Position, velocity and acceleration of a run in joint coordinates, low-passed, ``upsample`` times as dense.
 
-    An axis slower than the noise of its velocity stands still: its friction has no sign.
+    An axis slower than ``still`` standard deviations of its velocity's noise stands still: its friction has no sign.
     """
     rate = run.sample_rate_hz
     band = bands.within(rate).motion
@@ -122,17 +139,22 @@ def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1) -> Motion:
     if run.acceleration is not None:
         a = lowpass(run.acceleration, rate, *band, 0, upsample)
     noise = np.std(run.position - q[::upsample], axis=0)
-    slow = STILL * float(np.max(noise)) * 2 * np.pi * band[1] * np.sqrt(2 * band[1] / (3 * rate))
+    slow = still * float(np.max(noise)) * 2 * np.pi * band[1] * np.sqrt(2 * band[1] / (3 * rate))
     time = run.time[0] + np.arange(len(q)) / (rate * upsample)
     return Motion(time, q, v, a, sign=lambda speed: np.where(np.abs(speed) > slow, np.sign(speed), 0.0))
 
 
-def rows_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Rows:
-    """A run in joint coordinates as rows: torque and all columns through the same low-pass, then thinned out."""
+def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: float = 5.0) -> Rows:
+    """A run in joint coordinates as rows: torque and all columns through the same low-pass, then thinned out.
+
+    ``rows_per_hz`` are kept per second and hertz of the low-pass. Links' columns are evaluated at eight times the
+    motion's band. A log of 80 Hz and more holds samples of the torque; a slower one was filtered before it was thinned
+    out, and laws that step are evaluated at 200 Hz.
+    """
     assert run.torque is not None
     rate = run.sample_rate_hz
     bands = bands.within(rate)
-    step = max(1, int(rate / (ROWS_PER_HZ * bands.fit[1])))
+    step = max(1, int(rate / (rows_per_hz * bands.fit[1])))
 
     def thinned(values: FloatArray, upsample: int) -> FloatArray:
         flat = values.reshape(len(values), -1)
@@ -141,8 +163,8 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands) -> Rows:
         out[:, used] = lowpass(flat[:, used], rate * upsample, *bands.fit)[:: upsample * step]
         return out.reshape(-1, *values.shape[1:])
 
-    coarse = max(1, int(np.ceil(SMOOTH_RATE * bands.motion[1] / rate)))
-    fine = 1 if rate >= SAMPLED_HZ else int(np.ceil(STEP_RATE_HZ / rate))
+    coarse = max(1, int(np.ceil(8.0 * bands.motion[1] / rate)))
+    fine = 1 if rate >= 80.0 else int(np.ceil(200.0 / rate))
     motion = motion_of_run(run, bands, coarse)
     dense = motion if fine == coarse else motion_of_run(run, bands, fine)
     bodies = regressor.bodies(motion)
@@ -220,7 +242,7 @@ class Estimate:
     @property
     def interval90(self) -> FloatArray:
         """Bounds (b, 2) that hold the truth nine times in ten."""
-        return self.value[:, None] + QUANTILE * self.deviation[:, None] * np.array([-1.0, 1.0])
+        return self.value[:, None] + float(ndtri(0.95)) * self.deviation[:, None] * np.array([-1.0, 1.0])
 
 
 def least_squares(
@@ -262,7 +284,7 @@ def least_squares(
     passed = np.max([r.passed[base.kept] for r in rows], axis=0)
     strength = np.sqrt(np.mean(np.square(A), axis=0)).max(axis=0)  # torque per unit, on the joint that shows it most
     scale_of = np.maximum(np.abs(value), 0.1 * np.abs(torque).max() / np.maximum(strength, 1e-300))
-    identifiable = (passed > PASSED) & (deviation < LEAST_INFORMED * scale_of)
+    identifiable = (passed > PASSED) & (deviation < scale_of)
     rms = np.sqrt(np.mean(residual**2, axis=0))
     return Estimate(base, value, covariance, rms, np.full(n, m), effective, identifiable)
 
@@ -277,11 +299,14 @@ def _merge(structural: BaseParameters, excited: BaseParameters) -> BaseParameter
 
 
 def _sandwich(
-    rows: list[Rows], base: BaseParameters, value: FloatArray, noise: FloatArray
+    rows: list[Rows], base: BaseParameters, value: FloatArray, noise: FloatArray, longest_s: float = 4.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance (b, b) of weighted least squares under noise that is stationary and coloured, joint by joint."""
+    """Covariance (b, b) of weighted least squares under noise that is stationary and coloured, joint by joint.
+
+    Residuals farther apart than ``longest_s`` are taken as independent.
+    """
     b, n = len(value), len(noise)
-    lags = max(1, int(CORRELATION_S * rows[0].rate_hz))
+    lags = max(1, int(longest_s * rows[0].rate_hz))
     lag = np.arange(lags + 1) / (lags + 1)
     parzen = np.where(lag < 0.5, 1 - 6 * lag**2 + 6 * lag**3, 2 * (1 - lag) ** 3)
     weighted = [np.where(r.valid[:, None, None], r.matrix[:, :, base.kept], 0.0) / noise[None, :, None] for r in rows]
@@ -318,7 +343,7 @@ def _sandwich(
             if size % 2 == 0:
                 lines[-1] = 1.0
             spread += np.real(np.einsum("k,kb,kc->bc", lines * power / size, columns.conj(), columns, optimize=True))
-        effective[j] = pairs[0] * (lines @ power / size) / max(power[0], 1e-300)
+        effective[j] = min(pairs[0] * (lines @ power / size) / max(power[0], 1e-300), pairs[0])
     return inverse @ spread @ inverse, effective
 
 
@@ -342,14 +367,21 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     step = _prior_steps(regressor, estimate)
     prior = np.array([1.0 if column.group in ("link", "rotor") else 0.0 for column in columns])
     usable = estimate.identifiable
-    weight = np.linalg.inv(_symmetric(estimate.covariance[np.ix_(usable, usable)]))
-    G = scipy.linalg.cholesky(weight) @ K[usable] @ step
-    target = scipy.linalg.cholesky(weight) @ (estimate.value[usable] - K[usable] @ x0)
+    root = _inverse_root(_symmetric(estimate.covariance[np.ix_(usable, usable)]))
+    G = root @ K[usable] @ step
+    target = root @ (estimate.value[usable] - K[usable] @ x0)
     H = G.T @ G + np.diag(np.where(prior > 0, prior, 1e-6))
     linear = -G.T @ target
     x = x0 + step @ nearest_possible(regressor, H, linear, x0, step, margin)
     floor = np.array([column.nonnegative and column.group != "link" for column in columns])
     return np.where(floor, np.maximum(x, 0.0), x)
+
+
+def _inverse_root(covariance: FloatArray, least: float = 1e-12) -> FloatArray:
+    """R (n, n) with RᵀR = Σ⁻¹; correlations' eigenvalues are kept above ``least``, where rounding leaves less."""
+    deviation = np.sqrt(np.diag(covariance))
+    value, vectors = np.linalg.eigh(covariance / np.outer(deviation, deviation))
+    return (vectors / np.sqrt(np.maximum(value, least * value[-1]))).T / deviation
 
 
 def nearest_possible(
@@ -523,9 +555,41 @@ def identify(
         InputError: no torque, too little of it, or torque that is cut off for more than 5 % of a run.
     """
     bands = bands or Bands()
-    regressor = Regressor(robot, offsets)
-    rows, notes = [], list(log.notes)
-    lost: dict[str, float] = {}
+    regressor, notes = Regressor(robot, offsets), list(log.notes)
+    rows = _usable_rows(log, regressor, bands, notes)
+    parts = split(rows, hold_out, bands, log.source)
+    estimate = least_squares(regressor, parts.train, weighting, log.source)
+    try:
+        parameters = consistent(regressor, estimate)
+    except (ArithmeticError, np.linalg.LinAlgError):
+        try:  # a recording without noise, or hardly longer than its parameters need
+            parameters = consistent(regressor, _blunted(estimate))
+        except (ArithmeticError, np.linalg.LinAlgError):
+            message = "tell too little of the robot's parameters: record a longer motion of all axes (`twin excite`)"
+            raise InputError(log.source, "runs", message) from None
+    notes += _lost_terms(robot, log.runs[rows[0].name], bands)
+    return Identification(
+        regressor, estimate, parameters, regressor.robot_with(parameters), parts, bands, notes
+    )  # fmt: skip
+
+
+def _blunted(estimate: Estimate, digits: float = 1e-6) -> Estimate:
+    """The estimate, no parameter and no combination of them known better than to so many ``digits`` of its scale."""
+    scale = np.maximum(estimate.deviation, digits * np.maximum(np.abs(estimate.value), 1e-9))
+    correlation = _symmetric(estimate.covariance / np.outer(scale, scale))
+    size, turn = np.linalg.eigh(correlation)
+    covariance = (turn * np.maximum(size, digits * max(float(size[-1]), 1.0))) @ turn.T * np.outer(scale, scale)
+    return replace(estimate, covariance=covariance)
+
+
+def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list[str]) -> list[Rows]:
+    """Every run that can be used, as rows; what was left out of it goes to the notes.
+
+    Raises:
+        InputError: as :func:`identify`.
+    """
+    rows = []
+    refuse_without_motion(log, log.source)
     for name, run in log.runs.items():
         if run.torque is None:
             raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory cannot be identified from")
@@ -534,33 +598,27 @@ def identify(
                 log.source, f"runs/{name}/sample_rate_hz",
                 f"{run.sample_rate_hz:g} Hz is too slow for a low-pass to {bands.fit[1]:g} Hz; give --low-pass",
             )  # fmt: skip
-        cut = saturated(run)
-        if (share := cut.any(axis=1).mean()) > 0.05:
-            raise InputError(log.source, f"runs/{name}/torque", f"saturated for {share:.0%} of the run")
+        cut = refuse_saturated(run, log.source)
         for i in np.flatnonzero(cut.any(axis=0)):
             notes.append(
                 f"runs/{name}: torque of joint{i + 1} is cut off at {np.abs(run.torque[cut[:, i], i]).max():.4g} for "
                 f"{cut[:, i].sum() / run.sample_rate_hz:.2g} s; left out with the filter's memory around it"
             )
-        joints = joint_run(robot, run)
-        made = rows_of(regressor, joints, bands)
+        made = rows_of(regressor, joint_run(regressor.robot, run), bands)
         if not made.valid.any():
             notes.append(f"runs/{name}: {TOO_SHORT.format(run.time[-1] - run.time[0])}; left out")
             continue
         rows.append(made)
-        if not lost:
-            lost = lost_rotor_terms(robot, joints, bands)
     if not rows:
         raise InputError(log.source, "runs", TOO_SHORT.format(max(np.ptp(run.time) for run in log.runs.values())))
-    parts = split(rows, hold_out, bands, log.source)
-    estimate = least_squares(regressor, parts.train, weighting, log.source)
-    parameters = consistent(regressor, estimate)
-    for term, share in lost.items():
-        notes.append(
-            f"{term}: not identifiable, the low-pass leaves {share:.0%} of its torque's amplitude (sin 2Nq)"
-            if share < PASSED
-            else f"{term}: not modelled, though {share:.0%} of its torque's amplitude passes (sin 2Nq)"
-        )
-    return Identification(
-        regressor, estimate, parameters, regressor.robot_with(parameters), parts, bands, notes
-    )  # fmt: skip
+    return rows
+
+
+def _lost_terms(robot: Robot, run: MotionRun, bands: Bands) -> list[str]:
+    """Of a run as recorded, what the low-pass leaves of rotors' terms, in words."""
+    return [
+        f"{term}: not identifiable, the low-pass leaves {share:.0%} of its torque's amplitude (sin 2Nq)"
+        if share < PASSED
+        else f"{term}: not modelled, though {share:.0%} of its torque's amplitude passes (sin 2Nq)"
+        for term, share in lost_rotor_terms(robot, joint_run(robot, run), bands).items()
+    ]

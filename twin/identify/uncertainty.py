@@ -11,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from twin.identify.elastic import Fit, Recorded, linear_objective, without_limits
-from twin.identify.parameters import Parameter
+from twin.identify.elastic import Fit
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter
 from twin.robot.description import Robot
 
 HELD = 0.5  # posterior over prior deviation below which the data hold a parameter
@@ -135,7 +137,7 @@ def profile(
     parameter = estimate.parameter
     index = fit.parameters.names.index(parameter.name)
     low, high = estimate.interval90
-    objective = linear_objective(without_limits(robot), fit.parameters, recordings, exact=True)
+    objective = Objective(without_limits(robot), fit.parameters, Sample(tuple(recordings)), exact=True)
     direction = fit.parameters.root[index]  # of x in z
     alone = np.linalg.inv(fit.parameters.root)[:, index]  # moves x and no other
     along = np.linalg.solve(fit.fisher + np.eye(len(fit.z)), direction)  # moves x and the others' optimum with it

@@ -83,7 +83,10 @@ class PostureFRF:
         frequency: (nf,) in Hz, evenly spaced.
         frf: (nf, nr, ne), SI per newton.
         coherence: (nf, nr, ne) ordinary coherence γ², ``averages`` hits per average.
+        peak_force_n: of the blows, the force level; ``None`` where unknown.
         exponential_window_rate: rate in 1/s of a window still in the FRFs: they are H(s) on s = rate + iω.
+        pulse_s, record_s: length of the blow and of the record, ``None`` where unknown. Lines may have been thinned:
+            one over their spacing is a lower bound of the record.
     """
 
     name: str
@@ -97,17 +100,20 @@ class PostureFRF:
     peak_force_n: float | None = None
     exponential_window_rate: float = 0.0
     hits: Hits | None = None
+    pulse_s: float | None = None
+    record_s: float | None = None
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """One hammer test: channels and the postures they were measured in, by group name."""
+    """One hammer test: channels and the postures they were measured in, by group name; ``source``: for messages."""
 
     response: Channels
     excitation: Channels
     postures: dict[str, PostureFRF]
     robot: str | None = None
     comment: str = ""
+    source: str = "hammer test"
 
     def pair(self, response: int, excitation: int) -> str:
         """Name of a channel pair, as in ``21Z+/4Y+``."""
@@ -284,6 +290,9 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         raise InputError(source, f"{field}/coherence: averages", f"expected 1 or more, found {posture.averages}")
     if posture.peak_force_n is not None and not posture.peak_force_n > 0:
         raise InputError(source, f"{field}: peak_force_n", f"expected newtons above 0, found {posture.peak_force_n:g}")
+    for name, length in (("pulse_s", posture.pulse_s), ("record_s", posture.record_s)):
+        if length is not None and not 0 < length < np.inf:
+            raise InputError(source, f"{field}: {name}", f"expected seconds above 0, found {length:g}")
     _check_rate(source, field, posture.exponential_window_rate)
 
 
@@ -332,6 +341,7 @@ def read_campaign(path: str | Path) -> Campaign:
             postures={name: _read_posture(name, postures.group(name)) for name in postures.item},
             robot=root.text("robot") or None,
             comment=root.text("comment") or "",
+            source=str(path),
         )
     check_campaign(path, campaign)
     return campaign
@@ -376,6 +386,8 @@ def _read_posture(name: str, node: Node) -> PostureFRF:
         coherence=coherence,
         averages=None if averages is None else int(averages),
         peak_force_n=node.number("peak_force_n"),
+        pulse_s=node.number("pulse_s"),
+        record_s=node.number("record_s"),
         exponential_window_rate=node.number("exponential_window_rate") or 0.0,
         hits=hits,
     )
@@ -425,6 +437,8 @@ def _write_posture(group: h5py.Group, posture: PostureFRF) -> None:
             "q_deg": posture.q_deg,
             "brakes": posture.brakes,
             "peak_force_n": posture.peak_force_n,
+            "pulse_s": posture.pulse_s,
+            "record_s": posture.record_s,
             "exponential_window_rate": posture.exponential_window_rate,
         },
     )

@@ -37,10 +37,11 @@ class TablePosture:
 
 @dataclass(frozen=True)
 class ModalTable:
-    """Modes of one robot by posture."""
+    """Modes of one robot by posture; ``source``: for messages."""
 
     postures: dict[str, TablePosture]
     robot: str | None = None
+    source: str = "modal table"
 
     @classmethod
     def of(cls, results: Mapping[str, ModalResult], robot: str | None = None, shapes: bool = True) -> "ModalTable":
@@ -73,6 +74,7 @@ def read_modal_table(path: str | Path) -> ModalTable:
     return ModalTable(
         {str(name): _read_posture(path, f"postures.{name}", value) for name, value in content["postures"].items()},
         None if robot is None else str(robot),
+        str(path),
     )
 
 

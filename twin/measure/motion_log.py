@@ -265,6 +265,29 @@ def saturated(run: MotionRun) -> np.ndarray:
     return out
 
 
+def refuse_saturated(run: MotionRun, source: str, most: float = 0.05) -> np.ndarray:
+    """Where (nt, n) the recorded torque was cut off, of a run that may be used.
+
+    Raises:
+        InputError: it is for more than ``most`` of the run.
+    """
+    cut = saturated(run)
+    if (share := cut.any(axis=1).mean()) > most:
+        raise InputError(source, f"runs/{run.name}/torque", f"saturated for {share:.0%} of the run")
+    return cut
+
+
+def refuse_without_motion(log: MotionLog, source: str, least: float = 1e-3) -> None:
+    """Raise unless some axis moves by ``least`` rad (m) or more.
+
+    Raises:
+        InputError: none does.
+    """
+    if max(float(np.ptp(run.position, axis=0).max()) for run in log.runs.values()) < least:
+        message = f"no axis moves by {least:g} rad (m): record a motion (`twin excite` plans one)"
+        raise InputError(source, "runs", message)
+
+
 def check_against(log: MotionLog, robot: "Robot") -> None:
     """Check a log, in joint coordinates, against what the robot can do.
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.measure.campaign import (
+    DEAD_CHANNEL,
     BoolArray,
     Brakes,
     Campaign,
@@ -70,6 +71,7 @@ def judge_hits(hits: Hits) -> HitTable:
     ne, nh, _ = hits.force.shape
     force = _without_offset(hits.force, hits)
     peak = np.abs(force).max(axis=2)
+    silent = DEAD_CHANNEL * np.abs(hits.response).max(initial=0.0)  # rounding alone has flat tops, too
     rows = []
     for e in range(ne):
         typical = np.median(peak[e])
@@ -81,7 +83,9 @@ def judge_hits(hits: Hits) -> HitTable:
                 reason = f"quiet: the median is {typical:.1f} N"
             elif _flat_top(hits.force[e, h]):
                 reason = "overload of the force"
-            elif clipped := [r for r, record in enumerate(hits.response[e, h]) if _flat_top(record)]:
+            elif clipped := [
+                r for r, record in enumerate(hits.response[e, h]) if np.abs(record).max() > silent and _flat_top(record)
+            ]:
                 reason = f"overload of response {clipped[0]}"
             elif (second := _second_blow(force[e, h])) > DOUBLE_HIT:
                 reason = f"double hit: the second has {100 * second:.0f} % of the first"
@@ -191,7 +195,9 @@ def spectra(
     for e in range(ne):
         kept = table.accepted(e)
         if not kept:
-            raise InputError(source, f"hits of excitation {e}", "expected at least one hit that can be used")
+            reasons = "; ".join(dict.fromkeys(row.reason for row in table.rows if row.excitation == e))
+            expected = f"expected at least one hit that can be used; they have: {reasons}"
+            raise InputError(source, f"hits of excitation {e}", expected)
         force = _without_offset(hits.force[e, kept], hits)
         if force_window and not hits.windowed:
             force = np.stack([_gated(record) for record in force])

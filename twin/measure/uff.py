@@ -117,6 +117,7 @@ def read_uff(
         _channels(excitation, nodes),
         {name: _posture(source, name, group, response, excitation, q_deg) for name, group in groups.items()},
         robot=robot or next(iter(groups.values())).words.get("robot"),
+        source=str(source),
     )
     check_campaign(source, campaign)
     return campaign
@@ -255,6 +256,8 @@ def _posture(
             averages=int(words["averages"]) if "averages" in words else None,
             peak_force_n=float(words["peak_force_n"]) if "peak_force_n" in words else None,
             exponential_window_rate=float(words.get("exponential_window_rate", 0.0)),
+            pulse_s=float(words["pulse_s"]) if "pulse_s" in words else None,
+            record_s=float(words["record_s"]) if "record_s" in words else None,
         )
     except ValueError as error:
         raise InputError(source, where, f"expected numbers in the ID lines: {error}") from None
@@ -339,10 +342,12 @@ def _common(
         "brakes": posture.brakes,
         "peak_force_n": None if posture.peak_force_n is None else f"{posture.peak_force_n:.9g}",
     }
+    length = {name: None if value is None else f"{value:.6g}"
+              for name, value in (("pulse_s", posture.pulse_s), ("record_s", posture.record_s))}  # fmt: skip
     lines: list[dict[str, Any]] = [
         {"posture": posture.name, "robot": campaign.robot},
         {"q_deg": ",".join(f"{q:.10g}" for q in posture.q_deg)},
-        {"response_body": campaign.response.body[r], "excitation_body": campaign.excitation.body[e]},
+        {"response_body": campaign.response.body[r], "excitation_body": campaign.excitation.body[e], **length},
         state,
     ]
     ids = [" ".join(f"{k}={v}" for k, v in words.items() if v is not None)[:80] or "NONE" for words in lines]

@@ -52,7 +52,7 @@ class Tool(Data):
     tip_m: Vector | None = None
     mass_kg: NonNegative = 0.0
     com_m: NonNegative | None = None
-    modes: list[ToolMode] = []
+    modes: tuple[ToolMode, ...] = ()
     frf: str | None = None
 
     @field_validator("diameter_m", "overhang_m")
@@ -181,21 +181,19 @@ class Cut(Data):
         feed_direction: of the tool against the work, in the robot's base frame; made perpendicular to the tool's axis.
         spindle_rpm: lowest and highest spindle speed of interest.
         depth_max_m: deepest axial depth of interest.
-        process_damping_n_per_m: radial force per edge length and slope of the wave, N/m; 0 for none.
         table_z_m: height of the table in the base frame, which the tip must be above; ``None`` for no table.
     """
 
     tool: Tool = Tool()
     coefficients: Annotated[Coefficients, BeforeValidator(_by_name)] = Field(
         default="aluminium_7075", validate_default=True
-    )  # type: ignore[assignment]
+    )
     immersion: Annotated[Number, Field(gt=0, le=1)] = 0.5
     milling: Literal["up", "down"] = "down"
     feed_per_tooth_m: Annotated[Number, Field(gt=0, le=5e-3)] = 1e-4
     feed_direction: Vector = (1.0, 0.0, 0.0)
     spindle_rpm: tuple[Positive, Positive] = (1000.0, 12000.0)
     depth_max_m: Annotated[Number, Field(gt=0, le=1.0)] = 0.01
-    process_damping_n_per_m: NonNegative = 0.0
     table_z_m: Number | None = 0.0
     _source: str = PrivateAttr("cut")
     _folder: Path | None = PrivateAttr(None)
@@ -205,7 +203,7 @@ class Cut(Data):
         low, high = self.spindle_rpm
         if low >= high:
             raise ValueError(f"spindle_rpm: expected a lowest and a highest speed, found {[low, high]}")
-        if not 1 <= low or high > 3e5:
+        if low < 1 or high > 3e5:
             raise ValueError(f"spindle_rpm: expected 1 to 300000 rpm, found {[low, high]}")
         if np.linalg.norm(self.feed_direction) < 1e-9:
             raise ValueError("feed_direction: expected a direction, found a zero vector")

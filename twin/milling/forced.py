@@ -45,7 +45,7 @@ def forced_vibration(modes: ToolModes, cut: Cut, spindle_rpm: float, depth_m: fl
     phase = (np.arange(8 * count) + 0.5) / (8 * count)
     push = static_force(cut, phase, depth_m)
     order = np.arange(-count, count + 1)
-    wave = np.exp(-2j * np.pi * order[:, None] * phase) @ push / len(phase)
+    wave = np.fft.fft(push, axis=0)[order] / len(phase) * np.exp(-1j * np.pi * order / len(phase))[:, None]
     frequency = 2 * np.pi * order / tau
     motion = np.einsum("hfg,hg->hf", modes.receptance(frequency), wave)
     angle = 2 * np.pi * np.arange(PHASES) / PHASES
@@ -68,9 +68,7 @@ def static_force(cut: Cut, phase: np.ndarray, depth_m: float) -> np.ndarray:
     return _teeth(cut, phase, depth_m, lambda angle: cut.feed_per_tooth_m * np.sin(angle)[..., None] * shear + edge)
 
 
-def _teeth(
-    cut: Cut, phase: np.ndarray, depth_m: float, load: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray:
+def _teeth(cut: Cut, phase: np.ndarray, depth_m: float, load: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Force (n, 3) of all teeth in cut from what each feels per depth, ``load`` (n, teeth, 3), at its angle."""
     width = forces.lag(cut, depth_m)
     slices = 1 if width < 1e-9 else HELIX_SLICES

@@ -24,7 +24,7 @@ STEPS = 48  # of a tooth period, at least
 SLICES = 12  # of a helix
 DECAYS = 3.0  # times the slowest decay that a cut is stepped
 LONGEST_S, SHORTEST_S = 12.0, 1.0
-LASTING = 0.2  # of ln amplitude over the last half: a vibration that throws teeth out of the work and decays less goes on
+LASTING = 0.2  # of ln amplitude over the last half: what throws teeth out of the work and decays less than this goes on
 QUIET = 1e-4  # of the feed per tooth: below it nothing vibrates
 
 
@@ -162,8 +162,7 @@ class _Teeth:
         self.shear, self.edge = piece @ cut.coefficients.shear, piece @ cut.coefficients.edge
         self.chip = chip[..., :2]
         self.feed = cut.feed_per_tooth_m * np.sin(angle)
-        self.inside = share > 0
-        self.busy = self.inside.any(axis=(1, 2))
+        self.inside = np.asarray(share > 0)
         self.surface = np.zeros(angle.shape)
         self.offset = cut.tool.runout_m * np.cos(2 * np.pi * np.arange(self.teeth) / self.teeth)
         self.out = -1
@@ -171,7 +170,7 @@ class _Teeth:
     def push(self, k: int, motion: np.ndarray) -> np.ndarray:
         """Force (3,) N at step k for a tip at ``motion`` (3,) m, cut frame."""
         number, i = divmod(k, self.steps)
-        if not self.busy[i]:
+        if not self.inside[i].any():
             return np.zeros(3)
         # tooth slot l holds the tooth that came l periods before
         reach = self.chip[i] @ motion[:2] + self.offset[(number - np.arange(self.teeth)) % self.teeth]

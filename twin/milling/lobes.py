@@ -7,6 +7,7 @@ no more than half of that, and a cell whose middle is not where its ends say is 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,6 +24,8 @@ HELIX_STEP = 0.1  # of ln depth, to which the lag of a helix is rounded on the w
 HELIX_ROUNDS = 6
 BAND_ROWS = 12000  # draws times speeds of a band
 BAND_DIGITS = 2.0
+MOST_BAND_SPEEDS = 120
+BAND_BATCH = 800  # of these rows taken together
 SAFE = 0.9  # probability
 _COLUMNS = ("row", "depth_m", "angle", "change", "frequency_hz", "kind")
 
@@ -57,12 +60,12 @@ class Lobes:
         """The speed of the deepest cut: index, by what is sure where that is known."""
         return int(np.argmax(self.depth_m if self.safe_m is None else self.safe_m))
 
-    def productive(self, cut: Cut) -> int:
+    def productive(self) -> int:
         """The speed that removes most: index; depth times feed speed, by what is sure where that is known."""
         return int(np.argmax((self.depth_m if self.safe_m is None else self.safe_m) * self.spindle_rpm))
 
 
-def lobes(
+def lobes_of(
     modes: ToolModes, cut: Cut, *, speeds: np.ndarray | None = None, progress: Callable[[int], None] | None = None
 ) -> Lobes:
     """Trace the limits over the cut's spindle speeds, to ``TOLERANCE``, or at given ``speeds`` (ns,) rpm.
@@ -106,7 +109,7 @@ def starting_speeds(modes: ToolModes, cut: Cut) -> np.ndarray:
     narrow = np.maximum(-modes.pole.real / size, 1e-4)
     edges = np.geomspace(low, high, 40)
     out = [np.array([low])]
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
+    for start, end in pairwise(edges):
         turning = size * float(cut.tooth_period(end)) >= np.pi / 2
         step = min(COARSEST, float(narrow[turning].min(initial=COARSEST)))
         out.append(np.geomspace(start, end, int(np.ceil(np.log(end / start) / step)) + 1)[1:])
@@ -162,11 +165,11 @@ def limits_at(
     second = level + np.where(d1 >= l1, 1, -1)
     other = _replaced(found, at_level(second, np.arange(len(level))))
     d2, l2 = np.log(other.first()), second * HELIX_STEP
-    sure = np.isfinite(d1) & np.isfinite(d2) & (np.abs(d2 - d1) < 0.5 * HELIX_STEP)
-    slope = np.where(sure, d2 - d1, 0.0) / (l2 - l1)
-    exact = np.where(sure, d1 + slope * (d1 - l1) / (1 - slope), d1)
-    factor = np.exp(np.where(sure, exact - d1, 0.0))
-    return replace(found, depth_m=found.depth_m * factor[found.row])
+    with np.errstate(invalid="ignore"):  # where there is no limit
+        sure = np.abs(d2 - d1) < 0.5 * HELIX_STEP
+    slope = (np.where(sure, d2, 0.0) - np.where(sure, d1, 0.0)) / (l2 - l1)
+    step = slope * (np.where(sure, d1, l1) - l1) / (1 - slope)
+    return replace(found, depth_m=found.depth_m * np.exp(step)[found.row])
 
 
 def _replaced(found: Limits, parts: list[tuple[np.ndarray, Limits]]) -> Limits:
@@ -208,9 +211,15 @@ def _off(found: Limits, new: Limits, cell: np.ndarray, deepest: float) -> np.nda
 def _of(at: np.ndarray, found: Limits, cut: Cut, unresolved: int) -> Lobes:
     depth = found.first()
     kind, frequency = np.full(len(at), "none", dtype="<U13"), np.full(len(at), np.nan)
-    lowest = np.flatnonzero(np.concatenate([[True], found.row[1:] != found.row[:-1]])) if len(found.row) else []
+    lowest = np.unique(found.row, return_index=True)[1]
     kind[found.row[lowest]], frequency[found.row[lowest]] = found.kind[lowest], found.frequency_hz[lowest]
     return Lobes(at, np.minimum(depth, cut.depth_max_m), kind, frequency, found, cut.depth_max_m, unresolved=unresolved)
+
+
+def band_speeds(found: Lobes, draws: int) -> np.ndarray:
+    """Indices (nb,) of the speeds at which the limits of so many draws are found; in between they are interpolated."""
+    count = min(max(BAND_ROWS // draws, 16), MOST_BAND_SPEEDS, len(found.spindle_rpm))
+    return np.unique(np.round(np.linspace(0, len(found.spindle_rpm) - 1, count)).astype(int))
 
 
 def with_band(
@@ -222,23 +231,31 @@ def with_band(
         found: of the nominal model.
         draws: modes (nd, nm) in the cut frame, each as probable as the others.
         shear: (nd, 3) N/m², a draw of the coefficients for each.
-        progress: called with the number of draws done since the last call.
+        progress: called with the number of speeds done since the last call.
     """
     nd = len(draws.pole)
-    count = int(np.clip(BAND_ROWS // nd, 16, len(found.spindle_rpm)))
-    pick = np.unique(np.round(np.linspace(0, len(found.spindle_rpm) - 1, count)).astype(int))
+    pick = band_speeds(found, nd)
     rpm = found.spindle_rpm[pick]
+    # a helix lags as at the nominal limit
+    level = np.round(np.log(found.depth_m[pick]) / HELIX_STEP).astype(int) * (1 if cut.tool.helix_deg else 0)
+    groups = [np.flatnonzero(level == number) for number in np.unique(level)]
+    parts = [part for group in groups for part in np.array_split(group, -(-len(group) * nd // BAND_BATCH))]
 
-    def one(draw: int) -> np.ndarray:
-        residual = None if draws.residual is None else draws.residual[draw]
-        modes = ToolModes(draws.pole[draw], draws.shape[draw], residual)
-        return np.minimum(limits_at(modes, cut, rpm, shear=shear[draw], digits=BAND_DIGITS).first(), cut.depth_max_m)
+    def some(number: int) -> np.ndarray:
+        part = parts[number]
+        lag_depth = float(np.exp(level[part[0]] * HELIX_STEP)) if cut.tool.helix_deg else 0.0
+        rows = np.repeat(np.arange(nd), len(part))
+        limit = limits(
+            draws.rows(rows), cut, np.tile(rpm[part], nd), cut.depth_max_m,
+            shear=shear[rows], lag_depth_m=lag_depth, digits=BAND_DIGITS,
+        )  # fmt: skip
+        return np.minimum(limit.first(), cut.depth_max_m).reshape(nd, len(part))
 
-    depth = []
-    for row in spread(one, nd, cores()):
-        depth.append(row)
+    depth = np.empty((nd, len(rpm)))
+    for part, values in zip(parts, spread(some, len(parts), cores()), strict=True):
+        depth[:, part] = values
         if progress:
-            progress(1)
-    safe = np.quantile(np.array(depth), 1 - SAFE, axis=0)
+            progress(len(part))
+    safe = np.quantile(depth, 1 - SAFE, axis=0)
     everywhere = np.exp(np.interp(np.log(found.spindle_rpm), np.log(rpm), np.log(safe)))
-    return replace(found, safe_m=everywhere, draws_m=np.array(depth), draws_rpm=rpm)
+    return replace(found, safe_m=everywhere, draws_m=depth, draws_rpm=rpm)

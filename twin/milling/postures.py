@@ -1,6 +1,6 @@
 """The dynamics at the tool's tip in many postures at once: what :mod:`twin.milling.tool_point` makes of one.
 
-Matrices come in closed form from :mod:`twin.identify.sensitivity` (MuJoCo's within 1e-9), eigenvalue problems are
+Matrices come in closed form from :mod:`twin.model.sensitivity` (MuJoCo's within 1e-9), eigenvalue problems are
 solved side by side.
 """
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.identify.elastic import without_limits
-from twin.identify.sensitivity import structures
+from twin.identify.recorded import without_limits
 from twin.milling.cut import Cut
 from twin.milling.tool_point import ToolModes, clamped_modes, coupled, with_tool
+from twin.model.sensitivity import structures
 from twin.robot.description import Robot
 from twin.robot.inverse_kinematics import ToolPlace
 from twin.robot.mechanism import assemble_all

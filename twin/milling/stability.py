@@ -32,7 +32,7 @@ STEP = 0.5  # of θ, over the distance to the nearest pole of W
 WIDEST = 0.15  # rad, of θ
 ROUNDS = 12  # of bisection of θ at most
 POLISH = 8  # steps of regula falsi on a crossing
-CHUNK = 20000  # matrices whose eigenvalues are taken at a time
+CHUNK = 1_000_000  # elements of matrices whose eigenvalues are taken at a time
 
 
 @dataclass(frozen=True)
@@ -264,19 +264,21 @@ def limits(
     found = []
     group = np.ceil(2 * np.log2(advance + 2.0)).astype(int)  # about as many nodes
     for number in np.unique(group):
-        rows = np.flatnonzero(group == number)
-        nodes = collocate(cut, float(advance[rows].max()), lag_depth_m, digits)
-        some = modes.rows(rows)
-        op = operator(some, cut, tau[rows], shear[rows], nodes)
-        row, *rest = _crossings(op, some, tau[rows], depth_max_m)
-        found.append((rows[row], *rest))
+        alike = np.flatnonzero(group == number)
+        nodes = collocate(cut, float(advance[alike].max()), lag_depth_m, digits)
+        each = modes.pole.shape[-1] * len(nodes.phase) * (len(nodes.phase) + 4)
+        for rows in np.array_split(alike, -(-len(alike) * each // (4 * CHUNK))):
+            some = modes.rows(rows)
+            op = operator(some, cut, tau[rows], shear[rows], nodes)
+            row, *rest = _crossings(op, some, tau[rows], depth_max_m)
+            found.append((rows[row], *rest))
     columns = [np.concatenate(column) for column in zip(*found, strict=True)]
     order = np.lexsort((columns[1], columns[0]))
     return Limits(len(tau), *(column[order] for column in columns))
 
 
 def fastest(modes: ToolModes, shear: np.ndarray, depth_m: float) -> np.ndarray:
-    """Fastest angular frequency (…,) rad/s in a cut: of the modes, and of the tip's free mass on the cut's stiffness."""
+    """Fastest angular frequency (…,) rad/s in a cut: of modes, and of the tip's free mass on the cut's stiffness."""
     light = 2 * np.einsum("...kf,...kg,...k->...fg", modes.shape, modes.shape, modes.pole).real  # h'(0), 1/kg
     stiff = depth_m * np.linalg.norm(shear, axis=-1)
     return np.sqrt((np.abs(modes.pole) ** 2).max(axis=-1) + stiff * np.linalg.norm(light, axis=(-2, -1)))
@@ -321,8 +323,10 @@ def _angles(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _eigenvalues(op: Operator, row: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """Eigenvalues (n, size) of W(e^{iθ}), largest magnitude first."""
     out = np.empty((len(row), op.volterra.shape[-1]), complex)
-    for start in range(0, len(row), CHUNK):
-        part = slice(start, start + CHUNK)
+    size, poles = op.alpha.shape[1:]
+    together = max(1, CHUNK // (size * (size + poles)))
+    for start in range(0, len(row), together):
+        part = slice(start, start + together)
         out[part] = np.linalg.eigvals(op.at(row[part], theta[part]))
     out = np.take_along_axis(out, np.argsort(-np.abs(out), axis=1), axis=1)
     out.imag[np.abs(out.imag) < 1e-12 * np.abs(out[:, :1])] = 0.0  # real at θ = π

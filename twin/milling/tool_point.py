@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.measure.campaign import Campaign, Channels, as_quantity, laplace, read_campaign
+from twin.measure.campaign import Campaign, Channels, as_quantity, laplace
 from twin.measure.modal import identify_modes
+from twin.measure.recordings import read_campaign
 from twin.milling.cut import Cut, ToolMode
 from twin.model.linear import LinearModel, linearise, state_matrix
 from twin.robot.description import Robot, TestPoint
@@ -143,12 +144,27 @@ class ToolPoint:
         position: (3,) of the tip, m, base frame.
         axis: (3,) unit vector flange → tip, base frame.
         linear: the model that they come from, or ``None`` for a measurement.
+        deviation: (nm, 2) standard deviations of frequency, as a share of it, and of ln damping, where measured.
     """
 
     modes: ToolModes
     position: np.ndarray
     axis: np.ndarray
     linear: LinearModel | None = None
+    deviation: np.ndarray | None = None
+
+    def drawn(self, rng: np.random.Generator, count: int) -> ToolModes | None:
+        """Modes (count, nm) as probable as the measured ones, base frame; ``None`` where no deviation is known."""
+        if self.deviation is None:
+            return None
+        frequency, damping = np.exp(self.deviation.T[:, None] * rng.standard_normal((2, count, len(self.modes.pole))))
+        size = np.abs(self.modes.pole) * frequency
+        ratio = np.minimum(-self.modes.pole.real / np.abs(self.modes.pole) * damping, 0.999)
+        shape = np.broadcast_to(self.modes.shape, (count, *self.modes.shape.shape))
+        residual = self.modes.residual
+        if residual is not None:
+            residual = np.broadcast_to(residual, (count, 3, 3))
+        return ToolModes(size * (-ratio + 1j * np.sqrt(1 - ratio**2)), shape, residual)
 
 
 def tool_point(robot: Robot, q: np.ndarray, brakes: str, cut: Cut) -> ToolPoint:
@@ -203,7 +219,7 @@ def clamped_modes(cut: Cut, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     """Modes of tool and spindle on a clamped flange: ω (m,) rad/s, ζ (m,), shapes (m, 3) 1/√kg in the base frame."""
     rotation = cut.frame(axis)
     if cut.tool.modes:
-        given: list[ToolMode] = cut.tool.modes
+        given: tuple[ToolMode, ...] = cut.tool.modes
         w = 2 * np.pi * np.array([mode.frequency_hz for mode in given])
         zeta = np.array([mode.damping_percent / 100 for mode in given])
         size = w / np.sqrt([mode.stiffness_n_per_m for mode in given])
@@ -287,10 +303,10 @@ def measured_point(
         last, position = _link_pose(robot, q, cut)
         axis = last @ cut.tool.axis(robot)
         turn = _body_turn(robot, q, body)
-    modes, missing = measured_modes(campaign, posture, source, (responses, excitations), turn)
+    modes, deviation, missing = measured_modes(campaign, posture, source, (responses, excitations), turn)
     if missing:
         notes.append(f"{missing} of 3 directions were not measured and count as rigid")
-    return ToolPoint(modes, position, axis), notes
+    return ToolPoint(modes, position, axis, deviation=deviation), notes
 
 
 def driving_point(campaign: Campaign, source: str) -> tuple[list[int], list[int], str]:
@@ -331,8 +347,8 @@ def measured_modes(
     source: str,
     channels: tuple[list[int], list[int]] | None = None,
     turn: np.ndarray | None = None,
-) -> tuple[ToolModes, int]:
-    """Modes at a measured point from the FRFs of its channels, and how many of three directions are missing.
+) -> tuple[ToolModes, np.ndarray, int]:
+    """Modes at a measured point from the FRFs of its channels, their deviations, and how many directions are missing.
 
     Poles are those of :func:`twin.measure.modal.identify_modes` over all channels; residues are fitted with a static
     and an inertial remainder, made symmetric, and reduced to one shape each (the nearest u uᵀ).
@@ -362,7 +378,13 @@ def measured_modes(
     static = turn @ (felt @ static @ hit.T) @ turn.T
     rank = min(np.linalg.matrix_rank(felt, tol=1e-3), np.linalg.matrix_rank(hit, tol=1e-3))
     shape = np.array([_outer_root(matrix) for matrix in whole])
-    return ToolModes(pole, shape, 0.5 * (static + static.T)), 3 - int(rank)
+    deviation = np.array(
+        [
+            (m.frequency_std_hz / m.frequency_hz, min(1.0, m.damping_std_percent / m.damping_percent))
+            for m in result.modes
+        ]
+    )
+    return ToolModes(pole, shape, 0.5 * (static + static.T)), deviation, 3 - int(rank)
 
 
 def _residues(mobility: np.ndarray, s: np.ndarray, pole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -383,6 +405,5 @@ def _residues(mobility: np.ndarray, s: np.ndarray, pole: np.ndarray) -> tuple[np
 def _outer_root(residue: np.ndarray) -> np.ndarray:
     """u (3,) whose u uᵀ is nearest to a matrix's symmetric part (Takagi's factorisation, its largest term)."""
     symmetric = 0.5 * (residue + residue.T)
-    left, size, _ = np.linalg.svd(symmetric)
-    v = left[:, 0]
+    v = np.linalg.svd(symmetric)[0][:, 0]
     return v * np.sqrt(v.conj() @ symmetric @ v.conj() + 0j)

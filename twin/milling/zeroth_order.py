@@ -21,6 +21,7 @@ from twin.milling.tool_point import ToolModes
 SPREAD = 4  # widths of a resonance on either side that are sampled closely
 PER_MODE = 16  # frequencies for each mode
 BISECTIONS = 24
+FINER = 3
 
 
 def eigenvalues(G: np.ndarray, average: np.ndarray) -> np.ndarray:
@@ -54,8 +55,14 @@ def limiting_depth(
     if spindle_rpm is not None:
         tau = float(cut.tooth_period(spindle_rpm))
         return _least_crossing(modes, mean, lambda w: 1 - np.exp(-1j * w * tau), np.pi / tau)
-    values = eigenvalues(modes.receptance(sampled_frequencies(modes)), mean[..., None, :, :])
-    return _inverse(2 * values.real.max(axis=(-2, -1)))
+    w = np.sort(sampled_frequencies(modes), axis=-1)
+    for _ in range(FINER):  # between the neighbours of the largest, more closely each time
+        growth = eigenvalues(modes.receptance(w), mean[..., None, :, :]).real.max(axis=-1)
+        top = np.clip(np.argmax(growth, axis=-1), 1, w.shape[-1] - 2)[..., None]
+        ends = [np.take_along_axis(np.broadcast_to(w, growth.shape), top + side, axis=-1) for side in (-1, 1)]
+        w = ends[0] + (ends[1] - ends[0]) * np.linspace(0, 1, 9)
+    growth = eigenvalues(modes.receptance(w), mean[..., None, :, :]).real.max(axis=-1)
+    return _inverse(2 * growth.max(axis=-1))
 
 
 def low_frequency_depth(modes: ToolModes, cut: Cut, spindle_rpm: float, shear: np.ndarray | None = None) -> np.ndarray:
@@ -71,7 +78,7 @@ def low_frequency_depth(modes: ToolModes, cut: Cut, spindle_rpm: float, shear: n
 def _least_crossing(
     modes: ToolModes, mean: np.ndarray, factor: Callable[[np.ndarray], np.ndarray], period: float
 ) -> np.ndarray:
-    """Least b (…,) at which an eigenvalue of factor(ω) G(iω) A₀ is 1/b, for a factor that changes over ``period`` rad/s."""
+    """Least b (…,) at which an eigenvalue of factor(ω) G(iω) A₀ is 1/b; the factor changes over ``period`` rad/s."""
     lead = np.broadcast_shapes(modes.pole.shape[:-1], mean.shape[:-2])
     flat = ToolModes(
         np.broadcast_to(modes.pole, (*lead, modes.pole.shape[-1])).reshape(-1, modes.pole.shape[-1]),

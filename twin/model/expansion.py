@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.measure.campaign import Channels
+from twin.measure.modal import ModalResult
 from twin.model.linear import linearise
 from twin.model.modes import Modes
 from twin.robot.description import Robot, TestPoint
@@ -45,3 +47,26 @@ def expand(
     energy = linear.spring[:, None] * np.abs(deflection) ** 2
     share = energy / np.maximum(energy.sum(axis=0), np.finfo(float).tiny)
     return mechanism, Modes(np.asarray(pole), deflection, share, linear)
+
+
+def on_robot(robot: Robot, result: ModalResult, roving: Channels) -> tuple[Mechanism, Modes]:
+    """The measured shapes of one posture on a robot.
+
+    Raises:
+        InputError: the robot cannot carry them: other axes, points on bodies it does not have, no spring, its limits.
+    """
+    known = {"base", *(f"link{i + 1}" for i in range(robot.axis_count))}
+    missing = ""
+    if len(result.q_deg) != robot.axis_count:
+        missing = f"{len(result.q_deg)} axis positions, robot {robot.name} has {robot.axis_count}"
+    elif unknown := set(roving.body) - known:
+        missing = f"points on {', '.join(sorted(unknown))}, which robot {robot.name} does not have"
+    elif all(axis.stiffness is None for axis in robot.axes):
+        missing = f"robot {robot.name} has no elastic axis"
+    if missing:
+        raise InputError(result.name, "", missing)
+    q = robot.check_posture(robot.angles(result.q_deg), result.name, "q_deg")
+    ratio = np.array([mode.damping_percent / 100 for mode in result.modes])
+    omega = 2 * np.pi * np.array([mode.frequency_hz for mode in result.modes])
+    pole = omega * (-ratio + 1j * np.sqrt(1 - ratio**2))
+    return expand(robot, q, roving, result.shapes, pole)

@@ -9,6 +9,7 @@ matrix A = [[·, ·], [A_vq, A_vv]] and the step h,
 With slip elements, whose state it mixes up, the same differences are taken of ``mj_step``.
 """
 
+import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -153,9 +154,15 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return M
 
 
-def posture_state(model: mujoco.MjModel, mechanism: Mechanism) -> mujoco.MjData:
-    """The commanded posture at rest, deflections zero; rotors that are free are held up by applied torques."""
-    data = mujoco.MjData(model)
+def posture_state(model: mujoco.MjModel, mechanism: Mechanism, data: mujoco.MjData | None = None) -> mujoco.MjData:
+    """The commanded posture at rest, deflections zero; rotors that are free are held up by applied torques.
+
+    ``data`` is used again where it is given: making one takes as long as all the rest of a linearisation.
+    """
+    if data is None:
+        data = mujoco.MjData(model)
+    else:
+        mujoco.mj_resetData(model, data)
     rotors = [i for i in range(len(mechanism.q)) if mechanism.motor(i) is not None]
     data.qpos[[model.joint(f"motor{i + 1}").qposadr[0] for i in rotors]] = mechanism.q[rotors]
     mujoco.mj_forward(model, data)
@@ -174,7 +181,7 @@ def linearise(mechanism: Mechanism, model: mujoco.MjModel | None = None) -> Line
     """
     if model is None:
         model = compile_model(mechanism, visual=False, instruments=False)
-    data = posture_state(model, mechanism)
+    data = posture_state(model, mechanism, _spare(model))
     nv = model.nv
     order = sorted(mechanism.joints, key=lambda joint: int(model.joint(joint.name).dofadr[0]))
     M = mass_matrix(model, data)
@@ -186,20 +193,37 @@ def linearise(mechanism: Mechanism, model: mujoco.MjModel | None = None) -> Line
     loss = np.diag([joint.loss_factor * joint.stiffness[0] for joint in order])
     integral = np.diag([joint.stiffness[0] / joint.integral_time for joint in order])
     C = C - loss / (2 * np.pi * EQUIVALENT_HZ)  # the viscous stand-in that the MJCF carries
-    points = {}
-    for point in mechanism.points:
-        body = model.body(point.body).id
-        rotation = data.xmat[body].reshape(3, 3)
-        jacobian = np.zeros((3, nv))
-        mujoco.mj_jac(model, data, jacobian, None, data.xpos[body] + rotation @ point.position, body)
-        points[point.label] = (point.body, rotation.T @ jacobian)
     return LinearModel(
         coordinates=tuple(joint.name for joint in order),
         M=M, C=C, K=K, loss=loss, integral=integral,
         spring=_springs(model, data),
-        points=points,
+        points=_points(mechanism, model, data),
         directions={point.label: np.asarray(point.direction) for point in mechanism.points},
     )  # fmt: skip
+
+
+_KEPT = threading.local()
+
+
+def _spare(model: mujoco.MjModel) -> mujoco.MjData:
+    """The state that this thread linearised the model with last, or a new one."""
+    if getattr(_KEPT, "model", None) is not model:
+        _KEPT.model, _KEPT.data = model, mujoco.MjData(model)
+    data: mujoco.MjData = _KEPT.data
+    return data
+
+
+def _points(mechanism: Mechanism, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, tuple[str, np.ndarray]]:
+    """Label → body, and displacement (3, nv) in that body's frame per unit of the coordinates."""
+    found: dict[str, tuple[str, np.ndarray]] = {}
+    for name in dict.fromkeys(point.body for point in mechanism.points):
+        body, here = model.body(name).id, [point for point in mechanism.points if point.body == name]
+        rotation, shift, turn = data.xmat[body].reshape(3, 3), np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, shift, turn, data.xpos[body], body)
+        shift, turn = rotation.T @ shift, rotation.T @ turn
+        moved = shift + np.cross(turn.T[None], np.array([point.position for point in here])[:, None]).swapaxes(1, 2)
+        found |= {point.label: (name, jacobian) for point, jacobian in zip(here, moved, strict=True)}
+    return {point.label: found[point.label] for point in mechanism.points}
 
 
 def _springs(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

@@ -12,11 +12,11 @@ from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.linear import linearise
 from twin.model.modes import state_matrix_poles
-from twin.physics import CATALOGUE
+from twin.physics import CATALOGUE, effect_of
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot
-from twin.robot.mechanism import Joint, assemble
+from twin.robot.mechanism import Joint, Mechanism, assemble
 from twin.robot.mjcf import build_spec, compile_model
 
 STEP_S = 0.0005
@@ -68,17 +68,15 @@ def motion_of(run: MotionRun) -> Motion:
 
 def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
     """Torque (nt, n) through the gears of the rigid robot, without rotors and friction, from mj_inverse."""
-    payloads = [entry for entry in robot.physics if entry.effect == "payload"]
+    bodies = []
     for entry in robot.physics:
-        if entry.effect == "attached_resonator":  # along a rigid motion it is a mass
-            values = entry.values
-            weight = {"effect": "payload", "site": entry.site, "mass": values["mass"], "com": values["position"]}
-            payloads.append(Entry.model_validate(weight))
+        if (weight := CATALOGUE[entry.effect].weight(entry.values)) is not None:
+            bodies.append(Entry.model_validate({"effect": effect_of("mass").name, "site": entry.site, **weight}))
     rigid = robot.model_copy(
         update={
             "axes": [axis.model_copy(update={"stiffness": None, "limits": None}) for axis in robot.axes],
-            "drives": [drive.model_copy(update={"rotor_inertia": 0.0, "coupling": {}}) for drive in robot.drives],
-            "physics": payloads,
+            "drives": [drive.model_copy(update=dict(rotor_inertia=0.0, coupling={})) for drive in robot.drives],
+            "physics": bodies,
         }
     )
     model = compile_model(assemble(rigid, motion.position[0], drives="free"), visual=False, instruments=False)
@@ -143,34 +141,62 @@ def replay(
             robot.check_posture(motion.position[k], source, f"runs/{run.name}/position")
     feedforward = inverse_dynamics(robot, motion)
     mechanism = assemble(robot, motion.position[0], brakes="off", drives="servo")
+    model, substeps = _stepped_model(robot, mechanism, run.sample_rate_hz)
+    torque, qpos = _track(model, mechanism, motion, feedforward, substeps, progress)
+    if not (np.isfinite(torque).all() and np.isfinite(qpos).all()):
+        message = "the simulation diverges: stiffness, inertia or motion is beyond reason"
+        raise InputError(robot.name, f"replay of {run.name}", message)
+    motor = [model.joint(f"motor{i + 1}").qposadr[0] for i in range(robot.axis_count)]
+    elastic = [joint.name for joint in mechanism.joints if joint.elastic]
+    deflections = {name: qpos[:, model.joint(name).qposadr[0]] for name in elastic}
+    link_position = qpos[:, motor]
+    for i in range(robot.axis_count):
+        link_position[:, i] += deflections.get(f"joint{i + 1}.z", 0.0)
+    recorded = recorded_torque(robot, run.time, torque)
+    return Replay(run.time, qpos[:, motor], link_position, recorded, deflections)
+
+
+def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) -> tuple[mujoco.MjModel, int]:
+    """The model with its time step, and the steps per sample: at most ``STEP_S``, and as short as its fastest pole.
+
+    Raises:
+        InputError: an elastic axis without a rotor's inertia.
+    """
     model = build_spec(mechanism, instruments=False, balanced=False).compile()
     for i, axis in enumerate(robot.axes):
         rotor = model.dof_armature[model.joint(f"motor{i + 1}").dofadr[0]]
         if axis.stiffness is not None and rotor <= 0 and not robot.drives[i].coupling:
             where = f"drives[{i}].rotor_inertia"
             raise InputError(robot.name, where, "an elastic axis needs its rotor's inertia in a replay")
-    free = linearise(assemble(robot, motion.position[0], drives="free"))
+    free = linearise(assemble(robot, mechanism.q, drives="free"))
     fastest = np.abs(state_matrix_poles(free)).max(initial=0.0)
-    substeps = max(1, int(np.ceil(max(1 / STEP_S, fastest) / run.sample_rate_hz)))
-    model.opt.timestep = 1 / (run.sample_rate_hz * substeps)
+    substeps = max(1, int(np.ceil(max(1 / STEP_S, fastest) / sample_rate_hz)))
+    model.opt.timestep = 1 / (sample_rate_hz * substeps)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return model, substeps
+
+
+def _track(
+    model: mujoco.MjModel, mechanism: Mechanism, motion: Motion, feedforward: np.ndarray, substeps: int,
+    progress: Callable[[int], None] | None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Torque (nt, n) of the servos, mean over the sample before, and ``qpos`` (nt, nq); NaN if it diverges."""
     data = mujoco.MjData(model)
-    n, nt = robot.axis_count, len(run.time)
+    nt, n = motion.position.shape
     names = [f"motor{i + 1}" for i in range(n)]
     servo = np.array([model.actuator(name).id for name in names])
     control = model.actuator_ctrladr[servo]
     motor = np.array([model.joint(name).qposadr[0] for name in names])
     motor_dof = np.array([model.joint(name).dofadr[0] for name in names])
     kp, kv = model.actuator_gainprm[servo, 0], -model.actuator_biasprm[servo, 2]
-    reference = CubicSpline(run.time, np.hstack([motion.position, motion.velocity, feedforward]))
-    instants = run.time[0] + np.arange((nt - 1) * substeps + 1) / (run.sample_rate_hz * substeps)
-    path = reference(instants)
-    q, qd, torque_ff = path[:, :n], path[:, n : 2 * n], path[:, 2 * n :]
-    data.time = run.time[0]
+    reference = CubicSpline(motion.time, np.hstack([motion.position, motion.velocity, feedforward]))
+    instants = motion.time[0] + np.arange((nt - 1) * substeps + 1) * model.opt.timestep
+    q, qd, torque_ff = np.split(reference(instants), 3, axis=1)
+    data.time = motion.time[0]
     data.qpos[motor], data.qvel[motor_dof] = q[0], qd[0]
     _wind_up(model, data, mechanism.joints, motion.acceleration[0], motor_dof)
     torque, qpos = np.empty((nt, n)), np.empty((nt, model.nq))
-    load = CubicSpline(run.time, np.hstack([motion.load, motion.friction])) if mechanism.passive_forces else None
+    load = CubicSpline(motion.time, np.hstack([motion.load, motion.friction])) if mechanism.passive_forces else None
     for k in range(nt):
         mean = np.zeros(n)
         for step in range(max(0, (k - 1) * substeps), k * substeps) if k else range(1):
@@ -194,19 +220,9 @@ def replay(
         qpos[k] = data.qpos
         if progress:
             progress(1)
-    if not (np.isfinite(torque).all() and np.isfinite(qpos).all()) or any(w.number for w in data.warning):
-        raise InputError(
-            robot.name,
-            f"replay of {run.name}",
-            "the simulation diverges: stiffness, inertia or motion is beyond reason",
-        )
-    torque = recorded_torque(robot, run.time, torque)
-    elastic = [joint.name for joint in mechanism.joints if joint.elastic]
-    deflections = {name: qpos[:, model.joint(name).qposadr[0]] for name in elastic}
-    link_position = qpos[:, motor]
-    for i in range(n):
-        link_position[:, i] += deflections.get(f"joint{i + 1}.z", 0.0)
-    return Replay(run.time, qpos[:, motor], link_position, torque, deflections)
+    if any(warning.number for warning in data.warning):
+        torque[:] = np.nan
+    return torque, qpos
 
 
 def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.ndarray:

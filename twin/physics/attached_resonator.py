@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of, link_end
+from twin.physics.effect import UNIT_VECTORS, Companion, Effect, Parameter, Values, axis_of, link_end
+from twin.physics.payload import Payload
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -31,6 +32,7 @@ class AttachedResonator(Effect):
     order = 1
     repeatable = True
     lever = "position"
+    adds_mode = True
 
     def check(self, values: Values) -> str | None:
         return None if values["axis"] in UNIT_VECTORS else f"axis: expected x, y or z, found {values['axis']!r}"
@@ -48,6 +50,31 @@ class AttachedResonator(Effect):
             2 * values["damping_ratio"] * mass * omega,
             "slide",
         )
+
+    def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """The same mass about other axes and on the next links, where it couples as well; a payload, which it is below
+        its own frequency."""
+        number, found = axis_of(site) + 1, []
+        for other in range(max(1, number - 1), min(robot.axis_count, number + 1) + 1):
+            link = f"link{other}"
+            usual = values if link == site else self.typical(robot, link) or {}
+            for axis in UNIT_VECTORS if usual else ():
+                if (link, axis) != (site, values["axis"]):
+                    there = {**usual, "frequency_hz": values["frequency_hz"], "axis": axis}
+                    found.append(Companion(self.name, link, there))
+        return [*found, Companion(Payload.name, site)]
+
+    def merged(self, robot: "Robot", site: str, values: Values, other: str, place: str) -> list[Companion]:
+        """A mass that hangs at a link and one that swings may be one: it hangs there and swings along any axis."""
+        if other != Payload.name:
+            return []
+        link = f"link{Payload().carrier(robot, place) + 1}"
+        usual = {**(self.typical(robot, link) or {}), "frequency_hz": values["frequency_hz"]}
+        return [Companion(self.name, link, {**usual, "axis": axis}) for axis in UNIT_VECTORS]
+
+    def weight(self, values: Values) -> dict[str, Any]:
+        """A mass at rest on its spring."""
+        return {"mass": values["mass"], "com": values["position"]}
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """1 % of the links' mass, 1.5 % damped, half-way along the link."""

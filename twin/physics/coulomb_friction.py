@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
@@ -19,10 +20,17 @@ class CoulombFriction(Effect):
     parameters = (Parameter("torque", "N·m", nonnegative=True),)
     seen_in = frozenset({"log"})
     role = "friction"
+    part = "dry"
+    linear_in = least_zero = ("torque",)
+    log_tests = ("speeds",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if motor := mechanism.motor(axis_of(site)):
             motor.frictionloss += values["torque"]
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        size = Prior("torque", view.size({"torque": 1.0}))
+        return [Suspected({"torque": 0.0}, [size], [[0.0]], passive=True)]
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)

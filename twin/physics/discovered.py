@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
@@ -29,6 +30,8 @@ class Discovered(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("formula", "an expression", word=True), Parameter("coefficients", "N·m", length=-1))
     seen_in = frozenset({"log"})
+    part = "law"
+    log_tests = ("speeds",)
     order = 3
     repeatable = True
 
@@ -44,6 +47,13 @@ class Discovered(Effect):
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         mechanism.passive_force(self.name, site, values)
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        """Friction that rises ever faster with speed, as of churned oil: a nameless rival to what falls with speed."""
+        v = f"v{view.axis + 1}"
+        law = {"formula": f"c1*abs({v})*{v}"}
+        usual = Prior("coefficients[0]", view.size({**law, "coefficients": [1.0]}))
+        return [Suspected({**law, "coefficients": [0.0]}, [usual], [[0.0]], passive=True)]
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         tree = ast.parse(str(values["formula"]), mode="eval").body

@@ -4,14 +4,17 @@ A new effect is one new file with one subclass of :class:`Effect`, listed in ``t
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from twin.physics.statements import LinearPart, LogView, Part, Prior, Suspected, Test
+
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
+    from twin.physics.joint_law import Law
     from twin.physics.motion import Motion
     from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
@@ -73,6 +76,20 @@ class Parameter:
         return None
 
 
+@dataclass(frozen=True)
+class Companion:
+    """A rival that mechanics names.
+
+    Attributes:
+        effect, site: as in a diagnosis; effect ``parameter`` for a number of the description (``link3.mass``).
+        values: where its search starts; ``None`` for what is typical of it.
+    """
+
+    effect: str
+    site: str
+    values: Values | None = None
+
+
 class Effect:
     """One entry of the vocabulary. Subclasses are stateless; the values live in the robot description.
 
@@ -88,8 +105,34 @@ class Effect:
             warm-up act on, ``"drive"`` is neither.
         repeatable: several entries may stand at one site.
         lever: the parameter that says where its ``mass`` hangs.
+        hinge: its spring is a coordinate of a joint and its numbers are named like the joint's own
+            (``joint1.x.stiffness``).
+        adds_mode: it brings a mode of its own, which a modal table may leave out.
         sizes: prior deviations of the first scale from which a search far from the truth starts, towards null.
         ridged: there are ridges between its sizes: near the truth too, first order from none finds no way to them.
+
+    Of motion logs:
+
+    Attributes:
+        part: what it is to a drive, where the engine has to write such an entry or take one into account.
+        steps: its torque may step where an axis turns back.
+        refers: its torque is made of the other torques (load, friction, or all that is recorded).
+        linear: its torque is in proportion to its sizes; else only near where a search starts.
+        linear_in: parameters in which the torque is linear, whatever the others are: the regressor's columns. The
+            torque of an effect without such parameters is taken as described.
+        least_zero: of these, the ones that no real robot has below zero.
+        leaning: where a joint turns less than once its torque comes near a constant.
+        doubt: relative standard deviation of a described number of these.
+        doubted: its described numbers, all together, may be off far beyond that.
+        refines: the part that it is in a limit. Where there is none, that comes first if it does most of the work.
+        memory: it holds its torque through a standstill, as slip does.
+        fades_over: the parameter that is the speed over which it fades, for friction that is largest at rest.
+        ages: it is a law of the clock: runs kept aside do not hold the same hour.
+        elements: parameters that are lists of elements in parallel, of which a find may bear more than one.
+        profiled: the parameter whose interval is found by fits on either side: slopes know little of it.
+        log_tests: recordings that show it, for the next test.
+        ordinary: why it is not looked for by its name: each joint has it, and the base model fits it.
+        amplitude_law: what it adds to the spring of a joint; required with ``"levels"`` in ``seen_in``.
     """
 
     name: ClassVar[str]
@@ -100,13 +143,40 @@ class Effect:
     role: ClassVar[Literal["load", "friction", "drive"]] = "drive"
     repeatable: ClassVar[bool] = False
     sprung: ClassVar[bool] = False
+    hinge: ClassVar[bool] = False
     lever: ClassVar[str] = ""
+    adds_mode: ClassVar[bool] = False
     sizes: ClassVar[tuple[float, ...]] = (-2.5, -1.0, 1.0)
     ridged: ClassVar[bool] = False
+
+    # motion logs
+    part: ClassVar[Part] = ""
+    steps: ClassVar[bool] = True
+    refers: ClassVar[bool] = False
+    linear: ClassVar[bool] = True
+    linear_in: ClassVar[tuple[str, ...]] = ()
+    least_zero: ClassVar[tuple[str, ...]] = ()
+    leaning: ClassVar[bool] = False
+    doubt: ClassVar[float] = 0.5
+    doubted: ClassVar[bool] = False
+    refines: ClassVar[Part] = ""
+    memory: ClassVar[bool] = False
+    fades_over: ClassVar[str] = ""
+    ages: ClassVar[bool] = False
+    elements: ClassVar[tuple[str, ...]] = ()
+    profiled: ClassVar[str] = ""
+    log_tests: ClassVar[tuple[Test, ...]] = ()
+    ordinary: ClassVar[str] = ""
+    # --- force levels: an effect seen in them states its law of amplitude
+    amplitude_law: ClassVar["Law | None"] = None
 
     def check(self, values: Values) -> str | None:
         """What is wrong with the parameters taken together, or ``None``."""
         return None
+
+    def unit(self, name: str) -> str:
+        """Of a parameter."""
+        return next(p.unit for p in self.parameters if p.name == name)
 
     def complete(self, robot: "Robot", site: str, given: Values) -> Values:
         """The parameters as given, with those filled in that an entry leaves to the rest of the description."""
@@ -119,8 +189,11 @@ class Effect:
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         """Write the entry into the mechanism, with native MuJoCo elements wherever they exist.
 
-        The default is for effects that MuJoCo does not express: nothing is written.
+        The default is for effects that MuJoCo does not express: a torque law becomes a passive force, which a replay
+        evaluates at every step. Without a torque law nothing is written.
         """
+        if self.has_torque:
+            mechanism.passive_force(self.name, site, values)
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         """What the entry adds to the recorded drive torque.
@@ -150,9 +223,191 @@ class Effect:
         typical = self.typical(robot, site)
         return [] if typical is None else [typical]
 
+    # --- hammer tests -------------------------------------------------------------------------------------------------
+
+    def shown_by(self, brakes: Iterable[str | None]) -> bool:
+        """Whether a hammer test could show it, of the brakes' state in every posture ("on", "off" or unknown)."""
+        return True
+
+    def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """What it is hard to tell from by mechanics and is judged beside it in any case."""
+        return []
+
+    def merged(self, robot: "Robot", site: str, values: Values, other: str, place: str) -> list[Companion]:
+        """What it may be as one thing with an ``other`` effect at a ``place``, instead of the two."""
+        return []
+
+    # ------------------------------------------------------------------------------------------------------------------
+
     def carrier(self, robot: "Robot", site: str) -> int | None:
         """Zero-based link of which the entry's ``mass`` at ``com`` is rigidly a part; ``None`` for anything else."""
         return None
+
+    def unstated(self) -> str | None:
+        """What the effect would have to state for a kind of recording in its ``seen_in``; ``None`` where nothing lacks.
+
+        An effect that a recording is said to show and that changes nothing there would be passed over in silence.
+        """
+        own, base = type(self), Effect
+        if not self.sites or not self.parameters:
+            return "expected at least one site and one parameter"
+        if not self.seen_in <= {"hammer", "levels", "log"}:
+            return f"seen_in: expected hammer, levels or log, found {', '.join(sorted(self.seen_in))}"
+        recorded = own.record is not base.record
+        if "hammer" in self.seen_in and own.write is base.write and not recorded:
+            return "seen_in hammer: expected a method write (into the mechanism) or record (of the measurement)"
+        if "hammer" in self.seen_in and own.typical is base.typical and own.variants is base.variants:
+            return "seen_in hammer: expected a method typical, from which a search starts"
+        lacking = self._unstated_in_logs() if "log" in self.seen_in else None
+        return lacking or (self._amplitude_unstated() if "levels" in self.seen_in else None)
+
+    # --- force levels ------------------------------------------------------------------------------------------------
+
+    def _amplitude_unstated(self) -> str | None:
+        """The same of force levels."""
+        law = self.amplitude_law
+        if law is None:
+            return "seen_in levels: expected an amplitude_law"
+        if law.effect != self.name:
+            return f"amplitude_law.effect: expected {self.name!r}, found {law.effect!r}"
+        if set(self.sites) != {"joint{i}.z"}:
+            return f"sites: expected joint{{i}}.z, where laws of amplitude act, found {', '.join(self.sites)}"
+        return None
+
+    # --- motion logs -----------------------------------------------------------------------------------------------
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether it states a torque law."""
+        return type(self).torque is not Effect.torque
+
+    @property
+    def records_torque(self) -> bool:
+        """Whether it acts on the recorded torque as a whole, whichever laws that is the sum of."""
+        return "log" in self.seen_in and type(self).record is not Effect.record
+
+    def _unstated_in_logs(self) -> str | None:
+        if self.ordinary or self.part == "play":  # looked for in their own way
+            return None
+        if not (self.has_torque or self.records_torque or type(self).weight is not Effect.weight):
+            return "seen_in log: expected a method torque (of the drives), record or weight"
+        first = self.parameters[0]
+        if type(self).suspected is Effect.suspected and (first.word or first.length):
+            return f"seen_in log: expected a number as first parameter, or a method suspected; found {first.name}"
+        return None
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        """The ways in which it may be missing at a site of a motion log; none where it cannot be.
+
+        By default the first parameter is the size, and has a normal prior about no effect, as wide as a usual torque at
+        the site's axis. The others start from :meth:`variants`, those that have a ``spread`` are fitted, too.
+        """
+        first, *others = self.parameters
+        variants = self.variants(view.robot, view.site, (0.0, view.highest_hz))
+        if not variants and others:
+            return []
+        centre = dict(variants[0]) if variants else {}
+        typical = float(centre.get(first.name, first.null))
+        unit = typical if typical != first.null else first.null + 1.0
+        own = [Prior(first.name, abs(unit - first.null) * view.size({**centre, first.name: unit}), first.null)]
+        free = [p for p in others if p.spread and not p.length and not p.word]
+        own += [Prior(p.name, p.spread, float(centre[p.name]), p.log) for p in free]
+        starts = [[first.null, *(float(values[p.name]) for p in free)] for values in variants or [centre]]
+        for k, p in enumerate(free, start=1):
+            for sign in (-1, 1):
+                start = list(starts[0])
+                start[k] = start[k] * float(np.exp(sign * p.spread)) if p.log else start[k] + sign * p.spread
+                starts.append(start)
+        return [Suspected({**centre, first.name: first.null}, own, starts)]
+
+    def canonical(self, values: np.ndarray) -> np.ndarray:
+        """Own numbers (m,) of a suspect that mean the same in the form in which they are told."""
+        return values
+
+    def turning(self, values: Values, velocity: np.ndarray) -> float:
+        """Dry friction, N·m (N), that turns round as the joint's other friction does, with the entry more than without.
+
+        Without it, that is what friction is at rest by a parabola in speed; ``velocity`` (m,) is of the joint.
+        """
+        return 0.0
+
+    def uneven(self, values: Values) -> float:
+        """Friction, N·m (N), that does not change sign with the direction but is held at rest, too."""
+        return 0.0
+
+    def travel(self, elements: np.ndarray) -> np.ndarray:
+        """Over which elements (k, numbers) turn round from one sense of motion to the other (k,), rad (m)."""
+        return np.zeros(len(elements))
+
+    def another(self, elements: np.ndarray, factor: float) -> np.ndarray:
+        """One more element (numbers,) beside elements (k, numbers), of ``factor`` times the strongest's travel."""
+        return elements[0]
+
+    def linear_parts(self, values: Values) -> list[LinearPart]:
+        """The numbers in which the torque of an entry is linear; by default those of ``linear_in``."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        none = {name: [0.0] * known[name].length if known[name].length else 0.0 for name in self.linear_in}
+        parts = []
+        for name in self.linear_in:
+            parameter, floor = known[name], name in self.least_zero
+            unit = [word.strip() for word in parameter.unit.split(",")]
+            if not parameter.length:
+                parts.append(LinearPart(name, unit[0], float(values[name]), {**values, **none, name: 1.0}, floor))
+            for k in range(parameter.length):
+                here = {**values, **none, name: np.eye(parameter.length)[k].tolist()}
+                parts.append(
+                    LinearPart(f"{name}[{k + 1}]", unit[min(k, len(unit) - 1)], float(values[name][k]), here, floor)
+                )
+        return parts
+
+    def with_linear(self, values: Values, found: list[float]) -> dict[str, Any]:
+        """The parameters of an entry whose linear parts have the values found, in their order."""
+        known, out = {parameter.name: parameter for parameter in self.parameters}, {}
+        at = 0
+        for name in self.linear_in:
+            parameter = known[name]
+            items = found[at : at + (parameter.length or 1)]
+            at += len(items)
+            if parameter.nonnegative:
+                items = [max(item, 0.0) for item in items]
+            out[name] = items if parameter.length else items[0]
+        return out
+
+    def described_deviation(self, value: float, largest: float) -> float:
+        """Prior standard deviation of a linear part as described, beside the ``largest`` of its entry."""
+        return self.doubt * abs(value)
+
+    def departure(self, values: Values, orders: int) -> np.ndarray:
+        """What the law is off by: prior deviation (orders,) of sines and cosines of the joint's angle, N·m."""
+        return np.zeros(orders)
+
+    def weight(self, values: Values) -> dict[str, Any] | None:
+        """``mass``, ``com`` and, if it has one, ``inertia`` of the body that it is along a rigid motion, if any."""
+        return None
+
+    def carried(
+        self, motion: "Motion", site: str, values: Values, given: Values, drive: str, part: Part, amount: float
+    ) -> dict[int, np.ndarray]:
+        """What a drive's inertia or friction does beyond its own axis, through this entry: axis → torque (nt,).
+
+        Args:
+            motion: as in :meth:`torque`.
+            site, values, given: of the entry; ``given`` without what is filled in from the rest of the description.
+            drive: the joint of the drive.
+            part: ``"inertia"``, ``"viscous"`` or ``"dry"``.
+            amount: in SI units at the gear output.
+        """
+        return {}
+
+    def spins(self, site: str, values: Values) -> tuple[int, int, float]:
+        """Drive, axis (zero-based) and ratio: how much faster the drive turns per speed of the axis; 0 by default."""
+        return 0, 0, 0.0
+
+    def shared_dry(self, values: Values) -> tuple[str, float]:
+        """The joint of a drive whose dry friction turns with two axes, and how much of it, N·m; none by default."""
+        return "", 0.0
+
+    # --- sites -----------------------------------------------------------------------------------------------------
 
     def is_site(self, site: str, axes: int) -> bool:
         """Whether ``site`` is one of this effect's sites on a robot with ``axes`` axes."""

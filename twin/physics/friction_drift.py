@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.statements import LogView, Prior, Suspected, scale
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
@@ -18,10 +19,17 @@ class FrictionDrift(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("amplitude", "1"), Parameter("time_constant", "s", positive=True))
     seen_in = frozenset({"log"})
+    refers = ages = True
+    log_tests = ("clock",)
     order = 3
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         mechanism.passive_force(self.name, site, values)
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        own = [Prior("amplitude", 0.2), scale("time_constant", 300.0, 3.0)]
+        starts = [[0.0, T] for T in (30.0, 100.0, 250.0, 600.0, 1500.0)]
+        return [Suspected({"amplitude": 0.0, "time_constant": 300.0}, own, starts)]
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)

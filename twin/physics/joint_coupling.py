@@ -9,6 +9,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.statements import LogView, Part, Prior, Suspected, scale
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
@@ -34,6 +35,9 @@ class JointCoupling(Effect):
     seen_in = frozenset({"log"})
     order = 3
     repeatable = True
+    linear = False
+    profiled = "ratio"
+    log_tests = ("acceleration",)
 
     def complete(self, robot: "Robot", site: str, given: Values) -> Values:
         j = axis_of(given["from"])
@@ -77,6 +81,45 @@ class JointCoupling(Effect):
                 damping=viscous,
                 frictionloss=coulomb,
             )
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        """From every other drive; dry friction turns round elsewhere already at a small ratio, and elsewhere again at
+        one of the other sign."""
+        robot, found = view.robot, []
+        for j, axis in enumerate(robot.axes):
+            if j == view.axis or axis.type == "prismatic" or robot.axes[view.axis].type == "prismatic":
+                continue
+            drive = f"joint{j + 1}"
+            described = self.complete(robot, view.site, {"from": drive})
+            usual = view.usual(j)
+            inertia = described["inertia"] or usual / max(view.acceleration(j), 1e-9)
+            viscous, coulomb = described["friction"]
+            friction = [viscous or usual / view.speed(j), coulomb or usual]
+            own = [
+                Prior("ratio", 0.5), scale("inertia", inertia, 1.5 if described["inertia"] else 6.0),
+                scale("friction[0]", friction[0], 2.0), scale("friction[1]", friction[1], 2.0),
+            ]  # fmt: skip
+            starts = [[sign * ratio, inertia, *friction] for ratio in (0.003, 1.0) for sign in (-1, 1)]
+            found.append(
+                Suspected({"from": drive, "ratio": 0.0, "inertia": inertia, "friction": friction}, own, starts)
+            )
+        return found
+
+    def carried(
+        self, motion: "Motion", site: str, values: Values, given: Values, drive: str, part: Part, amount: float
+    ) -> dict[int, np.ndarray]:
+        """Where the entry leaves it to the rest of the description how much turns with both axes."""
+        name = "inertia" if part == "inertia" else "friction"
+        if part not in ("inertia", "viscous", "dry") or values["from"] != drive or given.get(name) is not None:
+            return {}
+        friction = [amount * (part == "viscous"), amount * (part == "dry")]
+        return self.torque(motion, site, {**values, "inertia": amount * (part == "inertia"), "friction": friction})
+
+    def spins(self, site: str, values: Values) -> tuple[int, int, float]:
+        return axis_of(values["from"]), axis_of(site), values["ratio"]
+
+    def shared_dry(self, values: Values) -> tuple[str, float]:
+        return values["from"], values["friction"][1]
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i, j, ratio = axis_of(site), axis_of(values["from"]), values["ratio"]

@@ -6,7 +6,16 @@ Points and mass inboard of the hinge stay behind. ``Mechanism.split`` says how t
 from math import inf
 from typing import TYPE_CHECKING, Any
 
-from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of, light_damping, usual_stiffness
+from twin.physics.effect import (
+    UNIT_VECTORS,
+    Companion,
+    Effect,
+    Parameter,
+    Values,
+    axis_of,
+    light_damping,
+    usual_stiffness,
+)
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -28,6 +37,11 @@ class LinkFlexibility(Effect):
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         mechanism.split(axis_of(site) + 1, UNIT_VECTORS[site[-1]], site, values["stiffness"], values["damping"])
+
+    def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """Softness of the joint that carries the link."""
+        joint = axis_of(site) + 1
+        return [Companion("parameter", f"joint{joint}.{letter}.stiffness") for letter in "yz"]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """Three times a joint's stiffness."""

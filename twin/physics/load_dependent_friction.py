@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
@@ -19,9 +20,15 @@ class LoadDependentFriction(Effect):
     parameters = (Parameter("coefficient", "1"),)
     seen_in = frozenset({"log"})
     role = "friction"
+    refers = True
+    log_tests = ("load", "speeds")
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         mechanism.passive_force(self.name, site, values)
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        size = Prior("coefficient", view.size({"coefficient": 1.0}))
+        return [Suspected({"coefficient": 0.0}, [size], [[0.0]], passive=True)]
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)

@@ -19,6 +19,10 @@ class Presliding(Hysteresis):
     name = "presliding"
     sites = ("joint{i}",)
     seen_in = frozenset({"log"})
+    part = "slip"
+    refines = ""
+    memory = False
+    ordinary = "friction turns round over a travel at every joint: the base model fits it as a tolerance"
 
     def joint(self, mechanism: "Mechanism", site: str) -> "Joint | None":
         return mechanism.motor(axis_of(site))

@@ -2,13 +2,14 @@
 A cascade with integral action is k + d s + k/(T s), T its integral time.
 """
 
+from collections.abc import Iterable
 from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.errors import InputError
-from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of
+from twin.physics.effect import UNIT_VECTORS, Companion, Effect, Parameter, Values, axis_of
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -54,6 +55,14 @@ class ServoCompliance(Effect):
                 where = f"drives[{i}].rotor_inertia"
                 raise InputError(mechanism.robot.name, where, f"servo_compliance at {site} needs the rotor's inertia")
             rotor.armature = values["inertia"]
+
+    def shown_by(self, brakes: Iterable[str | None]) -> bool:
+        """Brakes known to be on in every posture rule the servo out."""
+        return not all(state == "on" for state in brakes)
+
+    def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """The gear's own spring, with which it is in series."""
+        return [Companion("parameter", f"{site}.z.stiffness")]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """Five times the gear's stiffness, 5 % damped on the rotor, integral time 1 s. Needs a rotor's inertia."""

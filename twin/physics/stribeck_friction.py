@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.statements import LogView, Prior, Suspected, scale
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
@@ -22,6 +23,10 @@ class StribeckFriction(Effect):
     seen_in = frozenset({"log"})
     order = 3
     role = "friction"
+    linear_in = ("static_excess",)
+    refines = "dry"
+    fades_over = "velocity"
+    log_tests = ("speeds",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         motor = mechanism.motor(axis_of(site))
@@ -34,6 +39,22 @@ class StribeckFriction(Effect):
         mechanism.passive_motor(
             f"{site}.stribeck", motor.name, lugre=(stiffness, 0.0, coulomb, static, values["velocity"])
         )
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        middle = 0.1 * view.speed()
+        own = [Prior("static_excess", view.usual()), scale("velocity", middle, 3.0)]
+        starts = [[0.0, factor * middle] for factor in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)]
+        return [Suspected({"static_excess": 0.0, "velocity": middle}, own, starts, passive=True)]
+
+    def turning(self, values: Values, velocity: np.ndarray) -> float:
+        """What a parabola in speed misses of the excess at rest."""
+        speed = np.abs(velocity)
+        fastest = float(speed.max(initial=0.0))
+        speed = speed[speed > 0.01 * fastest]  # slower rows tell nothing of how friction depends on it
+        if len(speed) < 4:
+            return 0.0
+        excess = np.exp(-((speed / values["velocity"]) ** 2))
+        return float(values["static_excess"] * (1 - np.polynomial.polynomial.polyfit(speed / fastest, excess, 2)[0]))
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)

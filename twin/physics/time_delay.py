@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from twin.physics.effect import Effect, Parameter, Values
+from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
@@ -17,6 +18,9 @@ class TimeDelay(Effect):
     sites = ("sensor:LABEL", "log")
     parameters = (Parameter("delay", "s", spread=1e-3),)
     seen_in = frozenset({"hammer", "log"})
+    steps = linear = False
+    refers = True
+    log_tests = ("reversals", "speeds")
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if site != "log" and values["delay"] > 0:
@@ -27,6 +31,9 @@ class TimeDelay(Effect):
             chain.torque_delay += values["delay"]
         else:
             chain.response_delay[chain.responses(site)] += values["delay"]
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        return [Suspected({"delay": 0.0}, [Prior("delay", 0.1 / view.rate_hz)], [[0.0]])]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """None at all: an error of either sign."""

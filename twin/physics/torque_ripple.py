@@ -1,10 +1,11 @@
 """A torque that repeats with the joint angle: A sin(order·q + phase), order per joint turn."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.statements import LinearPart, LogView, Prior, Suspected, scale
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
@@ -18,11 +19,48 @@ class TorqueRipple(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("amplitude", "N·m"), Parameter("order", "1"), Parameter("phase", "rad"))
     seen_in = frozenset({"log"})
+    steps = False
+    linear_in = ("amplitude",)
+    log_tests = ("sweep",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if motor := mechanism.motor(axis_of(site)):
             amplitude, order, phase = values["amplitude"], values["order"], values["phase"]
             mechanism.passive_motor(f"{site}.ripple", motor.name, cogging=(-amplitude, order, phase))
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        """Orders as far apart as the joint's range tells them, up to where the low-pass takes the wave."""
+        if view.robot.axes[view.axis].type == "prismatic":
+            return []
+        _, half = view.middle()
+        highest = 2 * np.pi * view.highest_hz / view.speed()
+        orders = np.arange(2.0, min(highest, 80.0), min(0.7 / max(half, 1e-3), 4.0))
+        own = [Prior("amplitude", view.usual()), scale("order", 12.0, 3.0), Prior("phase", np.pi / np.sqrt(3))]
+        starts = [[0.0, order, phase] for order in orders for phase in (0.0, np.pi / 2)]
+        return [Suspected({"amplitude": 0.0, "order": 12.0, "phase": 0.0}, own, starts)]
+
+    def canonical(self, values: np.ndarray) -> np.ndarray:
+        """The amplitude above zero and the phase within half a turn of zero."""
+        amplitude, order, phase = values
+        phase = (phase + (np.pi if amplitude < 0 else 0.0) + np.pi) % (2 * np.pi) - np.pi
+        return np.array([abs(amplitude), order, phase])
+
+    def linear_parts(self, values: Values) -> list[LinearPart]:
+        """Cosine and sine of the phase."""
+        amplitude, phase = values["amplitude"], values["phase"]
+        return [
+            LinearPart(
+                "amplitude·cos", "N·m", float(amplitude * np.cos(phase)), {**values, "amplitude": 1.0, "phase": 0.0}
+            ),
+            LinearPart(
+                "amplitude·sin", "N·m", float(amplitude * np.sin(phase)),
+                {**values, "amplitude": 1.0, "phase": np.pi / 2},
+            ),
+        ]  # fmt: skip
+
+    def with_linear(self, values: Values, found: list[float]) -> dict[str, Any]:
+        cosine, sine = found
+        return {"amplitude": float(np.hypot(cosine, sine)), "phase": float(np.arctan2(sine, cosine))}
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)

@@ -22,6 +22,7 @@ class TransverseCompliance(Effect):
     seen_in = frozenset({"hammer"})
     order = 1
     sprung = True
+    hinge = True
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         body = f"link{axis_of(site) + 1}"

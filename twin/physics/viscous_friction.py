@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
@@ -19,10 +20,18 @@ class ViscousFriction(Effect):
     parameters = (Parameter("coefficient", "N·m·s/rad"),)
     seen_in = frozenset({"log"})
     role = "friction"
+    part = "viscous"
+    steps = False
+    linear_in = least_zero = ("coefficient",)
+    log_tests = ("speeds",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if motor := mechanism.motor(axis_of(site)):
             motor.damping[0] += values["coefficient"]
+
+    def suspected(self, view: LogView) -> list[Suspected]:
+        size = Prior("coefficient", view.size({"coefficient": 1.0}))
+        return [Suspected({"coefficient": 0.0}, [size], [[0.0]], passive=True)]
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)

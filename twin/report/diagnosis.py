@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator, ScalarFormatter
 
-from twin.diagnose.evidence import Spot, best_spot
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, Stage
+from twin.diagnose.sentences import Spot, best_spot
 from twin.diagnose.verdict import MEANING, Finding, Verdict, parameter_rows
 from twin.measure.campaign import QUANTITIES
 from twin.physics import CATALOGUE

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from twin.identify.elastic import Recorded
+from twin.identify.recorded import Recorded
 from twin.identify.uncertainty import Estimate
 from twin.measure.campaign import QUANTITIES, ComplexArray
 from twin.report import figures, fit_figures

@@ -8,8 +8,19 @@ from pathlib import Path
 from jinja2 import Environment
 
 from twin.files import writing
+from twin.result import Table
 
-_PAGE = """<!doctype html>
+_TABLE = """{% macro draw(table) %}{% if table.title %}<p><b>{{ table.title }}</b></p>
+{% endif %}<table><thead><tr>{% for head in table.header %}<th
+{%- if loop.index0 in table.numbers %} class="number"{% endif %}>{{ head }}</th>{% endfor %}</tr></thead><tbody>
+{% for row in table.rows %}<tr{% if loop.index0 in table.dim %} class="dim"{% endif %}>{% for cell in row %}<td
+{%- if loop.index0 in table.numbers %} class="number"{% endif %}>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}</tbody></table>
+{% endmacro %}"""
+
+_PAGE = (
+    _TABLE
+    + """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{{ title }}</title>
 <style>
@@ -27,26 +38,20 @@ li.warning { color: #a33b00; } footer { color: #8a96a3; margin-top: 3rem; font-s
 {% endfor %}{% if section.warnings %}<ul>
 {% for text in section.warnings %}<li class="warning">{{ text }}</li>
 {% endfor %}</ul>{% endif %}
-{% for table in section.tables %}<table><thead><tr>{% for head in table.header %}<th
-{%- if loop.index0 in table.numbers %} class="number"{% endif %}>{{ head }}</th>{% endfor %}</tr></thead><tbody>
-{% for row in table.rows %}<tr{% if loop.index0 in table.dim %} class="dim"{% endif %}>{% for cell in row %}<td
-{%- if loop.index0 in table.numbers %} class="number"{% endif %}>{{ cell }}</td>{% endfor %}</tr>
-{% endfor %}</tbody></table>
-{% endfor %}{% for image in section.images %}<p>
+{% for table in section.tables %}{{ draw(table) }}{% endfor %}{% for image in section.images %}<p>
 <img alt="{{ image.alt }}" src="data:image/png;base64,{{ image.data }}"></p>
 {% endfor %}</section>
 {% endfor %}<footer>{{ footer }}</footer></body></html>
 """
+)
 
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of cells under a header; ``numbers`` are the columns set flush right, ``dim`` the rows set pale."""
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    numbers: Sequence[int] = ()
-    dim: Sequence[int] = ()
+_FRAGMENT = (
+    _TABLE
+    + """<style>.twin td.number, .twin th.number { text-align: right; } .twin tr.dim td { opacity: .55; }</style>
+<div class="twin"><p>{{ lead }}</p>
+{% for table in tables %}{{ draw(table) }}{% endfor %}</div>
+"""
+)
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,11 @@ def write_html(path: str | Path, title: str, lead: str, sections: Sequence[Secti
     page = Environment(autoescape=True).from_string(_PAGE)
     with writing(path) as stream:
         stream.write(page.render(title=title, lead=lead, sections=content, footer=footer))
+
+
+def fragment(lead: str, tables: Sequence[Table]) -> str:
+    """A sentence and tables as HTML inside another page, such as a notebook."""
+    return Environment(autoescape=True).from_string(_FRAGMENT).render(lead=lead, tables=tables)
 
 
 def _inlined(image: Path) -> str:

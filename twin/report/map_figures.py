@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from twin.identify.elastic import without_limits
+from twin.identify.recorded import without_limits
 from twin.robot.mechanism import assemble
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """Figures of a modal test: stabilisation chart, measured against synthesised FRFs, MAC and auto-MAC."""
 
 from collections.abc import Mapping
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -9,6 +9,10 @@ from matplotlib.figure import Figure
 from twin.measure.campaign import ComplexArray
 from twin.measure.modal import ModalResult
 from twin.measure.shapes import mac, summation
+from twin.report.figures import mode_shapes
+
+if TYPE_CHECKING:
+    from twin.commands.modal import ModalAnalysis
 
 SYMBOLS = {"o": "new pole", "f": "frequency", "d": "frequency, damping", "v": "frequency, vector", "s": "stable"}
 COLOURS = {"o": "0.75", "f": "0.5", "d": "tab:blue", "v": "tab:orange", "s": "tab:red"}
@@ -105,28 +109,27 @@ def mac_figure(
     return figure
 
 
-def write_modal_figures(folder: str | Path, results: Mapping[str, ModalResult]) -> list[Path]:
-    """Draw every figure of every posture into ``folder`` as PNG, and the MAC between postures; returns the files."""
-    folder = Path(folder)
-    written = []
+def draw(found: "ModalAnalysis") -> dict[str, Figure]:
+    """File name → figure."""
+    shapes = {f"{name}_shapes.png": mode_shapes(*shown) for name, shown in found.on_robot.items()}
+    return shapes | drawn(found.results)
 
-    def save(figure: Figure, stem: str) -> None:
-        path = folder / f"{stem}.png"
-        figure.savefig(path, dpi=130)
-        written.append(path)
 
+def drawn(results: Mapping[str, ModalResult]) -> dict[str, Figure]:
+    """File name → figure of every posture, and the MAC between the first posture and the others."""
+    figures = {}
     for name, result in results.items():
-        save(stabilisation_figure(result), f"{name}_stabilisation")
-        save(overlay_figure(result), f"{name}_frf")
+        figures[f"{name}_stabilisation.png"] = stabilisation_figure(result)
+        figures[f"{name}_frf.png"] = overlay_figure(result)
         if result.modes:
-            save(mac_figure(result.shapes, _names(result), title=f"{name}: auto-MAC"), f"{name}_automac")
+            figures[f"{name}_automac.png"] = mac_figure(result.shapes, _names(result), title=f"{name}: auto-MAC")
     first, *others = results.values()
     for result in others:
         if result.modes and first.modes and result.shapes.shape[1] == first.shapes.shape[1]:
             title = f"MAC: {first.name} (down) and {result.name} (across)"
             figure = mac_figure(first.shapes, _names(first), result.shapes, _names(result), title)
-            save(figure, f"{first.name}_{result.name}_mac")
-    return written
+            figures[f"{first.name}_{result.name}_mac.png"] = figure
+    return figures
 
 
 def _names(result: ModalResult) -> list[str]:

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from twin.identify.excitation import Excitation
-from twin.identify.regressor import flange_path
 from twin.identify.rigid import Bands, Rows, motion_of_run
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
+from twin.model.regressor import flange_path
 from twin.robot.description import Robot
 
 _COLOURS = ("#1f4e9c", "#e8590c", "#2b8a3e", "#9c36b5", "#0b7285", "#846358", "#5f3dc4", "#c2255c")
@@ -174,6 +174,8 @@ def residuals(robot: Robot, rows: Sequence[Rows], parameters: np.ndarray) -> Fig
             x = state if state.ndim == 1 else state[:, i]
             ax.plot(x[thin], residual[thin, i], ".", color="#b8bcc4", markersize=2)
             edges = np.unique(np.quantile(x, np.linspace(0, 1, 41)))
+            if len(edges) < 2:  # an axis that does not move
+                edges = np.array([edges[0] - 0.5, edges[0] + 0.5])
             of = np.clip(np.digitize(x, edges) - 1, 0, len(edges) - 2)
             count = np.maximum(np.bincount(of, minlength=len(edges) - 1), 1)
             mean = np.bincount(of, residual[:, i], len(edges) - 1) / count

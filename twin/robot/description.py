@@ -467,16 +467,18 @@ SHIPPED = next(
 """Folder of the shipped descriptions: inside an installed package, or at the top of a clone."""
 
 
-def load_robot(name: str | Path, relative_to: str | Path | None = None) -> Robot:
+def load_robot(name: "str | Path | Robot", relative_to: str | Path | None = None) -> Robot:
     """Load a shipped description (``kr90``), a ``robot.yaml`` or a URDF.
 
     Args:
-        name: shipped name or path.
+        name: shipped name or path; a robot that is loaded already is returned as it is.
         relative_to: folder that a relative path is looked up in before the working folder.
 
     Raises:
         InputError: no such robot, or the file breaks the schema.
     """
+    if isinstance(name, Robot):
+        return name
     candidates = [Path(name)] if relative_to is None else [Path(relative_to) / name, Path(name)]
     path = next((candidate for candidate in candidates if candidate.is_file()), None)
     if path is None:

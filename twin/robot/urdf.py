@@ -15,6 +15,7 @@ from numpy.linalg import norm
 from scipy.spatial.transform import Rotation
 
 from twin.errors import InputError
+from twin.physics import effect_of
 from twin.robot.description import Robot, check_inertia, parse_robot
 from twin.robot.frames import inertia_matrix, inertia_six, quaternion_of
 from twin.robot.mechanism import Inertial, fuse
@@ -102,12 +103,9 @@ def import_urdf(path: str | Path) -> Robot:
         ],
         "flange": _placement(tip),
         "physics": [
-            {"effect": effect, "site": f"joint{i + 1}", parameter: value}
+            {"effect": effect.name, "site": f"joint{i + 1}", effect.parameters[0].name: value}
             for i, (joint, _) in enumerate(chain)
-            for effect, parameter, value in (
-                ("viscous_friction", "coefficient", joint.damping),
-                ("coulomb_friction", "torque", joint.friction),
-            )
+            for effect, value in ((effect_of("viscous"), joint.damping), (effect_of("dry"), joint.friction))
             if value > 0
         ],
     }

@@ -12,7 +12,9 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.physics import CATALOGUE
+from twin.physics.effect import axis_of
 from twin.physics.motion import Motion
+from twin.physics.statements import Part
 from twin.robot.description import Entry, Robot, parse_robot
 from twin.robot.frames import inertia_matrix, inertia_six, matrix_of
 
@@ -51,6 +53,19 @@ def body_of(vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Mass, centre of mass (3,) and inertia at it (3, 3) of ten parameters; the inverse of ``inertial_vector``."""
     mass, com = float(vector[0]), vector[1:4] / vector[0]
     return mass, com, inertia_matrix(vector[4:].tolist()) - mass * (com @ com * np.eye(3) - np.outer(com, com))
+
+
+def weight_vector(site: str, weight: dict[str, Any], axes: int) -> tuple[int, np.ndarray]:
+    """Zero-based link that carries a body at a site, and the body's ten parameters (10,) about that link's frame.
+
+    Args:
+        site: ``flange`` (the last link) or ``link3``.
+        weight: ``mass``, ``com`` and, if it has one, ``inertia``, as of a payload.
+        axes: of the robot.
+    """
+    link = axes - 1 if site == "flange" else axis_of(site)
+    six = [*weight.get("inertia", []), *[0.0] * 6][:6]
+    return link, inertial_vector(weight["mass"], np.array(weight["com"], float), inertia_matrix(six))
 
 
 def pseudo_inertia(vector: np.ndarray) -> np.ndarray:
@@ -230,29 +245,6 @@ def rotor_regressor(robot: Robot, motion: Motion) -> np.ndarray:
     return spin[:, None, :] * C.T[None]
 
 
-# Effects whose law is linear in some of their parameters; the others of the entry keep their described values.
-LINEAR: dict[str, tuple[str, ...]] = {
-    "viscous_friction": ("coefficient",),
-    "coulomb_friction": ("torque",),
-    "asymmetric_friction": ("torque_difference", "viscous_difference"),
-    "stribeck_friction": ("static_excess",),
-    "hysteresis": ("yield_torque",),
-    "presliding": ("yield_torque",),
-    "gravity_compensator": ("coefficients",),
-    "cable_stiffness": ("stiffness", "stiffness·rest"),
-    "torque_ripple": ("amplitude·cos", "amplitude·sin"),
-    "rotor_inertia": ("inertia",),
-}
-_TAKEN_OVER: dict[
-    str, tuple[str, Any]
-] = {  # what a coupled drive does on both axes, as the coupling's own law takes it
-    "viscous_friction": ("friction", [1.0, 0.0]),
-    "coulomb_friction": ("friction", [0.0, 1.0]),
-    "rotor_inertia": ("inertia", 1.0),
-}
-SINGULAR = 1e-12  # stands for a slip element of no strength, whose yield travel must stay as described
-
-
 @dataclass(frozen=True)
 class Regressor:
     """The columns of a robot's linear model, and the functions from motion to matrix and from values to robot.
@@ -260,8 +252,7 @@ class Regressor:
     Attributes:
         robot: the description; entries that are not linear in their parameters and payloads keep described values.
         offsets: with one constant torque per joint, which belongs to the recording (current sensor's zero). A joint
-            with ``asymmetric_friction`` gets none, because its torque difference is that constant, nor one with a
-            ``gravity_compensator`` or a cable, which come near it wherever a joint turns less than once.
+            with an entry whose torque is or comes near that constant gets none.
     """
 
     robot: Robot
@@ -278,10 +269,13 @@ class Regressor:
         for i, drive in enumerate(self.robot.drives):
             columns.append(Column(f"drive{i + 1}.rotor_inertia", "kg·m²", "rotor", drive.rotor_inertia, True))
         for entry in self.entries:
-            columns += [column for column, _ in _units(entry)]
+            key = f"{entry.effect}@{entry.site}"
+            columns += [
+                Column(f"{key}.{part.name}", part.unit, "entry", float(part.value), part.nonnegative)
+                for part in CATALOGUE[entry.effect].linear_parts(entry.values)
+            ]
         if self.offsets:
-            constant = ("asymmetric_friction", "gravity_compensator", "cable_stiffness")
-            leaning = {entry.site for entry in self.entries if entry.effect in constant}
+            leaning = {entry.site for entry in self.entries if CATALOGUE[entry.effect].leaning}
             columns += [
                 Column(f"torque_offset@{name}", "N·m", "offset", 0.0)
                 for name in self.robot.joint_names
@@ -292,7 +286,7 @@ class Regressor:
     @property
     def entries(self) -> list[Entry]:
         """The physics entries that have columns."""
-        return [entry for entry in self.robot.physics if entry.effect in LINEAR]
+        return [entry for entry in self.robot.physics if CATALOGUE[entry.effect].linear_in]
 
     @property
     def described(self) -> np.ndarray:
@@ -316,22 +310,17 @@ class Regressor:
         """The columns of links and rotors (nt, n, 11 n), smooth functions of the motion."""
         rotors = rotor_regressor(self.robot, motion)
         for j, drive in enumerate(self.robot.drives):
-            for axis, torque in self._coupled(motion, f"joint{j + 1}", "inertia", drive.gear_ratio**2).items():
+            for axis, torque in self._carried(motion, f"joint{j + 1}", "inertia", drive.gear_ratio**2).items():
                 rotors[:, axis, j] += torque
         return np.concatenate([link_regressor(self.robot, motion), rotors], axis=2)
 
-    def _coupled(self, motion: Motion, site: str, name: str, value: Any) -> dict[int, np.ndarray]:
-        """What a drive's inertia or friction does beyond its own axis, where a coupling takes over whatever it is."""
+    def _carried(self, motion: Motion, drive: str, part: Part, amount: float) -> dict[int, np.ndarray]:
+        """What a drive's inertia or friction does beyond its own axis, where other entries take it over."""
         total: dict[int, np.ndarray] = {}
         for entry in self.robot.physics:
-            if (
-                entry.effect == "joint_coupling"
-                and entry.values["from"] == site
-                and (entry.model_extra or {}).get(name) is None
-            ):
-                values = {**entry.values, "inertia": 0.0, "friction": [0.0, 0.0], name: value}
-                for axis, torque in CATALOGUE["joint_coupling"].torque(motion, entry.site, values).items():
-                    total[axis] = total.get(axis, 0.0) + torque
+            effect, given = CATALOGUE[entry.effect], entry.model_extra or {}
+            for axis, torque in effect.carried(motion, entry.site, entry.values, given, drive, part, amount).items():
+                total[axis] = total.get(axis, 0.0) + torque
         return total
 
     def laws(self, motion: Motion) -> list[tuple[int, int, np.ndarray]]:
@@ -339,17 +328,25 @@ class Regressor:
         out = []
         k = 11 * self.robot.axis_count
         for entry in self.entries:
-            for _, unit in _units(entry):
-                torques = CATALOGUE[entry.effect].torque(motion, entry.site, unit.values)
+            effect = CATALOGUE[entry.effect]
+            for part in effect.linear_parts(entry.values):
+                torques = effect.torque(motion, entry.site, part.values)
                 out += [(k, axis, torque) for axis, torque in torques.items()]
-                if entry.effect in _TAKEN_OVER:
-                    coupled = self._coupled(motion, entry.site, *_TAKEN_OVER[entry.effect])
-                    out += [(k, axis, torque) for axis, torque in coupled.items()]
+                if effect.part:
+                    carried = self._carried(motion, entry.site, effect.part, 1.0)
+                    out += [(k, axis, torque) for axis, torque in carried.items()]
                 k += 1
         names = self.robot.joint_names
         for column in range(k, len(self.columns)):
             out.append((column, names.index(self.columns[column].name.partition("@")[2]), np.ones(len(motion.time))))
         return out
+
+    @property
+    def complete(self) -> bool:
+        """Whether all torque has columns: then none is known beforehand."""
+        fixed = (e for e in self.robot.physics if not CATALOGUE[e.effect].linear_in)
+        laws = any(CATALOGUE[e.effect].has_torque or CATALOGUE[e.effect].weight(e.values) for e in fixed)
+        return not laws and not any(drive.rotor_mass for drive in self.robot.drives)
 
     def known_torque(self, motion: Motion) -> np.ndarray:
         """Torque (nt, n) of what has no column: payloads, rotor masses, and laws not linear in their parameters."""
@@ -358,15 +355,13 @@ class Regressor:
         payload[::10] = [drive.rotor_mass for drive in self.robot.drives]
         fixed = []
         for entry in self.robot.physics:
-            if entry.effect == "payload":
-                link = n - 1 if entry.site == "flange" else int(entry.site[4:]) - 1
-                values = entry.values
-                six = [*(values["inertia"] or []), *[0.0] * 6][:6]
-                payload[10 * link : 10 * link + 10] += inertial_vector(
-                    values["mass"], np.array(values["com"]), inertia_matrix(six)
-                )
-            elif entry.effect not in LINEAR:
-                fixed.append((CATALOGUE[entry.effect], entry))
+            effect = CATALOGUE[entry.effect]
+            weight = effect.weight(entry.values)
+            if weight is not None:
+                link, vector = weight_vector(entry.site, weight, n)
+                payload[10 * link : 10 * link + 10] += vector
+            elif not effect.linear_in:
+                fixed.append((effect, entry))
         total = np.zeros_like(motion.position)
         if payload.any():
             total += link_regressor(self.robot, motion) @ payload
@@ -376,7 +371,7 @@ class Regressor:
             sliding = np.zeros(len(self.columns), bool)
             k = 11 * n
             for entry in self.entries:
-                width = len(_units(entry))
+                width = len(CATALOGUE[entry.effect].linear_parts(entry.values))
                 load[k : k + width] |= CATALOGUE[entry.effect].role == "load"
                 sliding[k : k + width] = CATALOGUE[entry.effect].role == "friction"
                 k += width
@@ -400,78 +395,12 @@ class Regressor:
             link.update(mass=mass, com=[float(x) for x in com], inertia=inertia_six(inertia), density=None)
         data["total_mass"] = None
         for i, drive in enumerate(data["drives"]):
-            drive["rotor_inertia"] = max(found[f"drive{i + 1}.rotor_inertia"], 0.0)
-        for entry in data["physics"]:
-            if entry["effect"] in LINEAR:
-                entry.update(_written(Entry(**entry), found))
+            drive.update(rotor_inertia=max(found[f"drive{i + 1}.rotor_inertia"], 0.0))
+        k = 11 * self.robot.axis_count
+        for entry, written in zip(self.robot.physics, data["physics"], strict=True):
+            effect = CATALOGUE[entry.effect]
+            if effect.linear_in:
+                width = len(effect.linear_parts(entry.values))
+                written.update(effect.with_linear(entry.values, [float(x) for x in values[k : k + width]]))
+                k += width
         return parse_robot(data, self.robot.name)
-
-
-def _units(entry: Entry) -> list[tuple[Column, Entry]]:
-    """Columns of an entry, each with the entry whose law is the column."""
-    values, out = entry.values, []
-
-    def add(name: str, unit: str, value: float, **parameters: Any) -> None:
-        data = {**values, **parameters}
-        column = Column(f"{entry.effect}@{entry.site}.{name}", unit, "entry", float(value), name in _NONNEGATIVE)
-        out.append((column, Entry(effect=entry.effect, site=entry.site, **data)))
-
-    none: dict[str, Any] = {}
-    for parameter in CATALOGUE[entry.effect].parameters:
-        if parameter.name in LINEAR[entry.effect]:
-            none[parameter.name] = [0.0] * parameter.length if parameter.length > 0 else 0.0
-    match entry.effect:
-        case "cable_stiffness":
-            add("stiffness", "N·m/rad", values["stiffness"], stiffness=1.0, rest=0.0)
-            # −k q₀ has the law of a spring of no stiffness that pulls for ever: a limit taken exactly in binary numbers
-            add("stiffness·rest", "N·m", values["stiffness"] * values["rest"], stiffness=2.0**-60, rest=2.0**60)
-        case "torque_ripple":
-            amplitude, phase = values["amplitude"], values["phase"]
-            add("amplitude·cos", "N·m", amplitude * np.cos(phase), amplitude=1.0, phase=0.0)
-            add("amplitude·sin", "N·m", amplitude * np.sin(phase), amplitude=1.0, phase=np.pi / 2)
-        case "hysteresis" | "presliding":
-            limits = np.maximum(values["yield_torque"], SINGULAR)
-            stiffness = np.maximum(values["stiffness"], SINGULAR)
-            for k, travel in enumerate(limits / stiffness):
-                add(f"yield_torque[{k + 1}]", "N·m", limits[k], yield_torque=[1.0], stiffness=[1.0 / travel])
-        case _:
-            by_name = {parameter.name: parameter for parameter in CATALOGUE[entry.effect].parameters}
-            for name in LINEAR[entry.effect]:
-                parameter = by_name[name]
-                units = [word.strip() for word in parameter.unit.split(",")]
-                if not parameter.length:
-                    add(name, units[0], values[name], **{**none, name: 1.0})
-                for k in range(parameter.length):
-                    unit = np.eye(parameter.length)[k].tolist()
-                    add(f"{name}[{k + 1}]", units[min(k, len(units) - 1)], values[name][k], **{**none, name: unit})
-    return out
-
-
-_NONNEGATIVE = {"coefficient", "torque", "inertia"}
-
-
-def _written(entry: Entry, found: dict[str, float]) -> dict[str, Any]:
-    """The parameters of an entry from the values of its columns."""
-    at = f"{entry.effect}@{entry.site}."
-    match entry.effect:
-        case "cable_stiffness":
-            stiffness, pull = found[at + "stiffness"], found[at + "stiffness·rest"]
-            return {"stiffness": stiffness, "rest": pull / stiffness if stiffness else 0.0}
-        case "torque_ripple":
-            cosine, sine = found[at + "amplitude·cos"], found[at + "amplitude·sin"]
-            return {"amplitude": float(np.hypot(cosine, sine)), "phase": float(np.arctan2(sine, cosine))}
-        case "hysteresis" | "presliding":
-            limits = np.array([max(found[column.name], 0.0) for column, _ in _units(entry)])
-            described = np.maximum(entry.values["yield_torque"], SINGULAR)
-            travel = described / np.maximum(entry.values["stiffness"], SINGULAR)
-            return {"yield_torque": limits.tolist(), "stiffness": (limits / travel).tolist()}
-    out: dict[str, Any] = {}
-    for parameter in CATALOGUE[entry.effect].parameters:
-        if parameter.name in LINEAR[entry.effect]:
-            names = [f"{at}{parameter.name}[{k + 1}]" for k in range(parameter.length)]
-            listed = [found[name] for name in names]
-            value = listed if names else found[at + parameter.name]
-            if parameter.nonnegative:
-                value = [max(x, 0.0) for x in listed] if names else max(found[at + parameter.name], 0.0)
-            out[parameter.name] = value
-    return out

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.identify.parameters import Parameter, Parameters
 from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
 from twin.model.linear import state_matrix
+from twin.model.parameters import Parameter, Parameters
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect

@@ -221,6 +221,31 @@ class Parameters:
         return _changed(robot, {self.items[index].name: float(value)})
 
 
+@dataclass(frozen=True)
+class Sprung(Parameters):
+    """Parameters whose springs are named after their coordinate, so that their derivatives are closed forms.
+
+    Attributes:
+        written: the same under the names of the description, through which values enter a robot.
+    """
+
+    written: Parameters
+
+    def select(self, keep: Iterable[int]) -> "Sprung":
+        """The parameters at some indices."""
+        keep = list(keep)
+        some = super().select(keep)
+        return Sprung(some.items, some.covariance, self.written.select(keep))
+
+    def apply(self, robot: Robot, values: FloatArray) -> Robot:
+        """The robot with the values that belong to it."""
+        return self.written.apply(robot, values)
+
+    def apply_one(self, robot: Robot, index: int, value: float) -> Robot:
+        """The robot with one value changed."""
+        return self.written.apply_one(robot, index, value)
+
+
 # --- which parameters there are -------------------------------------------------------------------------------------
 
 
@@ -248,9 +273,8 @@ def elastic_parameters(robot: Robot) -> list[Parameter]:
                 value = _assumed_damping(values["stiffness"])
             if value <= 0:
                 continue
-            spring = entry.effect == "transverse_compliance"
-            name = f"{entry.site}.{item.name}" if spring else f"{key}.{item.name}"
-            found.append(_scale(robot, name, item.unit, "spring" if spring else "entry", value, item.spread))
+            name = f"{entry.site}.{item.name}" if effect.hinge else f"{key}.{item.name}"
+            found.append(_scale(robot, name, item.unit, "spring" if effect.hinge else "entry", value, item.spread))
     return found
 
 
@@ -406,6 +430,7 @@ def _parse(name: str) -> tuple[str, str, int | None]:
 def _changed(robot: Robot, values: dict[str, float]) -> Robot:
     axes, links = list(robot.axes), list(robot.links)
     described = dict(_entries(robot))
+    hinges = {entry.site: key for key, entry in described.items() if CATALOGUE[entry.effect].hinge}
     entries = {key: dict(entry.model_extra or {}) for key, entry in described.items()}
     touched: set[str] = set()
     for name, value in values.items():
@@ -424,9 +449,8 @@ def _changed(robot: Robot, values: dict[str, float]) -> Robot:
                 i = int(site[5:-2]) - 1
                 axes[i] = axes[i].model_copy(update={quantity: value})
             else:
-                key = f"transverse_compliance@{site}"
-                entries[key][quantity] = value
-                touched.add(key)
+                entries[hinges[site]][quantity] = value
+                touched.add(hinges[site])
         else:
             link, _, quantity = name.partition(".")
             i = int(link[4:]) - 1

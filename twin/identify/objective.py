@@ -1,4 +1,4 @@
-"""Posterior cost of a hypothesis on measured FRFs, with its derivatives: what screening and refits evaluate."""
+"""Posterior cost of a robot's free numbers on measured FRFs, with its derivatives: what every fit to FRFs evaluates."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,22 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnose.held_law import respond, respond_slopes
-from twin.diagnose.hypotheses import Sprung
-from twin.identify.elastic import Recorded
-from twin.identify.parameters import SIX, Parameters
+from twin.identify.descent import Descended
+from twin.identify.recorded import Recorded
 from twin.identify.residual import loss, pull, weights
-from twin.identify.sensitivity import (
+from twin.measure.campaign import ComplexArray, FloatArray
+from twin.model.parameters import SIX, Parameters, Sprung
+from twin.model.sensitivity import (
     Observed,
     Setup,
     Structure,
     contract,
     moving,
     observe_all,
+    sag_slopes,
     slopes,
     spatial_inertia,
 )
-from twin.measure.campaign import ComplexArray, FloatArray
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 from twin.robot.mechanism import Inertial, cut
@@ -60,7 +60,7 @@ class Sample:
 
 
 @dataclass
-class Cost:
+class Cost(Descended):
     """½ Σ |H − H(z)|²/(σ² + (temper |H|)²) + ½ zᵀz; with ``logarithmic`` the robust
     sum of :mod:`twin.identify.residual`.
 
@@ -93,18 +93,6 @@ class Cost:
             for r, H, w in zip(self.sample.recordings, predicted, self.weight, strict=True)
         )
 
-    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
-        """Not known."""
-        return None
-
-    def cost(self, z: FloatArray) -> float:
-        """Prior included."""
-        raise NotImplementedError
-
-    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
-        raise NotImplementedError
-
     def pull(
         self, r: Recorded, H: ComplexArray, w: FloatArray
     ) -> tuple[float, ComplexArray, ComplexArray | FloatArray]:
@@ -117,15 +105,18 @@ class Objective(Cost):
     """The cost of a robot that is linear.
 
     Attributes:
+        exact: derivatives include what sag adds, as of where the cost was evaluated first: to the optimum's last digit.
         sagging: whether springs give way under the weight, by 1e-3 rad; roughly right without, at half the work.
         held, among: with ``among``, z holds those coordinates alone and the others are as in ``held``.
         rows: residual, its derivatives and by what, where a linear one was evaluated last; recording by recording.
     """
 
+    exact: bool = False
     sagging: bool = True
     held: FloatArray | None = None
     among: tuple[int, ...] | None = None
     rows: list[tuple[FloatArray, FloatArray, NDArray[np.intp]]] = field(default_factory=list)
+    _slow: dict[str, Observed] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -153,7 +144,7 @@ class Objective(Cost):
     def predicted(self, z: FloatArray) -> list[ComplexArray]:
         """FRFs (nf, nr, ne) per recording."""
         models = self._along(z) if self._linear else self._observed(*self._described(z))
-        return [respond(*one, r) for r, one in zip(self.sample.recordings, models, strict=True)]
+        return [r.respond(*one) for r, one in zip(self.sample.recordings, models, strict=True)]
 
     def _described(self, z: FloatArray) -> tuple[Robot, FloatArray]:
         """The robot at z, and all values (n,)."""
@@ -223,7 +214,7 @@ class Objective(Cost):
         if self._linear:
             transform, every = self.free.transform(self.free.values(z)), np.arange(len(z))
             for r, one, (_, _, rate) in zip(self.sample.recordings, self._along(z), self._linear, strict=True):
-                yield *respond_slopes(*one, contract(rate, transform), r), every
+                yield *r.respond_slopes(*one, contract(rate, transform)), every
             return
         robot, values = self._described(z)
         transform, own = self.parameters.transform(values), values
@@ -234,9 +225,15 @@ class Objective(Cost):
             some = np.array(self.free.seen_in(r.setup.name))
             columns = np.flatnonzero(transform[some].any(axis=0))
             rate = rates(robot, r.setup, self.free, own, seen, model, changes, some)
+            if self.exact:
+                if r.group not in self._slow:
+                    self._slow[r.group] = sag_slopes(robot, r.setup, self.free, own, model)
+                slow = self._slow[r.group].arrays()
+                rate = Observed.of(a + b[some] for a, b in zip(rate.arrays(), slow, strict=True))
             rate = contract(rate, transform[np.ix_(some, columns)])
             moves = moving(rate)
-            yield *respond_slopes(seen, model, Observed.of(array[moves] for array in rate.arrays()), r), columns[moves]
+            felt = Observed.of(array[moves] for array in rate.arrays())
+            yield *r.respond_slopes(seen, model, felt), columns[moves]
 
     @cached_property
     def _linear(self) -> list[tuple[Observed, Structure, Observed]]:
@@ -291,7 +288,7 @@ def rates(
     changes: Changes,
     among: Iterable[int] | None = None,
 ) -> Observed:
-    """:func:`twin.identify.sensitivity.slopes`, links that bend differentiated through their cut."""
+    """:func:`twin.model.sensitivity.slopes`, links that bend differentiated through their cut."""
     split = {f"link{number}": plane for number, plane in model.mechanism.splits.items()}
     through = [
         k for k, p in enumerate(parameters) if p.kind == "link" and p.name.partition(".")[0] in split

@@ -1,0 +1,85 @@
+"""A name stays only where the recordings are predicted better with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin.diagnose.borne_out import borne_out, gained
+from twin.diagnose.records import FrfRecord
+from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
+from twin.measure.campaign import Channels
+from twin.robot.description import Robot
+
+NOISE = 0.01
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Seeded."""
+    return np.random.default_rng(4)
+
+
+def record(rng: np.random.Generator, before: float, after: float, held_out: bool) -> FrfRecord:
+    """One hundred lines of a peak, predicted by models that are off by so many deviations of the noise."""
+    one = Channels(("1X+",), ("link1",), np.zeros((1, 3)), np.eye(3)[:1])
+    frequency = np.linspace(5.0, 15.0, 100)
+    truth = (1 / (100 - frequency**2 + 1j * frequency))[:, None, None]
+    noise = NOISE * (rng.normal(size=truth.shape) + 1j * rng.normal(size=truth.shape))
+    variance = np.full(truth.shape, NOISE**2)
+    off = NOISE * np.sin(frequency)[:, None, None]
+    predicted = {"as_given": truth, "before": truth + before * off, "after": truth + after * off}
+    return FrfRecord(
+        "p", "p", held_out, np.zeros(3), "on", one, one, frequency, "receptance", truth + noise, variance, predicted
+    )  # type: ignore[arg-type]
+
+
+def verdict(robot: Robot, *parts: FrfRecord, error: float = 0.01, floor: float = 0.01) -> Verdict:
+    """A payload named on some records; the written robot is another one than the base model."""
+    answer = Candidate("payload", "flange", 50.0, robot, {})
+    missing = [Missing(answer, 0.95, (), "It shows.")]
+    errors = {"train": error, "held_out": error if any(p.held_out for p in parts) else None}
+    found = {"as_given": errors, "before": errors, "after": errors, "noise_floor": floor}
+    named = robot.model_copy(update={"name": "answer"})
+    return Verdict.of(
+        Finding("f.h5", "frf-campaign", "named", missing, 0.0, 0.05, robot, robot, named, found, [], list(parts))
+    )
+
+
+def test_the_gain_is_that_of_the_likelihood(rng: np.random.Generator) -> None:
+    """Of a model two deviations off ½ Σ |ΔH|²/σ² in the mean, with the deviation √Σ |ΔH|²/σ²."""
+    gains, energy = [], float((4 * np.sin(np.linspace(5.0, 15.0, 100)) ** 2).sum())
+    for _ in range(200):
+        gain, deviation = gained([record(rng, 2.0, 0.0, False)])
+        gains.append(gain)
+        assert deviation == pytest.approx(np.sqrt(energy))
+    assert np.mean(gains) == pytest.approx(0.5 * energy, abs=4 * np.sqrt(energy / 200))
+    assert np.std(gains) == pytest.approx(np.sqrt(energy), rel=0.2)
+
+
+def test_a_name_that_puts_the_prediction_right_stays(kr90: Robot, rng: np.random.Generator) -> None:
+    given = verdict(kr90, record(rng, 3.0, 0.0, False), record(rng, 3.0, 0.0, True))
+    assert borne_out(given) is given
+
+
+def test_evidence_from_tension_alone_names_nothing(kr90: Robot, rng: np.random.Generator) -> None:
+    found = borne_out(verdict(kr90, record(rng, 0.0, 0.0, False), record(rng, 0.0, 0.0, True)))
+    assert (found.word, found.missing, found.robot) == ("adequate", [], kr90)
+    assert found.error["after"] == found.error["before"]
+    assert "payload at flange" in found.findings[0].warnings[-1]
+
+
+def test_a_name_that_misleads_on_what_was_held_out_goes(kr90: Robot, rng: np.random.Generator) -> None:
+    given = verdict(kr90, record(rng, 3.0, 0.0, False), record(rng, 0.0, 3.0, True), error=0.05)
+    found = borne_out(given)
+    assert (found.word, found.missing) == ("unexplained", [])
+    assert found.other == 1.0
+
+
+def test_recordings_that_no_one_model_does_for_are_said_so(kr90: Robot, rng: np.random.Generator) -> None:
+    alone = verdict(kr90, record(rng, 3.0, 0.0, False)).findings[0]
+    other = replace(alone, recording="g.h5", error={**alone.error, "after": {"train": 0.2, "held_out": None}})
+    both = Verdict([alone, other], "named", alone.missing, 0.0, 0.05, kr90, alone.robot)
+    found = borne_out(both)
+    assert (found.word, found.missing, found.robot) == ("unexplained", [], kr90)
+    assert "different robots" in found.findings[0].warnings[-1]

@@ -1,0 +1,212 @@
+"""Milling stability against published radii, an independent time simulation, closed forms, and what bad input says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twin
+from tools.study_milling import (
+    RADII,
+    benchmark_cut,
+    benchmark_modes,
+    kr90_point,
+    simulated_limits,
+    thirteen_modes,
+)
+from twin.errors import InputError
+from twin.measure.campaign import Campaign, Channels, PostureFRF
+from twin.milling import forces
+from twin.milling.cut import Cut, read_cut
+from twin.milling.forced import forced_vibration, static_force
+from twin.milling.in_time import CutStepper
+from twin.milling.lobes import lobes_of
+from twin.milling.stability import Limits, limits, multipliers
+from twin.milling.tool_point import (
+    ToolModes,
+    coupled,
+    matrix_modes,
+    measured_point,
+    real_modes,
+    tool_point,
+)
+from twin.milling.zeroth_order import limiting_depth, low_frequency_depth
+from twin.model.frf import frf
+from twin.model.linear import linearise
+from twin.robot.description import load_robot
+from twin.robot.mechanism import assemble
+
+Q = np.deg2rad([0, 70, -100])
+
+
+@pytest.mark.parametrize(("depth_mm", "radius"), RADII.items())
+def test_spectral_radii_of_the_published_slot(depth_mm: float, radius: float) -> None:
+    found = abs(multipliers(benchmark_modes(), benchmark_cut(1.0, "up"), 5000, 1e-3 * depth_mm)[0])
+    assert found == pytest.approx(radius, abs=1e-7)
+
+
+@pytest.mark.parametrize("milling", ["up", "down"])
+def test_first_limits_are_those_of_an_independent_time_simulation(milling: str) -> None:
+    cut = benchmark_cut(0.1, milling)
+    speeds = np.array([7000.0, 12500.0])
+    first = limits(benchmark_modes(), cut, speeds, 0.05).first()
+    simulated, below = simulated_limits(benchmark_modes(), cut, speeds, first, 240, 0.25)
+    assert np.allclose(first, simulated, rtol=0.01)
+    assert (below < 0).all()
+
+
+def test_thirteen_modes_with_cross_terms_against_the_time_simulation() -> None:
+    cut, speeds = benchmark_cut(0.5, "down"), np.array([3000.0, 9000.0])
+    first = limits(thirteen_modes(), cut, speeds, 0.1).first()
+    simulated, below = simulated_limits(thirteen_modes(), cut, speeds, first, 60, 2.0)
+    assert np.allclose(first, simulated, rtol=0.02)
+    assert (below < 0).all()
+    direct = limits(thirteen_modes().without_cross_terms(), cut, speeds, 5.0).first()
+    assert np.abs(direct / first - 1).max() > 0.5  # cross terms matter here
+
+
+def unstable_by_multipliers(modes: ToolModes, cut: Cut, rpm: float, depths: np.ndarray) -> list[int]:
+    return [int((np.abs(multipliers(modes, cut, rpm, depth, 10)) > 1).sum()) for depth in depths]
+
+
+@pytest.mark.parametrize(("immersion", "milling", "teeth"), [(1.0, "up", 2), (0.05, "up", 2), (0.7, "down", 3)])
+def test_no_limit_is_lost_whatever_lies_below_it(immersion: float, milling: str, teeth: int) -> None:
+    cut, modes = benchmark_cut(immersion, milling, teeth), benchmark_modes()
+    speeds, depths = np.linspace(5000, 25000, 12), np.geomspace(1e-4, 5.9e-3, 12)
+    found: Limits = limits(modes, cut, speeds, 0.006)
+    counted = [unstable_by_multipliers(modes, cut, rpm, depths) for rpm in speeds]
+    assert (found.unstable(depths) == counted).all()
+    if immersion == 0.05:
+        assert "flip" in found.kind
+
+
+def test_lobes_hold_between_their_speeds_islands_too() -> None:
+    cut = benchmark_cut(0.05, "up").model_copy(update={"depth_max_m": 0.01, "spindle_rpm": (9000.0, 15000.0)})
+    found = lobes_of(benchmark_modes(), cut)
+    dense = np.linspace(9000, 15000, 501)
+    exact = np.minimum(limits(benchmark_modes(), cut, dense, 0.01).first(), 0.01)
+    off = np.abs(np.interp(dense, found.spindle_rpm, found.depth_m) / exact - 1)
+    assert np.quantile(off, 0.99) < 2e-3
+    assert not found.unresolved
+
+
+def test_a_limit_with_helix_is_where_a_multiplier_has_the_size_of_one() -> None:
+    cut = benchmark_cut(0.3, "up")
+    cut = cut.model_copy(update={"tool": cut.tool.model_copy(update={"helix_deg": 40.0})})
+    at = lobes_of(benchmark_modes(), cut, speeds=np.array([9000.0, 12000.0]))
+    for rpm, depth in zip(at.spindle_rpm, at.depth_m, strict=True):
+        assert abs(multipliers(benchmark_modes(), cut, rpm, depth)[0]) == pytest.approx(1, abs=2e-3)
+
+
+def test_helix_spreads_the_force_and_keeps_its_mean() -> None:
+    cut = benchmark_cut(0.6, "down", 3)
+    cut = cut.model_copy(update={"tool": cut.tool.model_copy(update={"helix_deg": 30.0})})
+    phase = (np.arange(4000) + 0.5) / 4000
+    mean = np.einsum("nfkc,k->fc", forces.periodic(cut, phase, 0.004), cut.coefficients.shear) / len(phase)
+    assert np.allclose(mean, forces.average(cut)[:, :2], rtol=1e-3, atol=1e4)
+
+
+def test_closed_forms_are_reached_in_their_limits() -> None:
+    modes, cut = kr90_point()
+    fast = cut.model_copy(update={"depth_max_m": 1.0})
+    exact = limits(modes, fast, np.array([12000.0, 400e3]), 1.0).first()
+    assert limiting_depth(modes, cut, spindle_rpm=12000.0) == pytest.approx(exact[0], rel=2e-3)
+    assert low_frequency_depth(modes, cut, 400e3) == pytest.approx(exact[1], rel=0.01)
+    # one degree of freedom: −1/(2 K min Re G)
+    one, slot = benchmark_modes(), benchmark_cut(1.0, "up", 8)
+    G = one.receptance(2 * np.pi * np.linspace(900, 960, 60001))[:, 0, 0]
+    assert limiting_depth(one, slot) == pytest.approx(1 / (2 * (G.real * forces.average(slot)[0, 0]).max()), rel=5e-3)
+
+
+def test_a_clamped_tool_is_coupled_as_receptances_are() -> None:
+    rng = np.random.default_rng(0)
+    M = np.diag([300.0, 200.0, 150.0])
+    K, C, J = M * 5e3, M * 2.0, rng.standard_normal((3, 3))
+    w, zeta, shape = np.array([400.0]), np.array([0.02]), np.array([[0.6, 0.8, 0.0]]) / np.sqrt(2.0)  # 2 kg
+    modes = matrix_modes(*coupled(M, C, K, J, w, zeta, shape))
+    at = np.array([60.0, 390.0, 420.0])
+    s, mass = 1j * at, 1 / np.sum(shape**2)
+    unit = shape[0] * np.sqrt(mass)
+    for k, value in enumerate(s):
+        # the robot with the rigid part of the tool, in series with the mode's spring, beside the mode's free mass
+        rest = M - mass * np.outer(unit @ J, unit @ J)
+        robot = unit @ J @ np.linalg.solve(value**2 * rest + value * C + K, J.T @ unit)
+        base = robot + 1 / (mass * (w[0] ** 2 + 2 * zeta[0] * w[0] * value))
+        free = 1 / (mass * value**2)
+        assert unit @ modes.receptance(at)[k] @ unit == pytest.approx(free * base / (free + base), rel=1e-9)
+
+
+def test_forced_motion_of_a_soft_slow_tool_is_its_static_deflection() -> None:
+    cut = benchmark_cut(0.5, "down")
+    modes = real_modes([5000.0], [5.0], [[0.0, 1.0, 0.0]])
+    found = forced_vibration(modes, cut, 1200.0, 1e-3)
+    phase = (np.arange(20000) + 0.5) / 20000
+    push = static_force(cut, phase, 1e-3)[:, 1] / (2 * np.pi * 5000) ** 2
+    assert found.peak_to_peak_m[1] == pytest.approx(np.ptp(push), rel=0.15)  # rings where teeth leave
+
+
+def test_the_stepped_cut_of_a_linear_robot_chatters_where_its_lobes_say() -> None:
+    cut = read_cut({"tool": {"overhang_m": 0.25, "mass_kg": 12}, "coefficients": "benchmark"})
+    robot = load_robot("kr90")
+    point = tool_point(robot, Q, "on", cut)
+    first = limits(point.modes.turned(cut.frame(point.axis)), cut, np.array([2500.0]), 0.05).first()[0]
+    stepper = CutStepper(robot, Q, "on", cut, 2500.0)
+    assert not stepper.run(0.93 * first, 3.0).chatter
+    assert stepper.run(1.07 * first, 3.0).chatter
+
+
+def campaign(noise: float) -> Campaign:
+    robot = load_robot("kr90")
+    labels, frequency = ["21X+", "21Y+", "21Z+"], np.arange(4, 150, 0.125)
+    H = frf(linearise(assemble(robot, Q)), frequency, labels, labels)
+    rng = np.random.default_rng(0)
+    H = H * (1 + noise * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)))
+    there = Channels(tuple(labels), ("link3",) * 3, np.tile(robot.flange.position, (3, 1)), np.eye(3))
+    return Campaign(there, there, {"p": PostureFRF("p", np.array([0, 70, -100.0]), "on", frequency, H, "accelerance")})
+
+
+def test_a_measured_frf_gives_the_limits_of_the_robot_that_was_measured() -> None:
+    robot, cut = load_robot("kr90"), read_cut({"tool": {"overhang_m": 0}, "coefficients": "benchmark"})
+    measured, _ = measured_point(campaign(0.01), "p", robot, cut, "test")
+    true = tool_point(robot, Q, "on", cut)
+    speeds = np.geomspace(1500, 12000, 6)
+    frame = cut.frame(true.axis)
+    expected, found = (limits(p.modes.turned(frame), cut, speeds, 0.05).first() for p in (true, measured))
+    assert np.allclose(found, expected, rtol=0.03)
+
+
+def test_lobes_say_how_sure_they_are_only_where_it_is_known(tmp_path: Path) -> None:
+    cut = {"tool": {"overhang_m": 0}, "coefficients": "aluminium_7075", "spindle_rpm": [9000, 12000]}
+    plain = twin.lobes([0, 70, -100], robot="kr90", cut=cut, out=tmp_path / "plain")
+    assert set(plain.data()["depth_safe90_mm"]) == {None}
+    assert sorted(path.name for path in (tmp_path / "plain").iterdir()) == ["lobes.json", "lobes.png"]
+    measured = twin.lobes(campaign(0.01), cut=cut, draws=10)
+    data = measured.data()
+    assert len(data["spindle_rpm"]) == len(data["depth_limit_mm"]) == len(data["kind"]) == len(data["depth_safe90_mm"])
+    assert (np.array(data["depth_safe90_mm"]) < data["depth_limit_mm"]).all()
+    assert "safe 90 %" in str(measured)
+    assert len(measured.tables()[0].rows) > 2
+
+
+@pytest.mark.parametrize(
+    ("cut", "line"),
+    [
+        ({"depth_max_m": -0.001}, "depth_max_m: input should be greater than 0"),
+        ({"coefficients": {"kt_n_per_m2": 600}}, "kt_n_per_m2: expected N/m².*multiply it by 1e6"),
+        ({"coefficients": {"kt_n_per_m2": 6e8, "kte_n_per_m": 12}}, "kte_n_per_m: expected N/m, .*multiply it by 1e3"),
+        ({"coefficients": "unobtainium"}, "no published coefficients 'unobtainium'"),
+        ({"tool": {"diameter_m": 16}}, "diameter_m: expected metres, found 16; is it in mm"),
+        ({"tool": {"overhang_m": 1.9, "direction": [0, -1, 0]}}, "below the table"),
+        ({"immersion": 1.2}, "immersion"),
+        ({"feed_direction": [0.8660254037844386, 0, -0.5]}, "is along the tool's axis"),
+        ({"spindle_rpm": [9000, 3000]}, "spindle_rpm: expected a lowest and a highest speed"),
+        ({"tool": {"theeth": 3}}, "tool.theeth: unknown field"),
+        ({"tool": {"frf": "nowhere.h5"}}, "nowhere.h5"),
+        ({"tool": {"modes": [{"frequency_hz": 40, "damping_percent": 2, "stiffness_n_per_m": 1e9, "direction": "x"}]}},
+         "is lighter than the tool's modes"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_the_cut_is_told_in_one_line(cut: dict[str, object], line: str) -> None:
+    with pytest.raises(InputError, match=line) as error:
+        twin.lobes([0, 70, -100], robot="kr90", cut=cut)
+    assert "\n" not in str(error.value)

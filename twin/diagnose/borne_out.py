@@ -1,0 +1,114 @@
+"""The last word: a name stays only if the predictions of the recordings become better with it.
+
+Evidence may grow by tension alone: a hypothesis can relieve numbers of the base model that are far from their
+description, while what is predicted stays the same. Nobody could see such an answer in an overlay, and where the
+description's tolerances are too narrow it is wrong. So the models before and after are compared once more, as they are
+written, on what was used and on what was held out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.decide import calibration
+from twin.diagnose.note import Note
+from twin.diagnose.records import FrfRecord, Record
+from twin.diagnose.verdict import Finding, Verdict, Word
+from twin.robot.description import Robot
+
+
+def gained(records: Sequence[Record]) -> tuple[float, float]:
+    """What ln likelihood FRFs gain from before to after, and the deviation of that gain by their noise.
+
+    With H_b and H_a the predictions, the gain is ½ Σ (|H − H_b|² − |H − H_a|²)/σ². Its deviation is √Σ |H_a − H_b|²/σ².
+    """
+    gain = energy = 0.0
+    for record in records:
+        if isinstance(record, FrfRecord):
+            gain += 0.5 * float((record.energy("before") - record.energy("after")).sum()) / record.shared
+            moved = np.abs(record.predicted["before"] - record.predicted["after"]) ** 2
+            energy += float((moved / record.variance).sum()) / record.shared
+    return gain, float(np.sqrt(energy))
+
+
+def falls(finding: Finding) -> bool:
+    """Whether a recording is predicted better with what was found than without.
+
+    A hammer test must gain ``seen`` in ln likelihood, and what was held out of it may not lose beyond its noise. Of a
+    motion log or a modal table the error on what was held out must fall, or on what was used where nothing was.
+    """
+    if any(isinstance(record, FrfRecord) for record in finding.records):
+        gain, _ = gained(finding.records)
+        held, noise = gained([record for record in finding.records if record.held_out])
+        return gain >= calibration()["seen"] and held >= -noise
+    before, after = (finding.error[stage] for stage in ("before", "after"))
+    part = "train" if before["held_out"] is None else "held_out"
+    return bool(after[part] < before[part])
+
+
+def rises(finding: Finding) -> bool:
+    """Whether a recording is predicted clearly worse with what was found in all of them."""
+    before, after = (finding.error[stage] for stage in ("before", "after"))
+    most = calibration()["worse"]
+    return any(
+        before[part] is not None and after[part] is not None and after[part] > most * before[part]
+        for part in ("train", "held_out")
+    )
+
+
+def borne_out(verdict: Verdict) -> Verdict:
+    """The verdict, without names that the recordings do not bear out.
+
+    The names stay where one recording is predicted better with them and none clearly worse. Else the model that is
+    written is the base model, and ``triage`` says what was refused and why.
+    """
+    if not verdict.missing:
+        return verdict
+    worse = [finding for finding in verdict.findings if rises(finding)]
+    if not worse and any(falls(finding) for finding in verdict.findings):
+        return verdict
+    names = ", ".join(missing.first.title for missing in verdict.missing)
+    if worse and len(verdict.findings) > 1:
+        reason = (
+            f"no one model does for all recordings: with what they say together ({names}) the error of "
+            f"{', '.join(finding.recording for finding in worse)} rises; they may be of different robots, or of one "
+            "robot in different states, and are better diagnosed one by one"
+        )
+    else:
+        reason = (
+            f"{names} would relieve numbers of the description that come out far from it, but the recordings are not "
+            "predicted better with it: it is not named, and the description's tolerances may be too narrow"
+        )
+    findings = [_without(finding) for finding in verdict.findings]
+    kind = "other_robot" if worse and len(verdict.findings) > 1 else "tension"
+    findings[0].warnings = [*findings[0].warnings, Note(reason, kind)]
+    words = [finding.word for finding in findings]
+    word: Word = "unexplained" if worse or "unexplained" in words else "adequate"
+    none, other = (
+        (0.0, 1.0) if word == "unexplained" else (min(f.none for f in findings), max(f.other for f in findings))
+    )
+    base = _base(verdict)
+    return replace(verdict, findings=findings, word=word, missing=[], none=none, other=other, base=base, robot=base)
+
+
+def _base(verdict: Verdict) -> Robot:
+    """The model that nothing was added to."""
+    return verdict.findings[0].base if len(verdict.findings) == 1 else verdict.base
+
+
+def _without(finding: Finding) -> Finding:
+    """A finding with its names taken back: its answer is the base model."""
+    if not finding.missing:
+        return finding
+    before = finding.error["before"]
+    floor, error = finding.error["noise_floor"], before["train"]
+    missed = floor is not None and error > calibration()["held_out_misfit"] * floor
+    records: list[Any] = [*finding.records]
+    records = [replace(r, predicted={**r.predicted, "after": r.predicted["before"]}) for r in records]
+    return replace(
+        finding, word="unexplained" if missed else "adequate", missing=[], none=0.0 if missed else 1 - finding.other,
+        other=1.0 if missed else finding.other, robot=finding.base, written=None, next_test=None, apart={},
+        error={**finding.error, "after": before}, records=records,
+    )  # fmt: skip

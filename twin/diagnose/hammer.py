@@ -1,0 +1,307 @@
+"""What a hammer test says is missing from a robot description: the hammer-test side of ``twin diagnose``."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.decide import Decision, calibration, decide, finalists
+from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
+from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, widened
+from twin.diagnose.joint import Knowledge, settled_with, shared
+from twin.diagnose.joint_reaction import blows
+from twin.diagnose.levels_finding import check_blows, levels_finding
+from twin.diagnose.levels_next import smallest_visible_laws
+from twin.diagnose.locate import mismatch
+from twin.diagnose.next_test import next_test, smallest_visible
+from twin.diagnose.physical import physical
+from twin.diagnose.records import FrfRecord, frf_records
+from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
+from twin.diagnose.screen import FAR, inflation
+from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
+from twin.diagnose.sentences import sentence
+from twin.diagnose.struck import without_laws
+from twin.diagnose.triage import Triage, triage
+from twin.diagnose.verdict import (
+    Candidate,
+    Finding,
+    Missing,
+    Word,
+    elsewhere,
+    estimates_of,
+    judge,
+    missing_of,
+    rival_of,
+    strained,
+)
+from twin.errors import InputError
+from twin.identify.objective import Sample
+from twin.identify.recorded import Recorded, base_name, prepare, without_limits
+from twin.measure.campaign import Campaign
+from twin.measure.recordings import Recording
+from twin.model.parameters import Parameters, Sprung, free_parameters
+from twin.parallel import Progress, spread
+from twin.physics import CATALOGUE
+from twin.robot.description import Axis, Robot
+
+
+@dataclass
+class HammerTest:
+    """A hammer test as evidence."""
+
+    recording: Recording
+
+    @property
+    def names(self) -> list[str]:
+        """What can be held out: all force levels of a posture together, or one by one."""
+        campaign: Campaign = self.recording.content
+        return list(dict.fromkeys([*(base_name(campaign, group) for group in campaign.postures), *campaign.postures]))
+
+    def explain(self, given: Robot, told_by: Finding | None, **options: Any) -> Finding:
+        """See :class:`twin.diagnose.evidence.Evidence`."""
+        return diagnose_campaign(self.recording.content, given, self.recording.source, told_by=told_by, **options)
+
+    def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
+        """Nothing: what comes after it starts from its model."""
+
+    def checks(self, written: Robot, finding: Finding, alone: bool) -> list[dict[str, Any]]:
+        """FRFs by MuJoCo; a law of amplitude stepped under two force levels, unless a log found it."""
+        if is_nonlinear(written) and alone:
+            campaign, source = self.recording.content, self.recording.source
+            if hit := check_blows(written, campaign, prepare(campaign, written, source)):
+                return [hit]
+        return [check_linear(written, [r for r in finding.records if isinstance(r, FrfRecord)])]
+
+
+def diagnose_campaign(
+    campaign: Campaign,
+    given: Robot,
+    source: str = "recording",
+    *,
+    hold_out: list[str] | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    told_by: Finding | None = None,
+    processes: int = 1,
+) -> Finding:
+    """What a campaign in memory says.
+
+    Args:
+        campaign: as recorded.
+        given: the description, removals applied.
+        source: the file, for messages.
+        hold_out: postures not to fit to; chosen when ``None``.
+        seed: of the starts.
+        progress: makes progress bars.
+        told_by: what another recording of the same robot said. Its answer is in the model, what it knows of links and
+            payloads is their prior, and the probabilities of its answers change by what this campaign says of them.
+        processes: the search is spread over so many; what it finds does not depend on it.
+
+    Raises:
+        InputError: the robot has no springs, or the campaign does not fit it.
+    """
+    if not free_parameters(given, tolerances=False).items:
+        raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
+    found = triage(campaign, given, source, hold_out)
+    base = without_limits(told_by.model if told_by else given)
+    sample = Sample(tuple(found.used), 1 / found.shared)
+    free = _free(base, found.used)
+    if told_by and told_by.fit:
+        free = Knowledge.of(told_by.fit).on(free, base)
+    law = found.nonlinear and not told_by
+    plain = without_laws(base) if law else base  # a law that is described is found again, or another
+    known = free if plain is base else _free(plain, found.used)
+    search = converge(plain, known, sample, seed=seed, processes=processes)
+    if law and (told := levels_finding(campaign, given, plain, source, found, search, progress, seed)):
+        return told
+    if plain is not base:
+        search = converge(base, free, sample, seed=seed, processes=processes)
+    looked_at = _suspects(campaign, base, found)
+    explain(base, search, sample, looked_at, progress)
+    answer = _answered(base, search, sample, looked_at, found)
+    before = answer.base
+    if told_by and told_by.missing:
+        before = _weighed(told_by, without_limits(given), answer.base, sample, seed)
+        told_by.missing = [_borne_out(m, answer.best) for m in told_by.missing]
+    finding = _finding(given, source, found, search, answer, before)
+    few, blow = sample.thin(SCREEN_LINES), blows(campaign)
+    laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
+    finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
+    finding.next_test = _next_test(given, answer, few, seed)
+    return finding
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What the search was decided to say.
+
+    Attributes:
+        fits: every hypothesis fitted to the end.
+        base, best: the base model and the answer, with bodies that can exist.
+    """
+
+    decision: Decision
+    word: Word
+    missing: list[Missing]
+    fits: list[Fitted]
+    base: Fitted
+    best: Fitted
+
+    @property
+    def answered(self) -> bool:
+        """Something has a name."""
+        return self.word in ("named", "ambiguous")
+
+
+def _suspects(campaign: Campaign, base: Robot, found: Triage) -> list[list[Hypothesis]]:
+    band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
+    brakes = [r.setup.brakes for r in found.recordings.values()]
+    return suspects(base, campaign.response, campaign.excitation, brakes, band)
+
+
+def _answered(
+    base: Robot, search: Search, sample: Sample, looked_at: Sequence[Sequence[Hypothesis]], found: Triage
+) -> _Answer:
+    """The decision over everything that was fitted."""
+    *fits, settled = settle(base, search, sample)
+    unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
+    axes = same_axes(base, [r.setup.q for r in sample.recordings])
+    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample), axes=axes)
+    word = judge(decision)
+    answered = word in ("named", "ambiguous")
+    if answered:
+        best, *others = decision.ranked
+        decision = replace(decision, ranked=[in_doubt_of_size(best), *others])
+    missing = missing_of(decision, settled) if answered else []
+    ends = [settled, decision.ranked[0]] if answered else [settled]
+    ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
+    return _Answer(decision, word, missing, fits, ends[0], ends[-1])
+
+
+def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _Answer, before: Fitted) -> Finding:
+    """The answer beside the recording."""
+    sample = Sample(tuple(found.used), 1 / found.shared)
+    settled, best, decision = answer.base, answer.best, answer.decision
+    records, errors = frf_records(without_limits(given), before, best, found.used, found.kept, found.shared)
+    records = with_modes(records, physical(before.robot), physical(best.robot))
+    errors["noise_floor"] = noise_floor(sample.recordings)
+    where = mismatch(settled, sample.thin(REFIT_LINES))
+    site = best.hypothesis.site or next(iter(where.sites), "")
+    finding = Finding(
+        source, "frf-campaign", answer.word, answer.missing, decision.none, decision.other,
+        given, _limited(before.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
+        [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
+        warnings=[*found.warnings, *elsewhere(search.base, search.others), *strained(best)],
+        finalists=finalists(search.base, answer.fits),
+        fits=(before, best),
+    )  # fmt: skip
+    finding.missing = [replace(m, evidence=_told(m, finding)) for m in answer.missing]
+    return finding
+
+
+def _next_test(given: Robot, answer: _Answer, few: Sample, seed: int) -> dict[str, Any] | None:
+    """What would tell the first answer from its rival; where that has no name, what shows the first most."""
+    decision = answer.decision
+    likely = bool(decision.probability) and decision.probability[0] >= calibration()["alternative"]
+    if answer.word != "ambiguous" and not (answer.word == "unexplained" and likely):
+        return None
+    rival = rival_of(decision) if answer.answered else None
+    return next_test(given, decision.ranked[0], rival or answer.base, few, seed)
+
+
+def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
+    """Everything a base model has free on recordings; the sag of its springs turns blows and sensors by 1e-3."""
+    return free_parameters(base, dict.fromkeys(r.setup.name for r in used), used[0].setup.response.label)
+
+
+def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
+    """A fit whose links are bodies that can exist: if they are not, the rest is fitted again with links that are.
+
+    Those are the nearest to the fitted ones, or the described ones, whichever explains the recordings better; of a fit
+    that is far off they are the described ones.
+    """
+    robot = physical(fit.robot)
+    if robot is fit.robot:
+        return fit
+    written = fit.parameters.written if isinstance(fit.parameters, Sprung) else fit.parameters
+    free = written.only("spring", "entry", "posture", "sag", "gain")
+    values = np.array([fit.values[written.names.index(name)] for name in free.names])
+    described = robot.model_copy(update={"links": base.links})
+    few, fits = sample.thin(REFIT_LINES), []
+    starts = [(described, np.zeros(len(free)), 25)]
+    if inflation(fit, base, few) <= FAR:
+        starts.append((robot, free.coordinates(values), 0))
+    for start, z, logarithmic in starts:
+        fits.append((descend(start, NONE, free, few, z, logarithmic=logarithmic, linear=5), start))
+    best, start = min(fits, key=lambda pair: pair[0].cost)
+    return replace(descend(start, NONE, free, sample, best.z, tempered=0, linear=25), hypothesis=fit.hypothesis)
+
+
+def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, seed: int) -> Fitted:
+    """The base model without what another recording found, whose probabilities change by what is said of them here.
+
+    Every answer that can be seen here is fitted, starting where both recordings together have it (``settled``).
+    """
+    free = _free(given, sample.recordings)
+    search = converge(given, free, sample, seed=seed)
+    plain = settle(given, search, sample)[-1]
+    gains: dict[str, float] = {}
+    for missing in told_by.missing:
+        if not shared(missing.first.effect):
+            continue
+        for answer in (missing.first, *(rival for rival, _ in missing.rivals)):
+            for hypothesis in _hypotheses(answer, given, free):
+                parameters = hypothesis.parameters(free)
+                fit = descend(given, hypothesis, parameters, sample, _start(answer, parameters, settled), linear=20)
+                gains[answer.key] = max(gains.get(answer.key, -np.inf), fit.evidence() - plain.evidence())
+    told_by.missing, told_by.none = settled_with(told_by.missing, gains, told_by.none, told_by.other)
+    return plain
+
+
+def _hypotheses(rival: Candidate, base: Robot, free: Parameters) -> list[Hypothesis]:
+    """A rival as a hypothesis about a hammer test; none where a hammer test cannot show it."""
+    if rival.effect == "parameter":
+        return [h for h in widened(free) if h.site == rival.site]
+    if not shared(rival.effect):
+        return []
+    values = CATALOGUE[rival.effect].typical(base, rival.site)
+    return [entry_hypothesis(base, rival.effect, rival.site, values)] if values else []
+
+
+def _start(answer: Candidate, parameters: Parameters, settled: Fitted) -> np.ndarray:
+    """Where a search for an answer starts: what a fit with it has, then the answer's own numbers as they are known."""
+    known = dict(zip(settled.parameters.names, settled.values, strict=True))
+    for entry in answer.robot.physics:
+        if (entry.effect, entry.site) == (answer.effect, answer.site):
+            for name, given in (entry.model_extra or {}).items():
+                items = {f"[{k}]": v for k, v in enumerate(given)} if isinstance(given, list) else {"": given}
+                for index, value in items.items():
+                    known.setdefault(f"{answer.key}.{name}{index}", value)
+    values = np.array([float(known.get(p.name, p.mean)) for p in parameters])
+    least = np.array([1e-3 * p.mean if p.log else -np.inf for p in parameters])
+    return parameters.coordinates(np.maximum(values, least))
+
+
+def _borne_out(missing: Missing, fit: Fitted) -> Missing:
+    """Another recording's answer with its numbers fitted to both, where this one shows it too."""
+    if not shared(missing.first.effect):
+        return missing
+    at = [k for k, p in enumerate(fit.parameters) if p.name.startswith(f"{missing.first.key}.")]
+    return replace(missing, first=replace(missing.first, parameters=estimates_of(fit, at))) if at else missing
+
+
+def _told(missing: Missing, finding: Finding) -> str:
+    """The sentence of evidence, where the engine has not written one."""
+    if missing.evidence:
+        return missing.evidence
+    return sentence(missing.first.title, finding.records, finding.error, finding.held_out)
+
+
+def _limited(robot: Robot, given: Robot) -> Robot:
+    """A fitted robot with inertias a body can have and the limits the fit took away."""
+    robot = physical(robot)
+    axes: list[Axis] = [
+        axis.model_copy(update={"limits": old.limits}) for axis, old in zip(robot.axes, given.axes, strict=True)
+    ]
+    return robot.model_copy(update={"axes": axes})

@@ -1,0 +1,43 @@
+"""A sentence of the triage: what is wrong with a recording or was assumed of it, and of which kind that is."""
+
+from typing import Any, Literal
+
+Severity = Literal["note", "warning", "fail"]
+
+
+class Note(str):
+    """A sentence that knows its kind.
+
+    Attributes:
+        kind: as in diagnosis.json (``other_robot``, ``reciprocity``, …); ``note`` where there is no word for it.
+        severity: ``fail`` where the recording is not to be believed, ``warning`` where it or the description may be
+            wrong, ``note`` where something was assumed.
+        channels, runs: that it is about.
+    """
+
+    kind: str
+    severity: Severity
+    channels: tuple[str, ...]
+    runs: tuple[str, ...]
+
+    def __new__(
+        cls,
+        text: str,
+        kind: str = "note",
+        severity: Severity = "warning",
+        channels: tuple[str, ...] = (),
+        runs: tuple[str, ...] = (),
+    ) -> "Note":
+        note = super().__new__(cls, text)
+        note.kind, note.severity, note.channels, note.runs = kind, severity, channels, runs
+        return note
+
+    def __getnewargs__(self) -> tuple[Any, ...]:
+        return str(self), self.kind, self.severity, self.channels, self.runs
+
+    def data(self) -> dict[str, Any]:
+        """As in diagnosis.json, version 2."""
+        return {
+            "kind": self.kind, "severity": self.severity, "text": str(self), "probability": None,
+            "channels": list(self.channels), "runs": list(self.runs),
+        }  # fmt: skip

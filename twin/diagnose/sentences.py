@@ -1,0 +1,268 @@
+"""One sentence a person can check by eye: which curve, in which posture, is off by how much without what was found."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord, Record
+from twin.measure.campaign import FloatArray
+
+PROMINENCE = np.log(2.0)  # of a peak above the valleys beside it
+REACH = np.log(1.4)  # between a measured peak and the model's
+NOWHERE = 0.15  # what a peak counts that the model does not have near
+SHIFT = 0.004  # of a peak's frequency: less is told by its height
+BETWEEN = 0.25  # lines, to which a peak between them is interpolated
+LOUD = 0.005  # of the loudest line: less is hard to see
+HEIGHT = np.log(1.05)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where before and after differ most for the eye.
+
+    Attributes:
+        channel: flat index of the pair; ``line`` of the measured peak.
+        measured, before, after: frequency (Hz) and height of the peak; NaN where the model has none near.
+        by_height: the height tells more than the frequency; ``score`` how plainly it tells.
+    """
+
+    record: FrfRecord
+    channel: int
+    line: int
+    measured: tuple[float, float]
+    before: tuple[float, float]
+    after: tuple[float, float]
+    by_height: bool
+    score: float
+
+    @property
+    def pair(self) -> str:
+        """``21Z+/4Y+``."""
+        return self.record.pairs[self.channel]
+
+
+def best_spot(records: Sequence[FrfRecord], channel: int | None = None) -> Spot | None:
+    """The peak whose place or height the answer puts right most plainly, ``None`` where nothing moves visibly."""
+    found: list[Spot] = []
+    for record in records:
+        loudest = float(np.abs(np.where(np.isfinite(record.variance), record.measured, 0)).max())
+        for pair in range(len(record.pairs)) if channel is None else [channel]:
+            found += _spots(record, pair, loudest)
+    return max(found, key=lambda spot: spot.score, default=None)
+
+
+def _spots(record: FrfRecord, pair: int, loudest: float) -> list[Spot]:
+    """Candidates on one channel pair: every prominent measured peak; loud ones tell more."""
+    flat = record.channel(pair)
+    if not np.isfinite(record.variance[flat]).any():
+        return []
+    measured, before, after = (
+        np.abs(H[flat]) for H in (record.measured, record.predicted["before"], record.predicted["after"])
+    )
+    peaks = _peaks(record.frequency, measured)
+    if not peaks:
+        return []
+    models = [_peaks(record.frequency, H) for H in (before, after)]
+    found = []
+    for line, height, frequency in peaks:
+        noise = np.sqrt(2 * record.variance[flat][line])
+        if height < LOUD * loudest or height < 5 * noise:
+            continue
+        (f0, h0), (f1, h1) = (_nearest(model, frequency) for model in models)
+        if not np.isfinite(f1):
+            continue
+        weight = np.log1p(10 * height / loudest)
+        off = [abs(np.log(f / frequency)) if np.isfinite(f) else NOWHERE for f in (f0, f1)]
+        spacing = float(record.frequency[1] - record.frequency[0]) / frequency
+        gain = off[0] - off[1] - BETWEEN * spacing
+        heights = [min(abs(np.log(h / height)), 1.0) if np.isfinite(h) else 1.0 for h in (h0, h1)]
+        taller = 0.1 * (heights[0] - heights[1]) if np.isfinite(f0) else 0.0
+        by_height = off[0] < max(SHIFT, 2 * BETWEEN * spacing) and heights[0] > HEIGHT
+        score = weight * (taller if by_height else gain)
+        if score > 0:
+            found.append(Spot(record, pair, line, (frequency, height), (f0, h0), (f1, h1), by_height, float(score)))
+    return found
+
+
+def _peaks(frequency: FloatArray, H: FloatArray) -> list[tuple[int, float, float]]:
+    """Line, height and interpolated frequency of the prominent peaks of |H|."""
+    level = np.log(np.maximum(H, 1e-300))
+    found = []
+    for k in _summits(level.tolist()):
+        left, middle, right = level[k - 1 : k + 2]
+        bend = left - 2 * middle + right
+        shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
+        step = frequency[k + 1] - frequency[k]
+        found.append((k, float(H[k]), float(frequency[k] + shift * step)))
+    return found
+
+
+def _summits(level: Sequence[float]) -> list[int]:
+    """Where a curve is highest between two valleys of which both lie ``PROMINENCE`` lower.
+
+    One pass; ``scipy.signal.find_peaks`` says the same, but importing it takes a third of a second.
+    """
+    found, rising, at, extreme = [], False, 0, level[0]
+    for k, value in enumerate(level):
+        if (value > extreme) if rising else (value < extreme):
+            at, extreme = k, value
+        elif abs(value - extreme) >= PROMINENCE:
+            if rising:
+                found.append(at)
+            rising, at, extreme = not rising, k, value
+    return found
+
+
+def _nearest(peaks: Sequence[tuple[int, float, float]], frequency: float) -> tuple[float, float]:
+    near = [(abs(np.log(f / frequency)), f, height) for _, height, f in peaks]
+    distance, f, height = min(near, default=(np.inf, np.nan, np.nan))
+    return (f, height) if distance < REACH else (float("nan"), float("nan"))
+
+
+def sentence(
+    name: str, records: Sequence[Record], errors: dict[str, Any], held_out: Sequence[str], joint: int | None = None
+) -> str:
+    """The evidence for an answer.
+
+    Args:
+        name: as ``backlash at joint2.z``.
+        records: beside the models before and after.
+        errors: ``before`` and ``after`` → ``train``, ``held_out``; ``noise_floor``.
+        held_out: names of postures or runs not used.
+        joint: zero-based, on whose torque it acts; the one that is put right most by default.
+    """
+    told = ""
+    frfs = [r for r in records if isinstance(r, FrfRecord)]
+    if frfs:
+        told = _frf_sentence(name, frfs)
+    elif logs := [r for r in records if isinstance(r, LogRecord)]:
+        told = _log_sentence(name, logs, joint)
+    elif tables := [r for r in records if isinstance(r, ModalRecord)]:
+        told = _modal_sentence(name, tables)
+    return f"{told} {fall(errors, held_out)}".strip()
+
+
+def fall(errors: dict[str, Any], held_out: Sequence[str]) -> str:
+    """How the error falls from before to after."""
+    before, after, floor = errors["before"], errors["after"], errors["noise_floor"]
+    held = ""
+    if before["held_out"] is not None:
+        held = f", and on {', '.join(held_out)}, not used, {before['held_out']:.2%} → {after['held_out']:.2%}"
+    noise = "" if floor is None else f" (noise alone {floor:.2%})"
+    return f"The error on what was used falls {before['train']:.2%} → {after['train']:.2%}{held}{noise}."
+
+
+def off_by(value: float, reference: float) -> str:
+    """``8 % too high``."""
+    ratio = value / reference - 1
+    size = abs(100 * ratio)
+    digits = 0 if size >= 3 else 1 if size >= 0.3 else 2
+    return f"{size:.{digits}f} % {'too high' if ratio > 0 else 'too low'}"
+
+
+def _frf_sentence(name: str, records: Sequence[FrfRecord]) -> str:
+    spot = best_spot(records)
+    if spot is None:
+        return _residual_sentence(name, records)
+    record = spot.record
+    frequency, height = spot.measured
+    mode = _mode_number(record, frequency)
+    what = f"the peak of {spot.pair} at {frequency:.2f} Hz"
+    if mode is not None:
+        what = f"mode {mode} at {frequency:.2f} Hz (peak of {spot.pair})"
+    peak = f"{what} in '{record.name}'{', not used,' if record.held_out else ''}"
+    if not np.isfinite(spot.before[0]):
+        return (
+            f"Without {name} the refitted model has no peak in the measured band near {peak.rstrip(',')}; "
+            f"with it, at {spot.after[0]:.2f} Hz."
+        )
+    if spot.by_height:
+        return (
+            f"Without {name} {peak} comes out {off_by(spot.before[1], height)} in amplitude in the refitted model; "
+            f"with it {off_by(spot.after[1], height)}."
+        )
+    return (
+        f"Without {name} {peak} comes out {off_by(spot.before[0], frequency)} in the refitted model, "
+        f"at {spot.before[0]:.2f} Hz; with it at {spot.after[0]:.2f} Hz."
+    )
+
+
+def _mode_number(record: FrfRecord, frequency: float) -> int | None:
+    """Number of the new model's mode at a measured peak, from one."""
+    modes = record.modes_hz.get("after")
+    if modes is None or not len(modes):
+        return None
+    k = int(np.argmin(np.abs(np.log(modes / frequency))))
+    return k + 1 if abs(np.log(modes[k] / frequency)) < 0.05 else None
+
+
+def _residual_sentence(name: str, records: Sequence[FrfRecord]) -> str:
+    """Where no peak moves visibly: the channel and band in which the residual falls most."""
+    best: tuple[float, str] | None = None
+    for record in records:
+        size = np.abs(record.measured)
+        seen = (size > 5 * np.sqrt(record.variance)) & (size > LOUD * size[np.isfinite(record.variance)].max())
+        fallen = np.where(seen, record.energy("before") - record.energy("after"), 0.0)
+        edges = np.array_split(np.arange(len(record.frequency)), 6)
+        total = np.array([fallen[lines].sum(axis=0).ravel() for lines in edges])
+        b, c = np.unravel_index(int(np.argmax(total)), total.shape)
+        lines, (_, i, j) = edges[b], record.channel(int(c))
+        ratio = [
+            np.sqrt(
+                np.sum(np.abs(record.measured - record.predicted[stage])[lines, i, j] ** 2)
+                / np.sum(np.abs(record.measured)[lines, i, j] ** 2)
+            )
+            for stage in ("before", "after")
+        ]
+        low, high = record.frequency[lines[0]], record.frequency[lines[-1]]
+        text = (
+            f"Without {name} the refitted model misses {record.pairs[int(c)]} in '{record.name}' at "
+            f"{low:.1f}–{high:.1f} Hz by {ratio[0]:.1%} of its amplitude, with it by {ratio[1]:.1%}."
+        )
+        if best is None or total[b, c] > best[0]:
+            best = float(total[b, c]), text
+    return best[1] if best else ""
+
+
+def _log_sentence(name: str, records: Sequence[LogRecord], only: int | None = None) -> str:
+    """The joint (or ``only`` this) and run whose residual torque falls most, relative to its torque."""
+    best: tuple[float, str] | None = None
+    for record in records:
+        rms = [
+            np.sqrt(np.mean((record.measured - record.predicted[stage])[record.valid] ** 2, axis=0))
+            for stage in ("before", "after")
+        ]
+        size = np.sqrt(np.mean(record.measured[record.valid] ** 2, axis=0))
+        joint = int(np.argmax((rms[0] - rms[1]) / size)) if only is None else only
+        unit = f" {record.units[joint]}" if record.units else ""
+        text = (
+            f"Without {name} the torque of joint{joint + 1} in run '{record.name}'"
+            f"{', not used,' if record.held_out else ''} is missed by {rms[0][joint]:.3g}{unit} RMS "
+            f"({rms[0][joint] / size[joint]:.1%}), with it by {rms[1][joint]:.3g}{unit} "
+            f"({rms[1][joint] / size[joint]:.1%})."
+        )
+        score = float(((rms[0] - rms[1]) / size)[joint])
+        if best is None or score > best[0]:
+            best = score, text
+    return best[1] if best else ""
+
+
+def _modal_sentence(name: str, records: Sequence[ModalRecord]) -> str:
+    """The mode whose frequency the answer puts right most."""
+    best: tuple[float, str] | None = None
+    for record in records:
+        f, before, after = (x[:, 0] for x in (record.measured, record.predicted["before"], record.predicted["after"]))
+        gain = np.abs(before / f - 1) - np.abs(after / f - 1)
+        if not np.isfinite(gain).any():
+            continue
+        k = int(np.nanargmax(gain))
+        text = (
+            f"Without {name} mode {k + 1} at {f[k]:.2f} Hz in '{record.name}'"
+            f"{', not used,' if record.held_out else ''} comes out {off_by(before[k], f[k])} in the "
+            f"refitted model, with it {off_by(after[k], f[k])}."
+        )
+        if best is None or gain[k] > best[0]:
+            best = float(gain[k]), text
+    return best[1] if best else ""

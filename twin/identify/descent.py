@@ -1,0 +1,163 @@
+"""The one descent of every nonlinear fit: Gauss–Newton within a trust region, in prior coordinates."""
+
+import numpy as np
+
+from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameters
+
+LARGEST_STEP = 5.0  # length of the first step, in prior deviations
+TURN = 0.75  # of a step: its longest correction for the bend
+STRAIGHT = 0.02  # of a step: a bend that corrects less is not asked for again,
+KEPT = 0.9  # while steps keep so much of what they promise
+HOPE = 5.0  # times the expected gain: more is not hoped for
+SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
+
+
+class Descended:
+    """A cost over prior coordinates z (n,) that :func:`minimise` descends.
+
+    Attributes:
+        free: the parameters that z stands for.
+    """
+
+    free: Parameters
+
+    @property
+    def data(self) -> float:
+        """Number of real data."""
+        raise NotImplementedError
+
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
+        raise NotImplementedError
+
+    def cost(self, z: FloatArray) -> float:
+        """Prior included; infinite where nothing can be evaluated."""
+        return self(z)[0]
+
+    def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
+        """Gᵀ ∂²e/∂step² (n,) of the residual e at z, where the cost was evaluated last; ``None`` if it is not known."""
+        return None
+
+
+def minimise(
+    objective: Descended,
+    z: FloatArray,
+    iterations: int,
+    tolerance: float,
+    hopeless: float = np.inf,
+    *,
+    bound: FloatArray | None = None,
+    slack: float = SLACK,
+    reach: float = LARGEST_STEP,
+) -> tuple[FloatArray, float, FloatArray, bool]:
+    """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of the valley it goes
+    along (geodesic acceleration; Transtrum and Sethna, arXiv:1201.5885): z, cost, Gauss–Newton matrix, and whether
+    the expected gain fell below ``tolerance``, or below a share ``slack`` of the misfit beyond noise: where that is
+    large the model lacks something. With ``bound`` (n,) it stays within |z| ≤ bound. It is given up where ``HOPE``
+    times the expected gain does not bring it below ``hopeless``.
+
+    The region is a ball in the prior's metric, so that what holds steps back are parameters that the data hardly hold
+    (the logarithm of a damper near zero) and those it shortens; directions the data hold well are left to Newton. The
+    curvature of value = mean · eˣ itself, ∂²/∂x² = ∂/∂x, is added where it is positive. The region grows as long as the
+    model keeps its promises: one that lacks something can want a nuisance at twenty prior deviations. It begins with
+    the radius ``reach``.
+    """
+    data, bent = objective.data, True
+    log = np.array([p.log for p in objective.free]) * np.diag(objective.free.root)
+    cost, gradient, information = objective(z)
+    for _ in range(iterations):
+        if not (np.isfinite(cost) and np.isfinite(information).all()):
+            return z, np.inf, np.eye(len(z)), False
+        expected = _expected(gradient, information, z, bound)
+        if expected < max(tolerance, slack * (cost - 0.55 * data)):
+            return z, cost, information, True
+        if cost - HOPE * expected > hopeless:
+            return z, cost, information, False
+        slope = objective.free.along(z, gradient)
+        curvature, axes = np.linalg.eigh(information + np.diag(np.maximum(log * (slope - z), 0)))
+        along = axes.T @ gradient
+        while True:
+            step, damping = _within(reach, curvature, axes, along)
+            if bound is not None:
+                bowl = axes @ ((curvature + damping)[:, None] * axes.T)
+                step = bounded_step(gradient, bowl, z, bound)
+            bend = objective.bend(z, step) if bent and bound is None else None
+            if bend is not None:
+                turn = -0.5 * axes @ ((axes.T @ bend) / (curvature + damping))
+                bent = bool(np.linalg.norm(turn) > STRAIGHT * np.linalg.norm(step))
+                if np.linalg.norm(turn) < TURN * np.linalg.norm(step):
+                    step = step + turn
+            end = objective.free.moved(z, step)
+            trial = objective.cost(end)
+            promised = -float(gradient @ step) - 0.5 * float(step @ information @ step)
+            if np.isfinite(trial) and trial < cost:
+                break
+            reach, bent = 0.25 * min(reach, float(np.linalg.norm(step))), True
+            if reach < 1e-6:
+                return z, cost, information, False
+        kept = (cost - trial) / max(promised, 1e-300)
+        bent = bent or not KEPT < kept < 1 / KEPT
+        if kept < 0.25:
+            reach = 0.5 * float(np.linalg.norm(step))
+        elif kept > 0.75 and damping > 0:
+            reach *= 3
+        z = end
+        cost, gradient, information = objective(z)
+    return z, cost, information, False
+
+
+def _expected(gradient: FloatArray, information: FloatArray, z: FloatArray, bound: FloatArray | None) -> float:
+    """By how much a whole Gauss–Newton step is expected to lower the cost."""
+    if bound is None:
+        return 0.5 * float(gradient @ np.linalg.solve(information, gradient))
+    step = bounded_step(gradient, information, z, bound)
+    return -float(step @ gradient + 0.5 * step @ information @ step)
+
+
+def _within(reach: float, curvature: FloatArray, axes: FloatArray, along: FloatArray) -> tuple[FloatArray, float]:
+    """The step of a quadratic model that is not longer than ``reach``, and the damping that keeps it so.
+
+    Args:
+        curvature, axes: eigenvalues (n,) and vectors (n, n); ``along`` (n,) the gradient on these axes.
+    """
+    damping = 0.0
+    for _ in range(30):
+        step = -along / (curvature + damping)
+        length = float(np.linalg.norm(step))
+        if length <= 1.1 * reach:
+            break
+        slope = -float(np.sum(step**2 / (curvature + damping))) / length
+        damping -= (length / reach) * (length - reach) / slope  # Newton on 1/length, which is nearly linear
+    return axes @ step, damping
+
+
+def bounded_step(gradient: FloatArray, curvature: FloatArray, z: FloatArray, bound: FloatArray | float) -> FloatArray:
+    """The step (n,) that minimises gradientᵀ s + ½ sᵀ curvature s within |z + s| ≤ bound.
+
+    A primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, algorithm 16.3): it goes towards the
+    minimum on the faces it is on, stops at the next face, and leaves a face that holds it back.
+    """
+    step, bound = np.zeros_like(z), np.broadcast_to(bound, z.shape)
+    free = ~((np.abs(z) >= bound) & (gradient * z < 0))
+    for _ in range(4 * len(z)):
+        target = step.copy()
+        if free.any():
+            pull = gradient[free] + curvature[np.ix_(free, ~free)] @ step[~free]
+            target[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
+        move = target - step
+        room = np.where(move > 0, bound - z - step, -bound - z - step)
+        share = np.divide(room, move, out=np.full_like(move, np.inf), where=free & (move != 0))
+        first = int(np.argmin(share))
+        if share[first] < 1:
+            step = step + max(share[first], 0.0) * move
+            step[first] = np.copysign(bound[first], move[first]) - z[first]
+            free[first] = False
+            continue
+        step = target
+        slope = np.where(free, 0.0, gradient + curvature @ step) * np.sign(z + step)  # above zero: held back
+        worst = int(np.argmax(slope))
+        if slope[worst] <= 1e-12 * float(np.abs(gradient).max(initial=0.0)):
+            break
+        free[worst] = True
+    return step

@@ -1,0 +1,49 @@
+"""What every command returns: a result that prints itself, shows as tables in a notebook and draws its own figures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells under a header; ``numbers`` are the columns set flush right, ``dim`` the rows set pale."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    numbers: Sequence[int] = ()
+    dim: Sequence[int] = ()
+    title: str = ""
+
+
+class Result:
+    """Base of all results.
+
+    ``print(result)`` says what was found, ``result.data()`` is the JSON of the command, and a notebook shows
+    ``result.tables()``. Matplotlib is imported only when :meth:`figures` is called.
+    """
+
+    drawn_by: ClassVar[str]
+    """Module whose ``draw(result)`` makes the figures by file name."""
+
+    def data(self) -> dict[str, Any]:
+        """Plain data: what the command prints with ``--json``."""
+        raise NotImplementedError
+
+    def tables(self) -> list[Table]:
+        """What a notebook shows."""
+        raise NotImplementedError
+
+    def figures(self) -> "dict[str, Figure]":
+        """Name → Matplotlib figure: those that the command writes as PNG with ``--out``."""
+        drawn: dict[str, Figure] = import_module(self.drawn_by).draw(self)
+        return {name.removesuffix(".png"): figure for name, figure in drawn.items()}
+
+    def _repr_html_(self) -> str:
+        from twin.report.html import fragment
+
+        return fragment(str(self).partition("\n")[0], self.tables())
