@@ -23,8 +23,8 @@ from tools.truth.effects import Effect
 from tools.truth.elastic import assemble
 from tools.truth.milling import Cut, arc, envelope, last_link, limits
 from tools.truth.recording import HammerTest, draw_postures, draw_truth, streams, write_campaign
-from twin.commands.diagnose import diagnose_campaign
-from twin.commands.modal import read_recording
+from twin.diagnose.hammer import diagnose_campaign
+from twin.measure.recordings import read_campaign
 from twin.milling.cut import read_cut
 from twin.milling.ensemble import ensemble, quantile_of_safe
 from twin.milling.map import lobes
@@ -71,7 +71,7 @@ def main() -> None:
         folder = Path(scratch)
         write_campaign(folder / "frf.h5", truth, postures, HammerTest(), streams(SEED)[3])
         given = load_robot("kr90")
-        found = diagnose_campaign(read_recording([folder / "frf.h5"]), given, "frf.h5")
+        found = diagnose_campaign(read_campaign(folder / "frf.h5"), given, "frf.h5")
         for stage, fit in zip(("before", "after"), found.fits, strict=True):
             keep_model(folder / stage, fit)
         at = np.append(SPEEDS, RPM)
