@@ -7,24 +7,12 @@ import numpy as np
 import pytest
 
 from tools.truth.__main__ import main as truth
-from twin.diagnose.compare import compare_hammer
+from twin.commands.compare import compare_hammer
+from twin.commands.diagnose import diagnose_campaign
 from twin.diagnose.edit import is_nonlinear
-from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.held_law import UnderLaw
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
-from twin.diagnose.levels import (
-    Levels,
-    _own,
-    _race,
-    _settling,
-    decide_levels,
-    explain_levels,
-    fit_law,
-    point,
-    view,
-    view_with,
-    with_law,
-)
+from twin.diagnose.levels import Levels, _own, _race, _settling, decide_levels, explain_levels, fit_law, point, with_law
 from twin.diagnose.levels_beside import _doubted
 from twin.diagnose.levels_finding import check_blows
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
@@ -490,37 +478,3 @@ def test_an_effect_that_shows_in_force_levels_states_its_law() -> None:
         with pytest.raises(ValueError, match=lack):
             register(effect)
     assert "silent" not in CATALOGUE
-
-
-def test_the_law_supplies_what_a_window_needs_from_outside_the_band(kr90: Robot, tmp_path: Path) -> None:
-    """Beginnings of decays are those of the true law; by the linear model, true but for the gap, they are far off."""
-    nominal = ["--nominal", "--no-sag", "--noise", "0", "--scatter", "0", "--postures", "1"]
-    campaign = recorded(tmp_path, "backlash@joint1.z:gap=5e-5", *nominal)
-    robot, sample, blow = without_limits(kr90), Sample(tuple(prepare(campaign, kr90).values())), blows(campaign)
-    assert blow is not None
-    none = independent([])
-    stepped = Stepped(robot, none, sample, law=Gap(), site="joint1.z", blow=blow, fixed=np.array([5e-5]))
-    worst = []
-    for seen in (
-        view_with((stepped, NONE, np.zeros(0)), sample, blow, 5.0),
-        view(robot, none, np.zeros(0), sample, blow, 5.0),
-    ):
-        predicted = replace(stepped, sample=seen.sample, blow=seen.blow).predicted(np.zeros(0))
-        pairs = zip(predicted, seen.sample.recordings, strict=True)
-        worst.append(max(float(np.linalg.norm(H - r.frf) / np.linalg.norm(r.frf)) for H, r in pairs))
-    assert worst[0] < 0.01
-    assert worst[1] > 3 * worst[0]
-
-
-def test_levels_are_compared_on_the_lines_they_share(kr90: Robot, tmp_path: Path) -> None:
-    """Levels of other lines disagree as well; of postures that disagree without a force, it is said what is missing."""
-    cubic = "hardening_stiffness@joint1.z:cubic=3e13"
-    campaign = recorded(tmp_path, cubic, "--nominal", "--no-sag", "--postures", "1")
-    name, high = list(campaign.postures.items())[1]
-    assert high.coherence is not None
-    fewer = replace(high, frequency=high.frequency[::2], frf=high.frf[::2], coherence=high.coherence[::2])
-    assert triage(replace(campaign, postures={**campaign.postures, name: fewer}), kr90, "test", None).nonlinear
-    bare = {name: replace(p, peak_force_n=None) for name, p in campaign.postures.items()}
-    told = triage(replace(campaign, postures=bare), kr90, "test", None)
-    assert not told.nonlinear
-    assert any("no law of amplitude is sought" in line for line in told.warnings)

@@ -15,12 +15,12 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
-from twin.diagnose.search import REACH
+from twin.diagnose.search import WITHIN
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.yamlfile import read_yaml
 
-LINEAR = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
+FIRST_ORDER = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
 
 
 @lru_cache
@@ -150,7 +150,7 @@ def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> 
         return gains
     nothing, best = unseen(len(gains)).evidence(scale), int(np.argmax(gains))
     later = np.full(len(gains), unseen(best).evidence(scale) - nothing)
-    for k in np.flatnonzero(gains > max(gains[best], 0.0) - REACH):
+    for k in np.flatnonzero(gains > max(gains[best], 0.0) - WITHIN):
         later[k] = unseen(int(k)).evidence(scale) - nothing
     return later
 
@@ -179,7 +179,7 @@ def _lawless(
     Alone it is known to first order only, which holds near the truth. Recordings that were not fitted to it is taken to
     foretell as well as nothing and the names together: ``foretold``, over the base model.
     """
-    models = [(foretold, base)] if base.misfit < LINEAR else []
+    models = [(foretold, base)] if base.misfit < FIRST_ORDER else []
     if len(logs):
         best = int(np.argmax(logs))
         models.append((logs[best], fits[best]))

@@ -31,10 +31,10 @@ from twin.physics.payload import Payload
 from twin.robot.description import Entry, Robot
 from twin.robot.mechanism import assemble
 
-LINEAR = 1e-6  # relative difference allowed between MuJoCo and the algebra
+ALGEBRA = 1e-6  # relative difference allowed between MuJoCo and the algebra
 REPLAYED = 0.05  # the same of torque after the low-pass: an elastic robot under servos does not follow exactly
 REPLAYED_S, LOW_PASS = 20.0, (3.0, 4.0)  # how much of a run is stepped; Hz
-LINES = 60  # per posture are compared
+CHECKED_LINES = 60  # per posture are compared
 EDIT_SHARE = 0.05  # of the robot's mass is the payload of the edit test
 EDIT_MODES = 4
 
@@ -49,14 +49,14 @@ def check_linear(robot: Robot, records: Sequence[FrfRecord]) -> dict[str, Any]:
     robot = without_limits(robot)
     worst = 0.0
     for record in {r.posture: r for r in records}.values():
-        lines = record.frequency[:: max(1, len(record.frequency) // LINES)]
+        lines = record.frequency[:: max(1, len(record.frequency) // CHECKED_LINES)]
         H = predicted_by_mujoco(robot, record, lines)
         expected = predicted_by_algebra(robot, record, lines)
         worst = max(worst, float(np.linalg.norm(H - expected) / np.linalg.norm(expected)))
     return {
-        "name": "model in MuJoCo", "value": worst, "limit": LINEAR, "passed": worst < LINEAR,
+        "name": "model in MuJoCo", "value": worst, "limit": ALGEBRA, "passed": worst < ALGEBRA,
         "description": "robot.yaml read again and linearised by MuJoCo (mjd_transitionFD) predicts the FRFs of the "
-        f"search within {worst:.1e} (limit {LINEAR:.0e})",
+        f"search within {worst:.1e} (limit {ALGEBRA:.0e})",
     }  # fmt: skip
 
 
@@ -86,10 +86,10 @@ def check_xml(mjcf: Path, robot: Robot, q: np.ndarray, brakes: Any) -> dict[str,
     alike = len(described) == len(written)
     worst = float(np.max(np.abs(written / described - 1), initial=0.0)) if alike else float("inf")
     return {
-        "name": "MJCF in MuJoCo", "value": worst if alike else None, "limit": LINEAR,
-        "passed": worst < LINEAR,
+        "name": "MJCF in MuJoCo", "value": worst if alike else None, "limit": ALGEBRA,
+        "passed": worst < ALGEBRA,
         "description": "robot.xml loaded by MuJoCo has the poles of robot.yaml within "
-        f"{worst:.1e} (limit {LINEAR:.0e})",
+        f"{worst:.1e} (limit {ALGEBRA:.0e})",
     }  # fmt: skip
 
 

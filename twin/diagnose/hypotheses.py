@@ -22,7 +22,7 @@ from twin.robot.frames import axis_placement, matrix_of
 
 WIDENED = {"stiffness": np.log(3.0), "mass": 0.15, "com": 0.05, "inertia": 0.3, "gain": 0.1, "damping": np.log(20.0)}
 """Prior deviation of a base parameter that is suspected of being wrong beyond its tolerance."""
-SAME = 0.05  # rad: angles of joint 1 that far apart are two
+SAME_ANGLE = 0.05  # rad: angles of joint 1 that far apart are two
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def same_axes(base: Robot, postures_q: Sequence[FloatArray]) -> dict[str, str]:
     """
     if base.axes[0].type == "prismatic":
         return {}
-    turned = any(abs(q[0] - postures_q[0][0]) > SAME for q in postures_q)
+    turned = any(abs(q[0] - postures_q[0][0]) > SAME_ANGLE for q in postures_q)
     along = np.abs(matrix_of(axis_placement(base.axes[0], float(postures_q[0][0]))[1]))
     found: dict[str, str] = {}
     for number in (2,) if turned else (2, 0, 1):

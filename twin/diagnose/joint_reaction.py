@@ -12,16 +12,23 @@ from numpy.typing import NDArray
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
 from twin.identify.objective import Changes, Cost, rates
 from twin.identify.recorded import Recorded
-from twin.measure.campaign import Campaign, Channels, ComplexArray, FloatArray, PostureFRF
+from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
 from twin.model.blow import RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.model.parameters import Parameters
-from twin.model.sensitivity import Observed, Setup, Structure, contract, moving, observe, observe_all
+from twin.model.sensitivity import Observed, contract, moving, observe
 from twin.parallel import spread
 from twin.physics.joint_law import NO_LOAD, Law
 from twin.robot.description import Robot
 
 PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of its logarithm, where no raw hits tell
 FADED = 7.0  # e-foldings after which a windowed decay is not stepped any further
+OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
+BLOW_STEPS = 6  # iterations of a blow's own stiffness
+FINE_DIFFERENCE, ROUGH_DIFFERENCE, WIDE = 1e-4, 4e-3, 0.02  # prior deviations, of differences of stepped blows
+STAYED = 2.0  # prior deviations, over which the law's torque keeps what its derivatives have beside those held
+WORTH_SPREADING = 20  # strikes per recording: fewer are stepped by one process
+WEIGHED = 0.1  # prior deviations, of differences of the load on a joint
+BEND_AHEAD = 0.1  # of a step: where its bend is looked at
 
 
 # --- how it was hit ---------------------------------------------------------------------------------------------------
@@ -85,67 +92,43 @@ class _Joint:
 
 
 class _Postures:
-    """Joint models by posture: levels of one posture share them, and all are observed in one go.
+    """Joint models by posture: levels of one posture share them."""
 
-    Args:
-        z: (n,) of ``parameters``, where the robot is.
-        recordings: those that will be asked for.
-    """
-
-    def __init__(
-        self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, recordings: Sequence[Recorded]
-    ) -> None:
+    def __init__(self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, slopes: bool) -> None:
         self.z, self.values = z, parameters.values(z)
         self.robot = parameters.apply(robot, self.values)
-        self.parameters, self.site = parameters, site
-        self.setups = _alike({r.setup.name: r.setup for r in recordings})
-        self.seen: dict[str, tuple[Observed, Structure]] = {}
-        self.plain: dict[tuple[str, bytes, int], _Joint] = {}
-        self.sloped: dict[tuple[str, bytes, int], _Joint] = {}
-        self.apart: dict[tuple[str, bytes, int], dict[int, _Joint]] = {}
-        self.loads: dict[str, tuple[list[int], FloatArray]] = {}
+        self.parameters, self.site, self.slopes = parameters, site, slopes
+        self.known: dict[tuple[str, bytes, int], _Joint] = {}
         self.changes: Changes = {}
+        self.loads: dict[str, tuple[list[int], FloatArray]] = {}
+        self.apart: dict[int, dict[int, _Joint]] = {}
 
-    def of(self, r: Recorded, slopes: bool = False) -> _Joint:
-        """The model of a recording's posture, seen along its lines; ``slopes``: with derivatives."""
-        key, known = _key(r), self.sloped if slopes else self.plain
-        if key not in known:
-            known[key] = self._joint(r, slopes)
-        return known[key]
+    def of(self, r: Recorded) -> _Joint:
+        key = r.setup.name, r.s.tobytes(), r.power
+        if key not in self.known:
+            self.known[key] = self._joint(r)
+        return self.known[key]
 
-    def _joint(self, r: Recorded, slopes: bool) -> _Joint:
-        if not self.seen:
-            models = observe_all(self.robot, list(self.setups.values()), self.parameters, self.values)
-            self.seen = dict(zip(self.setups, models, strict=True))
-        seen, model = self.seen[r.setup.name]
+    def _joint(self, r: Recorded) -> _Joint:
+        seen, model = observe(self.robot, r.setup, self.parameters, self.values)
         index, rate = model.coordinates.index(self.site), None
-        if slopes:
+        if self.slopes:
             rate = rates(self.robot, r.setup, self.parameters, self.values, seen, model, self.changes)
             rate = contract(rate, self.parameters.transform(self.values))
         view = receptances(seen, index, r.s, r.power, rate)
         return _Joint(seen, index, float(model.strain[index]), float(model.load[index]), view, rate)
 
-    def moved(self, r: Recorded, p: int, step: float) -> _Joint:
-        """The model with one parameter moved, to first order."""
-        joint = self.of(r, True)
-        assert joint.rate is not None
-        seen = Observed.of(a + step * d[p] for a, d in zip(joint.seen.arrays(), joint.rate.arrays(), strict=True))
-        row = self.parameters.names.index(f"{self.site}.stiffness")
-        k = joint.k + step * float(self.parameters.transform(self.values)[row, p])
-        return _Joint(seen, joint.index, k, joint.load, receptances(seen, joint.index, r.s, r.power))
-
-    def each_moved(self, r: Recorded, step: float) -> dict[int, _Joint]:
-        """The model with every parameter that acts on its motion moved in turn, lines and all to first order."""
-        key = _key(r)
-        if key in self.apart:
-            return self.apart[key]
-        joint = self.of(r, True)
+    def moved(self, r: Recorded, step: float) -> dict[int, _Joint]:
+        """The joint's model with every parameter that acts on its motion moved in turn, to first order."""
+        joint = self.of(r)
+        if id(joint) in self.apart:
+            return self.apart[id(joint)]
         rates = joint.view.rates
         assert joint.rate is not None
         assert rates is not None
         loads = np.zeros(len(self.z))
         if abs(joint.load) > NO_LOAD:
-            loaded, rate = self._load_slopes(r)
+            loaded, rate = self.load_slopes(r)
             loads[loaded] = rate
         acting = replace(
             joint.rate, J_r=joint.rate.J_r[:, :0], gain=joint.rate.gain[:, :0], delay=joint.rate.delay[:, :0]
@@ -156,12 +139,11 @@ class _Postures:
             dinto, down = rates[2][p], rates[3][p]
             there = replace(view, into=view.into + step * dinto, own=view.own + step * down, rates=None)
             found[p] = _Joint(seen, joint.index, joint.k, joint.load + step * loads[p], there)
-        self.apart[key] = found
+        self.apart[id(joint)] = found
         return found
 
-    def _load_slopes(self, r: Recorded, weighed: float = 0.1) -> tuple[list[int], FloatArray]:
-        """Which parameters the weight on the joint depends on, and its derivatives (m,) with respect to their z, by
-        differences over so many prior deviations."""
+    def load_slopes(self, r: Recorded) -> tuple[list[int], FloatArray]:
+        """Which parameters the weight on the joint depends on, and its derivatives (m,) with respect to their z."""
         if r.setup.name not in self.loads:
             index = self.of(r).index
             loaded = [
@@ -171,24 +153,11 @@ class _Postures:
             ]
             changes = []
             for k in loaded:
-                values = self.parameters.values(self.z + weighed * np.eye(len(self.z))[k])
+                values = self.parameters.values(self.z + WEIGHED * np.eye(len(self.z))[k])
                 _, model = observe(self.parameters.apply(self.robot, values), r.setup, self.parameters, values)
-                changes.append((float(model.load[index]) - self.of(r).load) / weighed)
+                changes.append((float(model.load[index]) - self.of(r).load) / WEIGHED)
             self.loads[r.setup.name] = loaded, np.array(changes)
         return self.loads[r.setup.name]
-
-
-def _key(r: Recorded) -> tuple[str, bytes, int]:
-    return r.setup.name, r.s.tobytes(), r.power
-
-
-def _alike(setups: dict[str, Setup]) -> dict[str, Setup]:
-    """Postures that were hit at the same points share one object of channels: they are observed together."""
-    known: dict[tuple[str, ...], Channels] = {}
-    return {
-        name: replace(setup, excitation=known.setdefault(setup.excitation.label, setup.excitation))
-        for name, setup in setups.items()
-    }
 
 
 @dataclass
@@ -206,12 +175,11 @@ class BlowByBlow(Cost):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.models: _Postures | None = None
         self.own = [np.zeros((2, r.frf.shape[2])) for r in self.sample.recordings]
         self.certainty = list(self.own)
 
     def cost(self, z: FloatArray) -> float:
-        postures = self._postures(z)
+        postures = _Postures(self.robot, self.parameters, self.site, z, False)
         own, cost = list(self.own), 0.5 * float(z @ z)
         for k, r in enumerate(self.sample.recordings):
             own[k], part, _, _, _ = self._settle(postures.of(r), r, k)
@@ -219,10 +187,10 @@ class BlowByBlow(Cost):
         return cost
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        postures = self._postures(z)
+        postures = _Postures(self.robot, self.parameters, self.site, z, True)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         for k, r in enumerate(self.sample.recordings):
-            joint = postures.of(r, True)
+            joint = postures.of(r)
             self.own[k], part, e, rate, matrix = self._settle(joint, r, k)
             self.certainty[k] = matrix
             cost += part
@@ -239,21 +207,12 @@ class BlowByBlow(Cost):
             information -= np.einsum("nqe,mqe->nm", taken, cross)
         return cost, gradient, information
 
-    def _postures(self, z: FloatArray) -> _Postures:
-        """The models at z; those of the last call where it is the same."""
-        if self.models is None or not np.array_equal(self.models.z, z):
-            self.models = _Postures(self.robot, self.parameters, self.site, z, self.sample.recordings)
-        return self.models
-
     def _settle(
-        self, joint: _Joint, r: Recorded, k: int, stiffness: float = 0.5, loss: float = 0.1, iterations: int = 6
+        self, joint: _Joint, r: Recorded, k: int
     ) -> tuple[FloatArray, float, ComplexArray, ComplexArray, FloatArray]:
-        """Each blow's own stiffness and damping at its optimum: values, cost, residual, rates (2, …), matrix.
-
-        ``stiffness``, ``loss``: prior deviations of k and of ωc at 15 Hz, of the joint's stiffness.
-        """
+        """Each blow's own stiffness and damping at its optimum: values, cost, residual, rates (2, …), matrix."""
         w = self.weight[k]
-        width = np.array([stiffness * joint.k, loss * joint.k / (2 * np.pi * 15.0)])
+        width = np.array([OWN_STIFFNESS * joint.k, OWN_LOSS * joint.k / (2 * np.pi * 15.0)])
         u = self.own[k] / width[:, None]
         line = np.stack([np.full(len(r.s), width[0], complex), width[1] * r.s])
 
@@ -265,7 +224,7 @@ class BlowByBlow(Cost):
 
         parts, e, kappa = look(u)
         damping = np.full(u.shape[1], 1e-3)
-        for _ in range(iterations):
+        for _ in range(BLOW_STEPS):
             rate = self._own_rate(joint, kappa, w, line)
             gradient = np.einsum("pfre,fre->pe", rate.conj(), e).real + u
             matrix = np.einsum("pfre,qfre->pqe", rate.conj(), rate).real + np.eye(2)[:, :, None]
@@ -316,8 +275,6 @@ class Stepped(Cost):
     Derivatives of the linear part are in closed form, those of the law's torque with respect to what acts on the law
     itself by differences of stepped blows. With respect to the rest of the robot the law is held
     (:mod:`twin.diagnose.held_law`), which is off by a tenth: ``closely``, that too is stepped, by some ``processes``.
-    Differences are over ``small`` steps, where that is enough ``roughly`` so, or ``wide`` ones, in prior deviations;
-    over ``stayed`` such the law's torque keeps what its derivatives have beside those held.
     ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording; ``latest``:
     reactions where they were stepped last.
     """
@@ -329,14 +286,9 @@ class Stepped(Cost):
     rate_hz: float = RATE_HZ
     closely: bool = False
     processes: int = 1
-    small: float = 1e-4
-    roughly: float = 4e-3
-    wide: float = 0.02
-    stayed: float = 2.0
     rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list, init=False)
     beside: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
     latest: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
-    models: _Postures | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -344,13 +296,6 @@ class Stepped(Cost):
         if self.fixed is None:
             own = len(self.law.names) + self._struck
         self.base = self.parameters.select(range(len(self.parameters) - own))
-
-    def _postures(self, z: FloatArray) -> _Postures:
-        """The models at z; those of the last call where only the law's own numbers differ."""
-        base = z[: len(self.base)]
-        if self.models is None or not np.array_equal(self.models.z, base):
-            self.models = _Postures(self.robot, self.base, self.site, base, self.sample.recordings)
-        return self.models
 
     @property
     def _struck(self) -> bool:
@@ -369,11 +314,11 @@ class Stepped(Cost):
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         n = len(self.base)
-        joints = self._postures(z)
+        joints = _Postures(self.robot, self.base, self.site, z[:n], True)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         self.rows.clear()
         for r, w, (R, dR) in zip(self.sample.recordings, self.weight, self._reactions(z, joints), strict=True):
-            view = joints.of(r, True).view
+            view = joints.of(r).view
             dH = np.zeros((len(z), *r.frf.shape), complex)
             dH[:n] = view.slopes(R, dR[:n])
             dH[n:] = -view.out[:, :, None] * dR[n:, :, None, :]
@@ -398,33 +343,30 @@ class Stepped(Cost):
         sizes, longer = self.own(z)
         here = [(joints.of(r), r, sizes, longer) for r in recordings]
         every = range(len(recordings))
-        step = self.small if self.closely else self.roughly
+        step = FINE_DIFFERENCE if self.closely else ROUGH_DIFFERENCE
         known = self.latest is not None and np.array_equal(self.latest[0], z)
         asked = self._moved(z, step, near, joints, every)
         if self.closely:
-            asked += [[(joint, r, sizes, longer * (1 + h)) for joint, r, *_ in here] for h in (self.small, self.wide)]
+            asked += [[(joint, r, sizes, longer * (1 + h)) for joint, r, *_ in here] for h in (FINE_DIFFERENCE, WIDE)]
         *found, last = self._react_each([*asked, [] if known else here])
         at = self.latest[1] if self.latest and known else last
         small, longer_ones = self._slopes(found[: len(near)], at, step, every), found[len(near) :]
         slopes: list[ComplexArray] = []
         for r, R, stepped in zip(recordings, at, small, strict=True):
-            view = joints.of(r, True).view
+            view = joints.of(r).view
             dR = np.zeros((len(z), *R.shape), complex)
             dR[:n] = view.reaction_slopes(_held(view, r.s, R)[0], R)
             dR[near] = np.where(np.isfinite(stepped), stepped, dR[near])
             slopes.append(dR)
         if not self.closely:
             return list(zip(at, slopes, strict=True))
-        smooth = [
-            _smooth(little, somewhat, R, self.small, self.wide)
-            for little, somewhat, R in zip(*longer_ones, at, strict=True)
-        ]
+        smooth = [_smooth(*there) for there in zip(*longer_ones, at, strict=True)]
         rough = [k for k in every if not smooth[k].all()]
         if rough:
-            wide = self._react_each(self._moved(z, self.wide, near, joints, rough))
-            for k, further in zip(rough, self._slopes(wide, at, self.wide, rough), strict=True):
+            wide = self._react_each(self._moved(z, WIDE, near, joints, rough))
+            for k, further in zip(rough, self._slopes(wide, at, WIDE, rough), strict=True):
                 slopes[k][near] = np.where(~smooth[k] & np.isfinite(further), further, slopes[k][near])
-        if self.beside is None or np.linalg.norm(z - self.beside[0]) > self.stayed:
+        if self.beside is None or np.linalg.norm(z - self.beside[0]) > STAYED:
             self.beside = z, self._beside_held(z, joints, near, at, slopes, smooth)
         for dR, lag in zip(slopes, self.beside[1], strict=True):
             dR[:n] += lag
@@ -434,12 +376,13 @@ class Stepped(Cost):
         self, z: FloatArray, step: float, near: Sequence[int], joints: _Postures, chosen: Sequence[int]
     ) -> list[list[Asked]]:
         """The chosen recordings asked for a step further along each of some parameters."""
-        asked: list[list[Asked]] = []
+        asked = []
         for k in near:
-            own = self.own(z + step * np.eye(len(z))[k])
+            moved = z + step * np.eye(len(z))[k]
+            own = k >= len(self.base)
+            there = joints if own else _Postures(self.robot, self.base, self.site, moved[: len(self.base)], False)
             recordings = [self.sample.recordings[i] for i in chosen]
-            law = k >= len(self.base)
-            asked.append([(joints.of(r) if law else joints.moved(r, k, step), r, *own) for r in recordings])
+            asked.append([(there.of(r), r, *self.own(moved)) for r in recordings])
         return asked
 
     @staticmethod
@@ -465,12 +408,12 @@ class Stepped(Cost):
         lags = [np.zeros_like(dR[: len(self.base)]) for dR in slopes]
         asked, where = [], []
         for k, r in enumerate(self.sample.recordings):
-            for p, joint in joints.each_moved(r, self.small).items() if smooth[k].any() else ():
+            for p, joint in joints.moved(r, FINE_DIFFERENCE).items() if smooth[k].any() else ():
                 if p not in near:
                     asked.append((joint, r, *self.own(z)))
                     where.append((k, p))
         for (k, p), other in zip(where, self._react(asked) if asked else [], strict=True):
-            beside = (other - reactions[k]) / self.small - slopes[k][p]
+            beside = (other - reactions[k]) / FINE_DIFFERENCE - slopes[k][p]
             lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
         return lags
 
@@ -479,11 +422,10 @@ class Stepped(Cost):
         found = iter(self._react([one for some in asked for one in some]))
         return [[next(found) for _ in some] for some in asked]
 
-    def _react(self, asked: Sequence[Asked], spreading: int = 20) -> list[ComplexArray]:
-        """What the law does, T/F (nf, ne), in a model of each recording, of some sizes, to blows of some length; more
-        than so many strikes per recording are worth ``spreading`` over processes."""
+    def _react(self, asked: Sequence[Asked]) -> list[ComplexArray]:
+        """What the law does, T/F (nf, ne), in a model of each recording, of some sizes, to blows of some length."""
         rate_hz = self.rate_hz * self.law.finer
-        processes = self.processes if len(asked) > spreading * len(self.sample.recordings) else 1
+        processes = self.processes if len(asked) > WORTH_SPREADING * len(self.sample.recordings) else 1
         share = max(1, -(-len(asked) // processes))
 
         def some(number: int) -> list[ComplexArray]:
@@ -505,11 +447,10 @@ class Stepped(Cost):
         if not self.rows:
             return None
         total = np.zeros(len(z))
-        part = 0.1
-        ahead = self.predicted(z + part * step)
+        ahead = self.predicted(z + BEND_AHEAD * step)
         for r, H, w, (e, G) in zip(self.sample.recordings, ahead, self.weight, self.rows, strict=True):
             there = np.ascontiguousarray((r.frf - H) * w).reshape(-1).view(float)
-            total += G @ (2 / part * ((there - e) / part - step @ G))
+            total += G @ (2 / BEND_AHEAD * ((there - e) / BEND_AHEAD - step @ G))
         return total if np.isfinite(total).all() else None
 
     def held(self, z: FloatArray) -> list[UnderLaw]:
@@ -533,7 +474,7 @@ class Stepped(Cost):
 
     def deflection(self, z: FloatArray) -> float:
         """A large deflection of the joint under these blows, rad (m): exceeded by one in ten; NaN if they diverge."""
-        postures = self._postures(z)
+        postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
         none = np.full(len(self.law.names), 1e-9)
         strikes = [self._strike(postures.of(r), r, none) for r in self.sample.recordings]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -542,7 +483,7 @@ class Stepped(Cost):
 
     def equivalents(self, z: FloatArray, sizes: Sequence[FloatArray]) -> list[list[FloatArray]]:
         """For each of several sizes, per recording: the stiffness and damping (2, ne) the law was to every blow."""
-        postures = self._postures(z)
+        postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
         joints = [(postures.of(r), r) for r in self.sample.recordings]
         found = iter(self._react([(joint, r, size, 1.0) for size in sizes for joint, r in joints]))
         return [[_equivalent(joint.view, r.s, next(found)) for joint, r in joints] for _ in sizes]
@@ -561,7 +502,7 @@ class Stepped(Cost):
         """Models and reactions, per recording, at several z, stepped side by side."""
         asked: list[list[Asked]] = []
         for z in points:
-            postures = self._postures(z)
+            postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
             asked.append([(postures.of(r), r, *self.own(z)) for r in self.sample.recordings])
         found = self._react_each(asked)
         self.latest = np.array(points[-1]), found[-1]
@@ -581,12 +522,10 @@ class Stepped(Cost):
         ]
 
 
-def _smooth(
-    little: ComplexArray, somewhat: ComplexArray, at: ComplexArray, small: float, wide: float
-) -> NDArray[np.bool_]:
+def _smooth(little: ComplexArray, somewhat: ComplexArray, at: ComplexArray) -> NDArray[np.bool_]:
     """Blows (ne,) whose answer to being a little longer is what somewhat longer ones tell; false, too, where a step
     went over the edge of what can be stepped."""
-    a, b = (little - at) / small, (somewhat - at) / wide
+    a, b = (little - at) / FINE_DIFFERENCE, (somewhat - at) / WIDE
     return np.asarray(np.sum(np.abs(a - b) ** 2, axis=0) < np.sum(np.abs(b) ** 2, axis=0))
 
 

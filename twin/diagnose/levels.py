@@ -28,7 +28,7 @@ from twin.diagnose.refit import NONE, Fitted, descend
 from twin.identify.descent import minimise
 from twin.identify.objective import Sample
 from twin.identify.recorded import Recorded
-from twin.measure.campaign import Campaign, ComplexArray, FloatArray
+from twin.measure.campaign import Campaign, FloatArray
 from twin.model.blow import COARSE_HZ, RATE_HZ
 from twin.model.joint_laws import NAMELESS
 from twin.model.parameters import Parameter, Parameters
@@ -38,45 +38,21 @@ from twin.physics import CATALOGUE, amplitude_laws
 from twin.physics.joint_law import USUAL_DEFLECTION, Law
 from twin.robot.description import Entry, Robot
 
-
-@dataclass(frozen=True)
-class Effort:
-    """How closely and how long laws are sought.
-
-    Attributes:
-        lines, blows: of every recording, while joints are located and laws race; ``last_lines``, ``last_blows``: that
-            what is left is fitted to.
-        sizes: of a law, whose equivalent stiffnesses are most like those seen: its start is one of them.
-        window: 1/s, exponential window put on recordings that are not smooth.
-        falling: relative model errors, while something explains the recordings; ``rough``: the same of recordings under
-            a window, taken anew after each group; ``whole``: of whole decays afterwards.
-        locating, begun, racing, again, nearly, closely, settling, linear: largest iterations of each fit.
-        coarse, near, fine: gains in ln likelihood that are not waited for.
-    """
-
-    lines: int = 30
-    blows: int = 6
-    last_lines: int = 40
-    last_blows: int = 12
-    sizes: int = 3
-    window: float = 5.0
-    falling: tuple[float, ...] = (0.1, 0.03, 0.01, 0.0)
-    rough: tuple[tuple[float, ...], ...] = ((0.3, 0.1), (0.1, 0.03), (0.03,), (0.01,), (0.01,))
-    whole: tuple[float, ...] = (0.1, 0.03, 0.01)
-    locating: int = 8
-    begun: int = 2
-    racing: int = 4
-    again: int = 8
-    nearly: int = 8
-    closely: int = 5
-    settling: int = 10
-    linear: int = 15
-    coarse: float = 0.5
-    near: float = 0.3
-    fine: float = 0.1
-
-
-EFFORT = Effort()
+RACE_LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
+FINAL_LINES, BLOWS = 40, 12  # lines and excitations that finalists are fitted to
+ALIKE = 3  # sizes whose equivalent stiffnesses are most like those seen: a law's start is one of them
+SITES, SITE_REACH, LAW_REACH, NEAR_LAWS = 2, 1.3, 4.0, 1.5  # sites, laws racing and at their end, in reach of the best
+FAR_OFF = 10.0  # χ² per datum above which the last digit of a wrong model says nothing
+WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
+ROUGH_TEMPERS, ROUGH_REACH = (0.3, 0.1, 0.03), 1.5
+FALLING_ERRORS = (0.1, 0.03, 0.01, 0.0)  # relative model error, falling as long as something explains the recordings
+EXPLAINS, SMOOTH_ERROR = (
+    1.0,
+    0.03,
+)  # χ² per datum below which it does; model error at which recordings are smooth enough
+WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
+LOCATING, ROUGH_STEPS, RACING, LAST, CLOSE_STEPS, SETTLING_STEPS, LINEAR_STEPS = 8, 10, 4, 8, 5, 10, 15  # iterations
+ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
 @dataclass(frozen=True)
@@ -152,40 +128,20 @@ def view(robot: Robot, base: Parameters, z: FloatArray, sample: Sample, blow: di
         return View(window, sample, blow)
     values = base.values(z)
     changed = base.apply(robot, values)
-    seen = [observe(changed, r.setup, base, values)[0] for r in sample.recordings]
-    pairs = list(zip(seen, sample.recordings, strict=True))
-    here = [frf(model, r.s, r.power) for model, r in pairs]
-    return _windowed(sample, blow, window, here, [frf(model, r.s + window, r.power) for model, r in pairs])
-
-
-def view_with(trial: Trial, sample: Sample, blow: dict[str, Blow], window: float) -> View:
-    """The same, what lies outside the band supplied by a law: a gap that is open moves much of a light blow there."""
-    objective, _, z = trial
-    fine = replace(objective, rate_hz=RATE_HZ)
-    here = replace(fine, sample=sample, blow=blow).predicted(z)
-    wide = Sample(tuple(replace(r, s=r.s + window) for r in sample.recordings))
-    beyond = replace(fine, sample=wide, blow=_shortened(sample, blow, window)).predicted(z)
-    return _windowed(sample, blow, window, here, beyond)
-
-
-def _windowed(
-    sample: Sample, blow: dict[str, Blow], window: float, here: Sequence[ComplexArray], beyond: Sequence[ComplexArray]
-) -> View:
-    """Recordings moved by ``window``, with a model's FRFs (nf, nr, ne) on their own lines and on those moved."""
     shown = []
-    for r, near, far in zip(sample.recordings, here, beyond, strict=True):
+    for r in sample.recordings:
+        seen, _ = observe(changed, r.setup, base, values)
         step = float(np.median(np.diff(r.frequency)))
         spread = step / (window + 2j * np.pi * (r.frequency[:, None] - r.frequency))
+        rest = np.tensordot(spread, r.frf - frf(seen, r.s, r.power), 1)
         variance = np.tensordot(np.abs(spread) ** 2, r.variance, 1)
-        moved = replace(r, s=r.s + window, frf=far + np.tensordot(spread, r.frf - near, 1), variance=variance)
-        shown.append(moved.every(max(1, round(window / np.pi / step))))  # lines nearer than that tell the same
-    return View(window, Sample(tuple(shown)), _shortened(sample, blow, window))
-
-
-def _shortened(sample: Sample, blow: dict[str, Blow], window: float) -> dict[str, Blow]:
-    """Blows stepped until a further window has let their decays fade."""
-    length = {r.group: FADED / (window + float(r.s[0].real)) for r in sample.recordings}
-    return {g: replace(blow[g], length_s=min(blow[g].length_s, s)) for g, s in length.items()}
+        wide = replace(r, s=r.s + window, frf=frf(seen, r.s + window, r.power) + rest, variance=variance)
+        shown.append(wide.every(max(1, round(window / np.pi / step))))  # lines nearer than that tell the same
+    shorter = {}
+    for r in sample.recordings:
+        length = FADED / (window + float(r.s[0].real))
+        shorter[r.group] = replace(blow[r.group], length_s=min(blow[r.group].length_s, length))
+    return View(window, Sample(tuple(shown)), shorter)
 
 
 def explain_levels(
@@ -217,92 +173,60 @@ def explain_levels(
         return None
     tick = progress or (lambda count: None)
     starts = [base.z, robust, np.zeros(len(robust))]
-    places, temper = locate(robot, base.parameters, starts, sample.thin(EFFORT.lines), sprung, tick, processes)
-    trials, temper, seen = _raced(robot, base, places, temper, sample, blow, starts, tick, processes)
+    places, temper = locate(robot, base.parameters, starts, sample.thin(RACE_LINES), sprung, tick, processes)
+    window = 0.0 if temper <= SMOOTH_ERROR else WINDOW
+    seen = view(robot, base.parameters, robust, sample, blow, window)
+    near = [place for place in places if place.cost < SITE_REACH * places[0].cost][:SITES]
+    if window:
+        trials, temper = _rough_race(robot, base, places if temper == 1 else near, seen, starts[1:], tick, processes)
+        few = View(0.0, sample.thin(RACE_LINES), blow).telling(_at(trials, places), BLOWS)[0]
+        whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
+        whole, left = _race(whole, WHOLE_TEMPERS, tick, processes, LAST)
+        if left <= HOLDS:  # a law that holds to the ends of the decays tells more there
+            trials, temper, window, seen = whole, 0.0, 0.0, View(0.0, sample.thin(FINAL_LINES), blow)
+    else:
+        short = replace(seen, sample=sample.thin(RACE_LINES))
+        trials = [trial for place in near for trial in _starts(robot, base, place, short)]
+        trials, temper = _race(trials, FALLING_ERRORS, tick, processes)
+        seen, temper = replace(seen, sample=sample.thin(FINAL_LINES)), 0.0  # what a law leaves unexplained must show
     best = _at(trials, places)
-    told = seen.telling(best, EFFORT.last_blows)[0]
+    told = seen.telling(best, BLOWS)[0]
     data = _tempered(told, temper)
-    fits, objectives = _ended(trials, data, processes)
-    least = min(fit.cost for fit in fits)
-    order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
-    nameless: list[Fitted] = []
-    if temper or fits[order[0]].misfit > calibration()["noise_misfit"]:
-        rivals = _starts(robot, base, best, replace(seen, sample=seen.sample.thin(EFFORT.lines)), NAMELESS)
-        nameless, _ = _ended(rivals, data, processes, least)
-    again = _again(robot, base, data, starts[:2] if seen.window else starts[:1], bool(seen.window), least)
-    everything, how = (seen.sample, seen.blow) if seen.window else (sample, blow)
-    return Levels(
-        places, [fits[k] for k in order], again, seen.window, temper, [objectives[k] for k in order],
-        _tempered(everything, temper), how, nameless, _noise_share(told, data),
-    )  # fmt: skip
-
-
-def _raced(
-    robot: Robot,
-    base: Fitted,
-    places: Sequence[Located],
-    temper: float,
-    sample: Sample,
-    blow: dict[str, Blow],
-    starts: Sequence[FloatArray],
-    tick: Callable[[int], None],
-    processes: int,
-) -> tuple[list[Trial], float, View]:
-    """Laws in reach of the best, the model error that has to be allowed, and the recordings as they were looked at: as
-    they are, or where decays are rough and no law holds to their ends, under a window.
-
-    Args:
-        temper: model error down to which a complex stiffness for every blow explains the recordings.
-        starts: (n,) of the base model: its optimum first, then those of rough decays.
-    """
-    numbers = calibration()
-    near = [place for place in places if place.cost < numbers["levels_reach"] * places[0].cost]
-    near = near[: int(numbers["levels_finalists"])]
-    if temper <= numbers["levels_smooth"]:
-        seen = View(0.0, sample.thin(EFFORT.lines), blow)
-        trials, _ = _race(
-            [t for place in near for t in _starts(robot, base, place, seen)], EFFORT.falling, tick, processes
-        )
-        return trials, 0.0, View(0.0, sample.thin(EFFORT.last_lines), blow)  # what a law leaves must show
-    sites = places if temper == 1 else near
-    trials, temper, seen = _rough_race(robot, base, sites, sample, blow, starts[1:], tick, processes)
-    few = View(0.0, sample.thin(EFFORT.lines), blow).telling(_at(trials, places), EFFORT.last_blows)[0]
-    whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
-    whole, left = _race(whole, EFFORT.whole, tick, processes, EFFORT.nearly)
-    if left <= numbers["levels_holds"]:  # a law that holds to the ends of the decays tells more there
-        return whole, 0.0, View(0.0, sample.thin(EFFORT.last_lines), blow)
-    return trials, temper, seen
-
-
-def _ended(
-    trials: Sequence[Trial], data: Sample, processes: int, least: float = np.inf
-) -> tuple[list[Fitted], list[Stepped]]:
-    """Laws fitted to the same data, closely where they are in reach of the least cost; and what predicts with them."""
-    numbers = calibration()
     objectives = [replace(t[0], sample=data, rate_hz=RATE_HZ, processes=processes) for t in trials]
-    begun = [(objective, *trial[1:]) for objective, trial in zip(objectives, trials, strict=True)]
-    fits = _fitted_roughly(begun, processes, numbers["levels_race"] * least)
-    first = min(fit.cost for fit in fits)
-    reach = numbers["levels_reach"] * min(first, least)
-    ended = [
+    fits = _fitted_roughly([(o, *trial[1:]) for o, trial in zip(objectives, trials, strict=True)], processes)
+    least = min(fit.cost for fit in fits)
+    fits = [
         fit_law(objective, fit.hypothesis, fit.z)
-        if (fit.cost == first and least == np.inf) or (fit.cost < reach and fit.misfit < numbers["levels_far"])
+        if fit.cost == least or (fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF)
         else fit
         for objective, fit in zip(objectives, fits, strict=True)
     ]
-    return ended, objectives
-
-
-def _again(robot: Robot, base: Fitted, data: Sample, starts: Sequence[FloatArray], rough: bool, least: float) -> Fitted:
-    """The base model fitted to the same data; an optimum on all lines nearly is one on some, where they are smooth."""
-    fits = (
-        descend(
-            robot, base.hypothesis, base.parameters, data, z, tempered=15 if rough else 0, linear=EFFORT.linear,
-            hopeless=calibration()["levels_race"] * least,
-        )
-        for z in starts
+    least = min(fit.cost for fit in fits)
+    order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
+    nameless = []
+    if temper or fits[order[0]].misfit > calibration()["noise_misfit"]:
+        rivals = _starts(robot, base, best, replace(seen, sample=seen.sample.thin(RACE_LINES)), NAMELESS)
+        rivals = [(replace(t[0], sample=data, rate_hz=RATE_HZ, processes=processes), *t[1:]) for t in rivals]
+        nameless = [
+            fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF else fit
+            for trial, fit in zip(rivals, _fitted_roughly(rivals, processes, LAW_REACH * least), strict=True)
+        ]
+    tempered, begun = (15, starts[:2]) if window else (0, starts[:1])  # an optimum on all lines nearly is on some
+    again = min(
+        (
+            descend(
+                robot, base.hypothesis, base.parameters, data, z,
+                tempered=tempered, linear=LINEAR_STEPS, hopeless=LAW_REACH * least,
+            )
+            for z in begun
+        ),
+        key=lambda fit: fit.cost,
     )  # fmt: skip
-    return min(fits, key=lambda fit: fit.cost)
+    everything, how = (seen.sample, seen.blow) if window else (sample, blow)
+    return Levels(
+        places, [fits[k] for k in order], again, window, temper, [objectives[k] for k in order],
+        _tempered(everything, temper), how, nameless, _noise_share(told, data),
+    )  # fmt: skip
 
 
 def _at(trials: Sequence[Trial], places: Sequence[Located]) -> Located:
@@ -345,16 +269,16 @@ def locate(
     which the best explains the recordings (1 where it does not)."""
     ends: dict[str, FloatArray] = {}
     for site in sites:
-        rough = BlowByBlow(robot, parameters, sample, EFFORT.falling[0], site=site)
+        rough = BlowByBlow(robot, parameters, sample, FALLING_ERRORS[0], site=site)
         ends[site] = min(starts, key=rough.cost)
     found: list[Located] = []
     reached, data = 1.0, BlowByBlow(robot, parameters, sample).data
-    for temper in EFFORT.falling:
+    for temper in FALLING_ERRORS:
 
         def at(number: int, temper: float = temper) -> Located:
             site = sites[number]
             objective = BlowByBlow(robot, parameters, sample, temper, site=site)
-            z, cost, _, _ = minimise(objective, ends[site], EFFORT.locating, EFFORT.near)
+            z, cost, _, _ = minimise(objective, ends[site], LOCATING, ROUGH_GAIN)
             objective(z)
             return Located(site, cost, z, objective.own, objective.certainty)
 
@@ -364,10 +288,10 @@ def locate(
             ends[place.site] = place.z
             tick(1)
         here.sort(key=lambda item: item.cost)
-        if found and 2 * here[0].cost > data and temper:
+        if found and 2 * here[0].cost > EXPLAINS * data and temper:
             break
         found = here
-        if 2 * here[0].cost > data:
+        if 2 * here[0].cost > EXPLAINS * data:
             break
         reached = temper
     return found, reached
@@ -375,7 +299,7 @@ def locate(
 
 def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Sequence[Law] | None = None) -> list[Trial]:
     """Laws at a joint, with the sizes whose equivalent stiffnesses are most like those seen."""
-    some, index = shown.telling(place, EFFORT.blows)
+    some, index = shown.telling(place, FEW_BLOWS)
     values, names = base.parameters.values(place.z), base.parameters.names
     row, damper = (names.index(f"{place.site}.{what}") for what in ("stiffness", "damping"))
     k, c = values[row], values[damper]
@@ -393,7 +317,7 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Seque
             for size, found in zip(sizes, objective.equivalents(place.z, list(sizes)), strict=True)
         ]
         points = []
-        for score, shift, size in sorted(scored, key=lambda item: item[0])[: EFFORT.sizes]:
+        for score, shift, size in sorted(scored, key=lambda item: item[0])[:ALIKE]:
             start = values.copy()
             start[[row, damper]] += shift if np.isfinite(score) else 0.0
             points.append(point(objective, start, size))
@@ -418,26 +342,16 @@ def _rough_race(
     robot: Robot,
     base: Fitted,
     places: Sequence[Located],
-    sample: Sample,
-    blow: dict[str, Blow],
+    shown: View,
     starts: Sequence[FloatArray],
     tick: Callable[[int], None],
     processes: int,
-) -> tuple[list[Trial], float, View]:
-    """The same for blows that no complex stiffness fits: every law at every joint by its logarithmic residual, then as
-    the model error allowed falls. What lies outside the band is supplied by the best law so far.
-
-    Args:
-        sample: the recordings, ``blow`` how they were hit.
-
-    Returns:
-        Laws, the model error that has to be allowed, and the recordings under the window.
-    """
-    shown = view(robot, base.parameters, starts[0], sample, blow, EFFORT.window)
-    few = {place.site: shown.telling(place, EFFORT.blows)[0] for place in places}
+) -> tuple[list[Trial], float]:
+    """The same for blows that no complex stiffness fits: every law at every joint by its logarithmic residual."""
+    few = {place.site: shown.telling(place, FEW_BLOWS)[0] for place in places}
     begun = [(law, place, z) for place in places for law in amplitude_laws() for z in (*starts, place.z)]
 
-    def start(number: int) -> tuple[Law, FloatArray, float]:
+    def rough(number: int) -> tuple[Law, FloatArray, float]:
         law, place, z = begun[number]
         objective, _ = with_law(robot, base, law, place.site, few[place.site], shown.blow)
         amplitude = _amplitude(objective, z)
@@ -445,47 +359,21 @@ def _rough_race(
         values = base.parameters.values(z)
         k = values[base.parameters.names.index(f"{place.site}.stiffness")]
         points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
-        first = points[int(np.argmin(objective.costs(points)))]
-        return objective.law, *minimise(objective, first, EFFORT.begun, EFFORT.near)[:2]
-
-    ahead: list[tuple[float, Trial]] = []
-    for (_, place, _), (law, z, cost) in zip(begun, spread(start, len(begun), processes), strict=True):
-        objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
-        ahead.append((cost, (replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z)))
-        tick(1)
-    ahead = _best_of_each(ahead, "levels_race")
-
-    def on(number: int) -> tuple[FloatArray, float]:
-        objective, _, z = ahead[number][1]
-        return minimise(replace(objective, logarithmic=True), z, EFFORT.again, EFFORT.near)[:2]
+        end, cost, _, _ = minimise(objective, points[int(np.argmin(objective.costs(points)))], ROUGH_STEPS, ROUGH_GAIN)
+        return objective.law, end, cost
 
     ends: list[tuple[float, Trial]] = []
-    for (_, trial), (z, cost) in zip(ahead, spread(on, len(ahead), processes), strict=True):
-        ends.append((cost, (*trial[:2], z)))
+    for (_, place, _), (law, z, cost) in zip(begun, spread(rough, len(begun), processes), strict=True):
+        objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
+        ends.append((cost, (replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z)))
         tick(1)
-    trials = [trial for _, trial in _best_of_each(ends, "levels_reach")]
-    temper, missed = EFFORT.rough[0][0], 0
-    for tempers in EFFORT.rough:
-        anew = view_with(trials[0], sample, blow, shown.window)
-        if all(np.isfinite(r.frf).all() for r in anew.sample.recordings):  # a law may diverge
-            shown = anew
-        few = {place.site: shown.telling(place, EFFORT.blows)[0] for place in places}
-        trials = [(replace(t[0], sample=few[t[1].site], blow=shown.blow), *t[1:]) for t in trials]
-        trials, reached = _race(trials, tempers, tick, processes, EFFORT.nearly)
-        missed = missed + 1 if reached == 1 else 0  # the next view is by a better law
-        if missed > 1:
-            break
-        temper = min(temper, reached)
-    return trials, temper, shown
-
-
-def _best_of_each(ends: Sequence[tuple[float, Trial]], reach: str) -> list[tuple[float, Trial]]:
-    """Costs and trials, best first: of every law at every joint the best, where it is in ``reach`` of the least."""
     best: dict[str, tuple[float, Trial]] = {}
-    for end in sorted(ends, key=lambda end: end[0]):
-        best.setdefault(end[1][1].key, end)
-    most = calibration()[reach] * min(cost for cost, _ in ends)
-    return [end for end in best.values() if end[0] <= most]
+    for cost, trial in sorted(ends, key=lambda item: item[0]):
+        best.setdefault(trial[1].key, (cost, trial))
+    reach = ROUGH_REACH * min(cost for cost, _ in ends)
+    trials = [trial for cost, trial in best.values() if cost <= reach]
+    trials, temper = _race(trials, ROUGH_TEMPERS, tick, processes)
+    return trials, min(temper, ROUGH_TEMPERS[0])
 
 
 def with_law(
@@ -517,7 +405,7 @@ def _race(
     tempers: Sequence[float],
     tick: Callable[[int], None],
     processes: int,
-    iterations: int = EFFORT.racing,
+    iterations: int = RACING,
 ) -> tuple[list[Trial], float]:
     """The laws that stay in reach of the best while the model error allowed falls, best first; and the least error at
     which one of them explains the recordings (1 where none does)."""
@@ -526,7 +414,7 @@ def _race(
 
         def run(number: int, temper: float = temper, trials: list[Trial] = trials) -> tuple[FloatArray, float]:
             objective, _, z = trials[number]
-            return minimise(replace(objective, sample=_tempered(objective.sample, temper)), z, iterations, EFFORT.near)[
+            return minimise(replace(objective, sample=_tempered(objective.sample, temper)), z, iterations, ROUGH_GAIN)[
                 :2
             ]
 
@@ -538,10 +426,10 @@ def _race(
         if not ends:  # none can be stepped
             break
         ends.sort(key=lambda item: item[0])
-        enough = 0.5 * trials[0][0].data
+        enough = 0.5 * EXPLAINS * trials[0][0].data
         explained = ends[0][0] < enough
         if explained or reached == 1:  # all that explain as much as is asked stay: they may only have begun
-            trials = [trial for cost, trial in ends if cost < max(enough, calibration()["levels_race"] * ends[0][0])]
+            trials = [trial for cost, trial in ends if cost < max(enough, LAW_REACH * ends[0][0])]
         if not explained:
             break
         reached = temper
@@ -586,7 +474,7 @@ def _fitted_roughly(trials: Sequence[Trial], processes: int, hopeless: float = n
     def run(number: int) -> Fitted:
         objective, hypothesis, z = trials[number]
         objective = replace(objective, processes=1)
-        z, *_ = minimise(replace(objective, rate_hz=COARSE_HZ), z, EFFORT.nearly, EFFORT.coarse, hopeless)
+        z, *_ = minimise(replace(objective, rate_hz=COARSE_HZ), z, LAST, COARSE_GAIN, hopeless)
         return _fitted(objective, hypothesis, *minimise(replace(objective, rate_hz=RATE_HZ), z, 0, 0))
 
     return list(spread(run, len(trials), processes))
@@ -595,7 +483,7 @@ def _fitted_roughly(trials: Sequence[Trial], processes: int, hopeless: float = n
 def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray) -> Fitted:
     """Fit a law from z, finely stepped."""
     fine = replace(objective, rate_hz=RATE_HZ, closely=True)
-    return _fitted(objective, hypothesis, *minimise(fine, z, EFFORT.closely, EFFORT.coarse))
+    return _fitted(objective, hypothesis, *minimise(fine, z, CLOSE_STEPS, COARSE_GAIN))
 
 
 def settled(
@@ -628,10 +516,10 @@ def settled(
 
     every = all_of(sample, blow)
     if levels.window:
-        allowed = all_of(sample, blow, calibration()["levels_holds"])
-        if not 2 * allowed.cost(z) <= allowed.data:
+        allowed = all_of(sample, blow, HOLDS)
+        if not 2 * allowed.cost(z) <= EXPLAINS * allowed.data:
             every = all_of(levels.whole, levels.blow)
-    return _fitted(every, hypothesis, *minimise(every, z, EFFORT.settling, EFFORT.fine)), every
+    return _fitted(every, hypothesis, *minimise(every, z, SETTLING_STEPS, FINE_GAIN)), every
 
 
 def _settling(law: Law, known: int, fit: Fitted, free: Parameters) -> tuple[Hypothesis, Parameters, FloatArray]:

@@ -12,18 +12,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration, decide
+from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.joint_reaction import Stepped
-from twin.diagnose.levels import EFFORT, Levels, fit_law, with_law
+from twin.diagnose.levels import FAR_OFF, LINEAR_STEPS, Levels, fit_law, with_law
 from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
-from twin.diagnose.search import REFIT_LINES, Search, one_more, worth
+from twin.diagnose.search import REFIT_LINES, WORTH, Search, one_more
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress
 from twin.robot.description import Robot
+
+BESIDE_LINES = 40  # of every recording
+STEPPED_AGAIN = 2  # fitted again with the law stepped
+BESIDE_SHARE = 0.8  # of the best one's gain
+DOUBT = 0.02  # of the noise's variance: less that hangs on the length of steps is not looked at
 
 
 @dataclass(frozen=True)
@@ -57,11 +62,11 @@ def explain_beside(
         suspects: what else may be missing.
     """
     law, stepped = levels.fits[0], levels.objectives[0]
-    if law.misfit > calibration()["levels_far"]:
+    if law.misfit > FAR_OFF:
         return Beside(law, None, [], [])
     whole = _doubted(replace(stepped, sample=levels.whole, blow=levels.blow), law.z)
     if whole is not levels.whole:
-        levels, law = replace(levels, whole=whole), law if law.converged else fit_law(stepped, law.hypothesis, law.z)
+        levels, law = replace(levels, whole=whole), fit_law(stepped, law.hypothesis, law.z)
     n = len(base.parameters)
     found = _found(robot, base, levels, law, suspects, progress)
     if not found:
@@ -70,18 +75,19 @@ def explain_beside(
     if not law.converged:  # fitted again from where the richer ended: that is no discovery
         simpler = fit_law(stepped, law.hypothesis, np.concatenate([first.z[:n], first.z[len(found[0].z) :]]))
         law = simpler if simpler.cost < law.cost else law
-    if not worth(law, first):
+    worth = first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
+    if not worth:
         return Beside(law, None, [], [])
     both = [(found[0], first, objective)]
-    both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1 : int(calibration()["levels_finalists"])]]
-    lines = levels.whole.thin(EFFORT.last_lines)
+    both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1:STEPPED_AGAIN]]
+    lines = levels.whole.thin(BESIDE_LINES)
     whole = _held(stepped, law, lines, levels)
-    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=EFFORT.linear)
+    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR_STEPS)
     again: list[tuple[Fitted, Fitted, Stepped, Sample]] = []
     for fit, stepping, objective in both:
         own = _held(objective, stepping, lines, levels)
         z = stepping.z[: len(fit.z)]
-        linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=EFFORT.linear)
+        linear = descend(robot, fit.hypothesis, fit.parameters, own, z, tempered=0, linear=LINEAR_STEPS)
         again.append((linear, stepping, objective, own))
     held = {id(fit): own for fit, _, _, own in again} | {id(alone): whole}
     beside = [fit for fit, *_ in again]
@@ -99,13 +105,13 @@ def explain_beside(
     return Beside(law, decision, [item[1] for item in order], [item[2] for item in order])
 
 
-def _doubted(stepped: Stepped, z: FloatArray, little: float = 0.02) -> Sample:
-    """The recordings with what steps twice as long change added to their noise, where that is more than a ``little`` of
-    it: a play that is open throws the end of a decay about, and a partner would explain how the steps fell."""
+def _doubted(stepped: Stepped, z: FloatArray) -> Sample:
+    """The recordings with what steps twice as long change added to their noise, where that is no small part of it: a
+    play that is open throws the end of a decay about, and a partner would explain how the steps fell."""
     fine, coarse = (replace(stepped, rate_hz=rate).predicted(z) for rate in (stepped.rate_hz, stepped.rate_hz / 2))
     error = [np.abs(a - b) ** 2 for a, b in zip(fine, coarse, strict=True)]
     recordings = stepped.sample.recordings
-    if max(float(np.mean(e / r.variance)) for e, r in zip(error, recordings, strict=True)) < little:
+    if max(float(np.mean(e / r.variance)) for e, r in zip(error, recordings, strict=True)) < DOUBT:
         return stepped.sample
     louder = tuple(replace(r, variance=r.variance + e) for r, e in zip(recordings, error, strict=True))
     return Sample(louder, stepped.sample.repeat)
@@ -130,9 +136,9 @@ def _found(
     progress: Progress | None,
 ) -> list[Fitted]:
     """What promises to be missing with the law held as it is in a fit, most evidence first."""
-    whole = _held(levels.objectives[0], law, levels.whole.thin(EFFORT.last_lines), levels)
+    whole = _held(levels.objectives[0], law, levels.whole.thin(BESIDE_LINES), levels)
     n = len(base.parameters)
-    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=EFFORT.linear)
+    alone = descend(robot, NONE, base.parameters, whole, law.z[:n], tempered=0, linear=LINEAR_STEPS)
     error = inflation(alone, robot, whole.thin(REFIT_LINES))
     search = Search(alone, [], alone.z, error, processes=levels.objectives[0].processes)
     bars = progress or (lambda description, total: lambda count: None)
@@ -141,12 +147,11 @@ def _found(
     elsewhere = [v for v in suspects if v[0].effect == found[0].hypothesis.effect and v[0].key not in tried]
     if elsewhere:  # with the law's own numbers still to move, a site that promised less may be the right one
         one_more(robot, search, whole, elsewhere, bars)
-    found = [fit for fit in search.finalists if worth(alone, fit)]
+    found = [fit for fit in search.finalists if fit.evidence() > alone.evidence()]
     if not found:
         return []
     best = found[0]
-    share = calibration()["levels_promising"]  # the law's own numbers still move
-    least = alone.evidence() + share * (best.evidence() - alone.evidence())
+    least = alone.evidence() + BESIDE_SHARE * (best.evidence() - alone.evidence())  # the law's own numbers still move
     return [fit for fit in found if fit is best or (fit.evidence() > least and not _more(fit, best))]
 
 

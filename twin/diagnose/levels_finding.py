@@ -38,6 +38,7 @@ from twin.robot.mechanism import assemble
 FORM = 0.05
 """Deviation of the logarithm of a blow's momentum, its peak and spectrum known: a half sine has 1.06 times a
 haversine's, and 1.2 times a triangle's."""
+STEPPED = 0.1  # relative difference allowed between MuJoCo's blows and the search's
 
 
 def levels_finding(
@@ -86,65 +87,39 @@ def levels_finding(
     if answer:
         records, errors["after"] = stepped_records(records, answer.objective, answer.best, found.used, found.kept, how)
     errors["noise_floor"] = noise_floor(sample.recordings)
-    told = _Told(word, list(answer.missing) if answer else [], none, search.base.robot, records)
+    missing, before, notes = list(answer.missing) if answer else [], search.base.robot, []
     if answer and amplitude_entries(given):
-        told = _described(told, given, found, levels, answer, other, errors, how)
+        described = {f"{entry.effect}@{entry.site}" for entry in amplitude_entries(given)}
+        if len(described) == 1:
+            records, errors["as_given"] = _struck_as_given(records, given, found, how)
+        missing = [m for m in missing if not described & {m.first.key, *(rival.key for rival, _ in m.rivals)}]
+        if len(missing) == len(answer.missing):
+            notes = [f"{', '.join(sorted(described))}, as described, is not borne out and left out of the new model"]
+        else:  # the law that is described is what was refitted, and no answer
+            alone, objective = best, answer.objective
+            if missing and answer.beside and answer.beside.decision:
+                word, alone, objective = judge(answer.beside.decision), answer.beside.law, levels.objectives[0]
+            else:
+                word, none = "adequate", 1 - other
+            records, errors["before"] = stepped_records(
+                records, objective, alone, found.used, found.kept, how, stage="before"
+            )
+            before = alone.robot
     sites = {place.site: levels.places[-1].cost - place.cost for place in levels.places}
     finding = Finding(
-        source, "frf-campaign", told.word, [], told.none, other, given,
-        _limited(told.before, given), _limited(best.robot, given), errors, list(found.held_out), told.records,
-        _location(source, told.records, levels.places[0].site), sites,
-        smallest_visible_laws(base, search.base, sample, how),
-        warnings=[*found.warnings, *told.notes, *strained(best)],
+        source, "frf-campaign", word, [], none, other, given,
+        _limited(before, given), _limited(best.robot, given), errors, list(found.held_out), records,
+        _location(source, records, levels.places[0].site), sites,
+        smallest_visible_laws(base, search.base, sample, how), warnings=[*found.warnings, *notes, *strained(best)],
         finalists=finalists(levels.base, levels.fits),
     )  # fmt: skip
-    for item in told.missing:
-        seen = sentence(item.first.title, told.records, errors, finding.held_out)
+    for item in missing:
+        seen = sentence(item.first.title, records, errors, finding.held_out)
         law = CATALOGUE[item.first.effect].amplitude_law if item.first.effect in CATALOGUE else None
         finding.missing.append(replace(item, evidence=f"{levels_sentence(levels)} {seen}" if law else seen))
-    if answer and told.word == "ambiguous":
+    if answer and word == "ambiguous":
         finding.next_test = _next_test(given, levels, decision, answer, sample, how, seed)
     return finding
-
-
-@dataclass(frozen=True)
-class _Told:
-    """What is said: verdict, answers, probability that nothing is missing, model before, records, further warnings."""
-
-    word: Word
-    missing: list[Missing]
-    none: float
-    before: Robot
-    records: list[FrfRecord]
-    notes: tuple[str, ...] = ()
-
-
-def _described(
-    told: _Told,
-    given: Robot,
-    found: Triage,
-    levels: Levels,
-    answer: "_Answer",
-    other: float,
-    errors: dict[str, Any],
-    how: dict[str, Blow],
-) -> _Told:
-    """The same of a robot whose description has a law: found again, it is no answer; else it is left out, and said."""
-    described = {f"{entry.effect}@{entry.site}" for entry in amplitude_entries(given)}
-    records = told.records
-    if len(described) == 1:
-        records, errors["as_given"] = _struck_as_given(records, given, found, how)
-    missing = [m for m in told.missing if not described & {m.first.key, *(rival.key for rival, _ in m.rivals)}]
-    if len(missing) == len(told.missing):
-        note = f"{', '.join(sorted(described))}, as described, is not borne out and left out of the new model"
-        return replace(told, records=records, notes=(note,))
-    word, none, alone, objective = told.word, told.none, answer.best, answer.objective
-    if missing and answer.beside and answer.beside.decision:
-        word, alone, objective = judge(answer.beside.decision), answer.beside.law, levels.objectives[0]
-    else:
-        word, none = "adequate", 1 - other
-    records, errors["before"] = stepped_records(records, objective, alone, found.used, found.kept, how, stage="before")
-    return _Told(word, missing, none, alone.robot, records)
 
 
 @dataclass(frozen=True)
@@ -375,12 +350,12 @@ def check_blows(robot: Robot, campaign: Campaign, recordings: dict[str, Recorded
         float(np.linalg.norm(b - a) / np.linalg.norm(a))
         for a, b in (stepped, (low.frf[:, :, column], high.frf[:, :, column]))
     ]
-    label, limit = low.setup.excitation.label[column], 0.1
+    label = low.setup.excitation.label[column]
     return {
-        "name": "time stepping", "value": off, "limit": limit, "passed": off < limit,
+        "name": "time stepping", "value": off, "limit": STEPPED, "passed": off < STEPPED,
         "description": f"blows of {blow[low.group].peak_n:g} N and {blow[high.group].peak_n:g} N on {label} in "
         f"'{low.setup.name}', stepped in time by MuJoCo, give the FRFs of the search within {off:.1%} "
-        f"(limit {limit:.0%}); from one to the other they change by {change_there[0]:.1%}, as recorded by "
+        f"(limit {STEPPED:.0%}); from one to the other they change by {change_there[0]:.1%}, as recorded by "
         f"{change_there[1]:.1%}",
     }  # fmt: skip
 

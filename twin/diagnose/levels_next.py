@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.joint_reaction import Blow
-from twin.diagnose.levels import EFFORT, Levels, View, excited, point, with_law
+from twin.diagnose.levels import RACE_LINES, Levels, View, excited, point, with_law
 from twin.diagnose.refit import Fitted
-from twin.diagnose.triage import HOMOGENEOUS, NEAR
+from twin.diagnose.triage import HOMOGENEOUS, POOLED_LINES
 from twin.errors import InputError
 from twin.identify.objective import Sample
 from twin.identify.recorded import Recorded
@@ -22,10 +22,13 @@ from twin.measure.campaign import ComplexArray, FloatArray
 from twin.physics import CATALOGUE, amplitude_laws
 from twin.robot.description import Robot
 
+EXCITATIONS = 5  # a law is looked at by
+FACTORS = np.geomspace(1e-4, 1.0, 9)  # of the largest size
+POSTURES = 8  # drawn, beside those recorded
+SOFTER, HARDER = 0.4, 2.5  # times the lightest and the hardest blows
 
-def smallest_visible_laws(
-    robot: Robot, base: Fitted, sample: Sample, blow: dict[str, Blow], excitations: int = 5
-) -> list[dict[str, Any]]:
+
+def smallest_visible_laws(robot: Robot, base: Fitted, sample: Sample, blow: dict[str, Blow]) -> list[dict[str, Any]]:
     """The size of every law at every sprung joint from which force levels of these recordings would disagree.
 
     A linear model is the same at all levels, so that nothing it has free can hide a law: what counts is the triage's
@@ -35,14 +38,12 @@ def smallest_visible_laws(
     Args:
         robot: the description that was fitted; ``base`` its optimum.
         sample: recordings; ``blow`` how each was hit.
-        excitations: that are looked at.
     """
-    factors = np.geomspace(1e-4, 1.0, 9)  # of the largest size
     pairs = _extremes(sample, blow)
     if not pairs:
         return []
     count = pairs[0][0].frf.shape[2]
-    index = np.unique(np.linspace(0, count - 1, excitations).round().astype(int)).tolist()
+    index = np.unique(np.linspace(0, count - 1, EXCITATIONS).round().astype(int)).tolist()
     few = Sample(tuple(excited(r, index) for pair in pairs for r in pair))
     found = []
     for i, axis in enumerate(robot.axes):
@@ -56,8 +57,8 @@ def smallest_visible_laws(
             law = law.at(amplitude)
             largest = law.sizes(float(axis.stiffness), amplitude)[-2]
             stepped = replace(stepped, law=law)
-            levels = stepped.predicted_at([point(stepped, base.values, largest * factor) for factor in factors])
-            factor = _first_seen(factors, np.array([_disagreement(few, predicted) for predicted in levels]))
+            levels = stepped.predicted_at([point(stepped, base.values, largest * factor) for factor in FACTORS])
+            factor = _first_seen(np.array([_disagreement(few, predicted) for predicted in levels]))
             if factor is None:
                 continue
             entry = law.entry(largest * factor)
@@ -81,7 +82,7 @@ def _extremes(sample: Sample, blow: dict[str, Blow]) -> list[tuple[Recorded, Rec
 
 def _disagreement(sample: Sample, predicted: Sequence[ComplexArray]) -> float:
     """Homogeneity of pairs of levels beyond noise, as the triage has it (lowest, highest, lowest, …)."""
-    worst, window = 0.0, np.ones(NEAR)
+    worst, window = 0.0, np.ones(POOLED_LINES)
     pairs = zip(sample.recordings[::2], sample.recordings[1::2], predicted[::2], predicted[1::2], strict=True)
     for a, b, low, high in pairs:
         variance = 2 * (a.variance + b.variance)
@@ -93,18 +94,18 @@ def _disagreement(sample: Sample, predicted: Sequence[ComplexArray]) -> float:
     return worst
 
 
-def _first_seen(factors: FloatArray, beyond: FloatArray) -> float | None:
-    """The factor at which a disagreement ``beyond`` noise first fails the triage: a law may hide again by growing."""
+def _first_seen(beyond: FloatArray) -> float | None:
+    """The factor at which a disagreement over ``FACTORS`` first fails the triage: a law may hide again by growing."""
     limit = HOMOGENEOUS - 1  # noise alone makes 1
     seen = np.flatnonzero(beyond >= limit)
     if not len(seen):
         return None
     k = int(seen[0])
     if not k:
-        return float(factors[0] * np.sqrt(limit / beyond[0]))
+        return float(FACTORS[0] * np.sqrt(limit / beyond[0]))
     low, high = np.log(np.maximum(beyond[k - 1 : k + 1], 1e-12))
     share = (np.log(limit) - low) / (high - low)
-    return float(factors[k - 1] * (factors[k] / factors[k - 1]) ** share)
+    return float(FACTORS[k - 1] * (FACTORS[k] / FACTORS[k - 1]) ** share)
 
 
 def next_blows(
@@ -122,16 +123,16 @@ def next_blows(
         sample: what was fitted to; ``blow`` how it was hit.
     """
     place = next(p for p in levels.places if p.site == first.hypothesis.site)
-    few, _ = View(0.0, sample.thin(EFFORT.lines), blow).telling(place, 5)
+    few, _ = View(0.0, sample.thin(RACE_LINES), blow).telling(place, EXCITATIONS)
     forces = [b.peak_n for b in blow.values()]
     reference = max(few.recordings, key=lambda r: blow[r.group].peak_n)
     usual = blow[reference.group]
     postures = list({r.setup.q.tobytes(): r.setup.q for r in few.recordings}.values())
-    tests = [(q, force) for q in postures for force in (0.4 * min(forces), 2.5 * max(forces))]
+    tests = [(q, force) for q in postures for force in (SOFTER * min(forces), HARDER * max(forces))]
     free = (-np.pi / 2, np.pi / 2)
     limits = [(axis.limits.position if axis.limits else None) or free for axis in robot.axes]
     rng = np.random.default_rng(seed)
-    tests += [(np.array([rng.uniform(*limit) for limit in limits]), max(forces)) for _ in range(8)]
+    tests += [(np.array([rng.uniform(*limit) for limit in limits]), max(forces)) for _ in range(POSTURES)]
     objective = levels.objectives[levels.fits.index(first)]
     if rival is None:
         null = np.zeros(len(objective.law.names))

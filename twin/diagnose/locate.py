@@ -11,7 +11,7 @@ from twin.identify.objective import Objective, Sample, factors
 from twin.measure.campaign import FloatArray
 from twin.model.sensitivity import observe_all
 
-BANDS = 8
+MAP_BANDS = 8
 SCALES = (0.3, 0.1, 0.03, 0.01, 0.003)
 """Of a stiffness: by how much a law may change it."""
 
@@ -59,17 +59,17 @@ def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
     objective = Objective(fit.robot, fit.parameters, sample)
     residual = objective.residual(fit.z)
     first = sample.recordings[0]
-    edges = np.geomspace(max(first.frequency[0], 1e-3), first.frequency[-1] * 1.0001, BANDS + 1)
+    edges = np.geomspace(max(first.frequency[0], 1e-3), first.frequency[-1] * 1.0001, MAP_BANDS + 1)
     labels = first.setup
     channels = tuple(f"{r}/{e}" for r in labels.response.label for e in labels.excitation.label)
-    energy = np.zeros((len(sample.recordings), BANDS, len(channels)))
+    energy = np.zeros((len(sample.recordings), MAP_BANDS, len(channels)))
     at = 0
     for k, r in enumerate(sample.recordings):
         size = r.frf.size
         part = residual[2 * at : 2 * (at + size)].view(complex).reshape(len(r.s), -1)
         at += size
-        band = np.clip(np.searchsorted(edges, r.frequency, side="right") - 1, 0, BANDS - 1)
-        for b in range(BANDS):
+        band = np.clip(np.searchsorted(edges, r.frequency, side="right") - 1, 0, MAP_BANDS - 1)
+        for b in range(MAP_BANDS):
             energy[k, b] = np.sum(np.abs(part[band == b]) ** 2, axis=0)
     names = tuple(r.group for r in sample.recordings)
     nothing = np.log(3.0)  # what three laws gain together that the recordings say nothing of

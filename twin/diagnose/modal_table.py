@@ -37,16 +37,16 @@ from twin.physics import CATALOGUE
 from twin.robot.description import Axis, Robot
 
 STARTS = 4  # of the base model
-COARSE = 10.0  # times the deviations: of every entry first, with the links as described
-FINER = (3.0, 1.0)  # then of the PROMISING most evident, with everything free
-PROMISING = 12
+COARSE_SCATTER = 10.0  # times the deviations: of every entry first, with the links as described
+FINER = (3.0, 1.0)  # then of the REFITTED_ENTRIES most evident, with everything free
+REFITTED_ENTRIES = 12
 CONTENDERS = 4  # most evident hypotheses of a round that are judged by leaving postures out
-ROUNDS = 3  # entries at once
-WIDER = 10.0  # times its tolerances: the inertia of a link that is not as described
+ENTRIES_AT_ONCE = 3  # entries at once
+WIDER_INERTIA = 10.0  # times its tolerances: the inertia of a link that is not as described
 BETTER = 0.5  # of the error on postures left out, set by eye: many an entry brings it to 0.7
 WORSE = 1.1  # of the error on any one posture left out
 HOPELESS = 1e6  # ln evidence taken off one that does not predict
-UNKNOWN, DOUBTED = 0.05, 0.3  # probability of something else beside a name; where the table gives no deviations
+NAMELESS_LEFT, DOUBTED = 0.05, 0.3  # probability of something else beside a name; where the table gives no deviations
 UNSTATED = 3.0  # times the usual deviations: what the scatter of a table without deviations may be
 
 
@@ -221,7 +221,7 @@ def search(
     found: list[Judged] = []
     chosen, error = before, plain
     first = promising(base, looked_at, free, postures, seed, tick)
-    for depth in range(ROUNDS):
+    for depth in range(ENTRIES_AT_ONCE):
         fits = list(first)
         if depth:
             others = [f.hypothesis for f in first if not f.hypothesis.identity <= chosen.hypothesis.identity]
@@ -246,7 +246,7 @@ def promising(
     tick: Callable[[int], None],
 ) -> list[Fitted]:
     """The most evident single entries, fitted."""
-    coarse, rough = [], scattered(postures, COARSE)
+    coarse, rough = [], scattered(postures, COARSE_SCATTER)
     for hypothesis in looked_at:
         widened_too = [name for name, _ in hypothesis.scale]
         few = free.select(k for k, p in enumerate(free) if p.kind != "link" or p.name in widened_too)
@@ -254,7 +254,7 @@ def promising(
         tick(1)
     coarse.sort(key=lambda fit: -fit.evidence())
     fits = []
-    for fit in coarse[:PROMISING]:
+    for fit in coarse[:REFITTED_ENTRIES]:
         for times in FINER:
             fit = fitted(base, fit.hypothesis, free, scattered(postures, times), seed, starts=1, near=fit)
         fits.append(fit)
@@ -267,7 +267,7 @@ def heavier(free: Parameters) -> list[Hypothesis]:
     return [
         Hypothesis(
             "parameter", f"{link}.mass",
-            scale=tuple((p.name, WIDER) for p in free if p.kind == "link" and p.name.startswith(f"{link}.")),
+            scale=tuple((p.name, WIDER_INERTIA) for p in free if p.kind == "link" and p.name.startswith(f"{link}.")),
         )
         for link in links
     ]  # fmt: skip
@@ -330,11 +330,11 @@ def decide_table(
     handicap = [less(fit) for fit, _ in rounds]
     decision = decide(
         [fit for fit, _ in rounds], before, [[h] for h in looked_at], handicap=handicap, scale=scale,
-        other=UNKNOWN if stated else DOUBTED,
+        other=NAMELESS_LEFT if stated else DOUBTED,
     )  # fmt: skip
     if not good:
         beyond = before.misfit > (2.0 if stated else UNSTATED**2)
-        none = 0.0 if beyond else 1 - UNKNOWN
+        none = 0.0 if beyond else 1 - NAMELESS_LEFT
         return replace(decision, probability=[0.0] * len(rounds), none=none, other=1 - none)
     return decision
 

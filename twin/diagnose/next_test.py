@@ -19,8 +19,8 @@ from twin.model.sensitivity import Setup, frf, observe
 from twin.robot.description import Robot
 
 SEEN = 8.0  # ln Bayes factor from which an effect would be seen
-SMALL = 1e-4  # of the usual size, where the derivative is taken
-CANDIDATES = 24
+SLOPE_SIZE = 1e-4  # of the usual size, where the derivative is taken
+PLACES_TRIED = 24
 
 
 def smallest_visible(
@@ -40,8 +40,10 @@ def smallest_visible(
         hypothesis = variants[len(variants) // 2]
         first = hypothesis.own[0]
         changed = Objective(hypothesis.robot(robot), hypothesis.parameters(fit.parameters), sample)
-        one, two = (residual - changed.residual(hypothesis.of_size(fit.z, size)) for size in (SMALL, 2 * SMALL))
-        tangent = (4 * one - two) / (2 * SMALL)  # one-sided: a size has a sign
+        one, two = (
+            residual - changed.residual(hypothesis.of_size(fit.z, size)) for size in (SLOPE_SIZE, 2 * SLOPE_SIZE)
+        )
+        tangent = (4 * one - two) / (2 * SLOPE_SIZE)  # one-sided: a size has a sign
         across = J @ tangent
         energy = float(tangent @ tangent - across @ inverse @ across)
         size = float(np.sqrt(2 * SEEN / max(energy, 1e-300)))
@@ -79,7 +81,7 @@ def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: 
             q = r.setup.q.copy()
             q[0] += turn
             places.append((q, r.setup.brakes))
-    while len(places) < CANDIDATES:
+    while len(places) < PLACES_TRIED:
         q = np.array([rng.uniform(*(limit or (-np.pi / 2, np.pi / 2))) for limit in limits])
         places.append((q, reference.setup.brakes))
     if reference.setup.brakes != "on":

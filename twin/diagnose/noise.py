@@ -16,19 +16,21 @@ from twin.measure.campaign import ComplexArray, FloatArray, PostureFRF, as_quant
 
 NEIGHBOURS = 25  # lines over which the additive part is pooled, and more
 DEGREES = 150  # of freedom, to have so many: what scatters itself makes χ² too large
-ROUNDS = 10  # the first ones fit the noise, later ones its scatter
-LOUD = 0.98  # quantile of |H|² over the lines and responses of a blow, from where on its noise is in proportion to it
+NOISE_STEPS = 10  # the first ones fit the noise, later ones its scatter
+LOUDEST_LINES = (
+    0.98  # quantile of |H|² over the lines and responses of a blow, from where on its noise is in proportion to it
+)
 NOISY = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
 NEAREST = 7
 BROKEN = 30.0  # times the usual variance of channels: noise that is not a sensor's
 NOTHING = 1e-100  # of a variance whose square is still a number
-LEAST = 5e-4  # of |H|: no FRF is known better
+BEST_KNOWN = 5e-4  # of |H|: no FRF is known better
 PERFECT = 1e-7  # incoherence below which no hammer test lies: 0.03 % of noise
 ANALYSER = 3e-3  # of |H|: what the channels of an analyser agree to, where a recording states no noise at all
 RANGE = 3e-4  # of the RMS accelerance: 70 dB below it an analyser's lines leak into each other
 USUAL = 0.01  # of |H|, where nothing tells how blows differ
 SENSOR = 1e-4  # of the median RMS accelerance: what a sensor cannot resolve
-ROUGH, SMOOTH = 3, 5  # order of differences over lines: noise and no more; noise even where it is smooth
+ROUGH_ORDER, SMOOTH_ORDER = 3, 5  # order of differences over lines: noise and no more; noise even where it is smooth
 QUIETEST = 0.1  # quantile of channels whose roughness is noise
 TIED = 1.2  # lines that share noise, from where on coherence is smooth though it was estimated
 LIGHT = 0.03  # σT of a window that ties no lines together
@@ -61,19 +63,19 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     floor = (SENSOR * np.median(rms[~dead])) ** 2 if not dead.all() else 0.0
     b = _at_peaks(single, power)
     a = np.broadcast_to(np.median(single, axis=0), single.shape)
-    a, b = np.where(a > 0, a, floor), np.where(b > 0, b, LEAST**2)  # steps that multiply never leave zero
+    a, b = np.where(a > 0, a, floor), np.where(b > 0, b, BEST_KNOWN**2)  # steps that multiply never leave zero
     lines = max(NEIGHBOURS, DEGREES / (n - 1)) if scattered else NEIGHBOURS
     kernel = min(round(lines * shared), len(single))
     # Likelihood of gamma-distributed variances, by multiplicative steps that keep both parts positive (Févotte and
     # Idier 2011, Itakura–Saito divergence): one part is not explained away by the other's error. a is a running mean.
     weight = a / kernel
-    for _ in range(ROUNDS):
+    for _ in range(NOISE_STEPS):
         model = np.maximum(a + b * power, NOTHING)
         b = b * np.sqrt(_of_blow(power * single / model**2) / np.maximum(_of_blow(power / model), 1e-300))
         model = np.maximum(a + b * power, NOTHING)
         weight = weight * np.sqrt(_smooth(single / model**2, kernel) / np.maximum(_smooth(1 / model, kernel), 1e-300))
         a = _smooth(weight, kernel)
-    variance = np.maximum(a + b * power, np.maximum(floor, LEAST**2 * power))
+    variance = np.maximum(a + b * power, np.maximum(floor, BEST_KNOWN**2 * power))
     loud = np.median(variance, axis=0) > BROKEN * np.median(a[:, ~dead]) if not dead.all() else dead
     if posture.quantity != "accelerance":
         variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
@@ -117,11 +119,11 @@ def shared_lines(postures: Sequence[PostureFRF]) -> float:
         return 1.0
     seen, expected = [], []
     for posture in postures:
-        if posture.coherence is not None and len(posture.frequency) > SMOOTH:
+        if posture.coherence is not None and len(posture.frequency) > SMOOTH_ORDER:
             variance = np.median(pooled_variance(posture), axis=0)
             live = np.isfinite(variance)
-            seen.append(np.median(_rough(posture.frf, SMOOTH), axis=0)[live] / np.log(2) / variance[live])
-            expected.append(_kept(_decay(posture), SMOOTH))
+            seen.append(np.median(_rough(posture.frf, SMOOTH_ORDER), axis=0)[live] / np.log(2) / variance[live])
+            expected.append(_kept(_decay(posture), SMOOTH_ORDER))
     # The quietest channels: in the others the roughness is the FRF's own.
     if seen and np.quantile(np.concatenate(seen), QUIETEST) > np.sqrt(np.mean(expected)):
         return 1.0
@@ -155,7 +157,7 @@ def _roughness(posture: PostureFRF) -> FloatArray:
     if len(power) < 8:
         variance = np.asarray(usual)
     else:
-        rough = _rough(posture.frf, ROUGH) / _kept(_decay(posture), ROUGH)
+        rough = _rough(posture.frf, ROUGH_ORDER) / _kept(_decay(posture), ROUGH_ORDER)
         window = min(NEIGHBOURS, len(rough))
         median = np.median(np.lib.stride_tricks.sliding_window_view(rough, window, axis=0), axis=-1) / np.log(2)
         left = (len(power) - len(median)) // 2
@@ -166,7 +168,7 @@ def _roughness(posture: PostureFRF) -> FloatArray:
 
 def _at_peaks(single: FloatArray, power: FloatArray) -> FloatArray:
     """Relative variance (ne,) where a blow is answered loudest: what begins above b takes long to come down."""
-    loud = power >= np.quantile(power, LOUD, axis=(0, 1))
+    loud = power >= np.quantile(power, LOUDEST_LINES, axis=(0, 1))
     relative = np.where(loud, single / np.maximum(power, 1e-300), np.nan)
     return np.asarray(np.nanmedian(relative, axis=(0, 1)))
 

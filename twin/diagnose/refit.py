@@ -24,8 +24,8 @@ from twin.robot.description import Robot
 NONE = Hypothesis("none", "")
 ASTRAY = 100.0  # times the variance of noise: how badly such a fit foretells needs no last digit
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
-WIDER = (1.0, 2.0, 4.0)
-TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
+WIDTHS = (1.0, 2.0, 4.0)
+REFIT_TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Fitted:
         """What the evidence gains when sizes may be far from the usual one: prior widths averaged over their scale.
 
         An angle, gain or delay of either sign may be as small as ``SMALLER`` of its usual width, alike for all scales;
-        the logarithm of a size may be ``WIDER`` times as far off, and stays where it is: what a wider prior would move
+        the logarithm of a size may be ``WIDTHS`` times as far off, and stays where it is: what a wider prior would move
         it by along a bent valley, no Gaussian tells. Gaussian likelihood of the own parameters, the others integrated
         out.
         """
@@ -115,8 +115,8 @@ class Fitted:
 
 
 def _of_widths(size: float, held: float) -> list[float]:
-    """What ln evidence gains by each of ``WIDER``, of a size in prior deviations and the precision the data add."""
-    return [-0.5 * size**2 * (1 / w**2 - 1) - 0.5 * np.log((1 + held * w**2) / (1 + held)) for w in WIDER]
+    """What ln evidence gains by each of ``WIDTHS``, of a size in prior deviations and the precision the data add."""
+    return [-0.5 * size**2 * (1 / w**2 - 1) - 0.5 * np.log((1 + held * w**2) / (1 + held)) for w in WIDTHS]
 
 
 def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> Fitted:
@@ -130,7 +130,7 @@ def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> F
         own = piece.own
         if own and any(p.log for p in own):
             held = 1 / float(variance[at]) - 1
-            width = WIDER[int(np.argmax(_of_widths(float(fit.z[at]), held)))] if held > 1e-9 else 1.0
+            width = WIDTHS[int(np.argmax(_of_widths(float(fit.z[at]), held)))] if held > 1e-9 else 1.0
             own = (replace(own[0], deviation=own[0].deviation * width), *own[1:])
         pieces.append(replace(piece, own=own))
         at += len(own)
@@ -157,7 +157,7 @@ def in_doubt_of_size(fit: Fitted) -> Fitted:
             precision = float(information[at, at] - across)
             held = max(precision - 1, 1e-9)
             likely = np.exp(_of_widths(float(fit.z[at]) * width, held / width**2))
-            wide = float(likely / likely.sum() @ [1 / (held + (width / w) ** 2) for w in WIDER])
+            wide = float(likely / likely.sum() @ [1 / (held + (width / w) ** 2) for w in WIDTHS])
             information[at, at] += 1 / wide - precision  # which takes all that goes with the size along
         at += len(piece.own)
     return replace(fit, information=information)
@@ -185,7 +185,7 @@ def descend(
     robot = hypothesis.robot(base)
     if logarithmic:
         z, *_ = minimise(Objective(robot, parameters, sample, logarithmic=True), z, logarithmic, 0.1)
-    for temper in TEMPERS if tempered else ():
+    for temper in REFIT_TEMPERS if tempered else ():
         z, *_ = minimise(Objective(robot, parameters, sample, temper), z, tempered, 0.1)
     objective = Objective(robot, parameters, sample)
     z, cost, information, converged = minimise(objective, z, linear, tolerance, hopeless)
@@ -209,7 +209,7 @@ def recorded_error(robot: Robot, recordings: Sequence[Recorded], *, again: bool 
     whole = Sample(tuple(recordings))
     if again and len(items):
         few = whole.thin(50)
-        z, *_ = minimise(Objective(robot, parameters, few, TEMPERS[-1]), z, 8, 0.1)
+        z, *_ = minimise(Objective(robot, parameters, few, REFIT_TEMPERS[-1]), z, 8, 0.1)
         z, *_ = minimise(Objective(robot, parameters, few), z, 8, 0.1)
     objective = Objective(robot, parameters, whole)
     residual = objective.residual(z)

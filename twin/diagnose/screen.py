@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from twin.diagnose.hypotheses import Hypothesis, together
-from twin.diagnose.refit import WIDER, Fitted
+from twin.diagnose.refit import WIDTHS, Fitted
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
@@ -39,7 +39,7 @@ FAR_STARTS = 2  # of an effect's ``sizes`` where the current model is far off
 SPARSE = 0.2  # of the lines: fewer are taken by themselves
 YIELDING = 5  # iterations in which springs make room for an entry
 YIELDING_POSTURES = 4
-AHEAD = 1.5  # times the least cost of other sizes: with more, a size is no start
+NO_START = 1.5  # times the least cost of other sizes: with more, a size is no start
 SLIGHT = 3.0  # ln likelihood that a refit must promise
 ROOM = 1.01  # of the least cost that is left then
 BEYOND = 6  # iterations after which such an entry near the truth promises what it has gained
@@ -47,8 +47,8 @@ SCANNED = 12  # more variants than this are scanned by their secant alone first
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
 SCANNED_MASSES = (1.0, 0.01)  # of the usual one: a heavy one loads the robot, a light one shows at its own frequency
-SMALL = 1e-6  # of the usual size, where the derivative with respect to it is taken
-LEAST = 1e-4  # of the usual size: less is nothing
+TANGENT_SIZE = 1e-6  # of the usual size, where the derivative with respect to it is taken
+LEAST_SIZE = 1e-4  # of the usual size: less is nothing
 PARTS = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
 INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
 NEARLY = 0.5  # of its best variant's gain: a variant of an entry (another axis) is looked at beside it
@@ -217,7 +217,7 @@ def _of_any_size(promise: Promise) -> Promise:
     if not any(p.log for p in own):
         return promise
     size = float(promise.start[-len(own)])
-    return replace(promise, gain=promise.gain + max(0.5 * size**2 * (1 - 1 / w**2) - np.log(w) for w in WIDER))
+    return replace(promise, gain=promise.gain + max(0.5 * size**2 * (1 - 1 / w**2) - np.log(w) for w in WIDTHS))
 
 
 def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Promise]:
@@ -235,12 +235,12 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
         z = np.concatenate([setting.z, own])
         if setting.error > 0 and size is not None:
             least = min((cost for cost, _ in starts), default=np.inf)
-            starts.append(_yielding(setting, objective, z, AHEAD * least))
+            starts.append(_yielding(setting, objective, z, NO_START * least))
         elif setting.logarithmic:  # at null: there is nothing to make room for
             starts.append((0.0, z))
         else:
             found.append(_near_promise(setting, hypothesis, suspect, objective, z, before))
-    starts = [start for start in starts if start[0] <= AHEAD * min(cost for cost, _ in starts)]
+    starts = [start for start in starts if start[0] <= NO_START * min(cost for cost, _ in starts)]
     for _, z in sorted(starts, key=lambda start: start[0])[:FAR_STARTS]:
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
     if size is not None and not setting.logarithmic:
@@ -295,13 +295,13 @@ def _tangent_promise(
     That finds what hides in the tension of the prior: a payload as a forearm with its centre of mass 10 cm off.
     """
     base, n, first = setting.linear, len(setting.z), suspect.own[0]
-    small = suspect.of_size(setting.z, SMALL)
+    small = suspect.of_size(setting.z, TANGENT_SIZE)
     _, (row,) = replace(objective, logarithmic=False).within(small, [n]).jacobian(small[n:][:1])
-    tangent = row * (-1 if first.quantity == "stiffness" else 1) / (SMALL * first.deviation)
+    tangent = row * (-1 if first.quantity == "stiffness" else 1) / (TANGENT_SIZE * first.deviation)
     share = base.share(tangent)
     along, across = float(tangent @ base.residual - share @ base.own), float(tangent @ tangent - share @ share)
     size = along / max(across, 1e-300)
-    if not LEAST < size < 1 / LEAST:
+    if not LEAST_SIZE < size < 1 / LEAST_SIZE:
         return []
     own = suspect.of_size(setting.z, size)[n:]
     gain = 0.5 * size * along - 0.5 * float(own @ own)

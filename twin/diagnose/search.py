@@ -25,11 +25,11 @@ from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 SCREEN_LINES, REFIT_LINES, NEAR_LINES = 25, 50, 100
-CANDIDATES, FINALISTS, FEWEST = 12, 6, 3
+COMPARED, REFITTED_BEST, FEWEST = 12, 6, 3
 RACE = 0.08  # of the best gain: less promises nothing
-REACH = 40.0  # in ln evidence: what is worth converging
-ROUNDS = 3  # things missing at once
-ROUGHLY = 1.05  # on few lines a cost differs from that on all by so much
+WITHIN = 40.0  # in ln evidence: what is worth converging
+MISSING_AT_ONCE = 3  # things missing at once
+THINNED_COST = 1.05  # on few lines a cost differs from that on all by so much
 SHORT = 0.2  # of what another has gained: less promised is not refitted
 ABREAST = 2  # refits side by side, on however many cores: what is found must not depend on them
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
@@ -125,7 +125,7 @@ def explain(
     """Everything that may be missing, alone and together."""
     progress = progress or (lambda description, total: lambda count: None)
     best = search.base
-    for number in range(ROUNDS):
+    for number in range(MISSING_AT_ONCE):
         found = _round(robot, search, best, sample, suspects, progress)
         if not found or found[0].evidence() <= best.evidence():
             break
@@ -201,10 +201,10 @@ def worth(simpler: Fitted, richer: Fitted) -> bool:
 def _without_last(robot: Robot, search: Search, simpler: Fitted, richer: Fitted, sample: Sample) -> Fitted:
     """The simpler hypothesis fitted again from where the richer one ended: a valley may not have been followed out."""
     place = _Place(simpler.hypothesis, simpler.parameters, (richer.z[: len(simpler.z)],))
-    near = richer.cost + REACH * max(1.0, richer.misfit)
+    near = richer.cost + WITHIN * max(1.0, richer.misfit)
     lines = SCREEN_LINES if simpler is search.base and search.error > FAR else REFIT_LINES
-    roughly = _nearly(robot, place, sample.thin(lines), ROUGHLY * near)
-    fit = _fully(robot, roughly, sample, near) if roughly.cost < ROUGHLY * near else simpler
+    roughly = _nearly(robot, place, sample.thin(lines), THINNED_COST * near)
+    fit = _fully(robot, roughly, sample, near) if roughly.cost < THINNED_COST * near else simpler
     if fit.cost >= simpler.cost:
         return simpler
     if simpler.hypothesis is NONE:
@@ -290,7 +290,7 @@ def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitte
     for piece in best.hypothesis.pieces if len(best.hypothesis.pieces) > 1 else ():
         rest, z = _taken_out(search, best, piece)
         known, parameters = search.fits.get(rest.identity), rest.parameters(search.base.parameters)
-        near = best.cost + REACH
+        near = best.cost + WITHIN
         fit = descend(robot, rest, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=near)
         if known is None or fit.cost < known.cost:
             search.fits[rest.identity] = known = fit
@@ -322,11 +322,11 @@ def _round(
     thinned = lines.repeat / sample.repeat  # fewer lines promise as many times the noise
     least = max(SLIGHT * thinned, RACE * promises[0].gain)
     if error > 0:
-        likely = _varied(promises, CANDIDATES)
-        likely = [p for k, p in enumerate(likely) if k < FINALISTS or p.gain > RACE * promises[0].gain]
+        likely = _varied(promises, COMPARED)
+        likely = [p for k, p in enumerate(likely) if k < REFITTED_BEST or p.gain > RACE * promises[0].gain]
         starts = _halve(setting, likely, progress, search.processes)
     else:
-        likely = _varied(promises, FINALISTS)
+        likely = _varied(promises, REFITTED_BEST)
         # what has no size, as a gain, is promised what it brings: it must be worth something
         kept = [
             p for k, p in enumerate(likely) if every or k == 0 or p.gain > (least if p.sized else max(least, WORTH))
@@ -368,8 +368,8 @@ def _halve(
         tick(1)
     before = setting.objective(setting.current).cost(setting.z)
     least = min(cost for cost, _, _ in ends)
-    behind = max(REACH, (1 - SHORT) * (before - least))  # gained much less than another
-    ends = [end for end in sorted(ends, key=lambda end: end[0])[:FINALISTS] if end[0] - least < behind]
+    behind = max(WITHIN, (1 - SHORT) * (before - least))  # gained much less than another
+    ends = [end for end in sorted(ends, key=lambda end: end[0])[:REFITTED_BEST] if end[0] - least < behind]
 
     def at(number: int) -> tuple[FloatArray, float, FloatArray, bool]:
         return minimise(setting.objective(ends[number][1].hypothesis), ends[number][2], 20, 0.3)
@@ -377,7 +377,7 @@ def _halve(
     found = zip(ends, spread(at, len(ends), processes), strict=True)
     converged = sorted(((cost, promise, z) for (_, promise, _), (z, cost, _, _) in found), key=lambda end: end[0])
     best = converged[0][0]
-    return [(promise, [z]) for k, (cost, promise, z) in enumerate(converged) if k < 2 or cost - best < REACH]
+    return [(promise, [z]) for k, (cost, promise, z) in enumerate(converged) if k < 2 or cost - best < WITHIN]
 
 
 @dataclass(frozen=True)
@@ -424,10 +424,10 @@ def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Samp
     worth = min((one.worth for one in places), default=np.inf)
 
     def near(number: int) -> Fitted:
-        return _nearly(robot, places[number], few, ROUGHLY * min(places[number].worth, reach))
+        return _nearly(robot, places[number], few, THINNED_COST * min(places[number].worth, reach))
 
     nearly = _best_of_each(spread(near, len(places), search.processes))
-    best = min((ROUGHLY * fit.cost + REACH * max(1.0, fit.misfit) for fit in nearly), default=np.inf)
+    best = min((THINNED_COST * fit.cost + WITHIN * max(1.0, fit.misfit) for fit in nearly), default=np.inf)
 
     def end(number: int) -> Fitted:
         return _fully(robot, nearly[number], sample, min(worth, reach, best))
@@ -469,7 +469,7 @@ def _fully(robot: Robot, near: Fitted, sample: Sample, hopeless: float) -> Fitte
 def _reach(search: Search) -> float:
     """The cost above which a hypothesis is out of the race."""
     best = min((fit.cost for fit in search.fits.values()), default=search.base.cost)
-    return best + REACH if search.fits else np.inf
+    return best + WITHIN if search.fits else np.inf
 
 
 def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> list[Fitted]:
@@ -495,7 +495,7 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
         if companion.scale:
             simpler = search.fits.get(together(*rest).identity, search.base)
             held = simpler.z[[free.names.index(name) for name, _ in companion.scale]]
-            if simpler.evidence() + 0.5 * float(held @ held) < best.evidence() - REACH:
+            if simpler.evidence() + 0.5 * float(held @ held) < best.evidence() - WITHIN:
                 continue  # more than the price of its prior cannot be gained
             z = np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z))
         elif alike and gone == [last]:
@@ -544,13 +544,13 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
     their size; the base model last."""
     fits, free = search.finalists, search.base.parameters
     axes = same_axes(robot, [r.setup.q for r in sample.recordings])
-    near = [fit for fit in fits if fits[0].evidence() - fit.evidence() < REACH]
+    near = [fit for fit in fits if fits[0].evidence() - fit.evidence() < WITHIN]
     sized = list(spread(lambda k: of_its_size(robot, free, near[k], sample), len(near), search.processes))
     far = [
         fit
         for k, fit in enumerate(fits[len(near) :], len(near))
         if k < FEWEST
-        or fits[0].evidence() - fit.evidence() < 10 * REACH
+        or fits[0].evidence() - fit.evidence() < 10 * WITHIN
         or any(fit.hypothesis.under(axes) == other.hypothesis.under(axes) for other in near)
     ]
     return [*sorted(sized, key=lambda fit: -fit.evidence()), *far, search.base]

@@ -10,11 +10,11 @@ from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord, Record
 from twin.measure.campaign import FloatArray
 
 PROMINENCE = np.log(2.0)  # of a peak above the valleys beside it
-REACH = np.log(1.4)  # between a measured peak and the model's
+SAME_PEAK = np.log(1.4)  # between a measured peak and the model's
 NOWHERE = 0.15  # what a peak counts that the model does not have near
 SHIFT = 0.004  # of a peak's frequency: less is told by its height
 BETWEEN = 0.25  # lines, to which a peak between them is interpolated
-LOUD = 0.005  # of the loudest line: less is hard to see
+LOUD_PEAK = 0.005  # of the loudest line: less is hard to see
 HEIGHT = np.log(1.05)
 
 
@@ -68,7 +68,7 @@ def _spots(record: FrfRecord, pair: int, loudest: float) -> list[Spot]:
     found = []
     for line, height, frequency in peaks:
         noise = np.sqrt(2 * record.variance[flat][line])
-        if height < LOUD * loudest or height < 5 * noise:
+        if height < LOUD_PEAK * loudest or height < 5 * noise:
             continue
         (f0, h0), (f1, h1) = (_nearest(model, frequency) for model in models)
         if not np.isfinite(f1):
@@ -118,7 +118,7 @@ def _summits(level: Sequence[float]) -> list[int]:
 def _nearest(peaks: Sequence[tuple[int, float, float]], frequency: float) -> tuple[float, float]:
     near = [(abs(np.log(f / frequency)), f, height) for _, height, f in peaks]
     distance, f, height = min(near, default=(np.inf, np.nan, np.nan))
-    return (f, height) if distance < REACH else (float("nan"), float("nan"))
+    return (f, height) if distance < SAME_PEAK else (float("nan"), float("nan"))
 
 
 def sentence(
@@ -203,7 +203,7 @@ def _residual_sentence(name: str, records: Sequence[FrfRecord]) -> str:
     best: tuple[float, str] | None = None
     for record in records:
         size = np.abs(record.measured)
-        seen = (size > 5 * np.sqrt(record.variance)) & (size > LOUD * size[np.isfinite(record.variance)].max())
+        seen = (size > 5 * np.sqrt(record.variance)) & (size > LOUD_PEAK * size[np.isfinite(record.variance)].max())
         fallen = np.where(seen, record.energy("before") - record.energy("after"), 0.0)
         edges = np.array_split(np.arange(len(record.frequency)), 6)
         total = np.array([fallen[lines].sum(axis=0).ravel() for lines in edges])

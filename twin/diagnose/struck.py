@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 from twin.diagnose.joint_reaction import PULSE_SPREAD, Blow, Stepped
 from twin.identify.descent import minimise
 from twin.identify.elastic_compare import Judged, recording_set, relative_error
-from twin.identify.objective import Objective, Sample
+from twin.identify.objective import Sample
 from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
 from twin.model.blow import COARSE_HZ
@@ -17,6 +17,10 @@ from twin.model.parameters import independent
 from twin.physics import CATALOGUE
 from twin.physics.joint_law import Law
 from twin.robot.description import Entry, Robot
+
+SETTLED_LINES, AGAIN = 25, 8  # lines and iterations of what belongs to the recordings themselves
+LONGEST = 3.0  # prior deviations of the logarithm of a blow's length within which it is sought
+EXACTLY = 0.02  # to which it is
 
 
 def amplitude_entries(robot: Robot) -> list[Entry]:
@@ -41,17 +45,12 @@ def law_of(robot: Robot) -> tuple[Law, FloatArray, str, Robot]:
     return law, sizes, entry.site, robot
 
 
-def settle(judged: Stepped, lines: int = 25, iterations: int = 8) -> FloatArray:
-    """Posture angles and channel gains (n,) in prior deviations that the recordings ask for.
-
-    They hardly change what the law does: it is stepped, then held while they are fitted, in turns.
-    """
-    z, few = np.zeros(len(judged.free)), judged.sample.thin(lines)
-    stepped = replace(judged, sample=few)
-    for temper in (0.1, 0.02, 0.0, 0.0):
-        held = Objective(judged.robot, judged.parameters, Sample(tuple(stepped.held(z)), few.repeat), temper)
-        z, *_ = minimise(held, z, iterations, 0.1)
-    return z
+def settle(judged: Stepped) -> FloatArray:
+    """Posture angles and channel gains (n,) in prior deviations that the recordings ask for."""
+    z, few = np.zeros(len(judged.free)), judged.sample.thin(SETTLED_LINES)
+    for temper in (0.1, 0.02):
+        z, *_ = minimise(replace(judged, sample=few, temper=temper, rate_hz=COARSE_HZ), z, AGAIN, 0.1)
+    return minimise(replace(judged, sample=few, closely=True), z, AGAIN, 0.1)[0]
 
 
 def judge_struck(
@@ -83,12 +82,9 @@ def judge_struck(
     )
 
 
-def _long(
-    judged: Stepped, z: FloatArray | None = None, lines: int = 25, within: float = 3.0, exactly: float = 0.02
-) -> Stepped:
-    """With blows as long as explains the recordings best, sought ``within`` so many prior deviations of the logarithm
-    of their length, to ``exactly`` such a logarithm."""
-    z, few = np.zeros(len(judged.free)) if z is None else z, judged.sample.thin(lines)
+def _long(judged: Stepped, z: FloatArray | None = None) -> Stepped:
+    """With blows as long as explains the recordings best."""
+    z, few = np.zeros(len(judged.free)) if z is None else z, judged.sample.thin(SETTLED_LINES)
 
     def of(longer: float) -> Stepped:
         blow = {group: replace(b, pulse_s=b.pulse_s * float(np.exp(longer))) for group, b in judged.blow.items()}
@@ -97,5 +93,5 @@ def _long(
     def cost(longer: float) -> float:
         return replace(of(longer), sample=few, rate_hz=COARSE_HZ).cost(z) + 0.5 * (longer / PULSE_SPREAD) ** 2
 
-    reach = within * PULSE_SPREAD
-    return of(float(minimize_scalar(cost, bounds=(-reach, reach), options={"xatol": exactly}).x))
+    reach = LONGEST * PULSE_SPREAD
+    return of(float(minimize_scalar(cost, bounds=(-reach, reach), options={"xatol": EXACTLY}).x))

@@ -13,7 +13,7 @@ from twin.measure.campaign import Campaign, PostureFRF, frf_variance
 from twin.measure.spectra import Check, driving_points, linearity, reciprocity
 from twin.robot.description import Robot
 
-NEAR = 5  # lines over which disagreement is pooled
+POOLED_LINES = 5  # lines over which disagreement is pooled
 INDEPENDENT_LINES = 25  # of a record whose error is not noise
 HOMOGENEOUS = 2.0  # linear robots reach 1.4
 REPEAT = "repeat"  # the name of a check of a posture recorded again, nobody knows how hard
@@ -114,7 +114,7 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
 
 def _linear(campaign: Campaign, recordings: dict[str, Recorded]) -> list[Check]:
     """Homogeneity over force levels where it is worst: |H_hi − H_lo|² over its variance, mean of all channels and of
-    ``NEAR`` neighbouring lines, 1 for a linear structure.
+    ``POOLED_LINES`` neighbouring lines, 1 for a linear structure.
 
     A small cubic spring moves a resonance and nothing else: the mean over a whole band hides it.
     """
@@ -132,8 +132,10 @@ def _linear(campaign: Campaign, recordings: dict[str, Recorded]) -> list[Check]:
             variance = 2 * (a.variance[one] + b.variance[two])
             live = np.isfinite(variance) & (variance > 0)
             ratio = np.divide(np.abs(b.frf[two] - a.frf[one]) ** 2, variance, out=np.zeros(live.shape), where=live)
-            count = np.convolve(live.sum(axis=(1, 2)), np.ones(NEAR), "same")
-            value = float(np.max(np.convolve(ratio.sum(axis=(1, 2)), np.ones(NEAR), "same") / np.maximum(count, 1)))
+            count = np.convolve(live.sum(axis=(1, 2)), np.ones(POOLED_LINES), "same")
+            value = float(
+                np.max(np.convolve(ratio.sum(axis=(1, 2)), np.ones(POOLED_LINES), "same") / np.maximum(count, 1))
+            )
             known = low.peak_force_n is not None and high.peak_force_n is not None
             names = [f"{p.name} ({p.peak_force_n:.0f} N)" if known else p.name for p in (low, high)]
             checks.append(Check("linearity" if known else REPEAT, " and ".join(names), value, value < HOMOGENEOUS))

@@ -19,9 +19,9 @@ from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameters, free_parameters
 from twin.robot.description import Robot
 
-COARSE = 8  # starts see every eighth line, and at least COARSE_LINES
+EVERY_LINE = 8  # starts see every eighth line, and at least COARSE_LINES
 COARSE_LINES = 25
-TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
+FIT_TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
 AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8), by themselves and in the best one's quadratic model
 
 
@@ -77,7 +77,7 @@ class Fit:
 
 def coarse(recordings: Sequence[Recorded]) -> Sample:
     """Every eighth line, of short recordings as many as there must be."""
-    return Sample(tuple(r.every(max(1, min(COARSE, len(r.s) // COARSE_LINES))) for r in recordings))
+    return Sample(tuple(r.every(max(1, min(EVERY_LINE, len(r.s) // COARSE_LINES))) for r in recordings))
 
 
 def fit_frf(
@@ -113,7 +113,7 @@ def fit_frf(
         if number:
             z[elastic] = rng.normal(size=np.count_nonzero(elastic))
         z, *_ = minimise(Objective(robot, parameters, few, logarithmic=True), z, 25, 0.1, bound=bound)
-        for temper in TEMPERS:
+        for temper in FIT_TEMPERS:
             z, *_ = minimise(Objective(robot, parameters, few, temper), z, 10, 0.1, bound=bound)
         z, cost, information, _ = minimise(Objective(robot, parameters, few), z, 15, 0.05, bound=bound)
         ends.append(Start(cost, z, information))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from twin.identify.descent import minimise
-from twin.identify.elastic import TEMPERS, Fit, coarse
+from twin.identify.elastic import FIT_TEMPERS, Fit, coarse
 from twin.identify.elastic_modal import PairedMode, frequency_error, modal_postures, predict_modes
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded, noise_stated, without_limits
@@ -24,8 +24,8 @@ from twin.measure.modal_table import ModalTable
 from twin.model.parameters import Parameters, independent, join, recording_parameters
 from twin.robot.description import Robot
 
-BANDS = 6  # a recording's frequency range is judged in this many equal bands
-CLOSE, SAME = 10.0, 0.1  # ln likelihood and prior deviations, within which two ends are of equal right, or one
+ERROR_BANDS = 6  # a recording's frequency range is judged in this many equal bands
+EQUAL_RIGHT, ONE_END = 10.0, 0.1  # ln likelihood and prior deviations, within which two ends are of equal right, or one
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def comparison(robot: Robot, judged: Judged, source: str) -> Comparison:
                 if weight[cut].any():
                     channel = f"{response}/{excitation}"
                     parts.append({**place, "channel": channel, "band_hz": None, "error": ratio(cut)})
-        edges = np.linspace(r.frequency[0], r.frequency[-1], BANDS + 1)
+        edges = np.linspace(r.frequency[0], r.frequency[-1], ERROR_BANDS + 1)
         for low, high in pairwise(edges):
             lines = (r.frequency >= low) & ((r.frequency < high) | (high == edges[-1]))
             if lines.any():
@@ -128,11 +128,11 @@ def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False) 
         first, *_ = minimise(Objective(robot, free, few, logarithmic=True), z, 10, 0.1, bound=free.bound)
         ends = []
         for end in (z, first):
-            for temper in TEMPERS:
+            for temper in FIT_TEMPERS:
                 end, cost, *_ = minimise(Objective(robot, free, few, temper), end, 10, 0.1, bound=free.bound)
             ends.append((end, cost))
         (best, least), (other, more) = sorted(ends, key=lambda end: end[1])
-        apart = more < least + CLOSE and not np.allclose(best, other, atol=SAME)
+        apart = more < least + EQUAL_RIGHT and not np.allclose(best, other, atol=ONE_END)
         whole = Objective(robot, free, Sample(tuple(recordings)), exact=True)
         starts = [best, other] if apart else [best]
         ends = [minimise(whole, start, 20, 1e-3, bound=free.bound, slack=0.0)[:2] for start in starts]

@@ -22,6 +22,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.files import replacing
 from twin.model.parameters import Kind, Parameter, Parameters
+from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 FILE = "posterior.h5"
@@ -170,7 +171,7 @@ def posterior_beside(robot: Robot) -> Posterior | None:
 def without_entries(posterior: Posterior, robot: Robot) -> Posterior:
     """The posterior without numbers of entries that the robot does not have (``--without``): they have no effect."""
     keys = {f"{entry.effect}@{entry.site}" for entry in robot.physics}
-    sprung = {entry.site for entry in robot.physics if entry.effect == "transverse_compliance"}
+    sprung = {entry.site for entry in robot.physics if CATALOGUE[entry.effect].hinge}
     keep = [k for k, p in enumerate(posterior.parameters) if _present(p, keys, sprung)]
     if len(keep) == len(posterior.z):
         return posterior

@@ -332,10 +332,47 @@ def _nodes(path: str | Path, campaign: Campaign) -> dict[str, Any]:
     )
 
 
+_PLAIN: dict[str, Any] = {
+    "id3": "NONE",
+    "func_id": 0,
+    "ver_num": 0,
+    "load_case_id": 0,
+    "rsp_ent_name": "NONE",
+    "ref_ent_name": "NONE",
+    "ord_data_type": 6,
+    "abscissa_spacing": 1,
+    "z_axis_value": 0.0,
+    "abscissa_spec_data_type": FREQUENCY_DATA,
+    "abscissa_len_unit_exp": 0,
+    "abscissa_force_unit_exp": 0,
+    "abscissa_temp_unit_exp": 0,
+    "abscissa_axis_lab": "Frequency",
+    "abscissa_axis_units_lab": "Hz",
+    "ordinate_len_unit_exp": 0,
+    "ordinate_force_unit_exp": 0,
+    "ordinate_temp_unit_exp": 0,
+    "ordinate_axis_lab": "NONE",
+    "ordinate_axis_units_lab": "NONE",
+    "orddenom_len_unit_exp": 0,
+    "orddenom_force_unit_exp": 0,
+    "orddenom_temp_unit_exp": 0,
+    "orddenom_axis_lab": "NONE",
+    "orddenom_axis_units_lab": "NONE",
+    "z_axis_spec_data_type": 0,
+    "z_axis_len_unit_exp": 0,
+    "z_axis_force_unit_exp": 0,
+    "z_axis_temp_unit_exp": 0,
+    "z_axis_axis_lab": "NONE",
+    "z_axis_axis_units_lab": "NONE",
+    "spec_data_type": 0,
+}
+"""Fields of a function in dataset 58 that are the same for all: pyuff leaves none to chance."""
+
+
 def _common(
     campaign: Campaign, posture: PostureFRF, r: int, e: int, response: str, excitation: str, binary: bool
 ) -> dict[str, Any]:
-    """Every field FRF and coherence share; pyuff leaves none to chance."""
+    """Every field that FRF and coherence share."""
     state = {
         "exponential_window_rate": f"{posture.exponential_window_rate:.9g}",
         "averages": posture.averages,
@@ -354,52 +391,21 @@ def _common(
     (response_node, response_direction), (node, direction) = _parts(response), _parts(excitation)
     frequency = posture.frequency
     return {
+        **_PLAIN,
         "type": 58,
         "binary": int(binary),
         "id1": ids[0],
         "id2": ids[1],
-        "id3": "NONE",
         "id4": ids[2],
         "id5": ids[3],
-        "func_id": 0,
-        "ver_num": 0,
-        "load_case_id": 0,
-        "rsp_ent_name": "NONE",
         "rsp_node": response_node,
         "rsp_dir": response_direction,
-        "ref_ent_name": "NONE",
         "ref_node": node,
         "ref_dir": direction,
-        "ord_data_type": 6,
         "num_pts": frequency.size,
-        "abscissa_spacing": 1,
         "abscissa_min": float(frequency[0]),
         "abscissa_inc": float(frequency[1] - frequency[0]),
-        "z_axis_value": 0.0,
-        "abscissa_spec_data_type": FREQUENCY_DATA,
-        "abscissa_len_unit_exp": 0,
-        "abscissa_force_unit_exp": 0,
-        "abscissa_temp_unit_exp": 0,
-        "abscissa_axis_lab": "Frequency",
-        "abscissa_axis_units_lab": "Hz",
-        "ordinate_len_unit_exp": 0,
-        "ordinate_force_unit_exp": 0,
-        "ordinate_temp_unit_exp": 0,
-        "ordinate_axis_lab": "NONE",
-        "ordinate_axis_units_lab": "NONE",
-        "orddenom_len_unit_exp": 0,
-        "orddenom_force_unit_exp": 0,
-        "orddenom_temp_unit_exp": 0,
-        "orddenom_axis_lab": "NONE",
-        "orddenom_axis_units_lab": "NONE",
-        "z_axis_spec_data_type": 0,
-        "z_axis_len_unit_exp": 0,
-        "z_axis_force_unit_exp": 0,
-        "z_axis_temp_unit_exp": 0,
-        "z_axis_axis_lab": "NONE",
-        "z_axis_axis_units_lab": "NONE",
         "x": frequency,
-        "spec_data_type": 0,
     }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from twin.errors import InputError
+from twin.physics.payload import Payload
 from twin.robot.description import Data, Entry, NonNegative, Number, Positive, Robot, Vector, first_problem
 from twin.robot.frames import matrix_of
 from twin.yamlfile import read_yaml
@@ -100,7 +101,7 @@ class Tool(Data):
         length = float(np.linalg.norm(reach))
         share = 0.5 if self.com_m is None or not length else self.com_m / length
         com = [float(value) for value in flange + share * reach]
-        return Entry.model_validate({"effect": "payload", "site": "flange", "mass": self.mass_kg, "com": com})
+        return Entry.model_validate({"effect": Payload.name, "site": "flange", "mass": self.mass_kg, "com": com})
 
 
 class Coefficients(Data):

@@ -23,6 +23,10 @@ from twin.model.sensitivity import Observed
 from twin.physics.joint_law import Law
 
 RATE_HZ, COARSE_HZ = 512.0, 256.0  # of stepping: what it leaves of a smooth law is 1e-4, 5e-4 of an FRF
+SETTLED = -10.0  # a mode that decays by e to this over a step follows g
+FARTHEST = 0.01  # rad (m): no blow deflects a joint further
+LONGEST = 0.1  # of what is recorded: a trial's blow may take longer, and is not stepped
+COLUMNS = 1200  # stepped together: more no longer fit in the cache
 
 
 @dataclass(frozen=True)
@@ -92,13 +96,11 @@ def torques(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """What the law adds after every blow: g (samples, ne) in N·m about its value and tangent at rest, and the largest
     deflection (ne,) of the joint from rest; NaN for blows that no hammer gives."""
-    longest = 0.1  # of what is recorded: a trial's blow may take longer
-    if max(strike.pulse_s for strike in strikes) > longest * length_s:
+    if max(strike.pulse_s for strike in strikes) > LONGEST * length_s:
         nothing = [np.full(strike.seen.J_e.shape[0], np.nan) for strike in strikes]
         return [(np.tile(one, (round(length_s * rate_hz), 1)), one) for one in nothing]
     law = law.stepped(rate_hz)
-    columns = 1200  # stepped together: more no longer fit in the cache
-    width = max(1, columns // max(strike.seen.J_e.shape[0] for strike in strikes))
+    width = max(1, COLUMNS // max(strike.seen.J_e.shape[0] for strike in strikes))
     found: list[tuple[FloatArray, FloatArray]] = []
     for start in range(0, len(strikes), width):
         found += _torques(strikes[start : start + width], law, round(length_s * rate_hz), rate_hz)
@@ -161,9 +163,9 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
     return list(zip(np.split(out, edges, axis=1), np.split(largest, edges), strict=True))
 
 
-def _bounded(x: FloatArray, farthest: float = 0.01) -> FloatArray:
-    """A size far off must not let a trial overflow: no blow deflects a joint by 10 mrad (mm)."""
-    return np.minimum(np.maximum(x, -farthest), farthest)
+def _bounded(x: FloatArray) -> FloatArray:
+    """A size far off must not let a trial overflow."""
+    return np.minimum(np.maximum(x, -FARTHEST), FARTHEST)
 
 
 @dataclass(frozen=True)
@@ -209,9 +211,8 @@ def _modes(seen: Observed, joint: int, tangent: float, rate_hz: float) -> _Modal
     early = (fade - 1) / pole - late
     # The parabola adds its bow times the second difference: to φ one, minus two and one steps' worth. All but that of
     # the step after g's own are the modes' decay, so that g enters them once.
-    follows = -10.0  # a mode that decays by e to this over a step follows g
-    bow = np.where(w.real > follows, -0.5 * _bow(np.asarray(w, complex)) / rate_hz, 0)
-    once = np.where(w.real > follows, bow / fade, 0)
+    bow = np.where(w.real > SETTLED, -0.5 * _bow(np.asarray(w, complex)) / rate_hz, 0)
+    once = np.where(w.real > SETTLED, bow / fade, 0)
     now = late + bow
     following = fade * now + early - 2 * bow + once
     g = inputs[:, 0]

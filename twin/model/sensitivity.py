@@ -154,43 +154,7 @@ def structures(
     """
     mechanism = mechanisms[0]
     layout = _layout(mechanism)
-    eye = np.broadcast_to(np.eye(3), (len(mechanisms), 3, 3))
-    turns, places = [eye], [np.zeros((len(mechanisms), 3))]  # the world, then the bodies
-    axes: list[FloatArray] = []
-    points: list[FloatArray] = []
-    commands: list[tuple[FloatArray, FloatArray]] = []
-    for body in mechanism.bodies.values():
-        parent = 1 + layout.bodies[body.parent] if body.parent else 0
-        turn, place = turns[parent], places[parent]
-        moves = body.kind == "motor"
-        position = np.array([m.bodies[body.name].position for m in mechanisms]) if moves else body.position
-        place = place + (turn @ position[..., None])[..., 0]
-        if moves:
-            turn = turn @ matrix_of(np.array([m.bodies[body.name].quaternion for m in mechanisms]))
-            commands.append((turn[..., 2], place))
-        elif body.quaternion[0] != 1:
-            turn = turn @ matrix_of(body.quaternion)
-        for joint in body.joints:
-            axis = turn @ np.asarray(joint.axis)
-            axes.append(axis)
-            points.append(place)
-            if deflections is not None:
-                amount = np.array([rest.get(joint.name, 0.0) for rest in deflections])
-                if joint.kind == "slide":
-                    place = place + amount[:, None] * axis
-                elif amount.any():
-                    turn = _rodrigues(axis, amount) @ turn
-        turns.append(turn)
-        places.append(place)
-    n = len(commands)
-    rotation, origin = np.stack(turns[1:], axis=1), np.stack(places[1:], axis=1)
-    screw = _screws(axes, points, [joint.kind == "slide" for joint in layout.joints], len(mechanisms))
-    command = _screws(
-        [z for z, _ in commands],
-        [place for _, place in commands],
-        [mechanism.axis_kind(i) == "slide" for i in range(n)],
-        len(mechanisms),
-    )
+    rotation, origin, screw, command = _placed(mechanisms, layout, deflections)
     inertia = np.array([body.inertia for body in mechanism.bodies.values()])
     for index, body in enumerate(mechanism.bodies.values()):
         if body.kind == "base" and body.joints and not body.inertia.any():
@@ -229,6 +193,51 @@ def structures(
         )
         for p, posed in enumerate(mechanisms)
     ]  # fmt: skip
+
+
+def _placed(
+    mechanisms: Sequence[Mechanism], layout: "_Layout", deflections: Sequence[Mapping[str, float]] | None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Of every posture the bodies' frames (p, nb, 3, 3) and (p, nb, 3), and the screws of coordinates and commands."""
+    mechanism = mechanisms[0]
+    eye = np.broadcast_to(np.eye(3), (len(mechanisms), 3, 3))
+    turns, places = [eye], [np.zeros((len(mechanisms), 3))]  # the world, then the bodies
+    axes: list[FloatArray] = []
+    points: list[FloatArray] = []
+    commands: list[tuple[FloatArray, FloatArray]] = []
+    for body in mechanism.bodies.values():
+        parent = 1 + layout.bodies[body.parent] if body.parent else 0
+        turn, place = turns[parent], places[parent]
+        moves = body.kind == "motor"
+        position = np.array([m.bodies[body.name].position for m in mechanisms]) if moves else body.position
+        place = place + (turn @ position[..., None])[..., 0]
+        if moves:
+            turn = turn @ matrix_of(np.array([m.bodies[body.name].quaternion for m in mechanisms]))
+            commands.append((turn[..., 2], place))
+        elif body.quaternion[0] != 1:
+            turn = turn @ matrix_of(body.quaternion)
+        for joint in body.joints:
+            axis = turn @ np.asarray(joint.axis)
+            axes.append(axis)
+            points.append(place)
+            if deflections is not None:
+                amount = np.array([rest.get(joint.name, 0.0) for rest in deflections])
+                if joint.kind == "slide":
+                    place = place + amount[:, None] * axis
+                elif amount.any():
+                    turn = _rodrigues(axis, amount) @ turn
+        turns.append(turn)
+        places.append(place)
+    n = len(commands)
+    rotation, origin = np.stack(turns[1:], axis=1), np.stack(places[1:], axis=1)
+    screw = _screws(axes, points, [joint.kind == "slide" for joint in layout.joints], len(mechanisms))
+    command = _screws(
+        [z for z, _ in commands],
+        [place for _, place in commands],
+        [mechanism.axis_kind(i) == "slide" for i in range(n)],
+        len(mechanisms),
+    )
+    return rotation, origin, screw, command
 
 
 @dataclass(frozen=True)
