@@ -48,6 +48,7 @@ ATTEMPTS = 20  # seeds in a row, where the truth code refuses a robot
 POSTURES, CUTS = 2, 2  # unseen ones of each robot; cuts in each
 STAGES = ("base", "after", "true")  # the described model refitted; as diagnosed; the true model refitted
 DRAWS = 40
+TOGETHER = 25  # robots whose cuts are stepped side by side
 SPINDLE_KG, OVERHANG_M, SPINDLE_COM_M = 20.0, 0.25, 0.12
 KNOWN_PERCENT = 15.0  # one deviation of each cutting coefficient
 SHEAR = (6.0046e8, 1.8096e8, 0.0)  # N/m², aluminium 7075
@@ -231,7 +232,14 @@ def true_cut(split: Path, name: str, number: int) -> tuple[Structure, Cut]:
 
 
 def mill(split: Path, names: list[str]) -> None:
-    """Step the true cuts at every depth that was stated, and keep what grew."""
+    """Step the true cuts at every depth that was stated, some robots at a time, and keep what grew."""
+    path = split / "milled.json"
+    for first in range(0, len(names), TOGETHER):
+        kept = store.read(path) if path.exists() and first else {}
+        store.write(path, kept | _milled(split, names[first : first + TOGETHER]))
+
+
+def _milled(split: Path, names: list[str]) -> dict[str, Any]:
     cases, depths, keys = [], [], []
     for name in names:
         found = store.read(split / "depths" / f"{name}.json")
@@ -252,7 +260,7 @@ def mill(split: Path, names: list[str]) -> None:
             "frequency_hz": (np.abs(pole) / (2 * np.pi)).tolist(),
             "damping_percent": (-100 * pole.real / np.abs(pole)).tolist(),
         }  # fmt: skip
-    store.write(split / "milled.json", out)
+    return out
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -95,7 +95,8 @@ def page(split: Path, deepest: float, ledger: list[dict[str, str]]) -> str:
     """The page as Markdown."""
     cuts = collected(split)
     engines = sorted({entry["engine"] for entry in ledger})
-    events = "; ".join(f"{entry['time']} {entry['why']}" for entry in ledger)
+    shown = [entry for entry, later in zip(ledger, [*ledger[1:], {}], strict=True) if later.get("why") != entry["why"]]
+    events = "; ".join(f"{entry['time']} {entry['why']}" for entry in shown)
     parts = [_head(cuts), _stable(cuts, deepest), _cost(cuts), _by_effect(cuts, deepest), _damping(cuts)]
     told = f"Ledger, engines {', '.join(engines)}: {events}."
     return "\n".join(
@@ -108,16 +109,16 @@ def _head(cuts: Sequence[Stated]) -> list[str]:
     hidden = {c.name for c in cuts if c.effects}
     return [
         f"{len(robots)} sealed robots of the truth code made {len(cuts)} cuts in postures that nobody struck. "
-        f"{len(hidden)} of them conceal something, of any usual size. {len(asked)} were diagnosed; all were refitted as they "
-        "are described, and with what they truly conceal. Each was struck as in [the other trials](proof.md), in six or "
-        "seven postures.",
+        f"{len(hidden)} of them conceal something, of any usual size. {len(asked)} were diagnosed; all were "
+        "refitted as they are described, and with what they truly conceal. Each was struck as in "
+        "[the other trials](proof.md), in six or seven postures.",
         "",
         "The spindle weighs 20 kg. Cuts have 2 to 4 teeth, an immersion of 5 to 100 %, any feed direction and 600 to "
-        "6000 rpm, up or down. Cutting coefficients are known to 15 %, postures to 0.2°. The true cut is the delay equation, "
-        "stepped in time by `tools/truth/milling.py`, which shares no code with the twin.",
+        "6000 rpm, up or down. Cutting coefficients are known to 15 %, postures to 0.2°. The true cut "
+        "is the delay equation, stepped in time by `tools/truth/milling.py`, which shares no code with the twin.",
         "",
-        "`python -m tools.trials.milling prove` draws another split and writes this page. Only linear effects of hammer "
-        "tests are in it: gaps, slip and hardening, which need force levels, are not.",
+        "`python -m tools.trials.milling prove` draws another split and writes this page. Only linear effects of "
+        "hammer tests are in it: gaps, slip and hardening, which need force levels, are not.",
         "",
     ]
 
@@ -125,9 +126,9 @@ def _head(cuts: Sequence[Stated]) -> list[str]:
 def _stable(cuts: Sequence[Stated], deepest: float) -> list[str]:
     lines = [
         "## Is the stated depth stable?", "",
-        "The depth that is stable with 90 % probability should be stable in nine of ten cuts. Beside it is the limit of the "
-        "best model, the depth that a user without intervals would trust. Cuts whose 90 % depth is the deepest asked for "
-        f"({1e3 * deepest:g} mm) are left out.", "",
+        "The depth that is stable with 90 % probability should be stable in nine of ten cuts. Beside it is the limit "
+        "of the best model, the depth that a user without intervals would trust. Cuts whose 90 % depth is the deepest "
+        f"asked for ({1e3 * deepest:g} mm) are left out.", "",
     ]  # fmt: skip
     groups = (
         ("all", lambda c: True),
@@ -159,8 +160,8 @@ def _cost(cuts: Sequence[Stated]) -> list[str]:
         if ratio.size:
             low, middle, high = np.quantile(ratio, (0.05, 0.5, 0.95))
             lines.append(
-                f"- {NAMES[stage]}: the 90 % depth is {middle:.0%} of what the true model refitted allows in the median, "
-                f"{low:.0%} to {high:.0%} in nine of ten of {ratio.size} cuts."
+                f"- {NAMES[stage]}: the 90 % depth is {middle:.0%} of what the true model refitted allows in the "
+                f"median, {low:.0%} to {high:.0%} in nine of ten of {ratio.size} cuts."
             )
     own = np.array([c.safe["true"] / c.limit["true"] for c in cuts if "true" in c.safe])
     if own.size:

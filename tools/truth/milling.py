@@ -6,6 +6,7 @@ has left. Seen from the spindle the tool turns clockwise; x is the feed of the t
 the tip to the spindle, and a tooth at φ from +y stands at (sin φ, cos φ).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,7 +73,10 @@ def poles(structure: Structure, rows: Array) -> tuple[Complex, Complex]:
     for s, v in zip(start, shapes.T, strict=True):
         for _ in range(30):
             stiffness, slope = dynamic_stiffness(structure, s), _slope(structure, s)
-            w = np.linalg.solve(stiffness, slope @ v)
+            try:
+                w = np.linalg.solve(stiffness, slope @ v)
+            except np.linalg.LinAlgError:  # s is the pole, to the last digit
+                break
             step = (v @ slope @ v) / (v @ slope @ w)
             v = w / np.linalg.norm(w)
             s = s - step
@@ -110,13 +114,14 @@ def directions(cut: Cut, steps: int) -> Array:
     return np.einsum("iapf,japf,apf->pij", push, normal, inside) / FINE
 
 
-def growth(
-    pole: Complex, residue: Complex, force: Array, depth: Array, period: Array, seconds: float = 6.0, seed: int = 0
-) -> Array:
-    """Growth rate 1/s of a small disturbance in each column, by stepping: below zero the cut is stable.
+def periods(
+    pole: Complex, residue: Complex, force: Array, depth: Array, period: Array, count: int, seed: int = 0
+) -> Iterator[tuple[Array, Array]]:
+    """Tooth period after tooth period of a cut that begins with a small disturbance.
 
     pole (nm, nc) and residue (nm, 3, nc) of the tip, force (steps, 3, 3, nc) from `directions`, depth (nc,) m,
-    period (nc,) s between teeth.
+    period (nc,) s between teeth. Yields the tip's motion (steps, 3, nc) over the size of the state at its end, and
+    the logarithm (nc,) of that size.
     """
     steps, columns = len(force), depth.size
     w = pole * period / steps
@@ -130,30 +135,41 @@ def growth(
     z = rng.normal(size=pole.shape) + 1j * rng.normal(size=pole.shape)
     z /= np.abs(residue).max(axis=1) + 1e-3 * np.abs(residue).max()
     behind = np.zeros((steps, 3, columns))
-    push = np.zeros((3, columns))
-    count = int(np.ceil(seconds / period.min()))
-    size, level = np.empty((count, columns)), np.zeros(columns)
-    blade = force * depth
-    for number in range(count):
+    push, level, blade = np.zeros((3, columns)), np.zeros(columns), force * depth
+    for _ in range(count):
         for k in range(steps):
             z = z * fade + (early * push).sum(axis=1)
-            free = (read[:, 0] * z).sum(0).real, (read[:, 1] * z).sum(0).real, (read[:, 2] * z).sum(0).real
-            moved = np.stack(free)
-            A = blade[k]
+            moved = np.stack([(read[:, axis] * z).sum(axis=0).real for axis in range(3)])
             chip = moved - behind[k]
-            push = (A * chip).sum(axis=1)
-            chip = chip + (own * push).sum(axis=1)
-            push = (A * chip).sum(axis=1)
+            push = (blade[k] * chip).sum(axis=1)
+            push = (blade[k] * (chip + (own * push).sum(axis=1))).sum(axis=1)
             z = z + (late * push).sum(axis=1)
             behind[k] = moved + (own * push).sum(axis=1)
         energy = np.sqrt((np.abs(z) ** 2 * np.abs(residue).max(axis=1) ** 2).sum(axis=0))
-        size[number] = level + np.log(energy)
-        level += np.log(energy)
+        level = level + np.log(energy)
         z, push, behind = z / energy, push / energy, behind / energy
+        yield behind, level
+
+
+def growth(
+    pole: Complex, residue: Complex, force: Array, depth: Array, period: Array, seconds: float = 6.0, seed: int = 0
+) -> Array:
+    """Growth rate 1/s of a small disturbance in each column (see `periods`): below zero the cut is stable."""
+    count = int(np.ceil(seconds / period.min()))
+    size = np.array([level for _, level in periods(pole, residue, force, depth, period, count, seed)])
     half = count // 2
     time = np.arange(count - half)[:, None] * period
     away = time - time.mean(axis=0)
     return np.asarray((away * size[half:]).sum(axis=0) / (away**2).sum(axis=0))
+
+
+def envelope(structure: Structure, cut: Cut, depth: float, seconds: float, steps: int = 60) -> tuple[Array, Array]:
+    """Time (np,) s of tooth periods and the largest motion of the tip in each, (np,), over that in the first ones."""
+    pole, residue = poles(structure, tip_rows(structure, cut))
+    force, count = directions(cut, steps)[..., None], int(np.ceil(seconds / cut.period))
+    found = periods(pole[:, None], residue[..., None], force, np.array([depth]), np.array([cut.period]), count)
+    size = np.array([np.log(np.linalg.norm(moved, axis=1).max()) + level[0] for moved, level in found])
+    return np.arange(count) * cut.period, np.exp(np.minimum(size - size[:5].mean(), 50.0))
 
 
 def limits(

@@ -22,6 +22,7 @@ from twin.milling.postures import tool_place
 from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
+from twin.result import Result, Table
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
 from twin.robot.inverse_kinematics import inverse_kinematics
@@ -30,7 +31,7 @@ UNITS = {"_m": "m", "_hz": "Hz", "_percent": "%", "_m_per_n": "m/N", "_rad": "ra
 
 
 @dataclass
-class Map:
+class Map(Result):
     """What ``twin map`` found; prints itself, and is the JSON of the command.
 
     Attributes:
@@ -41,6 +42,8 @@ class Map:
         speeds: (ns,) rpm of full lobes, or ``None``.
         path: the tool path, or ``None``.
     """
+
+    drawn_by = "twin.report.map_figures"
 
     robot: Robot
     cut: Cut
@@ -83,6 +86,12 @@ class Map:
             "files": self.files,
             "provenance": self.origin,
         }
+
+    def tables(self) -> list[Table]:
+        """What a notebook shows."""
+        depths = (("limit, mm", self.depth), ("safe with 90 % probability, mm", self.safe))
+        rows = [[name, *(f"{v:.3g}" for v in _quantiles(d) or ())] for name, d in depths if d is not None]
+        return [Table(["depth over the postures", "5 %", "median", "95 %"], rows, numbers=(1, 2, 3))]
 
     @property
     def ranked(self) -> np.ndarray:

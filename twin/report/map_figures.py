@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 COLOURS = colormaps["viridis"]
 _GREY, _BLUE, _ORANGE = "#8a8f98", "#1f4e9c", "#e8590c"
+RAPID = 2.5  # times the usual spacing of points: the tool was lifted between them
 _VIEWS = ((0, 2, "from the side"), (0, 1, "from above"))
 
 
@@ -105,20 +106,27 @@ def along(found: "Map") -> Figure:
     figure = Figure(figsize=(11, 6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     at = found.places.along
-    upper.semilogy(at, 1e3 * found.depth, color=_GREY, linewidth=1.2, label="limit of the model")
+    gaps = np.flatnonzero(np.diff(at) > RAPID * np.median(np.diff(at))) + 1  # rapid moves: nothing is drawn across
+
+    def broken(values: np.ndarray) -> np.ndarray:
+        return np.insert(np.asarray(values, float), gaps, np.nan)
+
+    upper.semilogy(broken(at), broken(1e3 * found.depth), color=_GREY, linewidth=1.2, label="limit of the model")
     if found.safe is not None:
-        upper.semilogy(at, 1e3 * found.safe, color=_BLUE, linewidth=2, label="stable with 90 % probability")
+        upper.semilogy(
+            broken(at), broken(1e3 * found.safe), color=_BLUE, linewidth=2, label="stable with 90 % probability"
+        )
     k = int(np.argmin(found.ranked))
     upper.plot(at[k], 1e3 * found.ranked[k], "o", color=_ORANGE)
     upper.annotate(
         f"line {found.places.line[k]}: {1e3 * found.ranked[k]:.3g} mm", (at[k], 1e3 * found.ranked[k]),
-        textcoords="offset points", xytext=(8, -12), fontsize=9, color=_ORANGE,
+        textcoords="offset points", xytext=(8, 8), fontsize=9, color=_ORANGE,
     )  # fmt: skip
     upper.set_ylabel("depth, mm")
     _plain(upper.yaxis)
     upper.legend(fontsize=9)
     for mode in range(3):
-        lower.plot(at, found.result["frequency_hz"][:, mode], linewidth=1.2, label=f"mode {mode + 1}")
+        lower.plot(broken(at), broken(found.result["frequency_hz"][:, mode]), linewidth=1.2, label=f"mode {mode + 1}")
     lower.set_ylabel("frequency, Hz")
     lower.set_xlabel("along the path, m")
     lower.legend(fontsize=8, ncols=3)
