@@ -19,6 +19,7 @@ class Presliding(Hysteresis):
     name = "presliding"
     sites = ("joint{i}",)
     seen_in = frozenset({"log"})
+    amplitude_law = None  # a rotor that is held does not slide
     part = "slip"
     refines = ""
     memory = False
