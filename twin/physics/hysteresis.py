@@ -145,7 +145,7 @@ class Hysteresis(Effect):
         Parameter("yield_torque", "N·m", length=-1, nonnegative=True),
     )
     seen_in = frozenset({"levels", "log"})
-    amplitude_law = Slip()
+    amplitude_law: ClassVar[Law | None] = Slip()
     role = "friction"
     linear_in = ("yield_torque",)
     refines: ClassVar[Part] = "dry"
