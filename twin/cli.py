@@ -103,7 +103,9 @@ def modal(
     json: Json = False,
     seed: NoSeed = 0,
 ) -> None:
-    """Modes of a measured hammer test, with standard deviations, not told how many.
+    """Modes of a measured hammer or shaker test, with standard deviations, not told how many.
+
+    Any structure: axis positions and a robot are needed only to draw shapes on the robot.
 
     Takes one or several postures and force levels. Prints frequencies and damping ratios (exponential windows taken
     out) and writes modes.yaml (modal table), UFF 55 shapes, stabilisation charts, FRF overlays, MAC, shapes on the

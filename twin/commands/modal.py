@@ -1,4 +1,4 @@
-"""``twin modal``: measured FRFs in; modes with deviations, tables, figures and shapes on the robot out."""
+"""``twin modal``: measured FRFs in; modes with deviations, tables, figures and shapes on robot or structure out."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +13,7 @@ from twin.measure.modal import Method, ModalResult, identify_modes, modal_report
 from twin.measure.modal_table import ModalTable
 from twin.measure.recordings import Given, Recording, read_one, traced
 from twin.measure.spectra import Check, HitTable, driving_points, linearity, reciprocity
+from twin.measure.wireframe import Wireframe, wireframe
 from twin.model.expansion import on_robot
 from twin.model.modes import Modes
 from twin.parallel import Progress, silent
@@ -32,6 +33,7 @@ class ModalAnalysis(Result):
         checks: what a test engineer asks of the FRFs.
         hits: posture → which blows counted, where the recording holds time records alone.
         on_robot: posture → the robot there, and the measured shapes on it.
+        frames: posture → the measured points and shapes, of what is not drawn on a robot.
         notes: what could not be done, and why.
         files: what was written.
     """
@@ -41,6 +43,7 @@ class ModalAnalysis(Result):
     checks: dict[str, list[Check]] = field(default_factory=dict)
     hits: dict[str, HitTable] = field(default_factory=dict)
     on_robot: dict[str, tuple[Mechanism, Modes]] = field(default_factory=dict)
+    frames: dict[str, Wireframe] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
@@ -114,7 +117,8 @@ def modal(
 
     Args:
         recording: a :class:`Campaign`, ``measured_frf.h5``, or universal files that belong together.
-        robot: the robot shapes are drawn on; by default the recording's, else kr90.
+        robot: the robot shapes are drawn on; by default the recording's, else kr90 where the recording has axis
+            positions. What is no robot is drawn as a wire frame.
         without: entries removed from it, ``EFFECT`` or ``EFFECT@SITE``.
         fmin, fmax: band, Hz; by default all that is usable.
         max_order: highest order of the stabilisation chart.
@@ -144,10 +148,9 @@ def modal(
         tick(1)
     if levels := linearity(campaign):
         found.checks.setdefault("force levels", []).extend(levels)
-    if described is None:
+    if unknown:
         found.notes.append(f"shapes are not drawn on the robot: {unknown}")
-    else:
-        _place_shapes(found, described)
+    _place_shapes(found, described)
     options = {"fmin": fmin, "fmax": fmax, "max_order": max_order, "method": method}
     found.origin = provenance(traced([given], robot), options | {"robot": robot, "without": without or []})
     if out is not None:
@@ -157,7 +160,13 @@ def modal(
 
 
 def _robot(given: Recording, robot: Robot | str | Path | None, without: list[str] | None) -> tuple[Robot | None, str]:
-    """The robot to draw shapes on, or why there is none; one that was asked for has to be there."""
+    """The robot to draw shapes on, or why there is none; one that was asked for has to be there.
+
+    Neither is there for a recording that says nothing of a robot.
+    """
+    recorded: Campaign = given.content
+    if robot is None and recorded.robot is None and not any(p.q_deg.any() for p in recorded.postures.values()):
+        return None, ""
     try:
         return given.described(robot, without), ""
     except InputError as error:
@@ -166,17 +175,24 @@ def _robot(given: Recording, robot: Robot | str | Path | None, without: list[str
         return None, str(error)
 
 
-def _place_shapes(found: ModalAnalysis, robot: Robot) -> None:
-    """Shapes on the robot, as far as the recording says where its points are on it."""
+def _place_shapes(found: ModalAnalysis, robot: Robot | None) -> None:
+    """Shapes on the robot, as far as the recording says where its points are on it; else as a wire frame."""
     for name, result in found.results.items():
         if not result.modes:
             continue
         roving = found.campaign.response if result.roving == "response" else found.campaign.excitation
-        try:
-            found.on_robot[name] = on_robot(robot, result, roving)
-        except InputError as error:
-            reason = ": ".join(part for part in (error.field, error.expected) if part)
-            found.notes.append(f"{name}: shapes are not drawn on the robot: {reason}")
+        if robot is not None:
+            try:
+                found.on_robot[name] = on_robot(robot, result, roving)
+                continue
+            except InputError as error:
+                reason = ": ".join(part for part in (error.field, error.expected) if part)
+                found.notes.append(f"{name}: shapes are not drawn on the robot: {reason}")
+        frame = wireframe(roving, result.shapes, found.campaign.lines)
+        if isinstance(frame, str):
+            found.notes.append(f"{name}: shapes are not drawn: {frame}")
+        else:
+            found.frames[name] = frame
 
 
 def _write(found: ModalAnalysis, robot: str | None, name: Outputs) -> None:
@@ -190,6 +206,8 @@ def _write(found: ModalAnalysis, robot: str | None, name: Outputs) -> None:
             write_uff_modes(name(f"{key}_modes.unv"), result)
     for key, shown in found.on_robot.items():
         scene.write_modes(name(f"{key}_modes.rrd"), *shown)
+    for key, frame in found.frames.items():
+        scene.write_wireframe(name(f"{key}_modes.rrd"), frame, found.results[key].titles, f"{key}: modes")
     name.draw(found)
     path = name("modal.json")
     found.files = name.files

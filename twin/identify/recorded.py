@@ -103,6 +103,8 @@ def recorded_posture(robot: Robot, q_deg: FloatArray, source: str, field: str) -
     Raises:
         InputError: positions this robot cannot take, as when their sign or unit is another.
     """
+    if not q_deg.size:
+        raise InputError(source, field, "expected the axis positions of the robot, the recording does not say them")
     if q_deg.size != robot.axis_count:
         raise InputError(
             source, field, f"expected {robot.axis_count} values for robot {robot.name}, found {q_deg.size}"

@@ -78,7 +78,8 @@ class PostureFRF:
     """FRFs of one posture at one force level.
 
     Attributes:
-        q_deg: (n,) axis positions, degrees for revolute and metres for prismatic axes.
+        q_deg: (n,) axis positions, degrees for revolute and metres for prismatic axes; empty where the recording has
+            none, as of a structure that is no robot.
         brakes: ``"on"``, ``"off"`` or ``None`` where unknown.
         frequency: (nf,) in Hz, evenly spaced.
         frf: (nf, nr, ne), SI per newton.
@@ -106,7 +107,11 @@ class PostureFRF:
 
 @dataclass(frozen=True)
 class Campaign:
-    """One hammer test: channels and the postures they were measured in, by group name; ``source``: for messages."""
+    """One hammer test: channels and the postures they were measured in, by group name.
+
+    ``source`` is for messages. ``lines`` are polylines over node numbers that draw the structure, where the recording
+    holds some.
+    """
 
     response: Channels
     excitation: Channels
@@ -114,6 +119,7 @@ class Campaign:
     robot: str | None = None
     comment: str = ""
     source: str = "hammer test"
+    lines: tuple[tuple[int, ...], ...] = ()
 
     def pair(self, response: int, excitation: int) -> str:
         """Name of a channel pair, as in ``21Z+/4Y+``."""
@@ -201,7 +207,8 @@ def check_campaign(source: str | Path, campaign: Campaign) -> None:
         raise InputError(source, "postures", "expected at least one posture")
     axes = {posture.q_deg.size for posture in campaign.postures.values()}
     if len(axes) > 1:
-        raise InputError(source, "postures", f"q_deg must have one length in all postures, found {sorted(axes)}")
+        problem = f"q_deg must have one length in all postures, or be in none, found {sorted(axes)}"
+        raise InputError(source, "postures", problem)
     for name, posture in campaign.postures.items():
         if not name or "/" in name:
             raise InputError(source, "postures", f"expected names without a slash, found {name!r}")
@@ -250,7 +257,8 @@ def _check_array(
 
 
 def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int, ne: int) -> None:
-    _check_array(source, f"{field}: q_deg", posture.q_deg, (None,))
+    if posture.q_deg.size:
+        _check_array(source, f"{field}: q_deg", posture.q_deg, (None,))
     if posture.brakes not in (None, "on", "off"):
         raise InputError(source, f"{field}: brakes", f'expected "on" or "off", found {posture.brakes!r}')
     if posture.hits is not None:
@@ -352,10 +360,8 @@ def _read_channels(node: Node) -> Channels:
 
 
 def _read_posture(name: str, node: Node) -> PostureFRF:
-    if "q_deg" not in node.item.attrs:
-        raise node.fail(f"{node.field}: q_deg", "expected the axis positions, the attribute is missing")
     try:
-        q_deg = np.atleast_1d(np.asarray(node.item.attrs["q_deg"], dtype=np.float64))
+        q_deg = np.atleast_1d(np.asarray(node.item.attrs.get("q_deg", []), dtype=np.float64))
     except (TypeError, ValueError):
         raise node.fail(f"{node.field}: q_deg", f"expected numbers, found {node.attribute('q_deg')!r}") from None
     hits = _read_hits(node.group("hits")) if node.has("hits") else None
@@ -434,7 +440,7 @@ def _write_posture(group: h5py.Group, posture: PostureFRF) -> None:
     _write_attributes(
         group,
         {
-            "q_deg": posture.q_deg,
+            "q_deg": posture.q_deg if posture.q_deg.size else None,
             "brakes": posture.brakes,
             "peak_force_n": posture.peak_force_n,
             "pulse_s": posture.pulse_s,

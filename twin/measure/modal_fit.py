@@ -1,10 +1,14 @@
-"""Maximum-likelihood refinement of a modal model, its covariance, and the test whether the data hold each mode.
+"""Maximum-likelihood refinement of a modal model, its covariance, and what the data say of each mode.
 
     G_oi(s) = s² [ Σ_r ψ_or L_ri/(s − λ_r) + conj(ψ_or L_ri)/(s − λ_r*) + lower_oi/s² + upper_oi + s² curvature_oi ]
 
-is fitted to accelerance with every line weighted by one over its variance. Poles λ and participation factors L are
-found by Gauss–Newton on the variable projection (Golub & Pereyra 1973) that eliminates shapes ψ and residual terms,
-which are linear. s = rate + iω puts the poles of exponentially windowed records back where they were.
+is fitted to accelerance. Poles λ and participation factors L are found by Gauss–Newton on the variable projection
+(Golub & Pereyra 1973) that eliminates shapes ψ and residual terms, which are linear. s = rate + iω puts the poles of
+exponentially windowed records back where they were.
+
+The variance of a line is a course over the band times a level per channel. Every channel then shares one Gram matrix
+of the functions of s, and a step costs what the modes cost, not what channels times lines cost. A real 2 × 2 block
+acts on a complex number as z → α z + β z*; all normal equations are written in such pairs (α, β).
 """
 
 from dataclasses import dataclass
@@ -15,9 +19,9 @@ from numpy.typing import NDArray
 from twin.measure.campaign import ComplexArray, FloatArray
 
 RESIDUAL_TERMS = 6  # real coefficients per channel: lower, upper and curvature, each complex
-BEYOND = 1.3  # how far past the ends of the band, as a ratio, modes are looked for
-SCAN_DAMPINGS = (0.003, 0.01, 0.03, 0.08)
 RIDGE = 1e-13  # of the diagonal of the linear normal equations
+OUTPUTS_AT_ONCE = 64  # keeps the memory of a step independent of the number of channels
+LARGEST_STEP = 0.3  # of a pole, in one iteration
 
 
 @dataclass(frozen=True)
@@ -38,12 +42,48 @@ class ModalModel:
     upper: ComplexArray
     curvature: ComplexArray
 
+    @property
+    def residues(self) -> ComplexArray:
+        """(nm, no, ni) of receptance, m/(N s)."""
+        return np.asarray(self.shape[:, :, None] * self.participation[:, None, :])
+
     def synthesise(self, s: ComplexArray) -> ComplexArray:
         """Accelerance (nf, no, ni) on the Laplace points s."""
-        residue = np.einsum("ro,ri->roi", self.shape, self.participation).reshape(-1, self.lower.size)
+        residue = self.residues.reshape(-1, self.lower.size)
         receptance = (1 / (s[:, None] - self.poles)) @ residue + (1 / (s[:, None] - self.poles.conj())) @ residue.conj()
         s2 = (s**2)[:, None, None]
         return s2 * (receptance.reshape(s.size, *self.lower.shape) + self.upper + s2 * self.curvature) + self.lower
+
+
+@dataclass(frozen=True)
+class Variance:
+    """Variance of the real, and of the imaginary, part of a line: ``course[f] channel[o, i]``.
+
+    Attributes:
+        course: (nf,) over the band, around 1.
+        channel: (no, ni) in (m/s²/N)²; infinite where a channel says nothing.
+    """
+
+    course: FloatArray
+    channel: FloatArray
+
+    @classmethod
+    def of(cls, variance: FloatArray) -> "Variance":
+        """The nearest such product of a variance (nf, no, ni): medians over the lines, then over the channels."""
+        channel = np.median(variance, axis=0)
+        live = np.isfinite(channel) & (channel > 0)
+        if not live.any():
+            return cls(np.ones(variance.shape[0]), channel)
+        return cls(np.median(variance[:, live] / channel[live], axis=1), channel)
+
+    @property
+    def weight(self) -> FloatArray:
+        """(no, ni) one over the channel's variance."""
+        return np.where(np.isfinite(self.channel) & (self.channel > 0), 1 / self.channel, 0.0)
+
+    def whitened(self, frf: ComplexArray) -> ComplexArray:
+        """FRFs (nf, no, ni) over the deviation of their real part."""
+        return np.asarray(frf / np.sqrt(self.course)[:, None, None] * np.sqrt(self.weight))
 
 
 @dataclass(frozen=True)
@@ -53,8 +93,10 @@ class ModalFit:
     Attributes:
         model: the fitted modes and residual terms.
         chi2: weighted sum of squared residuals; ``dof`` its degrees of freedom.
-        covariance: (nm, 2, 2) of (Re λ, Im λ), scaled by chi2/dof.
-        wald: (nm,) rise of chi2 when the mode's shape is set to zero and everything linear refitted.
+        covariance: (nm, 2, 2) of (Re λ, Im λ) for noise of the stated variance.
+        wald: (nm,) rise of chi2 when the mode's shape is set to zero and all other shapes are fitted again.
+        shift: (nm, no, ni) by how much each channel alone would move the pole, rad/s, to first order.
+        shift_weight: (nm, no, ni) one over the noise variance of its real, and of its imaginary, part.
     """
 
     model: ModalModel
@@ -62,6 +104,8 @@ class ModalFit:
     dof: int
     covariance: FloatArray
     wald: FloatArray
+    shift: ComplexArray
+    shift_weight: FloatArray
 
     @property
     def frequency(self) -> FloatArray:
@@ -73,77 +117,71 @@ class ModalFit:
         """(nm,) ratio."""
         return -self.model.poles.real / np.abs(self.model.poles)
 
-    def deviations(self) -> tuple[FloatArray, FloatArray]:
-        """(nm,) standard deviations of frequency in Hz and of the damping ratio."""
-        re, im, size = self.model.poles.real, self.model.poles.imag, np.abs(self.model.poles)
-        by_f = np.stack([re, im], axis=1) / size[:, None] / (2 * np.pi)
-        by_z = np.stack([-(im**2), re * im], axis=1) / size[:, None] ** 3
-        f, z = (np.einsum("ra,rab,rb->r", by, self.covariance, by) for by in (by_f, by_z))
-        return np.sqrt(np.maximum(f, 0)), np.sqrt(np.maximum(z, 0))
+    @property
+    def scale(self) -> float:
+        """Chi2 over its degrees of freedom: 1 where the variance is right and the model complete."""
+        return self.chi2 / self.dof
+
+
+class FitData:
+    """Accelerance on the lines s, weighted and freed of residual terms; what every fit of a band shares.
+
+    Attributes:
+        s: (nf,) Laplace points.
+        root: (nf,) one over the deviation of a line.
+        residual: (2 nf, 6) orthonormal residual terms over stacked real and imaginary parts.
+        g: (2 nf, no·ni) data without what residual terms explain.
+        weight: (no, ni).
+    """
+
+    def __init__(self, frf: ComplexArray, s: ComplexArray, variance: Variance) -> None:
+        nf, self.no, self.ni = frf.shape
+        self.s, self.root, self.weight = s, 1 / np.sqrt(variance.course), variance.weight
+        self.far = float(np.abs(s**2).max())
+        one, far = np.ones((nf, 1)), (s**2)[:, None] / self.far
+        terms = self.stacked(np.concatenate([one, 1j * one, far, 1j * far, far**2, 1j * far**2], axis=1))
+        self.residual, self.terms = np.linalg.qr(terms)
+        whole = self.stacked(frf.reshape(nf, -1))
+        self.offset = self.residual.T @ whole
+        self.g = whole - self.residual @ self.offset
+        self.energy = np.sum(self.g**2, axis=0).reshape(self.no, self.ni)
+        self.lines = int(np.count_nonzero(np.isfinite(variance.course)))
+
+    def stacked(self, functions: ComplexArray) -> FloatArray:
+        """Weighted functions (nf, k) as real rows (2 nf, k)."""
+        weighted = functions * self.root[:, None]
+        return np.concatenate([weighted.real, weighted.imag])
+
+    def freed(self, functions: ComplexArray) -> FloatArray:
+        """The same without what residual terms explain."""
+        rows = self.stacked(functions)
+        return rows - self.residual @ (self.residual.T @ rows)
 
 
 @dataclass(frozen=True)
-class _Data:
-    """Weighted accelerance on the lines s: ``w2`` (nf, no·ni) is one over the variance of the real part."""
+class _Pair:
+    """Real matrices of 2 × 2 blocks as z → α z + β z*; α and β (…, n, m)."""
 
-    s: ComplexArray
-    g: ComplexArray  # (nf, no·ni)
-    w2: FloatArray
-    no: int
-    ni: int
-    common: FloatArray | None  # (nf,) profile when all channels share it up to a factor
+    alpha: ComplexArray
+    beta: ComplexArray
 
     @classmethod
-    def of(cls, frf: ComplexArray, s: ComplexArray, variance: FloatArray) -> "_Data":
-        nf, no, ni = frf.shape
-        w2 = (1 / variance).reshape(nf, -1)
-        total = w2.mean(axis=0)
-        profile = w2 / np.where(total > 0, total, 1)
-        live = profile[:, total > 0]
-        common = live[:, 0] if live.size and np.allclose(live, live[:, :1], rtol=1e-9) else None
-        return cls(s, frf.reshape(nf, -1), w2, no, ni, common)
+    def of(cls, matrix: FloatArray) -> "_Pair":
+        """From (2n, 2m) with real parts before imaginary parts."""
+        n, m = matrix.shape[0] // 2, matrix.shape[1] // 2
+        a, b, c, d = (part.astype(complex) for part in (matrix[:n, :m], matrix[:n, m:], matrix[n:, :m], matrix[n:, m:]))
+        return cls(np.asarray(((a + d) + 1j * (c - b)) / 2), np.asarray(((a - d) + 1j * (c + b)) / 2))
 
-    def gram(self, h: ComplexArray) -> FloatArray:
-        """(no, ni, K, K) of Σ w² Re(h_a* h_b) over the lines, h (nf, K)."""
-        stacked = np.concatenate([h.real, h.imag])
-        if self.common is not None:
-            w2 = np.concatenate([self.common, self.common])
-            scale = self.w2.mean(axis=0).reshape(self.no, self.ni)
-            return scale[:, :, None, None] * ((stacked * w2[:, None]).T @ stacked)
-        w2 = np.concatenate([self.w2, self.w2])
-        k = h.shape[1]
-        gram = np.empty((self.w2.shape[1], k, k))
-        for a in range(k):
-            gram[:, a, a:] = w2.T @ (stacked[:, a : a + 1] * stacked[:, a:])
-            gram[:, a:, a] = gram[:, a, a:]
-        return gram.reshape(self.no, self.ni, k, k)
-
-    def moment(self, h: ComplexArray) -> FloatArray:
-        """(no, ni, K) of Σ w² Re(h_a* g)."""
-        wg = self.w2 * self.g
-        return (wg.real.T @ h.real + wg.imag.T @ h.imag).reshape(self.no, self.ni, -1)
-
-    def energy(self) -> float:
-        return float(np.sum(self.w2 * np.abs(self.g) ** 2))
-
-
-def _pair(poles: ComplexArray, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Accelerance (nf, nm) of unit real and of unit imaginary residues."""
-    s2 = (s**2)[:, None]
-    z, zc = s2 / (s[:, None] - poles), s2 / (s[:, None] - poles.conj())
-    return z + zc, 1j * (z - zc)
-
-
-def _functions(poles: ComplexArray, s: ComplexArray) -> ComplexArray:
-    """(nf, 4 nm + 6) real-coefficient functions: modes (Re, Im), their pole derivatives, residual terms."""
-    s2 = (s**2)[:, None]
-    z, zc = s2 / (s[:, None] - poles), s2 / (s[:, None] - poles.conj())
-    d, dc = z / (s[:, None] - poles), zc / (s[:, None] - poles.conj())
-    one = np.ones_like(s2)
-    far = s2 / np.abs(s2).max()
-    return np.concatenate(
-        [z + zc, 1j * (z - zc), d + dc, 1j * (d - dc), one, 1j * one, far, 1j * far, far**2, 1j * far**2], axis=1
-    )
+    def times(self, alpha: ComplexArray, beta: ComplexArray) -> FloatArray:
+        """Element by element, as a real matrix (…, 2n, 2m)."""
+        a, b = self.alpha * alpha, self.beta * beta
+        return np.concatenate(
+            [
+                np.concatenate([(a + b).real, (b - a).imag], axis=-1),
+                np.concatenate([(a + b).imag, (a - b).real], axis=-1),
+            ],
+            axis=-2,
+        )
 
 
 @dataclass(frozen=True)
@@ -151,85 +189,116 @@ class _State:
     """Everything at one set of poles and participation factors."""
 
     chi2: float
-    coefficients: FloatArray  # (no, 2 nm + 4 ni)
-    shape: ComplexArray
-    normal: FloatArray
-    gram: FloatArray
-    gradient_data: FloatArray  # (no, ni, K): moment − gram · solution
-    basis: FloatArray  # (ni, K, 2 nm + 4 ni)
-    wald: FloatArray
+    shape: ComplexArray  # (no, nm)
+    inverse: FloatArray  # (no, 2 nm, 2 nm)
+    aa: _Pair
+    ad: _Pair
+    dd: _Pair
+    left_a: ComplexArray  # (no, ni, nm): functions times residual
+    left_d: ComplexArray
+    gram: FloatArray  # (4 nm, 4 nm)
 
 
-def _linear(data: _Data, poles: ComplexArray, participation: ComplexArray) -> _State:
-    """Shapes and residual terms for given poles and participation factors."""
-    nm, ni = poles.size, data.ni
-    h = _functions(poles, data.s)
-    k, columns = h.shape[1], 2 * nm + RESIDUAL_TERMS * ni
-    gram, moment = data.gram(h), data.moment(h)
-    basis = np.zeros((ni, k, columns))
-    r, i = np.arange(nm), np.arange(ni)[:, None]
-    p, q = participation.real.T, participation.imag.T  # (ni, nm)
-    basis[i, r, r], basis[i, nm + r, r] = p, q
-    basis[i, r, nm + r], basis[i, nm + r, nm + r] = -q, p
-    t = np.arange(RESIDUAL_TERMS)
-    basis[i, 4 * nm + t, 2 * nm + RESIDUAL_TERMS * i + t] = 1
-    normal = np.einsum("ika,oikl,ilb->oab", basis, gram, basis, optimize=True)
-    rhs = np.einsum("ika,oik->oa", basis, moment, optimize=True)
+def _functions(poles: ComplexArray, s: ComplexArray) -> ComplexArray:
+    """(nf, 4 nm): accelerance of unit real and of unit imaginary residues, and the derivatives of both by the pole."""
+    s2 = (s**2)[:, None]
+    p, c = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
+    z, zc = s2 * p, s2 * c
+    d, dc = z * p, zc * c
+    return np.concatenate([z + zc, 1j * (z - zc), d + dc, 1j * (d - dc)], axis=1)
+
+
+def _complex(rows: FloatArray) -> ComplexArray:
+    """(2n, …) real parts before imaginary parts as (n, …)."""
+    n = rows.shape[0] // 2
+    return np.asarray(rows[:n] + 1j * rows[n:])
+
+
+def _linear(data: FitData, poles: ComplexArray, participation: ComplexArray) -> _State:
+    """Shapes for given poles (nm,) and participation factors (nm, ni)."""
+    nm, no, ni, u = poles.size, data.no, data.ni, data.weight
+    h = data.freed(_functions(poles, data.s))
+    gram, moment = h.T @ h, h.T @ data.g
+    ma = _complex(moment[: 2 * nm]).reshape(nm, no, ni)
+    aa = _Pair.of(gram[: 2 * nm, : 2 * nm])
+    conj = participation.conj()
+    over = u @ (conj[:, None, :] * participation).reshape(nm * nm, ni).T
+    mirrored = u @ (conj[:, None, :] * conj).reshape(nm * nm, ni).T
+    normal = aa.times(over.reshape(no, nm, nm), mirrored.reshape(no, nm, nm))
     size = np.sqrt(np.einsum("oaa->oa", normal))
     size = np.where(size > 0, size, 1)
-    scaled = normal / (size[:, :, None] * size[:, None, :]) + RIDGE * np.eye(columns)
+    scaled = normal / (size[:, :, None] * size[:, None, :]) + RIDGE * np.eye(2 * nm)
     inverse = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
-    c = np.einsum("oab,ob->oa", inverse, rhs)
-    solution = np.einsum("ika,oa->oik", basis, c)
-    left = moment - np.einsum("oikl,oil->oik", gram, solution)
-    chi2 = data.energy() - float(np.sum(solution * (moment + left)))
-    pair = np.stack([r, nm + r], axis=1)
-    block = inverse[:, pair[:, :, None], pair[:, None, :]]  # (no, nm, 2, 2)
-    both = c[:, pair]
-    wald = np.einsum("ora,orab,orb->r", both, _inverse2(block), both)
-    return _State(max(chi2, 0.0), c, (c[:, :nm] + 1j * c[:, nm : 2 * nm]).T, inverse, gram, left, basis, wald)
+    rhs = np.einsum("roi,oi,ri->or", ma, u, conj)
+    c = np.einsum("oab,ob->oa", inverse, np.concatenate([rhs.real, rhs.imag], axis=1))
+    shape = c[:, :nm] + 1j * c[:, nm:]
+    residue = (shape[:, None, :] * participation.T).reshape(no * ni, nm)
+    x = np.concatenate([residue.real, residue.imag], axis=1)
+    left = moment - gram[:, : 2 * nm] @ x.T  # (4 nm, no·ni)
+    explained = np.sum(x * (moment + left)[: 2 * nm].T, axis=1).reshape(no, ni)
+    chi2 = float(np.sum(u * (data.energy - explained)))
+    left_a, left_d = (_complex(half).T.reshape(no, ni, nm) for half in (left[: 2 * nm], left[2 * nm :]))
+    ad, dd = _Pair.of(gram[: 2 * nm, 2 * nm :]), _Pair.of(gram[2 * nm :, 2 * nm :])
+    return _State(max(chi2, 0.0), shape, inverse, aa, ad, dd, left_a, left_d, gram)
 
 
-def _inverse2(m: FloatArray) -> FloatArray:
-    """Inverse of symmetric 2 × 2 matrices (…, 2, 2), zero where there is none."""
-    a, b, d = m[..., 0, 0], m[..., 0, 1], m[..., 1, 1]
+def _wald(state: _State, modes: int) -> FloatArray:
+    """(nm,) rise of chi2 without each mode, poles and participation factors of the others held."""
+    r = np.arange(modes)
+    pair = np.stack([r, modes + r], axis=1)
+    block = state.inverse[:, pair[:, :, None], pair[:, None, :]]  # (no, nm, 2, 2)
+    both = np.stack([state.shape.real, state.shape.imag], axis=2)
+    a, b, d = block[..., 0, 0], block[..., 0, 1], block[..., 1, 1]
     determinant = a * d - b * b
     scale = np.divide(1, determinant, out=np.zeros_like(determinant), where=determinant > 0)
-    return scale[..., None, None] * np.stack([np.stack([d, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
+    form = d * both[..., 0] ** 2 - 2 * b * both[..., 0] * both[..., 1] + a * both[..., 1] ** 2
+    return np.asarray(np.sum(form * scale, axis=0))
 
 
-def _normal_equations(state: _State, ni: int) -> tuple[FloatArray, FloatArray]:
-    """Gauss–Newton matrix and gradient over θ = Re λ, Im λ, then Re and Im of every L_ri (Kaufman's projection)."""
-    psi = state.shape  # (nm, no)
-    nm, no = psi.shape
-    k = state.gram.shape[-1]
-    a, b = psi.real.T, psi.imag.T  # (no, nm)
-    v = np.zeros((no, ni, k, 2 * nm + 2 * nm * ni))
-    r = np.arange(nm)
-    p = state.basis[:, r, r]  # (ni, nm): participation
-    q = state.basis[:, nm + r, r]
-    u = a[:, None] * p - b[:, None] * q  # (no, ni, nm): Re and Im of the residue
-    w = a[:, None] * q + b[:, None] * p
-    v[:, :, 2 * nm + r, r], v[:, :, 3 * nm + r, r] = u, w
-    v[:, :, 2 * nm + r, nm + r], v[:, :, 3 * nm + r, nm + r] = -w, u
+def _normal_equations(data: FitData, state: _State, participation: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Gauss–Newton matrix and gradient over θ = Re λ, Im λ, then Re and Im of every L_ri (Kaufman's projection).
+
+    θ is laid out by complex parameters: λ (nm), L_·1 (nm), …, each with its real before its imaginary parts.
+    """
+    (nm, ni), u, psi = participation.shape, data.weight, state.shape
+    n = 2 * nm
+    hessian = np.zeros((n * (1 + ni), n * (1 + ni)))
+    residue = psi[:, None, :] * participation.T  # (no, ni, nm)
+    flat = (residue * np.sqrt(u)[:, :, None]).reshape(-1, nm)
+    hessian[:n, :n] = state.dd.times(flat.conj().T @ flat, flat.conj().T @ flat.conj())
+    da = _Pair(state.ad.alpha.conj().T, state.ad.beta.T)
     for i in range(ni):
-        re, im = 2 * nm + i * nm + r, 2 * nm + (ni + i) * nm + r
-        v[:, i, r, re], v[:, i, nm + r, re] = a, b
-        v[:, i, r, im], v[:, i, nm + r, im] = -b, a
-    gv = state.gram @ v
-    cross = np.einsum("ika,oikt->oat", state.basis, gv, optimize=True)
-    hessian = np.einsum("oiks,oikt->st", v, gv, optimize=True) - np.einsum(
-        "oas,oab,obt->st", cross, state.normal, cross, optimize=True
+        at = slice(n * (1 + i), n * (2 + i))
+        one, own = residue[:, i].conj().T * u[:, i], psi.conj().T * u[:, i]
+        hessian[:n, at] = da.times(one @ psi, one @ psi.conj())
+        hessian[at, :n] = hessian[:n, at].T
+        hessian[at, at] = state.aa.times(own @ psi, own @ psi.conj())
+    over = (u @ (participation.conj()[:, None, :] * participation).reshape(nm * nm, ni).T).reshape(-1, nm, nm)
+    mirrored = (u @ (participation.conj()[:, None, :] * participation.conj()).reshape(nm * nm, ni).T).reshape(
+        -1, nm, nm
     )
-    return hessian, np.einsum("oikt,oik->t", v, state.gradient_data, optimize=True)
+    for start in range(0, data.no, OUTPUTS_AT_ONCE):
+        some = slice(start, start + OUTPUTS_AT_ONCE)
+        p = psi[some, None, :]
+        parts = [state.ad.times(over[some] * p, mirrored[some] * p.conj())]
+        for i in range(ni):
+            left = u[some, i, None, None] * participation.conj()[None, :, i, None]
+            parts.append(state.aa.times(left * p, left * p.conj()))
+        cross = np.concatenate(parts, axis=2)  # (outputs, 2 nm, θ)
+        solved = state.inverse[some] @ cross
+        hessian -= cross.reshape(-1, hessian.shape[0]).T @ solved.reshape(-1, hessian.shape[0])
+    slope = [np.einsum("oir,oir,oi->r", residue.conj(), state.left_d, u)]
+    slope += [np.einsum("or,or,o->r", psi.conj(), state.left_a[:, i], u[:, i]) for i in range(ni)]
+    gradient = np.concatenate([part for z in slope for part in (z.real, z.imag)])
+    return (hessian + hessian.T) / 2, gradient
 
 
 def _free(participation: ComplexArray) -> NDArray[np.intp]:
     """Indices into θ without the largest participation of every mode, which sets the scale."""
     nm, ni = participation.shape
-    keep = np.ones((2, ni, nm), dtype=bool)
-    keep[:, np.argmax(np.abs(participation), axis=1), np.arange(nm)] = False
-    return np.concatenate([np.arange(2 * nm), 2 * nm + np.flatnonzero(keep)])
+    keep = np.ones((1 + ni, 2, nm), dtype=bool)
+    keep[1 + np.argmax(np.abs(participation), axis=1), :, np.arange(nm)] = False
+    return np.flatnonzero(keep)
 
 
 def normalised(participation: ComplexArray) -> ComplexArray:
@@ -244,31 +313,21 @@ def _scale(hessian: FloatArray) -> FloatArray:
     return np.sqrt(np.where(diagonal > 0, diagonal, 1))
 
 
-def fit_modes(
-    frf: ComplexArray,
-    s: ComplexArray,
-    variance: FloatArray,
-    poles: ComplexArray,
-    participation: ComplexArray,
-    iterations: int = 30,
-) -> ModalFit:
+def fit_modes(data: FitData, poles: ComplexArray, participation: ComplexArray, iterations: int = 30) -> ModalFit:
     """Fit the modal model from starting poles and participation factors.
 
     Args:
-        frf: (nf, no, ni) accelerance.
-        s: (nf,) Laplace points.
-        variance: (nf, no, ni) of the real, and of the imaginary, part; infinite where a line says nothing.
+        data: weighted accelerance.
         poles: (nm,) in rad/s.
         participation: (nm, ni).
         iterations: of Levenberg–Marquardt at most; 0 solves for shapes and residual terms alone.
     """
-    data = _Data.of(frf, s, variance)
     nm, ni = poles.size, data.ni
     participation = normalised(participation)
     state = _linear(data, poles, participation)
     damp = 1e-3
     for _ in range(iterations if nm else 0):
-        hessian, gradient = _normal_equations(state, ni)
+        hessian, gradient = _normal_equations(data, state, participation)
         free = _free(participation)
         h, g = hessian[np.ix_(free, free)], gradient[free]
         size = _scale(h)
@@ -277,10 +336,10 @@ def fit_modes(
         for _ in range(8):
             step = np.zeros(hessian.shape[0])
             step[free] = np.linalg.solve(h + damp * np.eye(free.size), g / size) / size
-            new_poles = poles + step[:nm] + 1j * step[nm : 2 * nm]
-            change = step[2 * nm :].reshape(2, ni, nm)
-            new_participation = normalised(participation + (change[0] + 1j * change[1]).T)
-            small = np.abs(new_poles - poles) < 0.3 * np.abs(poles)
+            parts = step.reshape(1 + ni, 2, nm)
+            change = parts[:, 0] + 1j * parts[:, 1]
+            new_poles, new_participation = poles + change[0], normalised(participation + change[1:].T)
+            small = np.abs(change[0]) < LARGEST_STEP * np.abs(poles)
             if (new_poles.real < 0).all() and (new_poles.imag > 0).all() and small.all():
                 new = _linear(data, new_poles, new_participation)
                 if new.chi2 < state.chi2:
@@ -296,73 +355,66 @@ def fit_modes(
     return _result(data, poles, participation, state)
 
 
-def _result(data: _Data, poles: ComplexArray, participation: ComplexArray, state: _State) -> ModalFit:
+def _result(data: FitData, poles: ComplexArray, participation: ComplexArray, state: _State) -> ModalFit:
     nm, ni, no = poles.size, data.ni, data.no
-    terms = state.coefficients[:, 2 * nm :].reshape(no, ni, RESIDUAL_TERMS)
-    lower, upper, curvature = (terms[:, :, n] + 1j * terms[:, :, n + 1] for n in (0, 2, 4))
-    far = np.abs(data.s**2).max()
-    model = ModalModel(poles, participation, state.shape, lower, upper / far, curvature / far**2)
+    residues = state.shape[:, None, :] * participation.T
+    lower, upper, curvature = _residual_terms(data, poles, residues.reshape(no * ni, nm))
+    model = ModalModel(poles, participation, state.shape.T, lower, upper / data.far, curvature / data.far**2)
     free = _free(participation)
-    lines = 2 * int(np.count_nonzero(data.w2))
-    dof = max(lines - no * (2 * nm + RESIDUAL_TERMS * ni) - free.size, 1)
+    live = data.weight > 0
+    outputs = int(np.count_nonzero(live.any(axis=1)))
+    taken = outputs * 2 * nm + RESIDUAL_TERMS * int(live.sum()) + free.size
+    dof = max(2 * data.lines * int(live.sum()) - taken, 1)
     covariance = np.zeros((nm, 2, 2))
     if nm:
-        hessian = _normal_equations(state, ni)[0][np.ix_(free, free)]
+        hessian = _normal_equations(data, state, participation)[0][np.ix_(free, free)]
         size = _scale(hessian)
         inverse = np.linalg.pinv(hessian / size[:, None] / size, hermitian=True, rcond=1e-13) / size[:, None] / size
         pair = np.stack([np.arange(nm), nm + np.arange(nm)], axis=1)
-        covariance = inverse[pair[:, :, None], pair[:, None, :]] * state.chi2 / dof
-    return ModalFit(model, state.chi2, dof, covariance, state.wald)
+        covariance = inverse[pair[:, :, None], pair[:, None, :]]
+    shift, weight = _shifts(state, residues, data.weight)
+    return ModalFit(model, state.chi2, dof, covariance, _wald(state, nm), shift, weight)
 
 
-def without(fit: ModalFit, mode: int) -> tuple[ComplexArray, ComplexArray]:
-    """Poles and participation factors of a fit with one mode left out."""
-    return np.delete(fit.model.poles, mode), np.delete(fit.model.participation, mode, axis=0)
+def _residual_terms(
+    data: FitData, poles: ComplexArray, residues: ComplexArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Residual terms (no, ni) left once the modes with residues (no·ni, nm) are taken off."""
+    functions = data.stacked(_functions(poles, data.s)[:, : 2 * poles.size])
+    explained = functions @ np.concatenate([residues.real, residues.imag], axis=1).T
+    found = np.linalg.solve(data.terms, data.offset - data.residual.T @ explained)
+    terms = found.T.reshape(data.no, data.ni, RESIDUAL_TERMS)
+    lower, upper, curvature = (terms[:, :, n] + 1j * terms[:, :, n + 1] for n in (0, 2, 4))
+    return lower, upper, curvature
 
 
-def strongest_missing(
-    residual: ComplexArray, s: ComplexArray, variance: FloatArray, frequency: FloatArray
-) -> tuple[complex, ComplexArray, ComplexArray, float]:
-    """The mode that would explain most of a residual: pole, shape (no,), participation factors (ni,), drop of chi2.
+def _shifts(state: _State, residues: ComplexArray, u: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """By how much each channel alone would move each pole, its own residues free, and the weight of that.
 
-    A generalised likelihood ratio test on a grid of frequencies and dampings, with a free residue per channel.
+    First order: the residual of a channel regressed on the derivative of the mode by its pole, freed of all modes.
     """
-    nf, no, ni = residual.shape
-    w2 = (1 / variance).reshape(nf, -1)
-    wg = w2 * residual.reshape(nf, -1)
-    step = (frequency[-1] - frequency[0]) / (nf - 1)
-    low, high = frequency[0] / BEYOND, frequency[-1] * BEYOND
-    best = (0j, np.zeros(no, dtype=complex), np.zeros(ni, dtype=complex), 0.0)
-    for damping in SCAN_DAMPINGS:
-        ratio = 1 + max(damping / 2, step / frequency[-1] / 4)
-        grid = low * ratio ** np.arange(int(np.log(high / low) / np.log(ratio)) + 1)
-        grid = grid[np.concatenate([[True], np.diff(np.floor(2 * grid / step)) > 0])]  # two per line are enough
-        for some in np.array_split(grid, max(1, grid.size // 32)):
-            reach = 10 * (damping * some[-1] + step)  # a mode is seen on the lines around it
-            lines = (frequency >= some[0] - reach) & (frequency <= some[-1] + reach)
-            found = _best_of(
-                2 * np.pi * some * (-damping + 1j * np.sqrt(1 - damping**2)), s[lines], w2[lines], wg[lines]
-            )
-            if found is not None and found[2] > best[3]:
-                pole, residue, gain = found
-                u, _, vh = np.linalg.svd(residue.reshape(no, ni), full_matrices=False)
-                best = pole, u[:, 0], vh[0], gain
-    return best
+    nm = residues.shape[2]
+    n = 2 * nm
+    gram = state.gram
+    size = _scale(gram)
+    scaled = gram / size[:, None] / size
+    aa = scaled[:n, :n] + RIDGE * np.eye(n)
+    back = np.linalg.solve(aa, scaled[:n, n:]) if nm else np.zeros((0, 0))
+    sizes = size[n:]
+    information = np.diag(scaled[n:, n:] - scaled[n:, :n] @ back) * sizes**2
+    kappa = np.maximum((information[:nm] + information[nm:]) / 2, 1e-300)
+    left_a = np.concatenate([state.left_a.real, state.left_a.imag], axis=2) / size[:n]
+    pull = (left_a @ back) * sizes
+    moment = state.left_d - (pull[..., :nm] + 1j * pull[..., nm:])
+    power = np.abs(residues) ** 2
+    shift = np.divide(moment * residues.conj(), kappa * power, out=np.zeros_like(moment), where=power > 0)
+    return np.moveaxis(shift, 2, 0), np.moveaxis(kappa * power * u[:, :, None], 2, 0)
 
 
-def _best_of(
-    poles: ComplexArray, s: ComplexArray, w2: FloatArray, wg: ComplexArray
-) -> tuple[complex, ComplexArray, float] | None:
-    """The pole that explains most of weighted residuals wg (nf, channels), its residues and its gain."""
-    if not s.size:
-        return None
-    u, v = _pair(poles, s)
-    uu, vv, uv = (np.abs(u) ** 2).T @ w2, (np.abs(v) ** 2).T @ w2, (u.conj() * v).real.T @ w2
-    gu, gv = (u.real.T @ wg.real + u.imag.T @ wg.imag), (v.real.T @ wg.real + v.imag.T @ wg.imag)
-    determinant = uu * vv - uv**2
-    live = determinant > 1e-12 * uu * vv
-    inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=live)
-    gains = np.sum((vv * gu**2 - 2 * uv * gu * gv + uu * gv**2) * inverse, axis=1)
-    top = int(np.argmax(gains))
-    a, b = (vv * gu - uv * gv)[top] * inverse[top], (uu * gv - uv * gu)[top] * inverse[top]
-    return complex(poles[top]), np.asarray(a + 1j * b), float(gains[top])
+def deviations(poles: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(nm,) standard deviations of frequency in Hz and of the damping ratio, for (nm, 2, 2) of (Re λ, Im λ)."""
+    re, im, size = poles.real, poles.imag, np.abs(poles)
+    by_f = np.stack([re, im], axis=1) / size[:, None] / (2 * np.pi)
+    by_z = np.stack([-(im**2), re * im], axis=1) / size[:, None] ** 3
+    f, z = (np.einsum("ra,rab,rb->r", by, covariance, by) for by in (by_f, by_z))
+    return np.sqrt(np.maximum(f, 0)), np.sqrt(np.maximum(z, 0))

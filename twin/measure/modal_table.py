@@ -29,7 +29,7 @@ class TableMode:
 
 @dataclass(frozen=True)
 class TablePosture:
-    """Axis positions (degrees, metres for prismatic axes) and the modes there."""
+    """Axis positions (degrees, metres for prismatic axes; none for what is no robot) and the modes there."""
 
     q_deg: FloatArray
     modes: tuple[TableMode, ...]
@@ -82,7 +82,7 @@ def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
     if not isinstance(value, dict):
         raise InputError(path, where, "expected q_deg and modes")
     q = value.get("q_deg")
-    if not isinstance(q, list) or not q or not all(_is_number(x) for x in q):
+    if not isinstance(q, list) or not all(_is_number(x) for x in q):
         raise InputError(path, f"{where}.q_deg", f"expected a list of numbers, found {q!r}")
     modes = value.get("modes")
     if not isinstance(modes, list):

@@ -1,9 +1,8 @@
-"""Comparing shapes and functions: MAC, MPC, FRAC; indicator functions that show where modes are; LSFD shapes."""
+"""Comparing shapes and functions: MAC, MPC, FRAC; indicator functions that show where modes are."""
 
 import numpy as np
 
 from twin.measure.campaign import ComplexArray, FloatArray
-from twin.measure.modal_fit import ModalModel, fit_modes
 
 
 def mac(a: ComplexArray | FloatArray, b: ComplexArray | FloatArray | None = None) -> FloatArray:
@@ -53,17 +52,3 @@ def mode_indicator(frf: ComplexArray) -> FloatArray:
     size = np.abs(frf)
     total = np.sum(size**2, axis=(1, 2))
     return np.asarray(np.divide(np.sum(np.abs(frf.real) * size, axis=(1, 2)), total, where=total > 0, out=total * 0))
-
-
-def lsfd(
-    frf: ComplexArray, s: ComplexArray, poles: ComplexArray, participation: ComplexArray, variance: FloatArray
-) -> ModalModel:
-    """Least-squares frequency-domain shapes with lower and upper residuals, for given poles and participation factors.
-
-    Args:
-        frf: (nf, no, ni) accelerance on the Laplace points s.
-        poles: (nm,) rad/s.
-        participation: (nm, ni).
-        variance: (nf, no, ni), see :func:`twin.measure.modal_fit.fit_modes`.
-    """
-    return fit_modes(frf, s, variance, poles, participation, iterations=0).model

@@ -79,7 +79,7 @@ def read_uff(
 
     Args:
         paths: files.
-        q_deg: axis positions, for files that do not say.
+        q_deg: axis positions, for files that do not say; of what is no robot there are none.
         points: nodes by number; without them nodes are taken from data sets 15 or 2411, and body and position of a node
             that is in neither are ``base`` and the origin.
         robot: name for the campaign.
@@ -91,6 +91,7 @@ def read_uff(
     source = files[0]
     groups: dict[str, _Functions] = {}
     nodes = dict(points or {})
+    lines: list[tuple[int, ...]] = []
     for file in files:
         for number, dataset in enumerate(_datasets(file), 1):
             if dataset.get("type") in (15, 2411) and points is None:
@@ -98,6 +99,8 @@ def read_uff(
                     int(n): Point("base", np.array([x, y, z], dtype=np.float64))
                     for n, x, y, z in zip(*(dataset[k] for k in ("node_nums", "x", "y", "z")), strict=True)
                 }
+            elif dataset.get("type") == 82:
+                lines += _polylines(dataset["nodes"])
             elif dataset.get("type") == 164:
                 _check_units(file, dataset)
             elif dataset.get("type") == 58 and int(dataset["func_type"]) in (FRF_FUNCTION, COHERENCE_FUNCTION):
@@ -118,6 +121,7 @@ def read_uff(
         {name: _posture(source, name, group, response, excitation, q_deg) for name, group in groups.items()},
         robot=robot or next(iter(groups.values())).words.get("robot"),
         source=str(source),
+        lines=tuple(lines),
     )
     check_campaign(source, campaign)
     return campaign
@@ -129,10 +133,21 @@ def _datasets(path: Path) -> list[dict[str, Any]]:
     try:
         with redirect_stdout(StringIO()):
             file = pyuff.UFF(str(path))
-            wanted = [n for n, kind in enumerate(file.get_set_types()) if kind in (15, 55, 58, 164, 2411)]
+            wanted = [n for n, kind in enumerate(file.get_set_types()) if kind in (15, 55, 58, 82, 164, 2411)]
             return [file.read_sets(n) for n in wanted]
     except Exception as error:
         raise InputError(path, "", f"expected a universal file: {error}") from None
+
+
+def _polylines(nodes: Iterable[float]) -> list[tuple[int, ...]]:
+    """Trace lines of data set 82; node 0 lifts the pen."""
+    strips: list[list[int]] = [[]]
+    for node in nodes:
+        if int(node):
+            strips[-1].append(int(node))
+        else:
+            strips.append([])
+    return [tuple(strip) for strip in strips if len(strip) > 1]
 
 
 def _words(dataset: dict[str, Any]) -> dict[str, str]:
@@ -240,9 +255,9 @@ def _posture(
     words = group.words
     if q_deg is None:
         try:
-            q_deg = np.array([float(q) for q in words["q_deg"].split(",")])
-        except (KeyError, ValueError):
-            raise InputError(source, f"{where}: q_deg", "expected axis positions, the file does not say") from None
+            q_deg = np.array([float(q) for q in words["q_deg"].split(",")] if words.get("q_deg") else [])
+        except ValueError:
+            raise InputError(source, f"{where}: q_deg", f"expected numbers, found {words['q_deg']}") from None
     brakes: Any = words.get("brakes")
     try:
         return PostureFRF(
@@ -383,7 +398,7 @@ def _common(
               for name, value in (("pulse_s", posture.pulse_s), ("record_s", posture.record_s))}  # fmt: skip
     lines: list[dict[str, Any]] = [
         {"posture": posture.name, "robot": campaign.robot},
-        {"q_deg": ",".join(f"{q:.10g}" for q in posture.q_deg)},
+        {"q_deg": ",".join(f"{q:.10g}" for q in posture.q_deg) or None},
         {"response_body": campaign.response.body[r], "excitation_body": campaign.excitation.body[e], **length},
         state,
     ]

@@ -1,14 +1,16 @@
-"""Figures of a modal test: stabilisation chart, measured against synthesised FRFs, MAC and auto-MAC."""
+"""Figures of a modal test: stabilisation chart, indicators, measured against synthesised FRFs, MAC, wire frames."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from twin.measure.campaign import ComplexArray
+from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal import ModalResult
-from twin.measure.shapes import mac, summation
+from twin.measure.shapes import cmif, mac, mode_indicator, summation
+from twin.measure.wireframe import Wireframe
 from twin.report.figures import mode_shapes
 
 if TYPE_CHECKING:
@@ -16,7 +18,10 @@ if TYPE_CHECKING:
 
 SYMBOLS = {"o": "new pole", "f": "frequency", "d": "frequency, damping", "v": "frequency, vector", "s": "stable"}
 COLOURS = {"o": "0.75", "f": "0.5", "d": "tab:blue", "v": "tab:orange", "s": "tab:red"}
+MARKERS = {"o": "o", "f": "|", "d": "d", "v": "v", "s": "s"}
 MOST_PANELS = 6
+MOST_SHAPES = 12
+MOST_WRITTEN = 16  # modes whose MAC is written into its square
 
 
 def stabilisation_figure(result: ModalResult) -> Figure:
@@ -28,23 +33,88 @@ def stabilisation_figure(result: ModalResult) -> Figure:
     below.set_xlim(result.frequency[0], result.frequency[-1])
     above = below.twinx()
     above.set_ylabel("model order")
-    for chart in result.charts:
-        for found, marks in zip(chart.poles, chart.symbols, strict=True):
-            for symbol in SYMBOLS:
-                at = found.frequency[[mark == symbol for mark in marks]]
-                at = at[(at >= result.frequency[0]) & (at <= result.frequency[-1])]
-                above.plot(
-                    at, np.full(at.size, found.order), ls="", marker=f"${symbol}$", ms=5, mew=0.2, c=COLOURS[symbol]
-                )
+    pole = np.concatenate([found.frequency for chart in result.charts for found in chart.poles])
+    order = np.concatenate([np.full(f.poles.size, f.order) for chart in result.charts for f in chart.poles])
+    marks = np.array([mark for chart in result.charts for marks in chart.symbols for mark in marks])
+    inside = (pole >= result.frequency[0]) & (pole <= result.frequency[-1])
+    for symbol, meaning in SYMBOLS.items():
+        chosen = inside & (marks == symbol)
+        (drawn,) = above.plot(pole[chosen], order[chosen], ls="", label=meaning, c=COLOURS[symbol])
+        drawn.set(marker=MARKERS[symbol], markersize=3, markeredgewidth=0.5)
     for mode in result.modes:
-        below.axvline(mode.frequency_hz, color="tab:green", lw=0.8, ls="--", zorder=0)
-    handles = [
-        above.plot([], [], ls="", marker=f"${symbol}$", ms=6, c=COLOURS[symbol], label=meaning)[0]
-        for symbol, meaning in SYMBOLS.items()
-    ]
-    handles.append(below.plot([], [], color="tab:green", lw=0.8, ls="--", label="identified")[0])
-    figure.legend(handles=handles, loc="outside upper center", ncols=6, fontsize=8, title=result.name, frameon=False)
+        colour, style = ("tab:green", "--") if mode.orders > 0 else ("tab:purple", ":")
+        below.axvline(mode.frequency_hz, lw=0.9, zorder=0, color=colour, ls=style)
+    handles = [*above.lines]
+    handles.append(below.plot([], [], color="tab:green", lw=0.9, ls="--", label="mode")[0])
+    if any(mode.orders == 0 for mode in result.modes):
+        handles.append(below.plot([], [], color="tab:purple", lw=0.9, ls=":", label="mode without a column")[0])
+    figure.legend(handles=handles, loc="outside upper center", ncols=7, fontsize=8, title=result.name, frameon=False)
     return figure
+
+
+def indicator_figure(result: ModalResult) -> Figure:
+    """Complex mode indicator functions, the normal mode indicator and, where recorded, the coherence."""
+    rows = 2 if result.coherence is None else 3
+    figure = Figure(figsize=(10, 2.2 * rows + 0.8), layout="constrained")
+    figure.suptitle(f"{result.name}: where the recording shows modes")
+    axes = figure.subplots(rows, 1, sharex=True, height_ratios=[2, 1, 1][:rows])
+    values = cmif(result.measured)
+    for k in range(min(4, values.shape[1])):
+        axes[0].semilogy(result.frequency, values[:, k], lw=0.9, label=f"singular value {k + 1}")
+    axes[0].set_ylabel("CMIF [(m/s²)/N]")
+    axes[0].legend(fontsize=8, ncols=4, loc="upper left")
+    axes[1].plot(result.frequency, mode_indicator(result.measured), color="0.3", lw=0.9)
+    axes[1].set(ylabel="mode indicator", ylim=(0, 1))
+    if result.coherence is not None:
+        axes[2].plot(result.frequency, result.coherence, color="tab:blue", lw=0.9)
+        axes[2].set(ylabel="median coherence", ylim=(0, 1.02))
+    for ax in axes:
+        for mode in result.modes:
+            ax.axvline(mode.frequency_hz, color="tab:green", lw=0.7, ls="--", zorder=0)
+    axes[-1].set(xlabel="frequency [Hz]", xlim=(result.frequency[0], result.frequency[-1]))
+    return figure
+
+
+def wireframe_figure(frame: Wireframe, titles: Sequence[str]) -> Figure:
+    """Up to ``MOST_SHAPES`` modes of a structure at their largest motion, blue to red by it; at rest in grey."""
+    number = min(len(titles), MOST_SHAPES)
+    columns = min(3, number)
+    rows = -(-number // columns)
+    figure = Figure(figsize=(4 * columns, 3.4 * rows), layout="constrained")
+    right, up = _view(frame.position)
+    for k in range(rows * columns):
+        axes = figure.add_subplot(rows, columns, k + 1)
+        axes.set_axis_off()
+        if k >= number:
+            continue
+        phase = -0.5 * float(np.angle(np.sum(frame.motion[k] ** 2)))
+        rest, moved = (at @ np.column_stack([right, up]) for at in (frame.position, frame.displaced(k, phase)))
+        size = np.linalg.norm((frame.motion[k] * np.exp(1j * phase)).real, axis=1)
+        axes.add_collection(LineCollection(list(rest[frame.lines]), colors="0.8", linewidths=0.7))
+        coloured = LineCollection(list(moved[frame.lines]), cmap="coolwarm", linewidths=1.6)
+        coloured.set_array(size[frame.lines].mean(axis=1))
+        coloured.set_clim(0, 1)
+        axes.add_collection(coloured)
+        axes.scatter(moved[:, 0], moved[:, 1], c=size, cmap="coolwarm", vmin=0, vmax=1, s=9, zorder=3)
+        axes.set_title(titles[k], fontsize=9)
+        axes.set_aspect("equal")
+        axes.autoscale_view()
+    return figure
+
+
+def _view(position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Right and up (3,) of a picture that sees the structure from 30° above and 35° beside its broad side."""
+    _, _, axes = np.linalg.svd(position - position.mean(axis=0), full_matrices=False)
+    normal = axes[2] if np.linalg.matrix_rank(position - position.mean(axis=0), tol=1e-9) > 1 else axes[1]
+    up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.7 else np.array([0.0, 1.0, 0.0])
+    across = np.cross(up, normal)
+    across /= np.linalg.norm(across)
+    lifted = np.cross(normal, across)
+    eye = normal + 0.55 * across + 0.7 * lifted
+    eye /= np.linalg.norm(eye)
+    right = np.cross(lifted, eye)
+    right /= np.linalg.norm(right)
+    return right, np.cross(eye, right)
 
 
 def overlay_figure(result: ModalResult) -> Figure:
@@ -95,12 +165,13 @@ def mac_figure(
     """MAC matrix between two sets of shapes in rows, or the auto-MAC of one."""
     values = mac(shapes, other)
     across = names if other_names is None else other_names
-    figure = Figure(figsize=(2.2 + 0.55 * len(across), 1.8 + 0.5 * len(names)), layout="constrained")
+    size = 0.5 if max(values.shape) <= MOST_WRITTEN else 0.25
+    figure = Figure(figsize=(2.2 + 1.1 * size * len(across), 1.8 + size * len(names)), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(values, vmin=0, vmax=1, cmap="Blues")
-    axes.set_xticks(range(len(across)), across, rotation=60)
-    axes.set_yticks(range(len(names)), names)
-    for (row, column), value in np.ndenumerate(values):
+    axes.set_xticks(range(len(across)), across, rotation=90, fontsize=8)
+    axes.set_yticks(range(len(names)), names, fontsize=8)
+    for (row, column), value in np.ndenumerate(values if max(values.shape) <= MOST_WRITTEN else np.zeros((0, 0))):
         axes.text(
             column, row, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if value > 0.6 else "black"
         )
@@ -112,6 +183,9 @@ def mac_figure(
 def draw(found: "ModalAnalysis") -> dict[str, Figure]:
     """File name → figure."""
     shapes = {f"{name}_shapes.png": mode_shapes(*shown) for name, shown in found.on_robot.items()}
+    shapes |= {
+        f"{name}_shapes.png": wireframe_figure(at, found.results[name].titles) for name, at in found.frames.items()
+    }
     return shapes | drawn(found.results)
 
 
@@ -120,6 +194,7 @@ def drawn(results: Mapping[str, ModalResult]) -> dict[str, Figure]:
     figures = {}
     for name, result in results.items():
         figures[f"{name}_stabilisation.png"] = stabilisation_figure(result)
+        figures[f"{name}_indicators.png"] = indicator_figure(result)
         figures[f"{name}_frf.png"] = overlay_figure(result)
         if result.modes:
             figures[f"{name}_automac.png"] = mac_figure(result.shapes, _names(result), title=f"{name}: auto-MAC")

@@ -27,6 +27,8 @@ from twin.robot.mjcf import compile_model
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from twin.measure.wireframe import Wireframe
+
 SHARE_COLOURS = ((255, 243, 214), (253, 200, 130), (245, 130, 60), (215, 45, 30), (150, 0, 40))
 """sRGB of a strain energy share of 0, 25, 50, 75 and 100 %."""
 SHARE_COLOUR_NAMES = ("cream", "sand", "orange", "red", "dark red")
@@ -256,14 +258,56 @@ def write_modes(path: str | Path, mechanism: Mechanism, found: Modes, count: int
             views.append(_view(scene, "/posture", "posture"))
         text = _modes_text(scene, found, sizes)
         stream.log("/about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-        tabs = []
-        for first in range(0, len(views), _VIEWS_PER_TAB):
-            some = views[first : first + _VIEWS_PER_TAB]
-            name = f"modes {first + 1}–{first + len(some)}" if len(some) > 1 else str(some[0].name)
-            tabs.append(rrb.Grid(*some, name=name, grid_columns=2) if len(some) > 1 else some[0])
         about = rrb.TextDocumentView(origin="/about", name="about")
-        picture = rrb.Horizontal(rrb.Tabs(*tabs, active_tab=0), about, column_shares=[2, 1])
+        picture = rrb.Horizontal(rrb.Tabs(*_tabs(views), active_tab=0), about, column_shares=[2, 1])
         finish(_blueprint(picture, "cycle", speed=0.5))
+
+
+def write_wireframe(path: str | Path, frame: "Wireframe", titles: Sequence[str], name: str) -> None:
+    """Record a structure of points and lines moving in each of its modes, as :func:`write_modes` does a robot.
+
+    Args:
+        path: of the ``.rrd``; replaced only when all is written.
+        frame: the structure and its shapes.
+        titles: one per mode.
+        name: of the recording.
+    """
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    phase = np.linspace(0, 2 * np.pi, FRAMES_PER_CYCLE + 1)
+    cycle = rr.TimeColumn("cycle", duration=phase / (2 * np.pi))
+    views = []
+    with _recording(path, name) as (stream, finish):
+        for k, title in enumerate(titles):
+            root = f"/mode{k + 1}"
+            stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            rest = rr.LineStrips3D(list(frame.position[frame.lines]), colors=[(110, 110, 110)], radii=-1.0)
+            stream.log(f"{root}/rest", rest, static=True)
+            moved = np.stack([frame.displaced(k, float(angle)) for angle in phase])
+            strips = moved[:, frame.lines].reshape(-1, 2, 3)
+            lengths = [len(frame.lines)] * phase.size
+            stream.log(f"{root}/lines", rr.LineStrips3D.from_fields(colors=[(90, 170, 255)], radii=-1.5), static=True)
+            stream.send_columns(
+                f"{root}/lines", [cycle], rr.LineStrips3D.columns(strips=list(strips)).partition(lengths)
+            )
+            stream.log(f"{root}/points", rr.Points3D.from_fields(colors=[(255, 150, 50)], radii=-3.0), static=True)
+            columns = rr.Points3D.columns(positions=moved.reshape(-1, 3)).partition([len(frame.node)] * phase.size)
+            stream.send_columns(f"{root}/points", [cycle], columns)
+            views.append(rrb.Spatial3DView(origin=root, name=title, background=(32, 34, 38)))
+        finish(_blueprint(rrb.Tabs(*_tabs(views), active_tab=0), "cycle", speed=0.5))
+
+
+def _tabs(views: Sequence[Any]) -> list[Any]:
+    """Views four to a tab."""
+    import rerun.blueprint as rrb
+
+    tabs = []
+    for first in range(0, len(views), _VIEWS_PER_TAB):
+        some = views[first : first + _VIEWS_PER_TAB]
+        name = f"modes {first + 1}–{first + len(some)}" if len(some) > 1 else str(some[0].name)
+        tabs.append(rrb.Grid(*some, name=name, grid_columns=2) if len(some) > 1 else some[0])
+    return tabs
 
 
 def write_replay(
