@@ -246,7 +246,10 @@ def _signed(
     for posture, pairs in zip(postures, pairing, strict=True):
         seen, model = observe(changed, posture.setup, parameters, values)
         share = _shares(poles(seen)[1], model.strain)
-        found.append(_Pairing(pairs.model, np.where((pairs.model >= 0)[:, None], share[pairs.model], 0)))
+        there = (pairs.model >= 0) & (pairs.model < len(share))  # a mode may have been damped away on the way
+        if len(share):
+            share = np.where(there[:, None], share[np.where(there, pairs.model, 0)], 0)
+        found.append(_Pairing(pairs.model, share if len(share) else np.zeros((len(there), len(model.strain)))))
     return found
 
 
