@@ -1,7 +1,6 @@
-import sys
-
 """Force levels that disagree: blows stepped against MuJoCo and the truth code; joint, law and size are found."""
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
