@@ -228,6 +228,8 @@ def _points(mechanism: Mechanism, model: mujoco.MjModel, data: mujoco.MjData) ->
 
 def _springs(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """Stiffness (nv,) of what is elastic along each coordinate at the state in ``data``, joints and tendons."""
+    if not model.ntendon and not model.jnt_stiffnesspoly.any():  # hinges and slides: joints are in the order of nv
+        return np.maximum(model.jnt_stiffness, 0.0)
     rest, step = data.qpos.copy(), 1e-7
     stiffness = np.zeros(model.nv)
     for joint in range(model.njnt):
