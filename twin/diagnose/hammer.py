@@ -15,7 +15,7 @@ from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
 from twin.diagnose.next_test import next_test, smallest_visible
-from twin.diagnose.physical import physical
+from twin.diagnose.physical import as_written, physical
 from twin.diagnose.records import FrfRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
 from twin.diagnose.screen import FAR, inflation
@@ -43,7 +43,7 @@ from twin.measure.recordings import Recording
 from twin.model.parameters import Parameters, Sprung, free_parameters
 from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
-from twin.robot.description import Axis, Robot
+from twin.robot.description import Robot
 
 
 @dataclass
@@ -190,7 +190,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     site = best.hypothesis.site or next(iter(where.sites), "")
     finding = Finding(
         source, "frf-campaign", answer.word, answer.missing, decision.none, decision.other,
-        given, _limited(before.robot, given), _limited(best.robot, given), errors, list(found.held_out), records,
+        given, as_written(before.robot, given), as_written(best.robot, given), errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         warnings=[*found.warnings, *elsewhere(search.base, search.others), *strained(best)],
         finalists=finalists(search.base, answer.fits),
@@ -296,12 +296,3 @@ def _told(missing: Missing, finding: Finding) -> str:
     if missing.evidence:
         return missing.evidence
     return sentence(missing.first.title, finding.records, finding.error, finding.held_out)
-
-
-def _limited(robot: Robot, given: Robot) -> Robot:
-    """A fitted robot with inertias a body can have and the limits the fit took away."""
-    robot = physical(robot)
-    axes: list[Axis] = [
-        axis.model_copy(update={"limits": old.limits}) for axis, old in zip(robot.axes, given.axes, strict=True)
-    ]
-    return robot.model_copy(update={"axes": axes})

@@ -14,7 +14,7 @@ from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
 from twin.diagnose.levels_beside import Beside, explain_beside
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.next_test import next_test
-from twin.diagnose.physical import physical
+from twin.diagnose.physical import as_written
 from twin.diagnose.records import FrfRecord, Stage, frf_records
 from twin.diagnose.refit import Fitted, noise_floor
 from twin.diagnose.search import SCREEN_LINES, Search
@@ -32,7 +32,7 @@ from twin.model.hammer import HammerTest, simulate_hits
 from twin.model.parameters import independent
 from twin.parallel import Progress
 from twin.physics import CATALOGUE
-from twin.robot.description import Axis, Robot
+from twin.robot.description import Robot
 from twin.robot.mechanism import assemble
 
 FORM = 0.05
@@ -108,7 +108,7 @@ def levels_finding(
     sites = {place.site: levels.places[-1].cost - place.cost for place in levels.places}
     finding = Finding(
         source, "frf-campaign", word, [], none, other, given,
-        _limited(before, given), _limited(best.robot, given), errors, list(found.held_out), records,
+        as_written(before, given), as_written(best.robot, given), errors, list(found.held_out), records,
         _location(source, records, levels.places[0].site), sites,
         smallest_visible_laws(base, search.base, sample, how), warnings=[*found.warnings, *notes, *strained(best)],
         finalists=finalists(levels.base, levels.fits),
@@ -240,12 +240,6 @@ def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> 
         unit = CATALOGUE[objective.law.effect].unit(name)
         found[name] = {"value": value, "unit": unit, "interval90": ends if np.ndim(value) else ends[0]}
     return found
-
-
-def _limited(robot: Robot, given: Robot) -> Robot:
-    robot = physical(robot)
-    axes: list[Axis] = [a.model_copy(update={"limits": b.limits}) for a, b in zip(robot.axes, given.axes, strict=True)]
-    return robot.model_copy(update={"axes": axes})
 
 
 def _location(source: str, records: Sequence[FrfRecord], site: str) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together, widened
-from twin.diagnose.physical import physical
+from twin.diagnose.physical import as_written
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.sentences import sentence
@@ -34,7 +34,7 @@ from twin.measure.modal_table import ModalTable
 from twin.measure.recordings import Recording
 from twin.model.parameters import Parameters, free_parameters
 from twin.physics import CATALOGUE
-from twin.robot.description import Axis, Robot
+from twin.robot.description import Robot
 
 STARTS = 4  # of the base model
 COARSE_SCATTER = 10.0  # times the deviations: of every entry first, with the links as described
@@ -127,7 +127,7 @@ def diagnose_table(
         word = "ambiguous"  # aliases share what one name would have
     answered = word in ("named", "ambiguous")
     best = decision.ranked[0] if answered else before
-    robots = {"as_given": given, "before": _limited(before.robot, given), "after": _limited(best.robot, given)}
+    robots = {"as_given": given, "before": as_written(before.robot, given), "after": as_written(best.robot, given)}
     records = _records({**used, **kept}, list(kept), robots)  # type: ignore[arg-type]
     rest = {"before": plain, "after": crossed.get(best.hypothesis.key, plain) if answered else plain}
     error: dict[str, object] = {}
@@ -397,12 +397,6 @@ def _listed(out: LeftOut) -> str:
 
 def _error(robot: Robot, postures: Mapping[str, ModalPosture]) -> float:
     return frequency_error(predict_modes(robot, postures))
-
-
-def _limited(robot: Robot, given: Robot) -> Robot:
-    robot = physical(robot)
-    axes: list[Axis] = [a.model_copy(update={"limits": b.limits}) for a, b in zip(robot.axes, given.axes, strict=True)]
-    return robot.model_copy(update={"axes": axes})
 
 
 def _records(

@@ -2,12 +2,19 @@
 
 import numpy as np
 
-from twin.robot.description import Entry, Robot
+from twin.robot.description import Axis, Entry, Robot
 from twin.robot.frames import inertia_six
 
 LEAST_MOMENT = 2e-4  # of the sum of the others: the second moment put in place of a negative one
 SMALLEST = 1e-3  # m, radius of gyration of the smallest body
 LOCKED = 1e10  # N·m·s/rad (N·s/m): at 10 Hz a thousand times any joint's spring; no more is held by MuJoCo's numbers
+
+
+def as_written(robot: Robot, given: Robot) -> Robot:
+    """A fitted robot with inertias that a body can have and the limits of the description, which the fit took away."""
+    robot = physical(robot)
+    axes: list[Axis] = [a.model_copy(update={"limits": b.limits}) for a, b in zip(robot.axes, given.axes, strict=True)]
+    return robot.model_copy(update={"axes": axes})
 
 
 def physical(robot: Robot) -> Robot:
