@@ -110,7 +110,8 @@ def excite(
         robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; kr90 by default.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         count: how many.
-        harmonics, base_hz: of the Fourier series.
+        harmonics: of the Fourier series.
+        base_hz: its fundamental, Hz.
         rest: start and end at rest.
         criterion: ``"condition"`` number or ``"d-optimal"``.
         periods: how often a period is repeated in the files.

@@ -120,7 +120,8 @@ def modal(
         robot: the robot shapes are drawn on; by default the recording's, else kr90 where the recording has axis
             positions. What is no robot is drawn as a wire frame.
         without: entries removed from it, ``EFFECT`` or ``EFFECT@SITE``.
-        fmin, fmax: band, Hz; by default all that is usable.
+        fmin: lowest frequency of the band, Hz; by default the band is all that is usable.
+        fmax: highest, Hz.
         max_order: highest order of the stabilisation chart.
         method: ``plscf`` or ``lsce``.
         out: folder for tables, figures and animations; ``None`` writes nothing.
