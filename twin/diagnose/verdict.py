@@ -16,7 +16,7 @@ from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
 from twin.identify.uncertainty import NINETY
 from twin.result import Result, Table
-from twin.robot.description import Entry, Robot
+from twin.robot.description import Robot
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]
@@ -385,12 +385,7 @@ def missing_of(decision: Decision, base: Fitted) -> list[Missing]:
 
 def parts(fit: Fitted) -> list[tuple[str, str]]:
     """Effects and sites of a hypothesis."""
-    hypothesis = fit.hypothesis
-    if not hypothesis.scale and len(hypothesis.entries) > 1:
-        return [(entry.effect, entry.site) for entry in hypothesis.entries]
-    if hypothesis.scale and hypothesis.entries:
-        return [*((e.effect, e.site) for e in hypothesis.entries), ("parameter", hypothesis.scale[0][0])]
-    return [(hypothesis.effect, hypothesis.site)]
+    return [(piece.effect, piece.site) for piece in fit.hypothesis.pieces or (fit.hypothesis,)]
 
 
 def _candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
@@ -400,10 +395,29 @@ def _candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
 
 def estimates(fit: Fitted, part: tuple[str, str]) -> dict[str, Any]:
     """Value, unit and 90 % interval of the parameters of one of a hypothesis' things; a list's numbers in one list."""
-    indices = [k for k in fit.own if _belongs(fit.parameters[k].name, part, fit.hypothesis.entries)]
-    if part[0] == "parameter":
-        indices = [fit.parameters.names.index(name) for name, _ in fit.hypothesis.scale[:1]]
-    return estimates_of(fit, indices)
+    at = len(fit.z) - len(fit.hypothesis.own)
+    for piece in fit.hypothesis.pieces:
+        if (piece.effect, piece.site) == part:
+            indices = [fit.parameters.names.index(name) for name, _ in piece.scale] or range(at, at + len(piece.own))
+            return estimates_of(fit, indices) if piece.law else _described(fit, piece.site, indices)
+        at += len(piece.own)
+    return {}
+
+
+def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]:
+    """The same of numbers of the description at a site: coordinates of one point or link in one list."""
+    found: dict[str, Any] = {}
+    for k in indices:
+        parameter = fit.parameters[k]
+        (one,) = estimates_of(fit, [k]).values()
+        if parameter.name == site:
+            found[parameter.quantity] = one
+            continue
+        key = site.rpartition(".")[2] if parameter.site == site else parameter.site
+        many = found.setdefault(key, {"value": [], "unit": one["unit"], "interval90": []})
+        many["value"].append(one["value"])
+        many["interval90"].append(one["interval90"])
+    return found
 
 
 def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
@@ -431,14 +445,6 @@ def unit_at(unit: str, site: str) -> str:
     """The unit at a site, of an effect that turns at some and slides at others (``N·m/rad or N/m``)."""
     turning, _, sliding = unit.partition(" or ")
     return sliding if sliding and site in ("base.x", "base.y", "base.z") else turning
-
-
-def _belongs(name: str, part: tuple[str, str], entries: Sequence[Entry]) -> bool:
-    """Whether an own parameter is one of an effect at a site; springs are named after their coordinate alone."""
-    if len(entries) == 1:
-        return True
-    effect, site = part
-    return name.startswith((f"{effect}@{site}.", f"{effect}@{site}#")) or name.startswith(f"{site}.")
 
 
 def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
