@@ -6,10 +6,12 @@ the prior, from its tolerance to ``DOUBT`` times that.
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.measure.campaign import Channels
 from twin.model.parameters import Parameter, Parameters, axis_parameters, point_parameters
+from twin.physics.chain import node_of
 from twin.robot.description import Robot
 
 DOUBT = 10.0  # times its tolerance: as far off as a description is thought to be
@@ -32,18 +34,29 @@ def described(free: Parameters) -> list[Hypothesis]:
     return [Hypothesis("parameter", site, scale=tuple((p.name, DOUBT) for p in own)) for site, own in blocks.items()]
 
 
-def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[Hypothesis]:
-    """Numbers that fits take as described: lengths and twists of axes, positions of nodes, one by one and all nodes."""
-    axes = [_freed(p.name, [p]) for p in axis_parameters(robot)]
-    nodes: dict[str, list[Parameter]] = {}
-    for parameter in point_parameters(robot, response, excitation):
-        nodes.setdefault(parameter.site, []).append(parameter)
-    found = [*axes, *(_freed(site, own) for site, own in nodes.items())]
-    if len(nodes) > 1:
-        found.append(_freed("node:*.position", [p for own in nodes.values() for p in own]))
-    return found
+def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[list[Hypothesis]]:
+    """Numbers that fits take as described: lengths and twists of axes, positions of nodes, one by one and all nodes.
+
+    Where a sensor and blows share a node, both may be elsewhere, or either: variants of one hypothesis.
+    """
+    sensors = point_parameters(robot, response, "response")
+    blows = point_parameters(robot, excitation, "excitation")
+    nodes: dict[str, list[Hypothesis]] = {}
+    for some in (point_parameters(robot, excitation, "position"), sensors, blows):
+        of_node: dict[str, list[Parameter]] = {}
+        for parameter in some:
+            of_node.setdefault(parameter.site, []).append(parameter)
+        for site, own in of_node.items():
+            node = site.partition(".")[0]
+            nodes.setdefault(node, []).append(_freed(f"{node}.position", own))
+    shared = {node_of(label) for label in response.label} & {node_of(label) for label in excitation.label}
+    for node, variants in nodes.items():
+        if node.removeprefix("node:") not in shared:
+            del variants[1:]
+    axes = [[_freed(p.name, [p])] for p in axis_parameters(robot)]
+    return [*axes, *nodes.values(), [_freed("node:*.position", [*sensors, *blows])]]
 
 
 def _freed(site: str, own: Iterable[Parameter]) -> Hypothesis:
-    wide = [Parameter(p.name, p.unit, p.kind, p.log, p.mean, DOUBT * p.deviation, p.source) for p in own]
+    wide = [replace(p, deviation=DOUBT * p.deviation) for p in own]
     return Hypothesis("parameter", site, own=tuple(wide))

@@ -159,8 +159,8 @@ def _suspects(campaign: Campaign, base: Robot, free: Parameters, found: Triage) 
     band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
     brakes = [r.setup.brakes for r in found.recordings.values()]
     physics = suspects(base, campaign.response, campaign.excitation, brakes, band)
-    numbers = [*described(free), *geometry(base, campaign.response, campaign.excitation)]
-    return [*physics, *([one] for one in numbers)]
+    numbers = [[one] for one in described(free)]
+    return [*physics, *numbers, *geometry(base, campaign.response, campaign.excitation)]
 
 
 def _answered(
@@ -179,7 +179,7 @@ def _answered(
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
     ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
-    return _Answer(decision, word, missing, fits, ends[0], ends[-1])
+    return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]))
 
 
 def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _Answer, before: Fitted) -> Finding:
@@ -204,7 +204,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
 
 
 def _as_described(base: Robot, search: Search, answer: _Answer, sample: Sample) -> Fitted:
-    """The base model as it would be without the answer: numbers of the description that are answered are as described."""
+    """The base model as it would be without the answer: numbers that are answered are held as described."""
     fit = answer.base
     held = {name for name, _ in answer.best.hypothesis.scale}
     if not held:
@@ -215,6 +215,17 @@ def _as_described(base: Robot, search: Search, answer: _Answer, sample: Sample) 
     z = free.coordinates(np.array([known.get(p.name, p.mean) for p in free]))
     few = descend(base, NONE, free, sample.thin(REFIT_LINES), z, linear=20)
     return descend(base, NONE, free, sample, few.z, tempered=0, linear=20)
+
+
+def _loosened(fit: Fitted) -> Fitted:
+    """A fit whose robot says how far angles of postures are off, if that is more than described."""
+    freed = {name for name, _ in fit.hypothesis.scale}
+    angles = [v for p, v in zip(fit.parameters, fit.values, strict=True) if p.kind == "posture" and p.name in freed]
+    if not angles:
+        return fit
+    spread = float(np.rad2deg(np.sqrt(np.mean(np.square(angles)))))
+    tolerances = fit.robot.tolerances.model_copy(update={"posture_deg": spread})
+    return replace(fit, robot=fit.robot.model_copy(update={"tolerances": tolerances}))
 
 
 def _next_test(given: Robot, answer: _Answer, few: Sample, seed: int) -> dict[str, Any] | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin.diagnose.described import described
-from twin.diagnose.hypotheses import Hypothesis, Sprung, companions, merged, same_axes, together
+from twin.diagnose.hypotheses import Hypothesis, companions, merged, same_axes, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen

@@ -413,7 +413,8 @@ def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]
         if parameter.name == site:
             found[parameter.quantity] = one
             continue
-        key = site.rpartition(".")[2] if parameter.site == site else parameter.site
+        same = parameter.site.partition(".")[0] == site.partition(".")[0]  # of a node: of its sensor or its blows
+        key = site.rpartition(".")[2] if same else parameter.site
         many = found.setdefault(key, {"value": [], "unit": one["unit"], "interval90": []})
         many["value"].append(one["value"])
         many["interval90"].append(one["interval90"])
@@ -462,13 +463,13 @@ def strained(fit: Fitted) -> list[str]:
     What is in series with such a spring, about its axis, may be all that is wrong with it.
     """
     found: list[str] = []
-    widened = dict(fit.hypothesis.scale)
+    answered = dict(fit.hypothesis.scale)
     base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
     for p, value in base:
-        if p.kind == "sag" or p.quantity == "damping":
+        if p.kind == "sag" or p.quantity == "damping" or p.name in answered:
             continue
         change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
-        off = abs(change) * widened.get(p.name, 1.0) / p.deviation
+        off = abs(change) / p.deviation
         if off > STRAINED:
             told = (
                 f"comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard deviations off"
@@ -479,5 +480,5 @@ def strained(fit: Fitted) -> list[str]:
                 )
             else:
                 text = f"{p.name} {told}: it may be wrong there, or the description's tolerance too narrow"
-            found.append(Note(text, "description"))
+            found.append(Note(text, "posture" if p.kind == "posture" else "description"))
     return found

@@ -3,7 +3,8 @@
 Names read like the description: ``joint1.z.stiffness``, ``joint1.x.damping``, ``link3.mass``, ``link3.com.x``,
 ``link3.inertia.xx``, ``axis2.a`` (m; ``axis2.alpha`` in rad); any other number of a physics entry is
 ``EFFECT@SITE.name`` (``.name[k]`` in a list). What belongs to a recording and not to the robot: ``posture.NAME.q1``
-(the error of an angle), ``gain.21Z+``, ``node:7.position.x`` (of all channels of a node, in its link's frame) and
+(the error of an angle), ``gain.21Z+``, ``node:7.position.x`` (in its link's frame, of all that is at a node;
+``node:7.response.x`` of its sensor, ``node:7.excitation.x`` of its blows) and
 ``posture.sag``, the share of their deflection under the weight by which springs sag from the stated angles: 0 where
 those are the links', 1 where they are the motors'.
 
@@ -28,6 +29,7 @@ from twin.robot.description import Entry, Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
 Kind = Literal["spring", "entry", "link", "axis", "posture", "sag", "gain", "point"]
+Side = Literal["response", "excitation"]
 
 SATURATED = 4.0
 """Prior deviations at which masses, inertias, angles and gains stop: more is not tolerance but missing physics."""
@@ -204,21 +206,16 @@ class Parameters:
         return error
 
     @cached_property
-    def _points(self) -> dict[str, list[int]]:
-        """Node → indices of its coordinates."""
-        found: dict[str, list[int]] = {}
-        for k, parameter in enumerate(self.items):
-            if parameter.kind == "point":
-                found.setdefault(node_at(parameter.name), []).append(k)
-        return found
+    def _points(self) -> list[int]:
+        return [k for k, parameter in enumerate(self.items) if parameter.kind == "point"]
 
-    def placed(self, channels: Channels, values: FloatArray) -> Channels:
-        """Channels with their nodes where the values have them."""
+    def placed(self, channels: Channels, side: Side, values: FloatArray) -> Channels:
+        """Channels of one side with their nodes where the values have them."""
         if not self._points:
             return channels
         position = channels.position.copy()
-        for row, label in enumerate(channels.label):
-            for k in self._points.get(node_of(label), ()):
+        for k in self._points:
+            for row in rows_of(self.items[k], channels, side):
                 position[row, "xyz".index(self.parts[k][1])] += values[k] - self.items[k].mean
         return replace(channels, position=position)
 
@@ -381,15 +378,18 @@ def axis_parameters(robot: Robot) -> list[Parameter]:
     return found
 
 
-def point_parameters(robot: Robot, *channels: Channels) -> list[Parameter]:
-    """Positions of the nodes of a recording's channels, in the frames of their links; as far off as centres of mass."""
+def point_parameters(robot: Robot, channels: Channels, side: Literal["position"] | Side) -> list[Parameter]:
+    """Coordinates of the nodes of channels, in the frames of their links; as far off as centres of mass.
+
+    Args:
+        side: ``response`` or ``excitation``, where only sensors or blows are moved; ``position``: whatever is there.
+    """
     found: dict[str, Parameter] = {}
-    for some in channels:
-        for label, position in zip(some.label, some.position, strict=True):
-            for letter, value in zip("xyz", position, strict=True):
-                name = f"node:{node_of(label)}.position.{letter}"
-                width = robot.tolerances.com
-                found.setdefault(name, Parameter(name, "m", "point", False, float(value), width, "tolerance"))
+    for label, position in zip(channels.label, channels.position, strict=True):
+        for letter, value in zip("xyz", position, strict=True):
+            name = f"node:{node_of(label)}.{side}.{letter}"
+            width = robot.tolerances.com
+            found.setdefault(name, Parameter(name, "m", "point", False, float(value), width, "tolerance"))
     return list(found.values())
 
 
@@ -470,9 +470,10 @@ def _entries(robot: Robot) -> list[tuple[str, Entry]]:
     return keyed
 
 
-def node_at(name: str) -> str:
-    """Node of a coordinate: ``7`` of ``node:7.position.x``."""
-    return name.removeprefix("node:").partition(".")[0]
+def rows_of(point: Parameter, channels: Channels, side: Side) -> list[int]:
+    """The channels of a side that a coordinate of a node moves: those of the node, if it is of this side or of both."""
+    node, _, of = point.site.removeprefix("node:").partition(".")
+    return [k for k, label in enumerate(channels.label) if node_of(label) == node] if of in (side, "position") else []
 
 
 def _parse(name: str) -> tuple[str, str, int | None]:

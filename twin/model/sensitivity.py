@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
 from twin.model.linear import state_matrix
-from twin.model.parameters import Parameter, Parameters, node_at
+from twin.model.parameters import Parameter, Parameters, Side, rows_of
 from twin.physics import CATALOGUE
-from twin.physics.chain import MeasurementChain, node_of
+from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect
 from twin.robot.description import Robot
 from twin.robot.frames import matrix_of
@@ -381,7 +381,8 @@ class Setup:
 
     def placed(self, parameters: Parameters, values: FloatArray) -> "Setup":
         """The same with the channels where parameters have their nodes."""
-        response, excitation = (parameters.placed(some, values) for some in (self.response, self.excitation))
+        response = parameters.placed(self.response, "response", values)
+        excitation = parameters.placed(self.excitation, "excitation", values)
         same = response is self.response and excitation is self.excitation
         return self if same else replace(self, response=response, excitation=excitation)
 
@@ -700,13 +701,13 @@ def _apply_change(
 def _apply_point(out: Observed, p: int, parameter: Parameter, robot: Robot, setup: Setup, model: Structure) -> None:
     """Write what a coordinate of a node changes into row p of derivatives."""
     chain, letter = recording_chain(robot, setup.response, setup.excitation), parameter.quantity
-    for target, channels, direction in (
-        (out.J_r, setup.response, chain.response_direction),
-        (out.J_e, setup.excitation, chain.excitation_direction),
-    ):
-        for k, label in enumerate(channels.label):
-            if node_of(label) == node_at(parameter.name):
-                target[p, k] = model.point_slopes(channels, direction, k, letter)
+    sides: tuple[tuple[Side, FloatArray, Channels, FloatArray], ...] = (
+        ("response", out.J_r, setup.response, chain.response_direction),
+        ("excitation", out.J_e, setup.excitation, chain.excitation_direction),
+    )
+    for side, target, channels, direction in sides:
+        for k in rows_of(parameter, channels, side):
+            target[p, k] = model.point_slopes(channels, direction, k, letter)
 
 
 def _link_slope(inertial: tuple[float, FloatArray, FloatArray], name: str) -> FloatArray:
