@@ -37,24 +37,21 @@ def described(free: Parameters) -> list[Hypothesis]:
 def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[list[Hypothesis]]:
     """Numbers that fits take as described: lengths and twists of axes, positions of nodes, one by one and all nodes.
 
-    Where a sensor and blows share a node, both may be elsewhere, or either: variants of one hypothesis.
+    Whatever is at a node may be elsewhere, or its sensor, or one blow: variants of one hypothesis.
     """
     sensors = point_parameters(robot, response, "response")
     blows = point_parameters(robot, excitation, "excitation")
-    nodes: dict[str, list[Hypothesis]] = {}
-    for some in (point_parameters(robot, excitation, "position"), sensors, blows):
-        of_node: dict[str, list[Parameter]] = {}
-        for parameter in some:
-            of_node.setdefault(parameter.site, []).append(parameter)
-        for site, own in of_node.items():
-            node = site.partition(".")[0]
-            nodes.setdefault(node, []).append(_freed(f"{node}.position", own))
-    shared = {node_of(label) for label in response.label} & {node_of(label) for label in excitation.label}
-    for node, variants in nodes.items():
-        if node.removeprefix("node:") not in shared:
-            del variants[1:]
+    together = {p.name: p for some in (response, excitation) for p in point_parameters(robot, some, "position")}
+    variants: dict[str, dict[str, list[Parameter]]] = {}
+    for parameter in (*together.values(), *sensors, *blows):
+        node = node_of(parameter.site.partition(".")[0])
+        variants.setdefault(node, {}).setdefault(parameter.site, []).append(parameter)
+    nodes = []
+    for node, some in variants.items():
+        freed = [_freed(f"{node}.position", own) for own in some.values()]
+        nodes.append(freed[1:] if len(freed) == 2 else freed)  # one channel group at the node: the two are the same
     axes = [[_freed(p.name, [p])] for p in axis_parameters(robot)]
-    return [*axes, *nodes.values(), [_freed("node:*.position", [*sensors, *blows])]]
+    return [*axes, *nodes, [_freed("node:*.position", [*sensors, *blows])]]
 
 
 def _freed(site: str, own: Iterable[Parameter]) -> Hypothesis:

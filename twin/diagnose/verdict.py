@@ -413,7 +413,7 @@ def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]
         if parameter.name == site:
             found[parameter.quantity] = one
             continue
-        same = parameter.site.partition(".")[0] == site.partition(".")[0]  # of a node: of its sensor or its blows
+        same = "*" not in site  # of one node, its sensor or a blow
         key = site.rpartition(".")[2] if same else parameter.site
         many = found.setdefault(key, {"value": [], "unit": one["unit"], "interval90": []})
         many["value"].append(one["value"])

@@ -4,7 +4,7 @@ Names read like the description: ``joint1.z.stiffness``, ``joint1.x.damping``, `
 ``link3.inertia.xx``, ``axis2.a`` (m; ``axis2.alpha`` in rad); any other number of a physics entry is
 ``EFFECT@SITE.name`` (``.name[k]`` in a list). What belongs to a recording and not to the robot: ``posture.NAME.q1``
 (the error of an angle), ``gain.21Z+``, ``node:7.position.x`` (in its link's frame, of all that is at a node;
-``node:7.response.x`` of its sensor, ``node:7.excitation.x`` of its blows) and
+``node:7.response.x`` of its sensor, ``node:7Z+.excitation.x`` of one blow) and
 ``posture.sag``, the share of their deflection under the weight by which springs sag from the stated angles: 0 where
 those are the links', 1 where they are the motors'.
 
@@ -382,12 +382,12 @@ def point_parameters(robot: Robot, channels: Channels, side: Literal["position"]
     """Coordinates of the nodes of channels, in the frames of their links; as far off as centres of mass.
 
     Args:
-        side: ``response`` or ``excitation``, where only sensors or blows are moved; ``position``: whatever is there.
+        side: ``response``, a sensor; ``excitation``, each blow by itself; ``position``, whatever is at a node.
     """
     found: dict[str, Parameter] = {}
     for label, position in zip(channels.label, channels.position, strict=True):
         for letter, value in zip("xyz", position, strict=True):
-            name = f"node:{node_of(label)}.{side}.{letter}"
+            name = f"node:{label if side == 'excitation' else node_of(label)}.{side}.{letter}"
             width = robot.tolerances.com
             found.setdefault(name, Parameter(name, "m", "point", False, float(value), width, "tolerance"))
     return list(found.values())
@@ -471,9 +471,11 @@ def _entries(robot: Robot) -> list[tuple[str, Entry]]:
 
 
 def rows_of(point: Parameter, channels: Channels, side: Side) -> list[int]:
-    """The channels of a side that a coordinate of a node moves: those of the node, if it is of this side or of both."""
-    node, _, of = point.site.removeprefix("node:").partition(".")
-    return [k for k, label in enumerate(channels.label) if node_of(label) == node] if of in (side, "position") else []
+    """The channels of a side that a coordinate moves: those of its node, or the one of its label."""
+    where, _, of = point.site.removeprefix("node:").partition(".")
+    if of not in (side, "position"):
+        return []
+    return [k for k, label in enumerate(channels.label) if where in (label, node_of(label))]
 
 
 def _parse(name: str) -> tuple[str, str, int | None]:
