@@ -127,6 +127,9 @@ def explain(
     best = search.base
     for number in range(MISSING_AT_ONCE):
         found = _round(robot, search, best, sample, suspects, progress)
+        if found and found[0].evidence() <= best.evidence():  # no one thing helps: a whole kind may be missing
+            everywhere = _everywhere(robot, search, found, sample, suspects)
+            found = sorted([*found, *everywhere], key=lambda fit: -fit.evidence())
         if not found or found[0].evidence() <= best.evidence():
             break
         before, best = best, _without_last(robot, search, best, found[0], sample)
