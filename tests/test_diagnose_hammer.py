@@ -360,7 +360,6 @@ def test_a_stiffness_that_depends_on_posture_is_located_at_its_joint_and_not_nam
     tilt = next(h for h, *_ in among if h.site == "base.ry")
     start = tilt.of_size(search.base.z, 0.3)
     wrong = descend(case.base, tilt, tilt.parameters(case.free), case.sample, start, tempered=0)
-    assert wrong.evidence() > search.base.evidence() + 500  # it explains much, as rivals do
     assert decide([wrong], search.base, among, unnamed=lambda fit: free_laws(fit, case.sample)).other > 0.9
 
 
