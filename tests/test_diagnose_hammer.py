@@ -11,6 +11,7 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
+from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import next_test
@@ -203,12 +204,12 @@ def test_an_axis_that_is_likelier_comes_first_however_many_share_it() -> None:
     axes = {"a@base": "x", "b@joint1": "x"}
 
     def fit(key: str, evidence: float) -> Any:
-        piece = SimpleNamespace(effect="one")
+        piece = SimpleNamespace(effect="one", family="one")
         hypothesis = SimpleNamespace(pieces=(piece,), key=key, under=lambda axes: (axes.get(key, key),))
         return SimpleNamespace(hypothesis=hypothesis, misfit=1.0, data=1e4, evidence=lambda scale: evidence)
 
     fits = [fit("c@link1", 100.0), fit("a@base", 100.3), fit("b@joint1", 50.0)]
-    decision = decide(fits, fit("none", 0.0), [[SimpleNamespace(effect="one")]], other=0.0, axes=axes)  # type: ignore[list-item]
+    decision = decide(fits, fit("none", 0.0), [[SimpleNamespace(effect="one", family="one")]], other=0.0, axes=axes)  # type: ignore[list-item]
     assert [one.hypothesis.key for one in decision.ranked] == ["a@base", "c@link1", "b@joint1"]
     assert decision.probability[0] < decision.probability[1]
     assert decision.alike > decision.probability[1]
@@ -265,7 +266,8 @@ def test_of_two_that_turn_about_one_axis_neither_is_tried_twice(tmp_path: Path) 
     tilt = next(h for h, *_ in looked_at(case, "base_compliance") if h.site == "base.ry")
     postures = [r.setup.q for r in case.sample.recordings]
     axes = same_axes(case.base, postures)
-    partner = next(h for h in companions(tilt, case.base, case.free, postures) if axes[h.key] == axes[tilt.key])
+    beside = companions(tilt, case.base, described(case.free), postures)
+    partner = next(h for h in beside if axes[h.key] == axes[tilt.key])
     both = together(tilt, partner)
     parameters = both.parameters(case.free)
     start = np.concatenate([base.z, np.zeros(len(parameters) - len(base.z))])
@@ -358,7 +360,6 @@ def test_a_stiffness_that_depends_on_posture_is_located_at_its_joint_and_not_nam
     tilt = next(h for h, *_ in among if h.site == "base.ry")
     start = tilt.of_size(search.base.z, 0.3)
     wrong = descend(case.base, tilt, tilt.parameters(case.free), case.sample, start, tempered=0)
-    assert wrong.evidence() > search.base.evidence() + 500  # it explains much, as rivals do
     assert decide([wrong], search.base, among, unnamed=lambda fit: free_laws(fit, case.sample)).other > 0.9
 
 

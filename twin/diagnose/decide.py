@@ -83,7 +83,7 @@ def decide(
     numbers = calibration()
     sites: dict[str, int] = {}
     for variants in suspects:
-        sites[variants[0].effect] = sites.get(variants[0].effect, 0) + 1
+        sites[variants[0].family] = sites.get(variants[0].family, 0) + 1
     best_misfit = min([base.misfit, *(fit.misfit for fit in fits)])
     scale = max(1.0, best_misfit) if scale is None else scale
     gains = np.array([fit.evidence(scale) - base.evidence(scale) for fit in fits])
@@ -138,7 +138,7 @@ def _shared(names: FloatArray, fits: Sequence[Fitted], axes: Mapping[str, str]) 
 def _prior(hypothesis: Hypothesis, sites: Mapping[str, int], none: float) -> float:
     """Logarithm of a prior: every effect alike, and every site of it."""
     pieces = hypothesis.pieces or (hypothesis,)
-    return float(sum(np.log((1 - none) / (len(sites) + 1) / sites.get(p.effect, 10)) for p in pieces))
+    return float(sum(np.log((1 - none) / (len(sites) + 1) / sites.get(p.family, 10)) for p in pieces))
 
 
 def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> FloatArray:

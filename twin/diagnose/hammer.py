@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.decide import Decision, calibration, decide, finalists
+from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
-from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, widened
+from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects
 from twin.diagnose.joint import Knowledge, settled_with, shared
 from twin.diagnose.joint_reaction import blows
 from twin.diagnose.levels_finding import check_blows, levels_finding
@@ -40,7 +41,7 @@ from twin.identify.objective import Sample
 from twin.identify.recorded import Recorded, base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
 from twin.measure.recordings import Recording
-from twin.model.parameters import Parameters, Sprung, free_parameters
+from twin.model.parameters import Parameters, free_parameters, written_names
 from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
@@ -117,10 +118,10 @@ def diagnose_campaign(
         return told
     if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
-    looked_at = _suspects(campaign, base, found)
+    looked_at = _suspects(campaign, base, free, found)
     explain(base, search, sample, looked_at, progress)
     answer = _answered(base, search, sample, looked_at, found)
-    before = answer.base
+    before = _as_described(base, search, answer, sample)
     if told_by and told_by.missing:
         before = _weighed(told_by, without_limits(given), answer.base, sample, seed)
         told_by.missing = [_borne_out(m, answer.best) for m in told_by.missing]
@@ -154,10 +155,12 @@ class _Answer:
         return self.word in ("named", "ambiguous")
 
 
-def _suspects(campaign: Campaign, base: Robot, found: Triage) -> list[list[Hypothesis]]:
+def _suspects(campaign: Campaign, base: Robot, free: Parameters, found: Triage) -> list[list[Hypothesis]]:
     band = float(found.used[0].frequency[0]), float(found.used[0].frequency[-1])
     brakes = [r.setup.brakes for r in found.recordings.values()]
-    return suspects(base, campaign.response, campaign.excitation, brakes, band)
+    physics = suspects(base, campaign.response, campaign.excitation, brakes, band)
+    numbers = [[one] for one in described(free)]
+    return [*physics, *numbers, *geometry(base, campaign.response, campaign.excitation)]
 
 
 def _answered(
@@ -176,7 +179,7 @@ def _answered(
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
     ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
-    return _Answer(decision, word, missing, fits, ends[0], ends[-1])
+    return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]))
 
 
 def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _Answer, before: Fitted) -> Finding:
@@ -198,6 +201,31 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in answer.missing]
     return finding
+
+
+def _as_described(base: Robot, search: Search, answer: _Answer, sample: Sample) -> Fitted:
+    """The base model as it would be without the answer: numbers that are answered are held as described."""
+    fit = answer.base
+    held = {name for name, _ in answer.best.hypothesis.scale}
+    if not held:
+        return fit
+    names = search.base.parameters.names
+    free = search.base.parameters.select(k for k, name in enumerate(names) if name not in held)
+    known = dict(zip(written_names(fit.parameters).names, fit.values, strict=True))
+    z = free.coordinates(np.array([known.get(p.name, p.mean) for p in free]))
+    few = descend(base, NONE, free, sample.thin(REFIT_LINES), z, linear=20)
+    return descend(base, NONE, free, sample, few.z, tempered=0, linear=20)
+
+
+def _loosened(fit: Fitted) -> Fitted:
+    """A fit whose robot says how far angles of postures are off, if that is more than described."""
+    freed = {name for name, _ in fit.hypothesis.scale}
+    angles = [v for p, v in zip(fit.parameters, fit.values, strict=True) if p.kind == "posture" and p.name in freed]
+    if not angles:
+        return fit
+    spread = float(np.rad2deg(np.sqrt(np.mean(np.square(angles)))))
+    tolerances = fit.robot.tolerances.model_copy(update={"posture_deg": spread})
+    return replace(fit, robot=fit.robot.model_copy(update={"tolerances": tolerances}))
 
 
 def _next_test(given: Robot, answer: _Answer, few: Sample, seed: int) -> dict[str, Any] | None:
@@ -224,8 +252,8 @@ def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     robot = physical(fit.robot)
     if robot is fit.robot:
         return fit
-    written = fit.parameters.written if isinstance(fit.parameters, Sprung) else fit.parameters
-    free = written.only("spring", "entry", "posture", "sag", "gain")
+    written = written_names(fit.parameters)
+    free = written.only("spring", "entry", "axis", "posture", "sag", "gain", "point")
     values = np.array([fit.values[written.names.index(name)] for name in free.names])
     described = robot.model_copy(update={"links": base.links})
     few, fits = sample.thin(REFIT_LINES), []
@@ -262,7 +290,7 @@ def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, se
 def _hypotheses(rival: Candidate, base: Robot, free: Parameters) -> list[Hypothesis]:
     """A rival as a hypothesis about a hammer test; none where a hammer test cannot show it."""
     if rival.effect == "parameter":
-        return [h for h in widened(free) if h.site == rival.site]
+        return [h for h in described(free) if h.site == rival.site]
     if not shared(rival.effect):
         return []
     values = CATALOGUE[rival.effect].typical(base, rival.site)

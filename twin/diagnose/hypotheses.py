@@ -15,13 +15,11 @@ from twin.measure.campaign import Brakes, Channels, FloatArray
 from twin.model.parameters import Parameter, Parameters, Sprung, independent, join
 from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
-from twin.physics.effect import Companion
+from twin.physics.effect import Companion, Effect
 from twin.physics.effect import Parameter as Quantity
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import axis_placement, matrix_of
 
-WIDENED = {"stiffness": np.log(3.0), "mass": 0.15, "com": 0.05, "inertia": 0.3, "gain": 0.1, "damping": np.log(20.0)}
-"""Prior deviation of a base parameter that is suspected of being wrong beyond its tolerance."""
 SAME_ANGLE = 0.05  # rad: angles of joint 1 that far apart are two
 
 
@@ -32,7 +30,7 @@ class Hypothesis:
     Attributes:
         effect, site: as in a diagnosis.
         entries: what is added to the description, at the centre of its prior.
-        own: (m,) parameters of the entries, named as in the description.
+        own: (m,) parameters of the entries, or numbers that the base model takes as described; named as there.
         scale: base parameters whose prior is widened: name → factor on the deviation.
         parts: the single hypotheses of one that is several at once.
     """
@@ -52,12 +50,22 @@ class Hypothesis:
     @property
     def pieces(self) -> tuple["Hypothesis", ...]:
         """Single hypotheses; none for the base model."""
-        return self.parts or ((self,) if self.entries or self.scale else ())
+        return self.parts or ((self,) if self.entries or self.scale or self.own else ())
 
     @property
     def key(self) -> str:
         """``EFFECT@SITE``."""
         return f"{self.effect}@{self.site}"
+
+    @property
+    def family(self) -> str:
+        """What shares one prior among its sites: an effect, or numbers of one kind, as centres of mass."""
+        return self.effect if self.law else f"{self.effect}.{self.site.rpartition('.')[2]}"
+
+    @property
+    def law(self) -> Effect | None:
+        """What the catalogue states of the effect; ``None`` of a number of the description."""
+        return CATALOGUE.get(self.effect)
 
     def under(self, axes: Mapping[str, str]) -> tuple[str, ...]:
         """Keys of the pieces, those that turn about the same axis (:func:`same_axes`) under that axis' name."""
@@ -83,7 +91,7 @@ class Hypothesis:
     def _prior(self) -> Parameters:
         """The own parameters; what is known of a damper is its ratio to its spring."""
         own = independent(self.own)
-        if self.effect in CATALOGUE and CATALOGUE[self.effect].sprung:
+        if self.law and self.law.sprung:
             ratio = np.eye(len(self.own))
             ratio[1, 0] = 1.0
             return Parameters(own.items, ratio @ own.covariance @ ratio.T)
@@ -95,7 +103,8 @@ class Hypothesis:
         Tolerances of links, angles and gains change FRFs by less than that.
         """
         widened = {name for name, _ in self.scale}
-        return [k for k, p in enumerate(parameters) if p.kind in ("spring", "entry") or p.name in widened]
+        coarse = ("spring", "entry", "axis", "point")
+        return [k for k, p in enumerate(parameters) if p.kind in coarse or p.name in widened]
 
     def _quick(self, written: Parameters) -> Parameters:
         items = list(written.items)
@@ -175,26 +184,6 @@ def suspects(
     return found
 
 
-def widened(parameters: Parameters) -> list[Hypothesis]:
-    """Numbers of the base model that may be off beyond their tolerance: stiffnesses, masses of links."""
-    found = []
-    for parameter in parameters:
-        if parameter.kind == "spring" and parameter.quantity == "stiffness":
-            factor = WIDENED["stiffness"] / parameter.deviation
-            if factor > 1:
-                found.append(Hypothesis("parameter", parameter.name, scale=((parameter.name, factor),)))
-    for link in dict.fromkeys(p.name.partition(".")[0] for p in parameters if p.kind == "link"):
-        scale = []
-        for parameter in parameters:
-            if parameter.kind == "link" and parameter.name.startswith(f"{link}."):
-                what = parameter.name.split(".")[1]
-                if what == "mass":
-                    scale.append((parameter.name, max(1.0, WIDENED["mass"] / parameter.deviation)))
-        if scale:
-            found.append(Hypothesis("parameter", f"{link}.mass", scale=tuple(scale)))
-    return found
-
-
 def together(*parts: Hypothesis) -> Hypothesis:
     """All at once; nothing beside something is that something alone."""
     flat = [piece for part in parts for piece in part.pieces]
@@ -207,9 +196,13 @@ def together(*parts: Hypothesis) -> Hypothesis:
 
 
 def companions(
-    hypothesis: Hypothesis, base: Robot, parameters: Parameters, postures_q: Sequence[FloatArray]
+    hypothesis: Hypothesis, base: Robot, numbers: Sequence[Hypothesis], postures_q: Sequence[FloatArray]
 ) -> list[Hypothesis]:
-    """What a hypothesis is known to be hard to tell from, by mechanics: judged beside it in any case."""
+    """What a hypothesis is known to be hard to tell from, by mechanics: judged beside it in any case.
+
+    Args:
+        numbers: those of the description that may be wrong.
+    """
     axes = same_axes(base, postures_q)
     found = [
         Companion(key.partition("@")[0], key.partition("@")[2])
@@ -223,7 +216,7 @@ def companions(
     hypotheses: list[Hypothesis] = []
     for one in found:
         if one.effect == "parameter":
-            hypotheses += [h for h in widened(parameters) if h.site == one.site]
+            hypotheses += [h for h in numbers if h.site == one.site]
         elif one.effect in CATALOGUE and ((one.effect, one.site) not in present or CATALOGUE[one.effect].repeatable):
             values = one.values or CATALOGUE[one.effect].typical(base, one.site)
             hypotheses += [entry_hypothesis(base, one.effect, one.site, dict(values))] if values else []

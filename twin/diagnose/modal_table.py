@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.decide import Decision, decide
-from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together, widened
+from twin.diagnose.described import described
+from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together
 from twin.diagnose.physical import as_written
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
@@ -113,7 +114,8 @@ def diagnose_table(
     used = {name: p for name, p in postures.items() if name not in kept}
     if not used:
         raise InputError(source, "postures", "no posture with modes is left to fit to")
-    looked_at = [*mechanical_suspects(base), *(h for h in widened(free) if not h.site.endswith("mass")), *heavier(free)]
+    springs = [h for h in described(free) if h.site.endswith("stiffness")]
+    looked_at = [*mechanical_suspects(base), *springs, *heavier(free)]
     tick = progress("modal table", len(looked_at)) if progress else (lambda count: None)
     before = fitted(base, NONE, free, used, seed)
     plain = left_out(base, before, free, used, seed)
@@ -317,7 +319,7 @@ def decide_table(
         return bool(fewer) and all(predicts(out, error) for error in fewer)
 
     good = [fit.hypothesis for fit, out in rounds if helps(fit, out)]
-    same = {alias.key for h in good for alias in companions(h, base, free, postures_q)}
+    same = {alias.key for h in good for alias in companions(h, base, described(free), postures_q)}
     scale = max(1.0, min(fit.misfit for fit, _ in rounds))
     most = max((fit.evidence(scale) for fit, _ in rounds if fit.hypothesis in good), default=0.0)
 

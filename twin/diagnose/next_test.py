@@ -36,7 +36,7 @@ def smallest_visible(
     residual, J = objective.jacobian(fit.z)
     inverse = np.linalg.inv(J @ J.T + np.eye(len(J)))
     found = []
-    for variants in suspects:
+    for variants in (some for some in suspects if some[0].law):
         hypothesis = variants[len(variants) // 2]
         first = hypothesis.own[0]
         changed = Objective(hypothesis.robot(robot), hypothesis.parameters(fit.parameters), sample)

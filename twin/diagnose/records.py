@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.diagnose.physical import physical
-from twin.diagnose.refit import Fitted
+from twin.diagnose.refit import Fitted, placed
 from twin.identify.elastic_compare import judge, relative_error
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded
@@ -170,17 +170,18 @@ def frf_records(
         ("after", after.robot, after),
     ):
         robot = physical(robot)
+        seen, unseen = (placed(fit, Sample(tuple(some))).recordings if fit else some for some in (used, kept))
         if fit is None or robot is not fit.robot:
-            train = judge(robot, used)
+            train = judge(robot, seen)
             on_used, error = list(train.predicted), train.error
         else:
             on_used = Objective(fit.robot, fit.parameters, Sample(tuple(used))).predicted(fit.z)
             error = relative_error(used, on_used)
-        rest = judge(robot, kept) if kept else None
+        rest = judge(robot, unseen) if unseen else None
         predicted[stage] = [*on_used, *(rest.predicted if rest else ())]  # type: ignore[index]
         errors[stage] = {"train": error, "held_out": rest.error if rest else None}
     records = []
-    for k, r in enumerate([*used, *kept]):
+    for k, r in enumerate(placed(after, Sample((*used, *kept))).recordings):
         records.append(
             FrfRecord(
                 r.group, r.setup.name, k >= len(used), r.setup.q, r.setup.brakes, r.setup.response, r.setup.excitation,

@@ -24,6 +24,7 @@ from twin.robot.description import Robot
 NONE = Hypothesis("none", "")
 ASTRAY = 100.0  # times the variance of noise: how badly such a fit foretells needs no last digit
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
+LEVELS = 5  # widths over which a tolerance may be too narrow
 WIDTHS = (1.0, 2.0, 4.0)
 REFIT_TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
 
@@ -78,21 +79,23 @@ class Fitted:
     def _of_any_size(self, information: FloatArray) -> float:
         """What the evidence gains when sizes may be far from the usual one: prior widths averaged over their scale.
 
-        An angle, gain or delay of either sign may be as small as ``SMALLER`` of its usual width, alike for all scales;
+        An angle, gain or delay of either sign may be as small as ``SMALLER`` of its usual width, alike for all scales,
+        and so may a number of the description, down to its tolerance;
         the logarithm of a size may be ``WIDTHS`` times as far off, and stays where it is: what a wider prior would move
         it by along a bent valley, no Gaussian tells. Gaussian likelihood of the own parameters, the others integrated
         out.
         """
         gained, at = 0.0, len(self.z) - len(self.hypothesis.own)
-        if not self.hypothesis.own:
+        if self.hypothesis is NONE:
             return gained
         covariance = np.linalg.inv(information)
         for piece in self.hypothesis.pieces:
             block = list(range(at, at + len(piece.own)))
             at += len(piece.own)
-            if not block:
-                continue
-            signed = not any(p.log for p in piece.own)
+            signed, smaller = not any(p.log for p in piece.own), SMALLER
+            if piece.scale:
+                block = [self.parameters.names.index(name) for name, _ in piece.scale]
+                smaller = tuple(np.geomspace(1 / piece.scale[0][1], 1.0, LEVELS))
             block = block if signed else block[:1]
             precision = np.linalg.inv(covariance[np.ix_(block, block)])
             likelihood = precision - np.eye(len(block))
@@ -101,7 +104,7 @@ class Fitted:
             if signed:
                 spread = np.linalg.inv(likelihood)
                 estimate = spread @ precision @ self.z[block]
-                logs = [_normal(estimate, spread + s**2 * np.eye(len(block))) for s in (*SMALLER, 1.0)]
+                logs = [_normal(estimate, spread + s**2 * np.eye(len(block))) for s in (*smaller, 1.0)]
             else:
                 logs = [*_of_widths(float(self.z[block[0]]), float(likelihood[0, 0])), 0.0]
             *logs, usual = logs
@@ -225,7 +228,7 @@ def foreseen(fit: Fitted, kept: Sample) -> Fitted:
     of probability), and nothing is fitted to both. Angles of the postures are their own.
     """
     stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
-    covariance = fit.covariance
+    covariance, kept = fit.covariance, placed(fit, kept)
     own = recording_parameters(fit.robot, dict.fromkeys(r.setup.name for r in kept.recordings), ())
     own = [p for p in own if p.kind == "posture"]
 
@@ -239,6 +242,13 @@ def foreseen(fit: Fitted, kept: Sample) -> Fitted:
     steps = 8 if fit.misfit < ASTRAY else 2
     few = descend(fit.robot, NONE, known, kept.thin(50), np.zeros(len(known)), tempered=0, linear=steps, tolerance=0.1)
     return descend(fit.robot, NONE, known, kept, few.z, tempered=0, linear=steps, tolerance=0.1)
+
+
+def placed(fit: Fitted, sample: Sample) -> Sample:
+    """Recordings with the nodes of their channels where a fit has them."""
+    setups = [r.setup.placed(fit.parameters, fit.values) for r in sample.recordings]
+    moved = (replace(r, setup=setup) for r, setup in zip(sample.recordings, setups, strict=True))
+    return replace(sample, recordings=tuple(moved))
 
 
 def noise_floor(recordings: Sequence[Recorded]) -> float:

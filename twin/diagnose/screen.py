@@ -183,14 +183,17 @@ def screen(
 ) -> list[Promise]:
     """The most promising size of every suspect not in the current hypothesis, and of its rival variants, best first."""
     present = {piece.key for piece in setting.current.pieces}
+    freed = {p.name for p in setting.current.own}
     before = setting.objective(setting.current).cost(setting.z)
     if not setting.error:
         before -= setting.linear.gain
-    missing = [variants for variants in suspects if variants[0].key not in present]
+    missing = [
+        some for some in suspects if some[0].key not in present and freed.isdisjoint(p.name for p in some[0].own)
+    ]
     scan = _Scan(setting) if any(len(variants) > SCANNED for variants in missing) else None
     if not setting.logarithmic:
         setting.linear  # noqa: B018 – once, before the work is spread
-    if not setting.error and any(CATALOGUE[variants[0].effect].ridged for variants in missing):
+    if not setting.error and any(v[0].law and v[0].law.ridged for v in missing):
         setting.floor  # noqa: B018
 
     def best(number: int) -> list[Promise]:
@@ -224,6 +227,10 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     """One promise for every place a search may start from."""
     hypothesis = together(setting.current, suspect)
     objective = setting.objective(hypothesis)
+    if suspect.scale:
+        return [_widened_promise(setting, hypothesis, suspect, objective, before)]
+    if suspect.law is None:
+        return [_freed_promise(setting, hypothesis, suspect, objective, before)]
     size = next((k for k, p in enumerate(suspect.own) if p.log), None)
     found = []
     starts: list[tuple[float, FloatArray]] = []
@@ -253,6 +260,35 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
         z = np.zeros(len(objective.parameters))
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
     return found
+
+
+def _widened_promise(
+    setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective, before: float
+) -> Promise:
+    """What numbers of the description gain if their tolerance is w times wider.
+
+    To first order the cost is that of now, ½ δᵀA δ about its optimum, less ½ (1 − 1/w²) of the squares of what widens.
+    """
+    at = [setting.free.names.index(name) for name, _ in suspect.scale]
+    width = np.ones(len(setting.z))
+    width[at] = [factor for _, factor in suspect.scale]
+    if setting.logarithmic:
+        return _full_promise(setting, hypothesis, suspect, objective, setting.z / width, before)
+    linear, less = setting.linear, 1 - 1 / width**2
+    z = setting.z + linear.step(linear.own)
+    gradient = -less * z
+    step = -np.linalg.solve(linear.R.T @ linear.R - np.diag(less), gradient)
+    gain = 0.5 * float(less @ z**2) - 0.5 * float(gradient @ step)
+    return Promise(hypothesis, suspect, objective.parameters, gain, (z + step) / width, setting.z / width)
+
+
+def _freed_promise(
+    setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective, before: float
+) -> Promise:
+    """What numbers that the fit takes as described gain if they are free."""
+    z = np.concatenate([setting.z, np.zeros(len(suspect.own))])
+    promise = _full_promise if setting.logarithmic else _near_promise
+    return promise(setting, hypothesis, suspect, objective, z, before)
 
 
 def _yielding(

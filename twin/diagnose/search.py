@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose.hypotheses import Hypothesis, Sprung, companions, merged, same_axes, together
+from twin.diagnose.described import described
+from twin.diagnose.hypotheses import Hypothesis, companions, merged, same_axes, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
@@ -18,10 +19,9 @@ from twin.identify.descent import minimise
 from twin.identify.elastic import AGREEMENT
 from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import FloatArray
-from twin.model.parameters import Parameter, Parameters
+from twin.model.parameters import Parameter, Parameters, written_names
 from twin.model.sensitivity import observe_all, poles
 from twin.parallel import Progress, spread
-from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 SCREEN_LINES, REFIT_LINES, NEAR_LINES = 25, 50, 100
@@ -127,6 +127,9 @@ def explain(
     best = search.base
     for number in range(MISSING_AT_ONCE):
         found = _round(robot, search, best, sample, suspects, progress)
+        if found and found[0].evidence() <= best.evidence():  # no one thing helps: a whole kind may be missing
+            everywhere = _everywhere(robot, search, found, sample, suspects)
+            found = sorted([*found, *everywhere], key=lambda fit: -fit.evidence())
         if not found or found[0].evidence() <= best.evidence():
             break
         before, best = best, _without_last(robot, search, best, found[0], sample)
@@ -256,8 +259,8 @@ def _everywhere(
         return []
     places = []
     for effect in dict.fromkeys(fit.hypothesis.pieces[-1].effect for fit in found):
-        sites = [variants[0] for variants in suspects if variants[0].effect == effect and CATALOGUE[effect].sprung]
-        if len(sites) < 2:
+        sites = [variants[0] for variants in suspects if variants[0].effect == effect]
+        if len(sites) < 2 or not (sites[0].law and sites[0].law.sprung):
             continue
         hypothesis = together(*sites)
         parameters = hypothesis.parameters(free)
@@ -406,7 +409,7 @@ def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
         for piece in [piece for piece in fit.hypothesis.pieces if piece.key in axes]:
             rest = [other for other in fit.hypothesis.pieces if other is not piece]
             there = {other.key for other in rest}  # both may be missing, but neither twice
-            for companion in [c for c in companions(piece, robot, free, postures) if c.key not in there]:
+            for companion in [c for c in companions(piece, robot, described(free), postures) if c.key not in there]:
                 hypothesis = together(*rest, companion)
                 known, parameters = search.fits.get(hypothesis.identity), hypothesis.parameters(free)
                 starts: tuple[FloatArray, ...] = (_taken_over(fit, [piece], companion, parameters),)
@@ -477,7 +480,7 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
     free = search.base.parameters
     *others, last = best.hypothesis.pieces
     postures = [r.setup.q for r in sample.recordings]
-    instead = [(others, companion, [last]) for companion in companions(last, robot, free, postures)]
+    instead = [(others, companion, [last]) for companion in companions(last, robot, described(free), postures)]
     for other in others:
         rest = [piece for piece in others if piece is not other]
         instead += [(rest, companion, [last, other]) for companion in merged(last, other, robot)]
@@ -500,7 +503,7 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
             z = np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z))
         elif alike and gone == [last]:
             z, n = best.z.copy(), len(best.z) - len(companion.own)
-            if CATALOGUE[companion.effect].lever and companion.site != last.site:  # its mass and place are others there
+            if _lever(companion) and companion.site != last.site:  # its mass and place are others there
                 z[n:] *= [p.quantity in ("frequency_hz", "damping_ratio") for p in companion.own]
         else:
             z = _taken_over(best, gone, companion, parameters)
@@ -514,23 +517,23 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
 def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis, parameters: Parameters) -> FloatArray:
     """Where a companion starts: what stays is as it is, its own numbers are those of what it stands for, rather of the
     simpler: mass and place of what hangs."""
-    fitted = dict(zip(_described(best.parameters).names, best.values, strict=True))
+    fitted = dict(zip(written_names(best.parameters).names, best.values, strict=True))
     known: dict[str, float] = {}
     for piece in sorted(gone, key=lambda piece: -len(piece.own)):
         known |= {_role(piece, p): fitted[p.name] for p in piece.own}
     own = {p.name: known.get(_role(companion, p), p.mean) for p in companion.own}
-    names = _described(parameters).names
+    names = written_names(parameters).names
     return parameters.coordinates(np.array([own.get(name, fitted.get(name)) for name in names], float))
 
 
-def _described(parameters: Parameters) -> Parameters:
-    """Parameters under the names of the description."""
-    return parameters.written if isinstance(parameters, Sprung) else parameters
+def _lever(piece: Hypothesis) -> str:
+    """The number that says where a mass hangs; empty where nothing hangs."""
+    return piece.law.lever if piece.law else ""
 
 
 def _role(piece: Hypothesis, parameter: Parameter) -> str:
     """What a number is to a mass: how heavy it is, where it hangs."""
-    lever = CATALOGUE[piece.effect].lever
+    lever = _lever(piece)
     return parameter.quantity.replace(lever, "lever") if lever else parameter.quantity
 
 

@@ -16,7 +16,7 @@ from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
 from twin.identify.uncertainty import NINETY
 from twin.result import Result, Table
-from twin.robot.description import Entry, Robot
+from twin.robot.description import Robot
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]
@@ -385,12 +385,7 @@ def missing_of(decision: Decision, base: Fitted) -> list[Missing]:
 
 def parts(fit: Fitted) -> list[tuple[str, str]]:
     """Effects and sites of a hypothesis."""
-    hypothesis = fit.hypothesis
-    if not hypothesis.scale and len(hypothesis.entries) > 1:
-        return [(entry.effect, entry.site) for entry in hypothesis.entries]
-    if hypothesis.scale and hypothesis.entries:
-        return [*((e.effect, e.site) for e in hypothesis.entries), ("parameter", hypothesis.scale[0][0])]
-    return [(hypothesis.effect, hypothesis.site)]
+    return [(piece.effect, piece.site) for piece in fit.hypothesis.pieces or (fit.hypothesis,)]
 
 
 def _candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
@@ -400,10 +395,30 @@ def _candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
 
 def estimates(fit: Fitted, part: tuple[str, str]) -> dict[str, Any]:
     """Value, unit and 90 % interval of the parameters of one of a hypothesis' things; a list's numbers in one list."""
-    indices = [k for k in fit.own if _belongs(fit.parameters[k].name, part, fit.hypothesis.entries)]
-    if part[0] == "parameter":
-        indices = [fit.parameters.names.index(name) for name, _ in fit.hypothesis.scale[:1]]
-    return estimates_of(fit, indices)
+    at = len(fit.z) - len(fit.hypothesis.own)
+    for piece in fit.hypothesis.pieces:
+        if (piece.effect, piece.site) == part:
+            indices = [fit.parameters.names.index(name) for name, _ in piece.scale] or range(at, at + len(piece.own))
+            return estimates_of(fit, indices) if piece.law else _described(fit, piece.site, indices)
+        at += len(piece.own)
+    return {}
+
+
+def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]:
+    """The same of numbers of the description at a site: coordinates of one point or link in one list."""
+    found: dict[str, Any] = {}
+    for k in indices:
+        parameter = fit.parameters[k]
+        (one,) = estimates_of(fit, [k]).values()
+        if parameter.name == site:
+            found[parameter.quantity] = one
+            continue
+        same = "*" not in site  # of one node, its sensor or a blow
+        key = site.rpartition(".")[2] if same else parameter.site
+        many = found.setdefault(key, {"value": [], "unit": one["unit"], "interval90": []})
+        many["value"].append(one["value"])
+        many["interval90"].append(one["interval90"])
+    return found
 
 
 def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
@@ -433,14 +448,6 @@ def unit_at(unit: str, site: str) -> str:
     return sliding if sliding and site in ("base.x", "base.y", "base.z") else turning
 
 
-def _belongs(name: str, part: tuple[str, str], entries: Sequence[Entry]) -> bool:
-    """Whether an own parameter is one of an effect at a site; springs are named after their coordinate alone."""
-    if len(entries) == 1:
-        return True
-    effect, site = part
-    return name.startswith((f"{effect}@{site}.", f"{effect}@{site}#")) or name.startswith(f"{site}.")
-
-
 def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
     """Optima of the base model beside the best, a sentence each."""
     return [
@@ -456,13 +463,13 @@ def strained(fit: Fitted) -> list[str]:
     What is in series with such a spring, about its axis, may be all that is wrong with it.
     """
     found: list[str] = []
-    widened = dict(fit.hypothesis.scale)
+    answered = dict(fit.hypothesis.scale)
     base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
     for p, value in base:
-        if p.kind == "sag" or p.quantity == "damping":
+        if p.kind == "sag" or p.quantity == "damping" or p.name in answered:
             continue
         change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
-        off = abs(change) * widened.get(p.name, 1.0) / p.deviation
+        off = abs(change) / p.deviation
         if off > STRAINED:
             told = (
                 f"comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard deviations off"
@@ -473,5 +480,5 @@ def strained(fit: Fitted) -> list[str]:
                 )
             else:
                 text = f"{p.name} {told}: it may be wrong there, or the description's tolerance too narrow"
-            found.append(Note(text, "description"))
+            found.append(Note(text, "posture" if p.kind == "posture" else "description"))
     return found

@@ -121,11 +121,11 @@ def fit_frf(
             progress(1)
     ends.sort(key=lambda end: end.cost)
     agreeing, rival = agreement(ends)
-    objective = Objective(robot, parameters, Sample(tuple(recordings)), exact=True)
-    misfit = 2 * ends[0].cost / max(1, _data(few.recordings))
-    z, cost, information, converged = minimise(
-        objective, ends[0].z, 60, 1e-3 * max(1.0, misfit), bound=bound, slack=0.0
-    )
+    whole, misfit = Sample(tuple(recordings)), 2 * ends[0].cost / max(1, _data(few.recordings))
+    z = ends[0].z
+    for finer in (0.1, 1e-3):  # again from its end: what sag adds to the slopes is as of where an objective began
+        objective = Objective(robot, parameters, whole, exact=True)
+        z, cost, information, converged = minimise(objective, z, 60, finer * max(1.0, misfit), bound=bound, slack=0.0)
     if progress:
         progress(1)
     data = _data(recordings)

@@ -13,7 +13,6 @@ from twin.identify.posterior import Posterior, posterior_beside, without_entries
 from twin.milling.cut import Cut
 from twin.milling.postures import Tips, stacked, tips
 from twin.milling.tool_point import ToolModes
-from twin.model.parameters import TOLERANCE_DEVIATION
 from twin.robot.description import Robot
 
 MODES = 32  # whose dampings are drawn, each on its own
@@ -81,7 +80,7 @@ def ensemble(
         return None
     known = without_entries(known, robot)
     rng = np.random.default_rng([seed, 1])
-    width = np.deg2rad(robot.tolerances.posture_deg) * TOLERANCE_DEVIATION
+    width = np.deg2rad(robot.tolerances.posture_deg)
     return Ensemble(
         [physical(drawn) for drawn in known.robots(robot, count, seed)],
         width * rng.standard_normal((count, robot.axis_count)),

@@ -1,10 +1,12 @@
 """The numbers a fit may change, as data: name, unit, prior; and a robot with them changed.
 
 Names read like the description: ``joint1.z.stiffness``, ``joint1.x.damping``, ``link3.mass``, ``link3.com.x``,
-``link3.inertia.xx``; any other number of a physics entry is ``EFFECT@SITE.name`` (``.name[k]`` in a list). What belongs
-to a recording and not to the robot: ``posture.NAME.q1`` (the error of an angle), ``gain.21Z+`` and ``posture.sag``, the
-share of their deflection under the weight by which springs sag from the stated angles: 0 where those are the links', 1
-where they are the motors'.
+``link3.inertia.xx``, ``axis2.a`` (m; ``axis2.alpha`` in rad); any other number of a physics entry is
+``EFFECT@SITE.name`` (``.name[k]`` in a list). What belongs to a recording and not to the robot: ``posture.NAME.q1``
+(the error of an angle), ``gain.21Z+``, ``node:7.position.x`` (in its link's frame, of all that is at a node;
+``node:7.response.x`` of its sensor, ``node:7Z+.excitation.x`` of one blow) and
+``posture.sag``, the share of their deflection under the weight by which springs sag from the stated angles: 0 where
+those are the links', 1 where they are the motors'.
 
 Optimisation runs in z, in which the prior is the standard normal: x = L z with the prior covariance L Lᵀ, and
 value = mean · eˣ (log-normal) or mean + x.
@@ -20,15 +22,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.measure.campaign import FloatArray
+from twin.measure.campaign import Channels, FloatArray
 from twin.physics import CATALOGUE
+from twin.physics.chain import node_of
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
-Kind = Literal["spring", "entry", "link", "posture", "sag", "gain"]
-
-TOLERANCE_DEVIATION = 1 / np.sqrt(3)
-"""Standard deviation of an error of which only the limits ±1 are known (uniform; GUM, JCGM 100:2008, 4.3.7)."""
+Kind = Literal["spring", "entry", "link", "axis", "posture", "sag", "gain", "point"]
+Side = Literal["response", "excitation"]
 
 SATURATED = 4.0
 """Prior deviations at which masses, inertias, angles and gains stop: more is not tolerance but missing physics."""
@@ -46,7 +47,8 @@ class Parameter:
     """One free number.
 
     Attributes:
-        kind: ``spring`` (of a joint), ``entry`` (of other physics), ``link``, ``posture``, ``sag`` or ``gain``.
+        kind: ``spring`` (of a joint), ``entry`` (of other physics), ``link``, ``axis``, ``posture``, ``sag``, ``gain``
+            or ``point``.
         log: value = mean · eˣ; otherwise mean + x.
         mean: prior mean (median, where ``log``), in ``unit``.
         deviation: prior standard deviation of x.
@@ -128,7 +130,7 @@ class Parameters:
     @cached_property
     def bound(self) -> FloatArray:
         """Largest |z| (n,): tolerances end where they become implausible, springs and dampers nowhere."""
-        open_ = [parameter.kind in ("spring", "entry") for parameter in self.items]
+        open_ = [parameter.kind in ("spring", "entry", "axis", "point") for parameter in self.items]
         return np.where(open_, np.inf, SATURATED)
 
     @cached_property
@@ -203,6 +205,20 @@ class Parameters:
             error[int(self.parts[k][1][1:]) - 1] = values[k]
         return error
 
+    @cached_property
+    def _points(self) -> list[int]:
+        return [k for k, parameter in enumerate(self.items) if parameter.kind == "point"]
+
+    def placed(self, channels: Channels, side: Side, values: FloatArray) -> Channels:
+        """Channels of one side with their nodes where the values have them."""
+        if not self._points:
+            return channels
+        position = channels.position.copy()
+        for k in self._points:
+            for row in rows_of(self.items[k], channels, side):
+                position[row, "xyz".index(self.parts[k][1])] += values[k] - self.items[k].mean
+        return replace(channels, position=position)
+
     def gains(self, labels: Sequence[str], values: FloatArray) -> FloatArray:
         """Gains (nr,) of response channels."""
         gain = {p.name: v for p, v in zip(self.items, values, strict=True) if p.kind == "gain"}
@@ -244,6 +260,11 @@ class Sprung(Parameters):
     def apply_one(self, robot: Robot, index: int, value: float) -> Robot:
         """The robot with one value changed."""
         return self.written.apply_one(robot, index, value)
+
+
+def written_names(parameters: Parameters) -> Parameters:
+    """Parameters under the names of the description."""
+    return parameters.written if isinstance(parameters, Sprung) else parameters
 
 
 # --- which parameters there are -------------------------------------------------------------------------------------
@@ -308,16 +329,16 @@ def link_parameters(robot: Robot) -> tuple[list[Parameter], FloatArray]:
         name = f"link{i + 1}"
         mass, com, inertia = link.inertial
         if tolerance.mass:
-            width = tolerance.mass * TOLERANCE_DEVIATION
+            width = tolerance.mass
             found.append(Parameter(f"{name}.mass", "kg", "link", True, mass, width, "tolerance"))
             blocks.append(np.array([[width**2]]))
         if tolerance.com:
-            width = tolerance.com * TOLERANCE_DEVIATION
+            width = tolerance.com
             for letter, value in zip("xyz", com, strict=True):
                 found.append(Parameter(f"{name}.com.{letter}", "m", "link", False, float(value), width, "tolerance"))
                 blocks.append(np.array([[width**2]]))
         if tolerance.inertia:
-            block = _inertia_covariance(inertia, tolerance.inertia * TOLERANCE_DEVIATION)
+            block = _inertia_covariance(inertia, tolerance.inertia)
             for k, (key, value) in enumerate(zip(SIX, inertia_six(inertia), strict=True)):
                 width = float(np.sqrt(block[k, k]))
                 found.append(Parameter(f"{name}.inertia.{key}", "kg·m²", "link", False, value, width, "tolerance"))
@@ -329,18 +350,47 @@ def recording_parameters(robot: Robot, postures: Iterable[str], labels: Iterable
     """Errors of posture angles, sag, and gains of response channels, within the description's tolerances."""
     found = []
     if robot.tolerances.posture_deg:
-        width = float(np.deg2rad(robot.tolerances.posture_deg)) * TOLERANCE_DEVIATION
+        width = float(np.deg2rad(robot.tolerances.posture_deg))
         for name in postures:
             for i, axis in enumerate(robot.axes):
                 unit = "rad" if axis.type == "revolute" else "m"
                 found.append(
                     Parameter(f"posture.{name}.q{i + 1}", unit, "posture", False, 0.0, width, "tolerance")
                 )  # a linear axis: the same number in metres
-        found.append(Parameter("posture.sag", "1", "sag", False, 0.5, 0.5 * TOLERANCE_DEVIATION, "unknown"))
+        found.append(Parameter("posture.sag", "1", "sag", False, 0.5, 0.5, "unknown"))
     if robot.tolerances.channel_gain:
-        width = robot.tolerances.channel_gain * TOLERANCE_DEVIATION
+        width = robot.tolerances.channel_gain
         found += [Parameter(f"gain.{label}", "1", "gain", True, 1.0, width, "tolerance") for label in labels]
     return found
+
+
+def axis_parameters(robot: Robot) -> list[Parameter]:
+    """Lengths, offsets and twists of the axes beyond the first, which the base carries.
+
+    A length is as far off as the description's centres of mass ordinarily are, a twist as an angle of a posture is.
+    """
+    length, angle = robot.tolerances.com, float(np.deg2rad(robot.tolerances.posture_deg))
+    found = []
+    for i, axis in enumerate(robot.axes[1:], 2):
+        found.append(Parameter(f"axis{i}.a", "m", "axis", False, axis.a, length, "tolerance"))
+        found.append(Parameter(f"axis{i}.d", "m", "axis", False, axis.d, length, "tolerance"))
+        found.append(Parameter(f"axis{i}.alpha", "rad", "axis", False, np.deg2rad(axis.alpha_deg), angle, "tolerance"))
+    return found
+
+
+def point_parameters(robot: Robot, channels: Channels, side: Literal["position"] | Side) -> list[Parameter]:
+    """Coordinates of the nodes of channels, in the frames of their links; as far off as centres of mass.
+
+    Args:
+        side: ``response``, a sensor; ``excitation``, each blow by itself; ``position``, whatever is at a node.
+    """
+    found: dict[str, Parameter] = {}
+    for label, position in zip(channels.label, channels.position, strict=True):
+        for letter, value in zip("xyz", position, strict=True):
+            name = f"node:{label if side == 'excitation' else node_of(label)}.{side}.{letter}"
+            width = robot.tolerances.com
+            found.setdefault(name, Parameter(name, "m", "point", False, float(value), width, "tolerance"))
+    return list(found.values())
 
 
 def free_parameters(
@@ -420,6 +470,14 @@ def _entries(robot: Robot) -> list[tuple[str, Entry]]:
     return keyed
 
 
+def rows_of(point: Parameter, channels: Channels, side: Side) -> list[int]:
+    """The channels of a side that a coordinate moves: those of its node, or the one of its label."""
+    where, _, of = point.site.removeprefix("node:").partition(".")
+    if of not in (side, "position"):
+        return []
+    return [k for k, label in enumerate(channels.label) if where in (label, node_of(label))]
+
+
 def _parse(name: str) -> tuple[str, str, int | None]:
     found = re.fullmatch(r"(.+@.+)\.([a-z_]+)(?:\[(\d+)\])?", name)
     if not found:
@@ -434,7 +492,7 @@ def _changed(robot: Robot, values: dict[str, float]) -> Robot:
     entries = {key: dict(entry.model_extra or {}) for key, entry in described.items()}
     touched: set[str] = set()
     for name, value in values.items():
-        if name.startswith(("posture.", "gain.")):
+        if name.startswith(("posture.", "gain.", "node:")):
             continue
         if "@" in name:
             key, quantity, index = _parse(name)
@@ -451,6 +509,12 @@ def _changed(robot: Robot, values: dict[str, float]) -> Robot:
             else:
                 entries[hinges[site]][quantity] = value
                 touched.add(hinges[site])
+        elif name.startswith("axis"):
+            site, _, quantity = name.partition(".")
+            i = int(site[4:]) - 1
+            turned = quantity == "alpha"
+            change = {"alpha_deg": float(np.rad2deg(value))} if turned else {quantity: float(value)}
+            axes[i] = axes[i].model_copy(update=change)
         else:
             link, _, quantity = name.partition(".")
             i = int(link[4:]) - 1

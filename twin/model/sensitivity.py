@@ -13,7 +13,7 @@ central differences of these small matrices. ``twin.model.linear`` gives the sam
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
 from twin.model.linear import state_matrix
-from twin.model.parameters import Parameter, Parameters
+from twin.model.parameters import Parameter, Parameters, Side, rows_of
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect
@@ -93,6 +93,12 @@ class Structure:
         carriers = [self.mechanism.carrier(*pair) for pair in zip(channels.body, channels.position, strict=True)]
         offset = np.array([self.mechanism.offset(carrier) for carrier in carriers]).reshape(-1, 3)
         return [self.bodies[carrier] for carrier in carriers], channels.position - offset
+
+    def point_slopes(self, channels: Channels, direction: FloatArray, row: int, letter: str) -> FloatArray:
+        """Derivative (nv,) of one of :meth:`rows` by a coordinate of its point, ``x``, ``y`` or ``z`` of the link."""
+        body = self.bodies[self.mechanism.carrier(channels.body[row], channels.position[row])]
+        along, force = self.rotation[body][:, "xyz".index(letter)], self.rotation[body] @ direction[row]
+        return np.asarray(self.screw[:, :3] @ _cross(along, force) * self.path[body])
 
     @cached_property
     def turned(self) -> FloatArray:
@@ -373,6 +379,13 @@ class Setup:
     response: Channels
     excitation: Channels
 
+    def placed(self, parameters: Parameters, values: FloatArray) -> "Setup":
+        """The same with the channels where parameters have their nodes."""
+        response = parameters.placed(self.response, "response", values)
+        excitation = parameters.placed(self.excitation, "excitation", values)
+        same = response is self.response and excitation is self.excitation
+        return self if same else replace(self, response=response, excitation=excitation)
+
 
 @dataclass(frozen=True)
 class Observed:
@@ -436,6 +449,7 @@ def _observe_alike(
     postures = [s.q + parameters.posture_error(s.name, values, len(s.q)) for s in setups]
     models = structures(assemble_all(robot, postures, brakes=brakes))
     first = setups[0]
+    first = first.placed(parameters, values)
     chain = recording_chain(robot, first.response, first.excitation)
     gain = chain.response_gain * parameters.gains(first.response.label, values)
     seen = _seen(models, first, chain, gain)
@@ -512,7 +526,7 @@ def slopes(
         changes: of the mechanism, kept by the caller for the other postures of the same robot and values.
         among: indices of the parameters asked for; all of them by default.
     """
-    changes = {} if changes is None else changes
+    changes, setup = {} if changes is None else changes, setup.placed(parameters, values)
     among = range(len(parameters)) if among is None else list(among)
     out = Observed.of(np.zeros((len(among), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
@@ -553,6 +567,8 @@ def slopes(
         elif parameter.kind == "sag" and seen.sag is not None:
             for target, rate in zip(out.arrays(), seen.sag.arrays(), strict=True):
                 target[row] = rate
+        elif parameter.kind == "point":
+            _apply_point(out, row, parameter, robot, setup, model)
         elif parameter.kind == "gain":
             rows_of = [k for k, label in enumerate(setup.response.label) if parameter.name == f"gain.{label}"]
             out.gain[row, rows_of] = seen.gain[rows_of] / values[p]
@@ -593,7 +609,7 @@ def _curved(parameter: Parameter, site: str, setup: Setup, model: Structure) -> 
         return bool(model.curved) or int(site.partition(".")[0][4:]) in model.mechanism.splits
     if parameter.kind == "posture":
         return bool(model.curved) and site == f"posture.{setup.name}"
-    return parameter.kind == "entry"
+    return parameter.kind in ("entry", "axis")
 
 
 def _difference(
@@ -680,6 +696,18 @@ def _apply_change(
     if excitation.any():
         out.J_e[p] = model.rows(setup.excitation, excitation)
     out.gain[p], out.delay[p] = gain * calibration, delay
+
+
+def _apply_point(out: Observed, p: int, parameter: Parameter, robot: Robot, setup: Setup, model: Structure) -> None:
+    """Write what a coordinate of a node changes into row p of derivatives."""
+    chain, letter = recording_chain(robot, setup.response, setup.excitation), parameter.quantity
+    sides: tuple[tuple[Side, FloatArray, Channels, FloatArray], ...] = (
+        ("response", out.J_r, setup.response, chain.response_direction),
+        ("excitation", out.J_e, setup.excitation, chain.excitation_direction),
+    )
+    for side, target, channels, direction in sides:
+        for k in rows_of(parameter, channels, side):
+            target[p, k] = model.point_slopes(channels, direction, k, letter)
 
 
 def _link_slope(inertial: tuple[float, FloatArray, FloatArray], name: str) -> FloatArray:

@@ -1,0 +1,101 @@
+"""Numbers of a description that are wrong: found, with their values, where nothing else is the matter."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twin
+from tools.trials.wrong import case
+from tools.truth.robots import machines, write_description
+from tools.truth.wrong import record
+from twin.diagnose.described import described, geometry
+from twin.measure.campaign import Channels
+from twin.model.parameters import axis_parameters, free_parameters, independent, point_parameters
+from twin.model.sensitivity import Setup, observe, slopes
+from twin.robot.description import Robot, load_robot
+
+Q = np.deg2rad([10.0, 70.0, -100.0])
+
+
+def channels(robot: Robot, labels: tuple[str, ...]) -> Channels:
+    points = {point.label: point for point in robot.test_points}
+    some = [points[label] for label in labels]
+    return Channels(
+        labels, tuple(p.body for p in some), np.array([p.position for p in some]), np.array([p.direction for p in some])
+    )
+
+
+@pytest.fixture(scope="module")
+def setup() -> Setup:
+    robot = load_robot("kr90")
+    return Setup("here", Q, "on", channels(robot, ("21X+", "21Y+", "21Z+")), channels(robot, ("2Y-", "9Y+", "21Z+")))
+
+
+def test_lengths_twists_and_places_have_the_slopes_of_differences(setup: Setup) -> None:
+    robot = load_robot("kr90")
+    sensors, blows = setup.response, setup.excitation
+    parameters = independent(
+        [
+            *axis_parameters(robot),
+            *point_parameters(robot, sensors, "response"),
+            *point_parameters(robot, blows, "excitation"),
+            *point_parameters(robot, blows, "position"),
+        ]
+    )
+    values = parameters.values(np.random.default_rng(0).normal(size=len(parameters)))
+    moved = parameters.apply(robot, values)
+    seen, model = observe(moved, setup, parameters, values)
+    rate = slopes(moved, setup, parameters, values, seen, model)
+    for k, parameter in enumerate(parameters):
+        step = 1e-3 * parameter.deviation
+        sides = []
+        for side in (values[k] + step, values[k] - step):
+            shifted = np.where(np.arange(len(values)) == k, side, values)
+            sides.append(observe(parameters.apply(robot, shifted), setup, parameters, shifted)[0].arrays())
+        for name, high, low, slope in zip(("M", "C", "K", "", "", "J_r", "J_e"), *sides, rate.arrays(), strict=False):
+            expected = (high - low) / (2 * step)
+            scale = max(float(np.abs(expected).max()), 1e-3 * float(np.abs(high).max()))
+            assert np.abs(slope[k] - expected).max() <= 2e-2 * scale, (parameter.name, name)
+
+
+def test_a_moved_node_moves_what_is_there_and_nothing_else(setup: Setup) -> None:
+    robot = load_robot("kr90")
+    for side, sensors_move, blows_move in (
+        ("position", True, True), ("response", True, False), ("excitation", False, True),
+    ):  # fmt: skip
+        some = setup.response if side == "response" else setup.excitation
+        parameters = independent(p for p in point_parameters(robot, some, side) if p.name.startswith("node:21"))  # type: ignore[arg-type]
+        placed = setup.placed(parameters, parameters.values(np.ones(3)))
+        assert np.allclose(placed.response.position - setup.response.position, 0.01 * sensors_move)
+        at_node = np.array([[False], [False], [blows_move]])
+        assert np.allclose(placed.excitation.position - setup.excitation.position, 0.01 * at_node)
+
+
+def test_every_number_of_a_description_is_a_suspect(setup: Setup) -> None:
+    robot = load_robot("kr90")
+    free = free_parameters(robot, ["here"], setup.response.label)
+    sites = {h.site for h in described(free)}
+    assert {"joint1.z.stiffness", "joint3.y.damping", "link2.mass", "link2.com", "link2.inertia", "posture"} <= sites
+    freed = {variants[0].site: variants for variants in geometry(robot, setup.response, setup.excitation)}
+    assert {"axis2.a", "axis3.d", "axis3.alpha", "node:2.position", "node:21.position", "node:*.position"} <= set(freed)
+    assert len(freed["node:2.position"]) == 1
+    assert len(freed["node:21.position"]) == 3  # the node, its sensor, its blow
+
+
+@pytest.mark.parametrize(("way", "robot", "seed"), [("axis_offset", "kr90", 106), ("blow_position", "kr90", 112)])
+def test_a_wrong_number_is_named_with_its_value(way: str, robot: str, seed: int, tmp_path: Path) -> None:
+    world, _, _, cause = case(way, "hammer", robot, seed, False)
+    record(world, tmp_path, np.random.default_rng(seed))
+    write_description(machines()[robot], tmp_path / "robot.yaml")
+    verdict = twin.diagnose(tmp_path / "frf.h5", robot=tmp_path / "robot.yaml")
+    first = verdict.missing[0].first
+    assert verdict.word == "named"
+    assert f"{first.effect}@{first.site}" in cause.names
+    assert verdict.error["after"]["held_out"] < 0.6 * verdict.error["before"]["held_out"]
+    for name, item in first.parameters.items():
+        values, ranges = np.atleast_1d(item["value"]), np.reshape(item["interval90"], (-1, 2))
+        true = [value for key, value in cause.values.items() if key.partition(".")[0] == name]
+        assert len(true) == len(values)
+        off = np.abs(values - true) / np.maximum((ranges[:, 1] - ranges[:, 0]) / 3.29, 1e-12)
+        assert (off < 4).all(), (name, values, true)
