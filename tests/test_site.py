@@ -1,4 +1,4 @@
-"""The documentation: tutorials run as notebooks, the formats page names all that files hold, every effect has a page."""
+"""The documentation: tutorials run as notebooks, formats name all that files hold, every effect has a page."""
 
 import os
 import re
