@@ -140,8 +140,6 @@ def _check(verdict: Verdict, evidence: Sequence[Evidence], folder: Path) -> None
 
 def _write_report(verdict: Verdict, name: Outputs) -> None:
     """Figures, the page and the modes before and after."""
-    from twin.report import diagnosis
-    from twin.report.html import write_html
     from twin.report.scene import write_modes
 
     q, brakes = _posture(verdict)
@@ -150,8 +148,4 @@ def _write_report(verdict: Verdict, name: Outputs) -> None:
         found = modes(linearise(mechanism))
         if len(found):
             write_modes(name(f"modes-{stage}.rrd"), mechanism, found)
-    images = name.draw(verdict)
-    origin = verdict.origin
-    footer = f"twin {origin['version']} · " + " · ".join(f"{k} {v[:12]}" for k, v in origin["inputs"].items())
-    sections = diagnosis.sections(verdict, images)
-    write_html(name("diagnosis.html"), diagnosis.title(verdict), diagnosis.lead(verdict), sections, footer)
+    name.report(verdict, "diagnosis.html")

@@ -193,6 +193,6 @@ def _write(result: Identified, name: Outputs) -> None:
             middle[i] = np.clip(middle[i], *axis.limits.position)
     save_mjcf(name("robot.xml"), build_spec(assemble(found.robot, middle)))
     result.model = {"robot": result.files[0], "mjcf": result.files[1]}
-    name.draw(result)
+    name.report(result)
     path = name("identify.json")
     write_json(path, result.data())

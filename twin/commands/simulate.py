@@ -230,7 +230,7 @@ def _write(found: Simulation, name: Outputs) -> None:
         scene.write_replay(name(f"{stem}.rrd"), servo, r.time, r.position, r.deflections, torque)
     if found.replays:
         write_motion_log(name("replay.h5"), replace(found.log, robot="robot.yaml"))
-    name.draw(found)
+    name.report(found)
     path = name("simulate.json")
     found.files = name.files
     write_json(path, found.data())

@@ -27,7 +27,7 @@ _CURVES: tuple[dict[str, Any], ...] = (
     {"color": "#1f4e9c", "linewidth": 2.0},
     {"color": "#e8590c", "linewidth": 1.0},
     {"color": "#111111", "linewidth": 0.8, "linestyle": "--"},
-    {"color": "#2b8a3e", "linewidth": 1.0, "linestyle": "-."},
+    {"color": "#7048a8", "linewidth": 1.0, "linestyle": "-."},
 )
 _TORQUES: dict[str, dict[str, Any]] = {
     "measured": {"color": "#111111", "linewidth": 1.8},
