@@ -24,7 +24,7 @@ from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot, save_robot
 from twin.robot.mechanism import assemble
-from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.mjcf import build_spec, lit, save_mjcf
 
 
 def diagnose(
@@ -111,7 +111,7 @@ def _write_model(verdict: Verdict, folder: Path) -> Path:
     if fits := verdict.findings[-1].fits:
         save_posterior(folder / FILE, Posterior.of(fits[-1]))
     q, brakes = _posture(verdict)
-    save_mjcf(folder / "robot.xml", build_spec(assemble(without_limits(verdict.robot), q, brakes=brakes)))
+    save_mjcf(folder / "robot.xml", lit(build_spec(assemble(without_limits(verdict.robot), q, brakes=brakes))))
     return folder
 
 

@@ -46,7 +46,7 @@ from twin.provenance import provenance, write_json
 from twin.result import Result, Table
 from twin.robot.description import Robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
-from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.mjcf import build_spec, lit, save_mjcf
 
 LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
@@ -659,7 +659,7 @@ def _write(found: FitResult, name: Outputs, progress: Progress) -> None:
     )
     first = next(iter(found.postures.values()))
     mechanism = assemble(found.robot, within_limits(found.robot, found.robot.angles(first["q_deg"])))
-    save_mjcf(name("robot.xml"), build_spec(mechanism))
+    save_mjcf(name("robot.xml"), lit(build_spec(mechanism)))
     found.model = {"robot": str(name.out / "robot.yaml"), "mjcf": str(name.out / "robot.xml")}
     name.report(found, progress=progress)
     write_json(name("fit.json"), found.data())
