@@ -58,6 +58,7 @@ for (const path of pages) {
     }
     if (scheme === "dark") await page.screenshot({ path: join(out, `${name}-dark.png`) });
   }
+  await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: "light" }]);
   await page.pdf({ path: join(out, `${name}.pdf`), format: "A4", printBackground: true });
   await page.close();
   faults += found.size;

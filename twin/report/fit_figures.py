@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
+from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, ScalarFormatter
 
 from twin.identify.elastic_compare import Comparison
 from twin.identify.uncertainty import NINETY, Estimate
@@ -63,8 +63,9 @@ def errors(comparisons: Mapping[str, Comparison]) -> Figure:
             ax.axhline(100 * comparison.noise_floor, color="#444444", linestyle=":", linewidth=1, label="noise floor")
         ax.set_axisbelow(True)
         ax.set_yscale("log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.yaxis.set_major_formatter(ScalarFormatter())
-        ax.yaxis.set_minor_formatter(ScalarFormatter())
+        ax.yaxis.set_minor_formatter(NullFormatter())
         ax.set_title(f"{role}: {comparison.error:.2%}", fontsize=10, loc="left")
         ax.set_xlabel("frequency, Hz")
         ax.grid(True, which="both", color="#e3e6ea", linewidth=0.5)

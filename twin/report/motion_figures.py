@@ -13,7 +13,7 @@ from twin.measure.signals import lowpass
 from twin.model.regressor import flange_path
 from twin.robot.description import Robot
 
-_COLOURS = ("#1f4e9c", "#e8590c", "#2b8a3e", "#9c36b5", "#0b7285", "#846358", "#5f3dc4", "#c2255c")
+_COLOURS = ("#1f4e9c", "#e8590c", "#1098ad", "#7048a8", "#f0a202", "#846358", "#343a40", "#c77dbb")
 _PREDICTED = (_COLOURS[1], _COLOURS[0])
 _POINTS = 4000  # drawn at most per curve
 _SIGNALS_S = 12.0  # of a run, in the figure of signals
