@@ -109,7 +109,8 @@ def _inertial(model: mujoco.MjModel, data: mujoco.MjData, body: int, frame: np.n
 
 def _shapes(model: mujoco.MjModel, body: int, offset: np.ndarray) -> tuple[list[Shape], list[Shape]]:
     """What a body shows and what it collides with; where nothing is only to be seen, both are the same."""
-    visual, collision = [], []
+    visual: list[Shape] = []
+    collision: list[Shape] = []
     for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
         if model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
             continue

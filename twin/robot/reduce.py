@@ -13,7 +13,7 @@ from twin.robot.frames import inertia_six
 from twin.robot.tree import Chain, Group, Joint, Tree, ball_inertia, gather
 
 THINNEST = 1e-3
-"""Least second moment of mass of a repaired link along any axis, over its largest: a rod thirty times as long as thick."""
+"""Least second moment of mass of a repaired link along any axis, over its largest: a rod 30 times as long as thick."""
 
 
 @dataclass

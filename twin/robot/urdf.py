@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 from numpy.linalg import norm
 from scipy.spatial.transform import Rotation
+from trimesh.units import unit_conversion
 
 from twin.errors import InputError
 from twin.robot.description import Robot
@@ -129,6 +130,8 @@ def _load_mesh(path: Path, where: str, file: Path, scale: np.ndarray) -> trimesh
         mesh = trimesh.load_mesh(file)
     except Exception as error:  # the readers raise whatever a broken file provokes in them
         raise InputError(path, where, f"{file.name} cannot be read as a mesh ({error})") from error
+    if mesh.units is not None:  # Collada states its unit
+        mesh.apply_scale(unit_conversion(mesh.units, "meters"))
     return mesh.apply_scale(scale)
 
 
