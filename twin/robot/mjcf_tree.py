@@ -9,9 +9,15 @@ import trimesh
 
 from twin.errors import InputError
 from twin.robot.mechanism import Inertial
-from twin.robot.tree import Joint, Part, Shape, Tree
+from twin.robot.tree import Joint, Part, Shape, Tree, ball_inertia
 
-_HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+BETWEEN = 1e-6  # mass of a part between two joints of one body, over the body's: chains have no massless links
+# as integers: an array's element is not found in a tuple of MuJoCo's own enumerators
+_FREE, _BALL, _SLIDE, _HINGE = (
+    int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE")
+)
+_ENDLESS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+_CLOSING = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
 def read_mjcf(path: str | Path) -> Tree:
@@ -50,10 +56,10 @@ def _add_body(tree: Tree, model: mujoco.MjModel, data: mujoco.MjData, body: int,
         return  # its parent floats
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
     kinds = [model.jnt_type[joint] for joint in joints]
-    if mujoco.mjtJoint.mjJNT_FREE in kinds:
+    if _FREE in kinds:
         tree.notes.append(f"body {name} floats: left out")
         return
-    if mujoco.mjtJoint.mjJNT_BALL in kinds:
+    if _BALL in kinds:
         raise InputError(tree.path, f"body {name}", "expected hinge and slide joints, found a ball joint")
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
@@ -62,7 +68,7 @@ def _add_body(tree: Tree, model: mujoco.MjModel, data: mujoco.MjData, body: int,
         frame = frame.copy()
         frame[:3, 3] = data.xanchor[joint]
         child = name if joint == joints[-1] else f"{name}.{_joint_name(model, joint)}"
-        tree.parts[child] = Part()
+        tree.parts[child] = _between(float(model.body_mass[body]))
         tree.joints.append(_joint(model, data, joint, parent, child, np.linalg.inv(placed) @ frame))
         parent, placed = child, frame
     if not joints and body > 0:
@@ -71,6 +77,11 @@ def _add_body(tree: Tree, model: mujoco.MjModel, data: mujoco.MjData, body: int,
     visual, collision = _shapes(model, body, np.linalg.inv(frame) @ _pose(data.xpos[body], data.xmat[body]))
     tree.parts[name] = Part(_inertial(model, data, body, frame), visual, collision)
     frames[body] = frame
+
+
+def _between(mass: float) -> Part:
+    """The part between two joints of one body: a millionth of its mass."""
+    return Part((BETWEEN * mass, np.zeros(3), ball_inertia(BETWEEN * mass)))
 
 
 def _joint(
@@ -112,7 +123,7 @@ def _shapes(model: mujoco.MjModel, body: int, offset: np.ndarray) -> tuple[list[
     visual: list[Shape] = []
     collision: list[Shape] = []
     for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
-        if model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
+        if model.geom_type[geom] in _ENDLESS:
             continue
         matrix = np.zeros(9)
         mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
@@ -148,7 +159,7 @@ def _add_equalities(tree: Tree, model: mujoco.MjModel) -> None:
             for i, joint in enumerate(tree.joints):
                 if joint.name == follower:
                     tree.joints[i] = joint.following(leader, float(model.eq_data[k][1]))
-        elif model.eq_type[k] in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+        elif model.eq_type[k] in _CLOSING:
             if model.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
                 first, second = int(model.site_bodyid[first]), int(model.site_bodyid[second])
             tree.loops.append((_body_name(model, first), _body_name(model, second)))
