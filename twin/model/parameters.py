@@ -1,12 +1,13 @@
 """The numbers a fit may change, as data: name, unit, prior; and a robot with them changed.
 
 Names read like the description: ``joint1.z.stiffness``, ``joint1.x.damping``, ``link3.mass``, ``link3.com.x``,
-``link3.inertia.xx``, ``axis2.a`` (m; ``axis2.alpha`` in rad); any other number of a physics entry is
-``EFFECT@SITE.name`` (``.name[k]`` in a list). What belongs to a recording and not to the robot: ``posture.NAME.q1``
-(the error of an angle), ``gain.21Z+``, ``node:7.position.x`` (in its link's frame, of all that is at a node;
-``node:7.response.x`` of its sensor, ``node:7Z+.excitation.x`` of one blow) and
-``posture.sag``, the share of their deflection under the weight by which springs sag from the stated angles: 0 where
-those are the links', 1 where they are the motors'.
+``link3.inertia.xx``, ``axis2.a`` (m), ``axis2.alpha`` and ``axis2.theta``, the joint's zero (rad). Any other number of
+a physics entry is ``EFFECT@SITE.name`` (``.name[k]`` in a list).
+
+What belongs to a recording and not to the robot: ``posture.NAME.q1``, the error of an angle; ``gain.21Z+``;
+``node:7.position.x``, in its link's frame, of all that is at a node (``node:7.response.x`` of its sensor,
+``node:7Z+.excitation.x`` of one blow); and ``posture.sag``, the share of their deflection under the weight by which
+springs sag from the stated angles: 0 where those are the links', 1 where they are the motors'.
 
 Optimisation runs in z, in which the prior is the standard normal: x = L z with the prior covariance L Lᵀ, and
 value = mean · eˣ (log-normal) or mean + x.
@@ -365,9 +366,9 @@ def recording_parameters(robot: Robot, postures: Iterable[str], labels: Iterable
 
 
 def axis_parameters(robot: Robot) -> list[Parameter]:
-    """Lengths, offsets and twists of the axes beyond the first, which the base carries.
+    """Lengths, offsets, twists and zeros of the axes beyond the first, which the base carries.
 
-    A length is as far off as the description's centres of mass ordinarily are, a twist as an angle of a posture is.
+    A length is as far off as the description's centres of mass ordinarily are, an angle as one of a posture is.
     """
     length, angle = robot.tolerances.com, float(np.deg2rad(robot.tolerances.posture_deg))
     found = []
@@ -375,6 +376,9 @@ def axis_parameters(robot: Robot) -> list[Parameter]:
         found.append(Parameter(f"axis{i}.a", "m", "axis", False, axis.a, length, "tolerance"))
         found.append(Parameter(f"axis{i}.d", "m", "axis", False, axis.d, length, "tolerance"))
         found.append(Parameter(f"axis{i}.alpha", "rad", "axis", False, np.deg2rad(axis.alpha_deg), angle, "tolerance"))
+        if axis.type == "revolute":  # the zero of a linear axis is its offset d
+            theta = np.deg2rad(axis.theta_deg)
+            found.append(Parameter(f"axis{i}.theta", "rad", "axis", False, theta, angle, "tolerance"))
     return found
 
 
@@ -512,8 +516,8 @@ def _changed(robot: Robot, values: dict[str, float]) -> Robot:
         elif name.startswith("axis"):
             site, _, quantity = name.partition(".")
             i = int(site[4:]) - 1
-            turned = quantity == "alpha"
-            change = {"alpha_deg": float(np.rad2deg(value))} if turned else {quantity: float(value)}
+            turned = quantity in ("alpha", "theta")
+            change = {f"{quantity}_deg": float(np.rad2deg(value))} if turned else {quantity: float(value)}
             axes[i] = axes[i].model_copy(update=change)
         else:
             link, _, quantity = name.partition(".")
