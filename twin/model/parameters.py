@@ -368,9 +368,9 @@ def recording_parameters(robot: Robot, postures: Iterable[str], labels: Iterable
 def axis_parameters(robot: Robot) -> list[Parameter]:
     """Lengths, offsets, twists and zeros of the axes beyond the first, which the base carries.
 
-    A length is as far off as the description's centres of mass ordinarily are, an angle as one of a posture is.
+    The prior is the description's tolerance, from the described value.
     """
-    length, angle = robot.tolerances.com, float(np.deg2rad(robot.tolerances.posture_deg))
+    length, angle = robot.tolerances.length, float(np.deg2rad(robot.tolerances.angle_deg))
     found = []
     for i, axis in enumerate(robot.axes[1:], 2):
         found.append(Parameter(f"axis{i}.a", "m", "axis", False, axis.a, length, "tolerance"))
@@ -383,7 +383,7 @@ def axis_parameters(robot: Robot) -> list[Parameter]:
 
 
 def point_parameters(robot: Robot, channels: Channels, side: Literal["position"] | Side) -> list[Parameter]:
-    """Coordinates of the nodes of channels, in the frames of their links; as far off as centres of mass.
+    """Coordinates of the nodes of channels, in the frames of their links.
 
     Args:
         side: ``response``, a sensor; ``excitation``, each blow by itself; ``position``, whatever is at a node.
@@ -392,7 +392,7 @@ def point_parameters(robot: Robot, channels: Channels, side: Literal["position"]
     for label, position in zip(channels.label, channels.position, strict=True):
         for letter, value in zip("xyz", position, strict=True):
             name = f"node:{label if side == 'excitation' else node_of(label)}.{side}.{letter}"
-            width = robot.tolerances.com
+            width = robot.tolerances.position
             found.setdefault(name, Parameter(name, "m", "point", False, float(value), width, "tolerance"))
     return list(found.values())
 
