@@ -643,7 +643,8 @@ def refer(system: System, z: FloatArray, alike: float = 1e-3) -> list[FloatArray
     Through a recording whose gains, and delay in rows, are so much ``alike``, columns are what they were.
     """
     added = _refer(system, z, system.entries(z))
-    now = np.array([system.state[0].delay * system.base.runs[0].rate_hz, *system.state[0].gain])
+    state = system.state[0]
+    now = np.array([(state.delay + state.lag) * system.base.runs[0].rate_hz, *state.gain])
     if len(system.recording) and np.abs(now - system.recording).max() > alike:
         system.screened, system.slopes, system.recording = {}, {}, now
     elif not len(system.recording):
@@ -753,7 +754,7 @@ def with_doubts(system: System, mistimed: float = 0.02) -> System:
     late steps late: what a doubt in the wrong place leaves of a reversal looks like low-speed friction.
     Late by less than ``mistimed`` rows it is where it was.
     """
-    turning, late = np.eye(len(system.whitening)), system.state[0].delay
+    turning, late = np.eye(len(system.whitening)), system.state[0].delay + system.state[0].lag
     for entry in system.entries(system.z):
         drive, axis, ratio = CATALOGUE[entry.effect].spins(entry.site, entry.values)
         turning[drive, axis] += ratio

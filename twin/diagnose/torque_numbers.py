@@ -1,7 +1,7 @@
 """Numbers that a log's description states and the rigid-body regressor takes as given, as columns of torque.
 
-Lengths and twists of axes, the zeros of joints, the direction of gravity, gear ratios, and a gain that the torque of all
-joints shares. Each is as far off as the description's tolerances say; torque is linear in so small a change.
+Lengths and twists of axes, the zeros of joints, the direction of gravity, gear ratios, and a gain that the torque of
+all joints shares. Each is as far off as the description's tolerances say; torque is linear in so small a change.
 """
 
 from collections.abc import Sequence

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.signal import lfilter
 
 from twin.errors import InputError
 from twin.measure.motion_log import MotionRun
@@ -230,6 +231,9 @@ def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.nd
     chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(robot.axis_count))
     for entry in robot.physics:
         CATALOGUE[entry.effect].record(chain, entry.site, robot.values(entry))
+    if chain.torque_lag:
+        keep = np.exp(-float(time[1] - time[0]) / chain.torque_lag)
+        torque = lfilter([1 - keep], [1, -keep], torque, axis=0, zi=keep * torque[:1])[0]
     if chain.torque_delay:
         torque = np.column_stack([np.interp(time - chain.torque_delay, time, column) for column in torque.T])
     return torque * chain.torque_gain

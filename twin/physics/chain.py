@@ -18,6 +18,7 @@ class MeasurementChain:
         response_delay: (nr,) s, channel late by.
         torque_gain: (n,) recorded = gain × true.
         torque_delay: s, torque late against position.
+        torque_lag: s, time constant of the recorder's low-pass of first order on torque.
     """
 
     response_labels: tuple[str, ...]
@@ -28,6 +29,7 @@ class MeasurementChain:
     response_delay: np.ndarray = field(default_factory=lambda: np.zeros(0))
     torque_gain: np.ndarray = field(default_factory=lambda: np.ones(0))
     torque_delay: float = 0.0
+    torque_lag: float = 0.0
 
     def __post_init__(self) -> None:
         self.response_direction = np.array(self.response_direction, float).reshape(-1, 3)
