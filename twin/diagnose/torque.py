@@ -14,6 +14,7 @@ from twin.diagnose.joint import followed, pooled, predicted_by, shared
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
+from twin.diagnose.torque_faults import put_right
 from twin.diagnose.torque_fit import (
     Base,
     System,
@@ -85,6 +86,9 @@ def diagnose_log(
         InputError: no torque, too short, or runs that are not there.
     """
     prepared = prepare(log, robot, source, hold_out, bands)
+    log, faults = put_right(log, prepared.regressor, [*{r.name: r for r in (*prepared.kept, *prepared.used)}.values()])
+    if faults:
+        prepared = prepare(log, robot, source, hold_out, bands)
     suspects = log_suspects(robot, prepared.used)
     system = system_of(prepared, suspects, processes=processes)
     search = explain(system, prepared.kept, suspects, progress, processes)
@@ -107,8 +111,8 @@ def diagnose_log(
         list(prepared.held_out), records, where, sites,
         [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
-            *prepared.notes, *not_sought(robot), *map(_restless, restless), *_told_apart(search), *_narrow(search),
-            *_bodies(prepared, search, errors),
+            *prepared.notes, *faults, *not_sought(robot), *map(_restless, restless), *_told_apart(search),
+            *_narrow(search), *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays),
         written=with_presliding(search.system, after.z, robot_after),

@@ -21,6 +21,7 @@ from twin.robot.mechanism import Joint, Mechanism, assemble
 from twin.robot.mjcf import build_spec, compile_model
 
 STEP_S = 0.0005
+FASTEST = 1e6  # rad/s: a pole that no robot has, and that nobody waits for
 SMOOTH_HZ = (8.0, 10.0)  # taper for positions recorded without velocity and acceleration
 SLIDING = 1e-3  # rad/s (m/s): a passive friction law changes sign over this speed in time stepping
 _ROLES = {"load": 0, "friction": 1, "drive": 2}
@@ -161,7 +162,7 @@ def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) ->
     """The model with its time step, and the steps per sample: at most ``STEP_S``, and as short as its fastest pole.
 
     Raises:
-        InputError: an elastic axis without a rotor's inertia.
+        InputError: an elastic axis without a rotor's inertia, or a pole too fast to step.
     """
     model = build_spec(mechanism, instruments=False, balanced=False).compile()
     for i, axis in enumerate(robot.axes):
@@ -171,6 +172,9 @@ def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) ->
             raise InputError(robot.name, where, "an elastic axis needs its rotor's inertia in a replay")
     free = linearise(assemble(robot, mechanism.q, drives="free"))
     fastest = np.abs(state_matrix_poles(free)).max(initial=0.0)
+    if not fastest < FASTEST:
+        message = f"a pole of {fastest:.1e} rad/s: stiffness over inertia is beyond reason"
+        raise InputError(robot.name, "axes, links", message)
     substeps = max(1, int(np.ceil(max(1 / STEP_S, fastest) / sample_rate_hz)))
     model.opt.timestep = 1 / (sample_rate_hz * substeps)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
