@@ -644,7 +644,7 @@ def refer(system: System, z: FloatArray, alike: float = 1e-3) -> list[FloatArray
     """
     added = _refer(system, z, system.entries(z))
     state = system.state[0]
-    now = np.array([(state.delay + state.lag) * system.base.runs[0].rate_hz, *state.gain])
+    now = np.array([(state.delay + state.lag) * system.base.runs[0].rate_hz, *np.atleast_2d(state.gain).mean(axis=0)])
     if len(system.recording) and np.abs(now - system.recording).max() > alike:
         system.screened, system.slopes, system.recording = {}, {}, now
     elif not len(system.recording):

@@ -37,7 +37,8 @@ class State:
         turning: (m, n) of the torque, how ordinary friction turns round; in proportion to friction as it was recorded.
         sliding: (n,) N·m (N), dry friction that does so.
         uneven: (m, n) the same of what friction has alike in both directions, per unit: at rest it holds, too.
-        gain, delay, lag: (n,), s and s, of the recording: torque constants, lateness, low-pass of first order.
+        gain, delay, lag: of the recording: torque constants (n,), or (m, n) of motors that warm; lateness s; time
+            constant of a low-pass of first order, s.
     """
 
     torque: FloatArray
@@ -97,7 +98,7 @@ def add(run: Run, state: State, entry: Entry) -> None:
     """Let laws that act on other torques, and the recording, see an entry as part of the model."""
     effect = CATALOGUE[entry.effect]
     if effect.records_torque:
-        state.gain, state.delay, state.lag = _recording(state, entry, entry.values)
+        state.gain, state.delay, state.lag = _recording(run, state, entry, entry.values)
         return
     extra = _law_torque(run, state, entry, entry.values)
     if effect.weight(entry.values) is not None:
@@ -127,17 +128,17 @@ def _depth(entry: Entry) -> int:
 def entry_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatArray:
     """What one more entry adds to the recorded torque (m, n), low-passed."""
     if CATALOGUE[entry.effect].records_torque:
-        gain, delay, lag = _recording(state, entry, values)
+        gain, delay, lag = _recording(run, state, entry, values)
         return replace(state, gain=gain, delay=delay, lag=lag).recorded(run) - state.recorded(run)
     return state.recorded(run, _law_torque(run, state, entry, values))
 
 
-def _recording(state: State, entry: Entry, values: Values) -> tuple[FloatArray, float, float]:
-    """Gain (n,), delay and lag of the recording, s, with one more entry."""
+def _recording(run: Run, state: State, entry: Entry, values: Values) -> tuple[FloatArray, float, float]:
+    """Gain (n,) or (m, n), delay and lag of the recording, s, with one more entry."""
     n = state.torque.shape[1]
     chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(n))
     CATALOGUE[entry.effect].record(chain, entry.site, values)
-    return state.gain * chain.torque_gain, state.delay + chain.torque_delay, state.lag + chain.torque_lag
+    return state.gain * chain.gain_at(run.time), state.delay + chain.torque_delay, state.lag + chain.torque_lag
 
 
 def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatArray:

@@ -240,7 +240,7 @@ def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.nd
         torque = lfilter([1 - keep], [1, -keep], torque, axis=0, zi=keep * torque[:1])[0]
     if chain.torque_delay:
         torque = np.column_stack([np.interp(time - chain.torque_delay, time, column) for column in torque.T])
-    return torque * chain.torque_gain
+    return torque * chain.gain_at(time)
 
 
 def passive_torque(forces: list, state: Motion) -> np.ndarray:
