@@ -31,6 +31,7 @@ from twin.diagnose.torque_fit import (
 from twin.diagnose.torque_laws import log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
+from twin.diagnose.torque_numbers import follow
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
     REFITTED,
@@ -152,7 +153,8 @@ def _following(system: System, fit: Fitted, gaps: Sequence[Play], robot: Robot) 
     log = with_presliding(system, z, reduce(with_play, gaps, log))
     physics = [entry for entry in robot.physics if _shown_by_blows(entry.effect)]
     physics += [entry for entry in log.physics if not _shown_by_blows(entry.effect)]
-    return robot.model_copy(update={"drives": log.drives, "physics": physics})
+    followed = follow(robot, robot_of(system, fit.z), log)
+    return followed.model_copy(update={"drives": log.drives, "physics": physics})
 
 
 def _shown_by_blows(effect: str) -> bool:

@@ -175,9 +175,7 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
     numbers = numbers_of(robot)
     others = [*_other_parameters(regressor, runs, matrices, scale), *numbers]
     for k, run in enumerate(runs):
-        torque = matrices[k] @ regressor.described + known[k]
-        added = number_columns(regressor, run, torque, numbers)
-        matrices[k] = np.concatenate([matrices[k], added], axis=2)
+        matrices[k] = np.concatenate([matrices[k], number_columns(regressor, run, numbers)], axis=2)
     inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
     spread = scipy.linalg.block_diag(inertial, np.diag([p.deviation for p in others]))
     described = np.zeros(robot.axis_count)

@@ -19,6 +19,7 @@ from twin.robot.description import Robot
 
 GAIN = "torque_gain"
 LEANING = ("gravity.x", "gravity.y")
+PLACEMENT = ("a", "alpha_deg", "d", "theta_deg")  # of an axis
 
 
 def numbers_of(robot: Robot) -> list[Parameter]:
@@ -36,39 +37,56 @@ def numbers_of(robot: Robot) -> list[Parameter]:
     return found
 
 
-def number_columns(regressor: Regressor, run: Run, torque: FloatArray, numbers: Sequence[Parameter]) -> FloatArray:
+def number_columns(regressor: Regressor, run: Run, numbers: Sequence[Parameter]) -> FloatArray:
     """What each number adds to the torque of a run per unit (m, n, k), low-passed; by central differences.
 
-    Args:
-        torque: (m, n) of the whole described model.
+    What a gain or a ratio does to friction is left to the friction of each joint, which is known less well.
     """
-    found = []
+    if not numbers:
+        return np.zeros((*run.torque.shape, 0))
+    torque, found = run.filtered(_through_gears(regressor, run.smooth)), []
     for parameter in numbers:
         if parameter.name == GAIN:
             found.append(torque)
             continue
         step = 0.1 * parameter.deviation
-        high, low = (_through_gears(regressor, run.smooth, parameter, side) for side in (step, -step))
+        high, low = (_changed(regressor, run.smooth, parameter, side) for side in (step, -step))
         change = run.filtered((high - low) / (2 * step))
         if parameter.quantity == "gear_ratio":  # the motor's torque is told times the described ratio
             joint = int(parameter.site[5:]) - 1
             change[:, joint] -= torque[:, joint] / parameter.mean
         found.append(change)
-    return np.stack(found, axis=-1) if found else np.zeros((*torque.shape, 0))
+    return np.stack(found, axis=-1)
 
 
-def _through_gears(regressor: Regressor, motion: Motion, parameter: Parameter, step: float) -> FloatArray:
-    """Torque (nt, n) of bodies and of laws of position with one number changed by a step."""
+def _through_gears(regressor: Regressor, motion: Motion) -> FloatArray:
+    """Torque (nt, n) of bodies and of laws of position, as described."""
+    torque = regressor.carried_torque(motion)
+    for column, axis, law in regressor.laws(motion):
+        effect = regressor.columns[column].name.partition("@")[0]
+        if effect in CATALOGUE and CATALOGUE[effect].role == "load":
+            torque[:, axis] += regressor.columns[column].value * law
+    return torque
+
+
+def _changed(regressor: Regressor, motion: Motion, parameter: Parameter, step: float) -> FloatArray:
+    """The same (nt, n) with one number changed by a step."""
     if parameter.quantity in ("theta", "gear_ratio"):  # the joint is elsewhere than its motor tells
-        moved = _elsewhere(motion, parameter, step)
-        torque = regressor.carried_torque(moved)
-        for column, axis, law in regressor.laws(moved):
-            effect = regressor.columns[column].name.partition("@")[0]
-            if effect in CATALOGUE and CATALOGUE[effect].role == "load":
-                torque[:, axis] += regressor.columns[column].value * law
-        return torque
+        return _through_gears(regressor, _elsewhere(motion, parameter, step))
     changed = corrected(regressor.robot, [parameter], [parameter.mean + step])
     return replace(regressor, robot=changed).carried_torque(motion)
+
+
+def follow(robot: Robot, was: Robot, now: Robot) -> Robot:
+    """A robot with numbers that moved from one description to another, those left out that it has changed itself."""
+    axes = [
+        axis.model_copy(update={name: getattr(new, name) for name in PLACEMENT})
+        if all(getattr(axis, name) == getattr(old, name) for name in PLACEMENT)
+        else axis
+        for axis, old, new in zip(robot.axes, was.axes, now.axes, strict=True)
+    ]
+    gravity = now.gravity if robot.gravity == was.gravity else robot.gravity
+    return robot.model_copy(update={"axes": axes, "gravity": gravity})
 
 
 def _elsewhere(motion: Motion, parameter: Parameter, step: float) -> Motion:
