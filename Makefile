@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install test lint demo bench proof clean
+.PHONY: install test lint demo docs bench proof clean
 
 install: $(VENV)/.installed
 
@@ -24,6 +24,11 @@ demo: install
 	$(BIN)/twin simulate mjcf/postures/milling.yaml --out out/milling
 	$(BIN)/twin simulate mjcf/postures/upright.yaml --out out/upright
 	$(BIN)/twin simulate mjcf/postures/rigid.yaml --out out/rigid
+
+# The documentation as a site that needs no network: open out/site/index.html.
+docs: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true $(BIN)/python -m mkdocs build --strict
 
 bench: install
 	$(BIN)/python tools/benchmark.py

@@ -158,7 +158,7 @@ def test_what_is_no_recording_is_a_type_error() -> None:
         twin.diagnose([1])
 
 
-@pytest.mark.parametrize("page", ["api.md", "effects-of-your-own.md"])
+@pytest.mark.parametrize("page", ["api.md", "effects-of-your-own.md", "formats.md", "campaign.md"])
 def test_the_pages_of_the_docs_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     known = dict(CATALOGUE)

@@ -66,6 +66,7 @@ def simulate(
     posture: Annotated[Path, typer.Argument(help="posture.yaml: robot, posture, hammer, replay.")],
     robot: Robot = None,
     without: Without = None,
+    movie: Annotated[bool, typer.Option("--movie", help="Also write the modes in motion as modes.gif.")] = False,
     out: Out = None,
     json: Json = False,
     seed: Seed = 0,
@@ -86,7 +87,7 @@ def simulate(
     if out is None and not json:
         out = Path("out") / posture.stem
     with twin.progress() as progress:
-        found = twin.simulate(posture, robot=robot, without=without, out=out, seed=seed, progress=progress)
+        found = twin.simulate(posture, robot=robot, without=without, movie=movie, out=out, seed=seed, progress=progress)
     _show(found, json)
 
 

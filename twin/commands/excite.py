@@ -110,7 +110,8 @@ def excite(
         robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; kr90 by default.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         count: how many.
-        harmonics, base_hz: of the Fourier series.
+        harmonics: of the Fourier series.
+        base_hz: its fundamental, Hz.
         rest: start and end at rest.
         criterion: ``"condition"`` number or ``"d-optimal"``.
         periods: how often a period is repeated in the files.
@@ -187,7 +188,7 @@ def _write(result: Excitations, name: Outputs, krl: bool) -> None:
         if krl:
             with writing(name(f"{stem}.src")) as stream:
                 stream.write(krl_program(stem, e, result.periods))
-    name.draw(result)
+    name.report(result)
     described, robot = result.robot.path, result.robot.name
     if described is not None and described.parent != SHIPPED:
         robot = os.path.relpath(described, name.out)

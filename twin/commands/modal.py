@@ -120,7 +120,8 @@ def modal(
         robot: the robot shapes are drawn on; by default the recording's, else kr90 where the recording has axis
             positions. What is no robot is drawn as a wire frame.
         without: entries removed from it, ``EFFECT`` or ``EFFECT@SITE``.
-        fmin, fmax: band, Hz; by default all that is usable.
+        fmin: lowest frequency of the band, Hz; by default the band is all that is usable.
+        fmax: highest, Hz.
         max_order: highest order of the stabilisation chart.
         method: ``plscf`` or ``lsce``.
         out: folder for tables, figures and animations; ``None`` writes nothing.
@@ -208,7 +209,7 @@ def _write(found: ModalAnalysis, robot: str | None, name: Outputs) -> None:
         scene.write_modes(name(f"{key}_modes.rrd"), *shown)
     for key, frame in found.frames.items():
         scene.write_wireframe(name(f"{key}_modes.rrd"), frame, found.results[key].titles, f"{key}: modes")
-    name.draw(found)
+    name.report(found)
     path = name("modal.json")
     found.files = name.files
     write_json(path, found.data())

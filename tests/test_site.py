@@ -1,0 +1,89 @@
+"""The documentation: tutorials run as notebooks, formats name all that files hold, every effect has a page."""
+
+import os
+import re
+import sys
+from pathlib import Path
+
+import h5py
+import nbclient
+import nbformat
+import numpy as np
+import pytest
+
+from tools import effect_pages, notebooks
+from twin.commands.posture_file import Hammer
+from twin.identify.posterior import FILE
+from twin.measure.campaign import Campaign, Channels, Hits, PostureFRF, write_campaign
+from twin.measure.motion_log import SERIES, MotionLog, MotionRun, write_motion_log
+from twin.physics import CATALOGUE
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+
+@pytest.mark.parametrize("page", notebooks.PAGES)
+def test_a_tutorial_runs_as_a_notebook_and_finds_what_was_concealed(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = notebooks.FOLDER / f"{page}.ipynb"
+    assert path.read_text() == notebooks.notebook(page), "out of date: python -m tools.notebooks"
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent) + os.pathsep + os.environ["PATH"])
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    content = nbformat.read(path, as_version=4)
+    nbclient.NotebookClient(content, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    said = "".join(output.get("text", "") for cell in content.cells for output in cell.get("outputs", []))
+    concealed = re.search(r"--effect (\S+)", "\n".join(cell.source for cell in content.cells))
+    assert concealed is not None
+    assert "named" in said
+    assert concealed[1].replace("@", " at ") in said
+
+
+def h5_names(path: Path) -> set[str]:
+    """Every dataset and attribute of a file, groups that bear a name of the user's aside."""
+    names: set[str] = set()
+
+    def visit(where: str, item: h5py.Group | h5py.Dataset) -> None:
+        names.update(item.attrs)
+        if isinstance(item, h5py.Dataset):
+            names.add(where.rpartition("/")[2])
+
+    with h5py.File(path) as file:
+        visit("", file)
+        file.visititems(visit)
+    return names
+
+
+def test_the_formats_page_names_all_that_files_hold(tmp_path: Path) -> None:
+    page = set(re.findall(r"`(?:\w+/)?(\w+)(?:=\S*)?`", (DOCS / "formats.md").read_text()))
+    one = Channels(("21Z+",), ("link3",), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
+    hits = Hits(np.ones((1, 2, 8)), np.ones((1, 2, 1, 8)), 100.0)
+    line = np.ones((2, 1, 1))
+    posture = PostureFRF(
+        "p", np.zeros(3), "on", np.array([1.0, 2.0]), line.astype(complex), "accelerance", line, 5, 300.0, 1.0, hits,
+        0.008, 1.0,
+    )  # fmt: skip
+    write_campaign(tmp_path / "campaign.h5", Campaign(one, one, {"p": posture}, "kr90"))
+    series = {key: np.zeros((4, 1)) for key in SERIES}
+    run = MotionRun("r", np.arange(4.0), sample_rate_hz=1.0, **series)
+    write_motion_log(tmp_path / "log.h5", MotionLog({"r": run}, "kr90"))
+    for name in ("campaign.h5", "log.h5"):
+        assert h5_names(tmp_path / name) <= page
+    assert {f"hammer.{field}" for field in Hammer.model_fields} <= set(
+        re.findall(r"`([\w.]+)`", (DOCS / "formats.md").read_text())
+    )
+    assert FILE in (DOCS / "formats.md").read_text()
+
+
+def test_every_effect_has_a_page_with_its_signature() -> None:
+    drawn = {}
+    for name, page, figures in effect_pages.pages():
+        assert all(f"`{parameter.name}`" in page for parameter in CATALOGUE[name].parameters)
+        drawn[name] = figures
+        for figure in figures.values():
+            upper = figure.axes[0]
+            assert upper.get_ylabel()
+            curves = {str(line.get_label()): np.asarray(line.get_ydata()) for line in upper.lines}
+            shown = next(values for label, values in curves.items() if label != "without")
+            assert np.abs(shown - curves["without"]).max() > 0, name
+    assert [name for name, figures in drawn.items() if not figures] == []

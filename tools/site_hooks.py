@@ -1,0 +1,36 @@
+"""What mkdocs does to every page: names without the roles of docstrings, nothing from elsewhere, usable by keyboard."""
+
+import re
+from typing import Any
+
+from mkdocs.utils import get_relative_url
+
+SHIM = "https://unpkg.com/iframe-worker/shim"
+"""What the search loads where pages are opened from the disk; a copy is among the site's assets."""
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Classes named as Sphinx does are shown by the name alone; what scrolls can be reached by keyboard."""
+    html = re.sub(r":(?:class|func|meth|attr|mod):(?=<code>)", "", html)
+    html = html.replace("<pre>", '<pre tabindex="0">')
+    return re.sub(
+        r"<table>.*?</table>",
+        r'<div class="md-typeset__scrollwrap" tabindex="0"><div class="md-typeset__table">\g<0></div></div>',
+        html,
+        flags=re.DOTALL,
+    )
+
+
+def _whole(output: str, shim: str) -> str:
+    output = output.replace(SHIM, shim).replace('role="dialog"', 'role="dialog" aria-label="Search"')
+    return re.sub(r'(<input class="md-toggle"[^>]*id="__(\w+)")', r'\1 aria-label="\2"', output)
+
+
+def on_post_page(output: str, page: Any, **_: Any) -> str:
+    """The copy takes the script's place; what the theme leaves without a name gets one."""
+    return _whole(output, get_relative_url("assets/iframe-worker.js", page.url))
+
+
+def on_post_template(output: str, template_name: str, **_: Any) -> str:
+    """The same on the page for what is not found."""
+    return _whole(output, "assets/iframe-worker.js") if template_name.endswith(".html") else output

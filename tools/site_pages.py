@@ -1,0 +1,68 @@
+"""Pages of the site that are made when it is built, so that they are never stale: effects, commands, Python reference.
+
+mkdocs runs this file (plugin `gen-files` in mkdocs.yml).
+"""
+
+import inspect
+import tempfile
+from pathlib import Path
+
+import mkdocs_gen_files
+import typer
+from typer.main import get_command
+
+import twin
+from tools import effect_pages
+from twin.cli import app
+
+ROOT = Path(__file__).parents[1]
+
+
+def effects() -> None:
+    """A page per effect, with its picture."""
+    with tempfile.TemporaryDirectory() as folder:
+        effect_pages.write(Path(folder))
+        for path in sorted(Path(folder).iterdir()):
+            with mkdocs_gen_files.open(f"effects/{path.name}", "wb") as stream:
+                stream.write(path.read_bytes())
+
+
+def commands() -> str:
+    """What `twin COMMAND --help` says, in Markdown."""
+    root = get_command(app)
+    context = typer.Context(root, info_name="twin")
+    parts = ["# Commands", "`twin COMMAND --help` says the same. Bad input ends in one line and exit code 2."]
+    for name, command in root.commands.items():  # type: ignore[attr-defined]
+        parts += [f"## twin {name}", inspect.cleandoc(command.help or "")]
+        records = [record for p in command.params if (record := p.get_help_record(context))]
+        rows = [f"| `{_cell(written)}` | {_cell(said)} |" for written, said in records]
+        parts.append("\n".join(["| argument or option | |", "|---|---|", *rows]))
+    return "\n\n".join(parts) + "\n"
+
+
+def reference() -> str:
+    """Every public name of the package, from its docstring."""
+    parts = ["# Python, every function", "Made from the docstrings. [api.md](api.md) shows how they work together."]
+    for name, home in twin._HOME.items():
+        parts.append(f"::: {home}.{name}\n    options:\n      heading: twin.{name}\n      toc_label: {name}")
+    return "\n\n".join(parts) + "\n"
+
+
+def changelog() -> str:
+    """The file of the repository."""
+    return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def write() -> None:
+    """All of them."""
+    effects()
+    for name, page in {"commands.md": commands, "reference.md": reference, "changelog.md": changelog}.items():
+        with mkdocs_gen_files.open(name, "w", encoding="utf-8") as stream:
+            stream.write(page())
+
+
+write()
