@@ -66,9 +66,9 @@ def sections(found: "Compared", drawn: Mapping[str, Path]) -> list[Section]:
     parts = [Section("Errors", tables=found.tables())]
     for stem, source in _stems(found).items():
         caption = "What was recorded, and what the robot says: {}."
-        figures = [
-            (caption.format(Path(name).stem), path) for name, path in drawn.items() if name.startswith(f"{stem}-")
-        ]
+        begin = f"{stem}-"
+        of = {Path(name).stem.removeprefix(begin): path for name, path in drawn.items() if name.startswith(begin)}
+        figures = [(caption.format(name), path) for name, path in of.items()]
         parts.append(Section(Path(source).name, figures=figures, plots=_plots(found, source)))
     return parts
 

@@ -23,6 +23,9 @@ from twin.report import scene
 from twin.robot.mechanism import Mechanism
 
 UNITS = {"receptance": "m/N", "mobility": "m/(s·N)", "accelerance": "m/(s²·N)"}
+PALETTE = ("#1f4e9c", "#e8590c", "#1098ad", "#7048a8", "#f0a202", "#846358", "#343a40", "#c77dbb")
+"""Curves of one kind, told apart without red against green."""
+
 _CURVES: tuple[dict[str, Any], ...] = (
     {"color": "#1f4e9c", "linewidth": 2.0},
     {"color": "#e8590c", "linewidth": 1.0},

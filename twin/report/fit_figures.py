@@ -1,6 +1,7 @@
 """Figures of a fit: parameter intervals against the prior, errors by posture and band, MAC, profiles."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +11,7 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, ScalarFor
 from twin.identify.elastic_compare import Comparison
 from twin.identify.uncertainty import NINETY, Estimate
 from twin.measure.campaign import FloatArray
+from twin.report.figures import PALETTE
 
 _DATA, _PRIOR, _PALE = "#1f4e9c", "#c8cdd4", "#9aa7b5"
 
@@ -55,10 +57,18 @@ def errors(comparisons: Mapping[str, Comparison]) -> Figure:
     figure = Figure(figsize=(5.2 * len(comparisons), 3.4), layout="constrained")
     axes = figure.subplots(1, len(comparisons), squeeze=False, sharey=True)[0]
     for ax, (role, comparison) in zip(axes, comparisons.items(), strict=True):
-        for posture in dict.fromkeys(part["posture"] for part in comparison.parts):
+        postures = dict.fromkeys(part["posture"] for part in comparison.parts)
+        for posture, colour in zip(postures, cycle(PALETTE), strict=False):
             bands = [part for part in comparison.parts if part["posture"] == posture and part["band_hz"]]
             edges = [part["band_hz"][0] for part in bands] + [bands[-1]["band_hz"][1]]
-            ax.stairs([100 * part["error"] for part in bands], edges, baseline=None, label=posture, linewidth=1.6)
+            ax.stairs(
+                [100 * part["error"] for part in bands],
+                edges,
+                baseline=None,
+                label=posture,
+                color=colour,
+                linewidth=1.6,
+            )
         if comparison.noise_floor is not None:
             ax.axhline(100 * comparison.noise_floor, color="#444444", linestyle=":", linewidth=1, label="noise floor")
         ax.set_axisbelow(True)

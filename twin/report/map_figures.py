@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from twin.identify.recorded import without_limits
+from twin.report.figures import PALETTE
 from twin.report.html import Section
 from twin.robot.mechanism import assemble
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 COLOURS = colormaps["viridis"]
 _GREY, _BLUE, _ORANGE = "#8a8f98", "#1f4e9c", "#e8590c"
-MODES = ("#1f4e9c", "#e8590c", "#1098ad", "#7048a8")
+MODES = PALETTE[:4]
 RAPID = 2.5  # times the usual spacing of points: the tool was lifted between them
 _VIEWS = ((0, 2, "from the side"), (0, 1, "from above"))
 

@@ -12,7 +12,7 @@ from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal import ModalResult
 from twin.measure.shapes import cmif, mac, mode_indicator, summation
 from twin.measure.wireframe import Wireframe
-from twin.report.figures import mode_shapes
+from twin.report.figures import PALETTE, mode_shapes
 from twin.report.html import Section, pick
 from twin.report.plots import frf_panels, frf_plot
 
@@ -45,8 +45,8 @@ def stabilisation_figure(result: ModalResult) -> Figure:
         (drawn,) = above.plot(pole[chosen], order[chosen], ls="", label=meaning, c=COLOURS[symbol])
         drawn.set(marker=MARKERS[symbol], markersize=3, markeredgewidth=0.5)
     for mode in result.modes:
-        colour, style = "tab:purple", "--" if mode.orders > 0 else ":"
-        below.axvline(mode.frequency_hz, lw=0.9, zorder=0, color=colour, ls=style)
+        style = "--" if mode.orders > 0 else ":"
+        below.axvline(mode.frequency_hz, lw=0.9, zorder=0, color="tab:purple", ls=style)
     handles = [*above.lines]
     handles.append(below.plot([], [], color="tab:purple", lw=0.9, ls="--", label="mode")[0])
     if any(mode.orders == 0 for mode in result.modes):
@@ -63,7 +63,7 @@ def indicator_figure(result: ModalResult) -> Figure:
     axes = figure.subplots(rows, 1, sharex=True, height_ratios=[2, 1, 1][:rows])
     values = cmif(result.measured)
     for k in range(min(4, values.shape[1])):
-        axes[0].semilogy(result.frequency, values[:, k], lw=0.9, label=f"singular value {k + 1}")
+        axes[0].semilogy(result.frequency, values[:, k], color=PALETTE[k], lw=0.9, label=f"singular value {k + 1}")
     axes[0].set_ylabel("CMIF [(m/s²)/N]")
     axes[0].legend(fontsize=8, ncols=4, loc="upper left")
     axes[1].plot(result.frequency, mode_indicator(result.measured), color="0.3", lw=0.9)

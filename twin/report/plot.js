@@ -22,6 +22,12 @@ for (const figure of document.querySelectorAll("figure.plot")) {
     return out;
   }
 
+  function decades(low, high) {
+    const powers = [], [from, to] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
+    for (let p = from; p <= to; p++) for (const m of to - from > 2 ? [1] : [1, 2, 5]) powers.push(m * 10 ** p);
+    return powers.filter((v) => v >= low && v <= high);
+  }
+
   function limits() {
     let low = Infinity, high = -Infinity;
     for (const { y } of panel.curves)
@@ -44,8 +50,7 @@ for (const figure of document.querySelectorAll("figure.plot")) {
       make("line", svg, { class: "grid", x1: px(v), x2: px(v), y1: TOP, y2: H - BOTTOM });
       make("text", svg, { x: px(v), y: H - BOTTOM + 16, "text-anchor": "middle" }, digits(v));
     }
-    const levels = plot.log ? ticks(f(low), f(high)).filter(Number.isInteger).map((p) => 10 ** p) : ticks(low, high);
-    for (const v of levels.length > 1 ? levels : [low, high]) {
+    for (const v of plot.log ? decades(low, high) : ticks(low, high)) {
       make("line", svg, { class: "grid", x1: LEFT, x2: W - RIGHT, y1: py(v), y2: py(v) });
       make("text", svg, { x: LEFT - 6, y: py(v) + 4, "text-anchor": "end" }, digits(v));
     }

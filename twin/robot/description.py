@@ -218,6 +218,11 @@ class Tolerances(Data):
     inertia: NonNegative = 0.03  # relative
     posture_deg: NonNegative = 0.2
     channel_gain: NonNegative = 0.01  # relative
+    length: NonNegative = 0.001  # m, of axes
+    angle_deg: NonNegative = 0.1  # twists of axes, zeros of joints, direction of gravity
+    position: NonNegative = 0.005  # m, of sensors and blows
+    torque_gain: NonNegative = 0.01  # relative, common to all joints
+    gear_ratio: NonNegative = 0.001  # relative
 
 
 class Assumed(Data):
