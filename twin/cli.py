@@ -1,16 +1,21 @@
 """The ``twin`` command: one thin function per command; everything it calls is imported when it is called."""
 
+import inspect
 import io
 import os
 import sys
+import warnings
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 import twin
-from twin.errors import InputError
+from twin.errors import InputError, NumericalError, numbers_of
 from twin.memory import keep_memory
+from twin.stopping import Stopped, end_after, stoppable
 
 # Matrices here are small: threads inside a product cost more than they gain. Parallel work is over records and cases.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -42,8 +47,40 @@ Without = Annotated[
 ]
 Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for everything that is written.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else on standard output.")]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
-NoSeed = Annotated[int, typer.Option("--seed", help="Taken as everywhere; nothing here is random.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random choice.")]
+NoSeed = Annotated[int, typer.Option("--seed", min=0, help="Taken as everywhere; nothing here is random.")]
+Timeout = Annotated[
+    float | None,
+    typer.Option(
+        "--timeout", min=0.001, max=1e8, metavar="SECONDS", help="End after so long, with nothing half-written.",
+        show_default=False,
+    ),
+]  # fmt: skip
+
+
+def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a function a command, with what all have in common: ``--timeout``, and names for broken numbers."""
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def run(*, timeout: float | None, **given: Any) -> None:
+            end_after(timeout)
+            with numbers_of(_files(given) or function.__name__.rstrip("_")):
+                function(**given)
+
+        own = inspect.signature(function)
+        last = inspect.Parameter("timeout", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Timeout)
+        run.__signature__ = own.replace(parameters=[*own.parameters.values(), last])  # type: ignore[attr-defined]
+        run.__annotations__ = {**function.__annotations__, "timeout": Timeout}
+        return app.command(name=name)(run)
+
+    return register
+
+
+def _files(given: dict[str, Any]) -> str:
+    """The files that a command was given."""
+    lists = [value if isinstance(value, list) else [value] for key, value in given.items() if key != "out"]
+    return ", ".join(str(item) for values in lists for item in values if isinstance(item, Path))
 
 
 def _print_version(asked: bool) -> None:
@@ -61,7 +98,7 @@ def _root(
     pass
 
 
-@app.command()
+@command()
 def describe(
     drawing: Annotated[Path, typer.Argument(metavar="URDF|MJCF", help="The robot's links and joints.")],
     sheet: Annotated[
@@ -95,7 +132,7 @@ def describe(
     _show(twin.describe(drawing, sheet=sheet, tool=tool, without=without, out=out), json)
 
 
-@app.command()
+@command()
 def simulate(
     posture: Annotated[Path, typer.Argument(help="posture.yaml: robot, posture, hammer, replay.")],
     robot: Robot = None,
@@ -125,7 +162,7 @@ def simulate(
     _show(found, json)
 
 
-@app.command()
+@command()
 def modal(
     recordings: Annotated[list[Path], typer.Argument(help="measured_frf.h5, or universal files (.uff, .unv).")],
     robot: Robot = None,
@@ -164,7 +201,7 @@ HoldOut = Annotated[
 ]
 
 
-@app.command()
+@command()
 def fit(
     recordings: Annotated[
         list[Path], typer.Argument(help="measured_frf.h5, a modal table (.yaml), or universal files (.uff, .unv).")
@@ -222,7 +259,7 @@ def fit(
     _show(found, json)
 
 
-@app.command()
+@command()
 def excite(
     robot: Robot = None,
     without: Without = None,
@@ -259,7 +296,7 @@ def excite(
     _show(found, json)
 
 
-@app.command()
+@command()
 def identify(
     log: Annotated[Path, typer.Argument(help="A motion log: HDF5, or CSV with header time,q1..qn,tau1..taun.")],
     robot: Robot = None,
@@ -293,7 +330,7 @@ def identify(
     _show(found, json)
 
 
-@app.command()
+@command()
 def compare(
     recordings: Annotated[list[Path], typer.Argument(help="Hammer tests, modal tables and motion logs.")],
     robot: Robot = None,
@@ -334,7 +371,7 @@ def compare(
     _show(found, json)
 
 
-@app.command()
+@command()
 def diagnose(
     recordings: Annotated[
         list[Path],
@@ -375,7 +412,7 @@ def diagnose(
     _show(found, json)
 
 
-@app.command()
+@command()
 def lobes(
     given: Annotated[
         Path,
@@ -455,7 +492,7 @@ def lobes(
     _show(found, json)
 
 
-@app.command(name="map")
+@command("map")
 def map_(
     cut: Annotated[
         Path | None, typer.Argument(help="cut.yaml: tool, coefficients, immersion.", show_default="a usual cut")
@@ -551,7 +588,7 @@ def _numbers(option: str, text: str, kind: type[int] | type[float]) -> list[Any]
         raise InputError(option, text, "expected numbers joined by commas") from error
 
 
-@app.command()
+@command()
 def view(
     path: Annotated[Path, typer.Argument(help="An output folder, a .rrd, a robot or a recording.")],
     robot: Robot = None,
@@ -592,11 +629,42 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters is no reason to lose a result
+    sys.exit(_run())
+
+
+def _run() -> int:
+    """The exit code: 2 for bad input, 3 for numbers that break a calculation, 124 for time that is up."""
     try:
-        app()
+        with stoppable(), warnings.catch_warnings():
+            if not sys.warnoptions:
+                warnings.simplefilter("ignore")  # of libraries; what matters is in the result
+            return app(standalone_mode=False) or 0
+    except Stopped as stop:
+        return _say(str(stop), stop.code)
     except InputError as error:
-        print(f"twin: {error}", file=sys.stderr)
-        sys.exit(2)
+        return _say(str(error), 2)
+    except NumericalError as error:
+        return _say(str(error), 3)
+    except MemoryError as error:
+        return _say(f"system: not enough memory for input of this size ({error})", 2)
     except OSError as error:
-        print(f"twin: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
-        sys.exit(2)
+        return _say(f"{error.filename or 'system'}: {error.strerror or error}", 2)
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # of the command line's parser
+            raise
+        return _usage(error)
+
+
+def _usage(error: Any) -> int:
+    """One line for an argument that is missing or makes no sense; the help where nothing was asked."""
+    if error.ctx is not None and len(sys.argv) < 2:
+        error.show()
+    else:
+        option = getattr(getattr(error, "param", None), "opts", None) or ["arguments"]
+        _say(f"{option[-1]}: {' '.join(error.format_message().split())}", 2)
+    return int(error.exit_code)
+
+
+def _say(line: str, code: int) -> int:
+    print(f"twin: {line}", file=sys.stderr)
+    return code

@@ -1,9 +1,24 @@
-"""The one error a user's input can cause: a line that names file, field and remedy."""
+"""What a command can end with: a user's input that breaks a contract, or numbers that no calculation survives."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
-class InputError(ValueError):
+class _Placed(Exception):
+    """One line: where the fault is, and what to do about it."""
+
+    def __init__(self, source: str | Path, field: str, expected: str) -> None:
+        self.source, self.field, self.expected = str(source), field, expected
+        parts = (self.source, field, expected)
+        super().__init__(": ".join(" ".join(part.split()) for part in parts if part))
+
+    def __reduce__(self) -> tuple[type, tuple[str, str, str]]:
+        """Made again from its parts: errors cross processes."""
+        return type(self), (self.source, self.field, self.expected)
+
+
+class InputError(_Placed, ValueError):
     """A user's input breaks a contract.
 
     Args:
@@ -12,10 +27,26 @@ class InputError(ValueError):
         expected: what was expected and, where it helps, what was found instead.
     """
 
-    def __init__(self, source: str | Path, field: str, expected: str) -> None:
-        self.source, self.field, self.expected = str(source), field, expected
-        super().__init__(": ".join(part for part in (self.source, field, expected) if part).replace("\n", " "))
 
-    def __reduce__(self) -> tuple[type, tuple[str, str, str]]:
-        """Made again from its parts: errors cross processes."""
-        return type(self), (self.source, self.field, self.expected)
+class NumericalError(_Placed, ArithmeticError):
+    """A calculation broke down on input that keeps every contract: singular, not converged, not finite.
+
+    Args:
+        source: recording, description or option whose numbers it worked on.
+        field: posture, run or parameter; ``""`` where none is to blame.
+        expected: what broke down, and what to look at.
+    """
+
+
+@contextmanager
+def numbers_of(source: str | Path, field: str = "") -> Iterator[None]:
+    """What breaks down inside becomes a :class:`NumericalError` that names the source; an inner name is kept."""
+    from numpy.linalg import LinAlgError
+
+    try:
+        yield
+    except NumericalError:
+        raise
+    except (LinAlgError, ArithmeticError) as error:
+        remedy = "look for numbers of an impossible size, or in another unit"
+        raise NumericalError(source, field, f"the calculation broke down ({error}); {remedy}") from error

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TextIO
 
 from twin.errors import InputError
+from twin.stopping import unfinished
 
 
 @contextmanager
@@ -20,6 +21,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(path, "", f"cannot be written ({error.strerror})") from error
     os.close(handle)
+    unfinished.add(Path(scratch))
     try:
         yield Path(scratch)
         umask = os.umask(0)
@@ -28,6 +30,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         os.replace(scratch, path)
     finally:
         Path(scratch).unlink(missing_ok=True)
+        unfinished.discard(Path(scratch))
 
 
 @contextmanager

@@ -7,6 +7,8 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
+from twin.stopping import as_worker
+
 T = TypeVar("T")
 
 Progress = Callable[[str, int], Callable[[int], None]]
@@ -60,6 +62,7 @@ def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator
 
 
 def _work(function: Callable[[int], Any], shares: range, writer: Connection, readers: list[Connection]) -> None:
+    as_worker()
     for reader in readers:  # inherited: nobody but the parent may hold them, or its end would not be seen
         reader.close()
     for number in shares:

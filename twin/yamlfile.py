@@ -1,6 +1,6 @@
 """YAML 1.2 in and out: ``6.1e6`` and ``2e-4`` are numbers, ``on`` is a word; files are written whole or not at all."""
 
-import json
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from twin.errors import InputError
 from twin.files import writing
+from twin.ranges import MOST_CHARACTERS, MOST_NESTED, MOST_NODES
 
 # Words that YAML 1.1 readers would take for booleans; quoted on writing so that every reader agrees.
 _YAML_1_1_BOOLEANS = {"on", "off", "yes", "no", "y", "n", "true", "false"}
@@ -24,20 +25,45 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     try:
-        with path.open(encoding="utf-8") as stream:
-            data = YAML(typ="safe", pure=True).load(stream)
-        json.dumps(data, default=str)  # refuses what holds itself
+        text = path.read_text(encoding="utf-8")
+        if max(accumulate((c in "[{") - (c in "]}") for c in text if c in "[]{}"), default=0) > 4 * MOST_NESTED:
+            raise InputError(path, "", f"expected at most {MOST_NESTED} levels of brackets")
+        data = YAML(typ="safe", pure=True).load(text)
     except OSError as error:
         raise InputError(path, "", f"cannot be read ({error.strerror})") from error
     except (YAMLError, UnicodeDecodeError) as error:
         problem = getattr(error, "problem", None) or "not text in UTF-8"
         mark = getattr(error, "problem_mark", None)
         raise InputError(path, f"line {mark.line + 1}" if mark else "", f"not valid YAML: {problem}") from error
-    except (RecursionError, ValueError, TypeError) as error:
+    except (RecursionError, ValueError, TypeError, LookupError, AttributeError) as error:
         raise InputError(path, "", "not valid YAML: nested without end, or a value that is none") from error
     if not isinstance(data, dict):
         raise InputError(path, "", "expected a mapping of keys to values at the top level")
+    if problem := _too_large(data):
+        raise InputError(path, "", problem)
     return data
+
+
+def _too_large(data: Any) -> str | None:
+    """Why data is too much to work with: anchors can make a small file huge, or hold itself."""
+    level, count = [data], 0
+    for _ in range(MOST_NESTED):
+        below: list[Any] = []
+        for item in level:
+            if isinstance(item, str) and len(item) > MOST_CHARACTERS:
+                return f"expected texts of at most {MOST_CHARACTERS} characters, found {len(item)}"
+            if isinstance(item, dict):
+                below.extend(item)
+                below.extend(item.values())
+            elif isinstance(item, list | set | tuple):
+                below.extend(item)
+            count += 1
+            if count + len(below) > MOST_NODES:
+                return f"expected at most {MOST_NODES} values; do anchors repeat each other?"
+        if not below:
+            return None
+        level = below
+    return f"expected at most {MOST_NESTED} levels; does an anchor hold itself?"
 
 
 def write_yaml(path: str | Path, data: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
+from twin.errors import InputError
 from twin.files import writing
 from twin.identify.excitation import Criterion, Excitation, Limits, violation
 from twin.identify.excitation import excite as optimise
@@ -15,6 +16,7 @@ from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
 from twin.measure.recordings import traced
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
+from twin.ranges import MOST_SAMPLES, check_count
 from twin.result import Result, Table
 from twin.robot.description import SHIPPED, Robot, load_robot
 
@@ -125,6 +127,10 @@ def excite(
         InputError: bad input, or no trajectory within the limits.
     """
     check_out(out)
+    for name in ("count", "harmonics", "base_hz", "periods", "sample_rate_hz"):
+        check_count(name, locals()[name])
+    if (samples := periods / base_hz * sample_rate_hz) > MOST_SAMPLES:
+        raise InputError("--periods", str(periods), f"expected at most {MOST_SAMPLES} samples, found {samples:g}")
     rest = rest or krl  # a spline block starts and ends at a standstill
     loaded = load_robot(robot or "kr90").without(without or [])
     limits = Limits.of(loaded)

@@ -43,6 +43,7 @@ from twin.model.modes import Modes, modes
 from twin.model.parameters import SATURATED, Parameters, free_parameters
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
+from twin.ranges import check_band, check_count
 from twin.result import Result, Table
 from twin.robot.description import Robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
@@ -233,6 +234,9 @@ def fit(
     check_out(out)
     progress = progress or silent
     given = read_one(recording, "frf-campaign", "modal-table")
+    if band_hz is not None:
+        check_band("--band", band_hz)
+    check_count("starts", starts)
     described = given.described(robot, without)
     _require_springs(described)
     options = {

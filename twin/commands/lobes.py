@@ -21,6 +21,7 @@ from twin.milling.tool_point import ToolModes, ToolPoint, measured_point, tool_p
 from twin.milling.zeroth_order import limiting_depth
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
+from twin.ranges import check_count
 from twin.result import Result, Table
 from twin.robot.description import Robot, load_robot
 from twin.yamlfile import read_yaml
@@ -229,6 +230,8 @@ def lobes(
     """
     progress = progress or silent
     check_out(out)
+    check_count("draws", draws)
+    check_count("in_time", in_time)
     if draws < 0 or in_time < 0:
         raise InputError("--draws" if draws < 0 else "--in-time", "", "expected no negative number")
     case = _case(given, robot, without, _read_cut(cut), q_deg, posture, brakes, spindle_rpm, draws, seed)

@@ -22,6 +22,7 @@ from twin.milling.postures import tool_place
 from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
+from twin.ranges import check_count
 from twin.result import Result, Table
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
@@ -194,6 +195,8 @@ def make_map(
         InputError: bad input, or a point of the path that is out of reach.
     """
     check_out(out)
+    for name, value in (("draws", draws), ("lobes", lobes), ("random", random or 1)):
+        check_count(name, value)
     progress = progress or (lambda description, total: lambda count: None)
     loaded = load_robot(robot or "kr90").without(without or [])
     if not any(axis.stiffness for axis in loaded.axes) and not any("stiffness" in e.values for e in loaded.physics):

@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from twin.errors import InputError
 from twin.measure.motion_log import MotionLog, read_motion_log
 from twin.milling.cut import Cut, read_cut
+from twin.ranges import LONGEST_NAME, NAME
 from twin.robot.description import Data, NonNegative, Number, Positive, Robot, first_problem, load_robot
 from twin.yamlfile import read_yaml
 
@@ -32,7 +33,7 @@ class Hammer(Data):
     pulse_s: Positive = 0.008
     duration_s: Positive = 16.0
     sample_rate_hz: Positive = 2048.0
-    hits: Annotated[int, Field(ge=1, strict=True)] = 3
+    hits: Annotated[int, Field(ge=1, le=1000, strict=True)] = 3
     force_spread: NonNegative = 0.0
     force_noise_n: NonNegative = 0.0
     response_noise: NonNegative = 0.0
@@ -47,7 +48,7 @@ class Hammer(Data):
 
 
 class _Posture(Data):
-    name: Annotated[str, Field(pattern=r"^[^/\\\x00]*[^/\\\x00.][^/\\\x00]*$", max_length=100)] = "posture"
+    name: Annotated[str, Field(pattern=NAME, max_length=LONGEST_NAME)] = "posture"
     q_deg: list[Number]
     brakes: Literal["on", "off"] = "on"
 

@@ -34,6 +34,7 @@ from twin.model.regressor import (
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
+from twin.ranges import check_band
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
@@ -50,7 +51,8 @@ class Bands:
     motion: tuple[float, float] = (10.0, 12.0)
 
     def __post_init__(self) -> None:
-        if not 0 < self.fit[0] < self.fit[1]:
+        check_band("--low-pass", self.fit)
+        if not self.fit[0] > 0:
             raise InputError("--low-pass", "", f"expected 0 < pass < stop, found {self.fit[0]:g} {self.fit[1]:g}")
 
     def within(self, rate_hz: float) -> "Bands":

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin.errors import InputError
 from twin.files import replacing
 from twin.measure.hdf5 import Node
+from twin.ranges import ill_named
 
 FORMAT, VERSION = "frf-campaign", 1
 
@@ -210,8 +211,8 @@ def check_campaign(source: str | Path, campaign: Campaign) -> None:
         problem = f"q_deg must have one length in all postures, or be in none, found {sorted(axes)}"
         raise InputError(source, "postures", problem)
     for name, posture in campaign.postures.items():
-        if not name or "/" in name:
-            raise InputError(source, "postures", f"expected names without a slash, found {name!r}")
+        if wrong := ill_named(name):
+            raise InputError(source, "postures", wrong)
         _check_posture(
             source, f"postures/{name}", posture, len(campaign.response.label), len(campaign.excitation.label)
         )

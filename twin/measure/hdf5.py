@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import InputError
+from twin.ranges import check_array, check_size
 
 _DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a factor
     "m": (1, 0, 0),
@@ -84,7 +85,10 @@ class Node:
 
     def attribute(self, name: str) -> Any:
         """Plain value, None where absent."""
-        return _plain(self.item.attrs[name]) if name in self.item.attrs else None
+        try:
+            return _plain(self.item.attrs[name]) if name in self.item.attrs else None
+        except (OSError, TypeError, ValueError) as error:
+            raise self.fail(f"{self.field}: {name}".strip(": "), f"expected a number or text ({error})") from error
 
     def text(self, name: str) -> str | None:
         value = self.attribute(name)
@@ -95,22 +99,35 @@ class Node:
         if value is None or isinstance(value, h5py.Empty):
             return default
         try:
-            return float(value)
-        except (TypeError, ValueError):
+            found = float(value)
+        except (TypeError, ValueError, OverflowError):
             raise self.fail(f"{self.field}: {name}".strip(": "), f"expected a number, found {value!r}") from None
+        check_array(self.source, f"{self.field}: {name}".strip(": "), np.array([found]))
+        return found
+
+    def _get(self, name: str) -> Any:
+        try:
+            return self.item.get(name)
+        except (OSError, RuntimeError, KeyError) as error:
+            raise self.fail(
+                f"{self.field}/{name}".strip("/"), "expected data, found a link that leads nowhere"
+            ) from error
 
     def group(self, name: str) -> "Node":
-        item = self.item.get(name)
+        item = self._get(name)
         if not isinstance(item, h5py.Group):
             what = "it is missing" if item is None else "found a dataset"
             raise self.fail(f"{self.field}/{name}".strip("/"), f"expected a group, {what}")
         return Node(self.source, item)
 
     def dataset(self, name: str) -> "Node":
-        item = self.item.get(name)
+        item = self._get(name)
         if not isinstance(item, h5py.Dataset):
             what = "it is missing" if item is None else "found a group"
             raise self.fail(f"{self.field}/{name}".strip("/"), f"expected a dataset, {what}")
+        if item.shape is None:
+            raise self.fail(f"{self.field}/{name}".strip("/"), "expected data, found an empty data set")
+        check_size(self.source, f"{self.field}/{name}".strip("/"), int(item.size))
         return Node(self.source, item)
 
     def has(self, name: str) -> bool:
@@ -118,13 +135,17 @@ class Node:
 
     def real(self, name: str, *unit: str) -> NDArray[np.float64]:
         node = self.dataset(name)
-        if node.item.dtype.kind not in "iuf" or node.item.shape is None:
+        if node.item.dtype.kind not in "iuf":
             raise self.fail(node.field, f"expected real numbers, found {node.item.dtype}")
         node.check_unit(*unit)
         try:
-            return np.asarray(node.item[()], dtype=np.float64)
+            values = np.asarray(node.item[()], dtype=np.float64)
         except OSError as error:
             raise self.fail(node.field, "expected readable data, the file is damaged") from error
+        check_array(
+            self.source, node.field, values, {"m/s^2": "m/s²", "N·m": "N·m"}.get(unit[0], unit[0]) if unit else ""
+        )
+        return values
 
     def check_unit(self, *expected: str) -> None:
         unit = self.text("unit")
@@ -133,8 +154,13 @@ class Node:
 
     def complex(self) -> NDArray[np.complex128]:
         dtype = self.item.dtype
-        values = self.item[()]
-        if dtype.names is not None and len(dtype.names) == 2:  # {real, imag} pairs, as MATLAB writes them
+        try:
+            values = self.item[()]
+        except OSError as error:
+            raise self.fail(self.field, "expected readable data, the file is damaged") from error
+        if (
+            dtype.names is not None and len(dtype.names) == 2 and all(dtype[one].kind in "iuf" for one in dtype.names)
+        ):  # {real, imag} pairs, as MATLAB writes them
             return np.asarray(values[dtype.names[0]] + 1j * values[dtype.names[1]], dtype=np.complex128)
         if dtype.kind != "c":
             raise self.fail(self.field, f"expected complex numbers, found {dtype}")
@@ -142,7 +168,10 @@ class Node:
 
     def strings(self, name: str) -> tuple[str, ...]:
         node = self.dataset(name)
-        values = np.atleast_1d(node.item[()])
+        try:
+            values = np.atleast_1d(node.item[()])
+        except OSError as error:
+            raise self.fail(node.field, "expected readable data, the file is damaged") from error
         if values.dtype.kind not in "OSU":
             raise self.fail(node.field, f"expected text, found {node.item.dtype}")
         return tuple(str(_plain(value)) for value in values.ravel())

@@ -13,6 +13,7 @@ from twin.errors import InputError
 from twin.files import writing
 from twin.measure.campaign import FloatArray
 from twin.measure.modal import ModalResult
+from twin.ranges import ill_named
 from twin.yamlfile import read_yaml
 
 
@@ -70,6 +71,9 @@ def read_modal_table(path: str | Path) -> ModalTable:
     content = read_yaml(path)
     if not isinstance(content.get("postures"), dict) or not content["postures"]:
         raise InputError(path, "postures", "expected a mapping of posture names to q_deg and modes")
+    for name in content["postures"]:
+        if problem := ill_named(str(name)):
+            raise InputError(path, "postures", problem)
     robot = content.get("robot")
     return ModalTable(
         {str(name): _read_posture(path, f"postures.{name}", value) for name, value in content["postures"].items()},

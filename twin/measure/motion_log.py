@@ -16,6 +16,7 @@ from twin.files import replacing, writing
 from twin.measure.campaign import FloatArray
 from twin.measure.hdf5 import Node
 from twin.measure.signals import resample
+from twin.ranges import ill_named
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -95,6 +96,8 @@ def read_motion_log(path: str | Path) -> MotionLog:
             raise InputError(path, "runs", "expected at least one run")
         runs, notes = {}, []
         for name in groups.item:
+            if problem := ill_named(name):
+                raise InputError(path, "runs", problem)
             group = groups.group(name)
             if (rate := group.number("sample_rate_hz")) is None:
                 raise InputError(path, f"{group.field}/sample_rate_hz", "missing attribute")

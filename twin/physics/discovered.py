@@ -2,17 +2,22 @@
 
 import ast
 import re
+import reprlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from twin.errors import NumericalError
 from twin.physics.effect import Effect, Parameter, Values, axis_of
 from twin.physics.statements import LogView, Prior, Suspected
+from twin.ranges import implausible
 
 if TYPE_CHECKING:
     from twin.physics.motion import Motion
     from twin.robot.mechanism import Mechanism
 
+LONGEST_FORMULA = 2000  # characters
+DEEPEST_FORMULA = 40  # levels
 FUNCTIONS = {"sin": np.sin, "cos": np.cos, "exp": np.exp, "tanh": np.tanh, "abs": np.abs}
 _OPERATORS = {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power}
 _NAME = re.compile(r"([cqva]|load)([1-9]\d*)|t")
@@ -36,14 +41,20 @@ class Discovered(Effect):
     repeatable = True
 
     def check(self, values: Values) -> str | None:
+        formula = str(values["formula"])
+        if len(formula) > LONGEST_FORMULA:
+            return f"formula: expected at most {LONGEST_FORMULA} characters, found {len(formula)}"
         try:
-            tree = ast.parse(str(values["formula"]), mode="eval").body
-        except SyntaxError:
-            return f"formula: {values['formula']!r} is not an expression"
-        for node in ast.walk(tree):
-            if problem := _problem(node, len(values["coefficients"])):
-                return f"formula: {problem}"
-        return None
+            tree = ast.parse(formula.strip(), mode="eval").body
+        except (SyntaxError, ValueError, MemoryError, RecursionError):
+            return f"formula: {reprlib.repr(formula)} is not an expression"
+        problem = _problem(tree, len(values["coefficients"]), DEEPEST_FORMULA)
+        return f"formula: {problem}" if problem else None
+
+    def check_axes(self, values: Values, axes: int) -> str | None:
+        named = _NAME.finditer(str(values["formula"]))
+        most = max((int(found[2]) for found in named if found[1] not in (None, "c")), default=0)
+        return f"formula: expected axes 1 to {axes}, found {most}" if most > axes else None
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         mechanism.passive_force(self.name, site, values)
@@ -56,42 +67,54 @@ class Discovered(Effect):
         return [Suspected({**law, "coefficients": [0.0]}, [usual], [[0.0]], passive=True)]
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
-        tree = ast.parse(str(values["formula"]), mode="eval").body
-        torque = _evaluate(tree, motion, values["coefficients"])
+        tree = ast.parse(str(values["formula"]).strip(), mode="eval").body
+        with np.errstate(all="ignore"):
+            torque = _evaluate(tree, motion, values["coefficients"])
+        if not np.isfinite(torque).all():
+            raise NumericalError(f"{self.name}@{site}", "formula", "is not finite in this motion; change the formula")
         return {axis_of(site): np.broadcast_to(np.asarray(torque, float), motion.time.shape).copy()}
 
 
-def _problem(node: ast.AST, coefficients: int) -> str | None:
-    """Why a part of a formula cannot be evaluated."""
+def _problem(node: ast.AST, coefficients: int, levels: int) -> str | None:
+    """Why a part of a formula, or what is in it, cannot be evaluated."""
+    parts: list[ast.expr] = []
     match node:
+        case _ if levels < 0:
+            return f"expected at most {DEEPEST_FORMULA} levels"
         case ast.Name(id=name):
             found = _NAME.fullmatch(name)
-            if name in FUNCTIONS or name == "sign":
-                return None
             if not found:
                 return f"unknown {name!r}; expected c1, q1, v1, a1, load1, t, {', '.join(FUNCTIONS)} or sign"
             if found[1] == "c" and int(found[2]) > coefficients:
                 return f"{name} is missing among the coefficients"
-        case ast.Constant(value=value) if isinstance(value, bool) or not isinstance(value, int | float):
-            return f"expected a number, found {value!r}"
-        case ast.Call(func=function, args=arguments, keywords=keywords):
-            if not isinstance(function, ast.Name) or len(arguments) != 1 or keywords:
-                return "a function takes one argument"
-        case ast.BinOp(op=op) if type(op) not in _OPERATORS:
-            return "expected + - * / or **"
-        case ast.UnaryOp(op=op) if not isinstance(op, ast.USub | ast.UAdd):
-            return "expected + or - before a term"
-        case ast.Constant() | ast.BinOp() | ast.UnaryOp() | ast.operator() | ast.unaryop() | ast.expr_context():
-            return None
+        case ast.Constant(value=value):
+            if isinstance(value, bool) or not isinstance(value, int | float) or implausible(value):
+                return f"expected a plausible number, found {reprlib.repr(value)}"
+        case ast.Call(func=function, args=[argument], keywords=[]):
+            if not isinstance(function, ast.Name) or function.id not in (*FUNCTIONS, "sign"):
+                return f"expected {', '.join(FUNCTIONS)} or sign before a bracket"
+            parts = [argument]
+        case ast.Call():
+            return "a function takes one argument"
+        case ast.BinOp(left=left, op=op, right=right):
+            if type(op) not in _OPERATORS:
+                return "expected + - * / or **"
+            if isinstance(op, ast.Div) and isinstance(right, ast.Constant) and not right.value:
+                return "divides by zero"
+            parts = [left, right]
+        case ast.UnaryOp(op=op, operand=operand):
+            if not isinstance(op, ast.USub | ast.UAdd):
+                return "expected + or - before a term"
+            parts = [operand]
         case _:
             return f"expected arithmetic, found {type(node).__name__}"
-    return None
+    return next((problem for part in parts if (problem := _problem(part, coefficients, levels - 1))), None)
 
 
 def _evaluate(node: ast.expr, motion: "Motion", coefficients: list[float]) -> Any:
     match node:
         case ast.Constant(value=value):
-            return value
+            return float(value)  # type: ignore[arg-type]
         case ast.UnaryOp(op=op, operand=operand):
             value = _evaluate(operand, motion, coefficients)
             return -value if isinstance(op, ast.USub) else value

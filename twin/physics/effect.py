@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from twin.physics.statements import LinearPart, LogView, Part, Prior, Suspected, Test
+from twin.ranges import implausible
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
@@ -73,6 +74,8 @@ class Parameter:
                 return f"expected a number > 0 [{self.unit}], found {item!r}"
             if self.nonnegative and item < 0:
                 return f"expected a number ≥ 0 [{self.unit}], found {item!r}"
+            if problem := implausible(item, self.unit, self.log):
+                return problem
         return None
 
 
@@ -172,6 +175,10 @@ class Effect:
 
     def check(self, values: Values) -> str | None:
         """What is wrong with the parameters taken together, or ``None``."""
+        return None
+
+    def check_axes(self, values: Values, axes: int) -> str | None:
+        """Why the values do not fit a robot of so many axes, or ``None``."""
         return None
 
     def unit(self, name: str) -> str:

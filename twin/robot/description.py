@@ -11,10 +11,20 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    model_validator,
+)
 
 from twin.errors import InputError
 from twin.physics import CATALOGUE
+from twin.ranges import MOST_AXES, implausible
 from twin.robot.frames import inertia_matrix
 from twin.yamlfile import read_yaml, write_yaml
 
@@ -25,12 +35,28 @@ def _is_number(value: Any) -> Any:
     return value
 
 
-Number = Annotated[float, BeforeValidator(_is_number), Field(allow_inf_nan=False)]
-Positive = Annotated[Number, Field(gt=0)]
+def _within(unit: str, scale: bool = False) -> AfterValidator:
+    def check(value: float) -> float:
+        if problem := implausible(value, unit, scale):
+            raise ValueError(problem)
+        return value
+
+    return AfterValidator(check)
+
+
+_Finite = Annotated[float, BeforeValidator(_is_number), Field(allow_inf_nan=False)]
+Number = Annotated[_Finite, _within("")]
+Positive = Annotated[_Finite, Field(gt=0), _within("", scale=True)]
 NonNegative = Annotated[Number, Field(ge=0)]
-Vector = tuple[Number, Number, Number]
+Mass = Annotated[_Finite, Field(gt=0), _within("kg", scale=True)]
+MassIfAny = Annotated[_Finite, Field(ge=0), _within("kg", scale=True)]
+Length = Annotated[_Finite, _within("m")]
+Moment = Annotated[_Finite, _within("kg·m²")]
+Stiffness = Annotated[_Finite, Field(gt=0), _within("N·m/rad", scale=True)]
+Damping = Annotated[_Finite, Field(ge=0), _within("N·m·s/rad")]
+Vector = tuple[Length, Length, Length]
 Quaternion = tuple[Number, Number, Number, Number]
-Inertia = tuple[Number, Number, Number, Number, Number, Number]
+Inertia = tuple[Moment, Moment, Moment, Moment, Moment, Moment]
 
 
 class Data(BaseModel):
@@ -69,7 +95,7 @@ class Base(Placement):
     Its mass takes part only in ``base_compliance``; inertia (xx, yy, zz, xy, xz, yz) at the com, kg·m².
     """
 
-    mass: NonNegative = 0.0
+    mass: MassIfAny = 0.0
     com: Vector = (0.0, 0.0, 0.0)
     inertia: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     mesh: str | None = None
@@ -90,7 +116,7 @@ class Link(Data):
     """
 
     name: str | None = None
-    mass: Positive | None = None
+    mass: Mass | None = None
     com: Vector | None = None
     inertia: Inertia | None = None
     mesh: str | None = None
@@ -120,7 +146,7 @@ class Link(Data):
 class Limits(Data):
     """Position (lower, upper) rad or m; largest speed rad/s or m/s, acceleration rad/s² or m/s², torque N·m or N."""
 
-    position: tuple[Number, Number] | None = None
+    position: tuple[Length, Length] | None = None
     velocity: Positive | None = None
     acceleration: Positive | None = None
     torque: Positive | None = None
@@ -142,12 +168,12 @@ class Axis(Data):
     type: Literal["revolute", "prismatic"] = "revolute"
     name: str | None = None
     alpha_deg: Number = 0.0
-    a: Number = 0.0
+    a: Length = 0.0
     theta_deg: Number = 0.0
-    d: Number = 0.0
+    d: Length = 0.0
     limits: Limits | None = None
-    stiffness: Positive | None = None
-    damping: NonNegative = 0.0
+    stiffness: Stiffness | None = None
+    damping: Damping = 0.0
 
 
 class Drive(Data):
@@ -158,8 +184,8 @@ class Drive(Data):
     """
 
     gear_ratio: Number = 1.0
-    rotor_inertia: NonNegative = 0.0
-    rotor_mass: NonNegative = 0.0
+    rotor_inertia: Annotated[Moment, Field(ge=0)] = 0.0
+    rotor_mass: MassIfAny = 0.0
     coupling: dict[str, Number] = {}
     mesh: str | None = None
 
@@ -262,10 +288,10 @@ class Robot(Data):
     name: str
     description: str = ""
     gravity: Vector = (0.0, 0.0, -9.81)
-    total_mass: Positive | None = None
+    total_mass: Mass | None = None
     base: Base = Base()
     links: list[Link] = Field(min_length=1)
-    axes: list[Axis]
+    axes: Annotated[list[Axis], Field(max_length=MOST_AXES)]
     drives: list[Drive] = []
     flange: Placement = Placement()
     workspace: Workspace | None = None
@@ -428,7 +454,7 @@ def check_entry(entry: Entry, axes: int, where: str) -> None:
                 raise ValueError(f"{where}.{name}: {given[name]!r} is not another joint of this robot")
         elif not parameter.optional:
             raise ValueError(f"{where}: {entry.effect} needs {name} [{parameter.unit}]")
-    if problem := CATALOGUE[entry.effect].check(entry.values):
+    if problem := CATALOGUE[entry.effect].check(entry.values) or CATALOGUE[entry.effect].check_axes(entry.values, axes):
         raise ValueError(f"{where}.{problem}")
 
 

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from trimesh.units import unit_conversion
 
 from twin.errors import InputError
+from twin.ranges import MOST_PARTS, implausible
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix
 from twin.robot.mechanism import Inertial
@@ -53,10 +54,13 @@ def read_urdf(path: str | Path) -> Tree:
         root = ElementTree.parse(path).getroot()
     except OSError as error:
         raise InputError(path, "", f"cannot be read ({error.strerror})") from error
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise InputError(path, "", f"not well-formed XML: {error}") from error
     if root.tag != "robot":
         raise InputError(path, "", f"expected a URDF, whose top element is <robot>, found <{root.tag}>")
+    for tag in ("link", "joint"):
+        if (count := len(root.findall(tag))) > MOST_PARTS:
+            raise InputError(path, tag, f"expected at most {MOST_PARTS}, found {count}")
     tree = Tree(path, root.get("name") or path.stem, {}, [])
     for element in root.findall("link"):
         link = _attribute(path, element, "name", "link")
@@ -202,6 +206,9 @@ def _numbers(path: Path, where: str, element: ElementTree.Element | None, key: s
     if values.size != len(default) or not np.isfinite(values).all():
         hint = " (expand xacro first)" if "${" in text else ""
         raise InputError(path, where, f"{key}: expected {len(default)} finite number(s), found {text!r}{hint}")
+    for value in values:
+        if problem := implausible(value):
+            raise InputError(path, where, f"{key}: {problem}")
     return values
 
 

@@ -1,0 +1,159 @@
+"""The edges: what breaks a reader or a calculation ends in one line, and work that is stopped leaves nothing behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from tools.fuzz.__main__ import main as fuzz
+from twin.errors import InputError, NumericalError, numbers_of
+from twin.physics import CATALOGUE
+from twin.robot.description import Robot
+from twin.robot.urdf import read_urdf
+from twin.yamlfile import read_yaml
+
+SLICE = 40  # cases; `python -m tools.fuzz` runs thousands
+
+Twin = Callable[..., SimpleNamespace]
+
+
+def test_a_slice_of_mutated_inputs_breaks_nothing(tmp_path: Path) -> None:
+    code = subprocess.run(
+        [sys.executable, "-m", "tools.fuzz", "--cases", str(SLICE), "--seed", "7", "--out", str(tmp_path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert code.returncode == 0, code.stdout[-3000:] + code.stderr[-3000:]
+
+
+def test_the_corpus_is_taken_up_again_and_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = '{"number": %d, "kind": "%s", "command": ["fit", "x"], "change": "c", "code": 2, "seconds": 1, "said": ""}\n'
+    (tmp_path / "seeds").mkdir()
+    (tmp_path / "seeds" / "hammer.unv").touch()
+    (tmp_path / "corpus-0.jsonl").write_text(line % (0, "refused") + line % (1, "hang"))
+    assert fuzz(["--cases", "2", "--out", str(tmp_path)]) == 1
+    assert "1 hang" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "formula",
+    ["q9", "c1*sin", "c1/0", "(" * 2000 + "q1" + ")" * 2000, "c1*" + "-" * 3000 + "q1", "c2*q1", "c1*1e300", "q1.real"],
+)
+def test_formulas_outside_their_grammar_are_refused(formula: str) -> None:
+    values = {"formula": formula, "coefficients": [1.0]}
+    effect = CATALOGUE["discovered"]
+    assert (effect.check(values) or effect.check_axes(values, 3) or "").startswith("formula: ")
+
+
+def test_formulas_of_the_grammar_pass() -> None:
+    values = {"formula": "c1*abs(v1)*v1 + c2*sin(3*q2)/2 - load3**2 + sign(v1)*exp(-t)", "coefficients": [1.0, 2.0]}
+    assert CATALOGUE["discovered"].check(values) is None
+    assert CATALOGUE["discovered"].check_axes(values, 3) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a0: &a0 [x, x]\n" + "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 30)),
+        "a: &a [*a]\n",
+        "a: " + "[" * 3000 + "]" * 3000,
+        "a: " + "x" * 100_000,
+    ],
+    ids=["anchors", "itself", "brackets", "text"],
+)
+def test_yaml_that_would_fill_the_memory_is_refused_at_once(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.yaml").write_text(text)
+    begin = time.process_time()
+    with pytest.raises(InputError, match=r"a\.yaml"):
+        read_yaml(tmp_path / "a.yaml")
+    assert time.process_time() - begin < 3
+
+
+@pytest.mark.parametrize("place", [("links", 0, "mass"), ("axes", 0, "stiffness"), ("axes", 1, "a")])
+@pytest.mark.parametrize("value", [1e300, 1e-300])
+def test_numbers_of_no_machine_are_refused(kr90: Robot, place: tuple[Any, ...], value: float) -> None:
+    data: Any = kr90.model_dump(mode="json")
+    holder = data
+    for key in place[:-1]:
+        holder = holder[key]
+    holder[place[-1]] = value
+    if place[-1] == "a" and value < 1:  # what rounding leaves of a zero
+        Robot.model_validate(data)
+        return
+    with pytest.raises(ValueError, match="plausible"):
+        Robot.model_validate(data)
+
+
+def test_five_thousand_links_and_unknown_encodings_are_refused(tmp_path: Path) -> None:
+    for text in (
+        "<robot name='r'>" + "".join(f"<link name='l{k}'/>" for k in range(5000)) + "</robot>",
+        "<?xml version='1.0' encoding='nonsense-9'?><robot name='r'/>",
+    ):
+        (tmp_path / "r.urdf").write_text(text)
+        with pytest.raises(InputError, match=r"r\.urdf"):
+            read_urdf(tmp_path / "r.urdf")
+
+
+@pytest.mark.parametrize("made", ["huge", "empty", "itself"])
+def test_data_sets_that_claim_the_impossible_are_refused(tmp_path: Path, twin: Twin, made: str) -> None:
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file.attrs.update({"format": "motion-log", "version": 1})
+        run = file.create_group("runs/a")
+        run.attrs["sample_rate_hz"] = 100.0
+        run["time"] = np.arange(100) / 100
+        if made == "huge":
+            run.create_dataset("position", (10**12, 6), "f8", chunks=(1000, 6))
+        else:
+            run["position"] = h5py.Empty("f8") if made == "empty" else h5py.SoftLink("/runs/a/position")
+    found = twin("compare", tmp_path / "log.h5", "--robot", "kr90", "--json")
+    assert found.code == 2
+    assert found.err.startswith(f"twin: {tmp_path / 'log.h5'}: runs/a/position: expected")
+    assert len(found.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "options", [("--sample-rate-hz", "1e12"), ("--harmonics", "1000"), ("--sample-rate-hz", "nan")]
+)
+def test_requests_without_measure_are_refused(twin: Twin, options: tuple[str, str]) -> None:
+    found = twin("excite", *options, "--json")
+    assert found.code == 2
+    assert found.err.startswith(f"twin: {options[0]}: ")
+    assert len(found.err.splitlines()) == 1
+
+
+def test_arguments_that_make_no_sense_get_one_line(twin: Twin) -> None:
+    found = twin("excite", "--seed", "-1")
+    assert found.code == 2
+    assert found.err.startswith("twin: --seed: ")
+    assert len(found.err.splitlines()) == 1
+
+
+def test_numbers_that_break_a_calculation_name_their_source() -> None:
+    with pytest.raises(NumericalError, match=r"frf\.h5: bent: the calculation broke down \(Singular matrix\)"):
+        with numbers_of("frf.h5", "bent"):
+            np.linalg.inv(np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize(("how", "code"), [("--timeout", 124), (signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_stopped_work_ends_within_a_second_and_leaves_nothing(tmp_path: Path, how: Any, code: int) -> None:
+    line = [sys.executable, "-m", "twin", "excite", "--count", "50", "-o", str(tmp_path / "out")]
+    line += ["--timeout", "2.5"] if how == "--timeout" else []
+    child = subprocess.Popen(line, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    begin = time.monotonic()
+    if how != "--timeout":
+        time.sleep(3)
+        begin = time.monotonic()
+        os.kill(child.pid, how)
+    _, said = child.communicate(timeout=60)
+    assert child.returncode == code
+    assert said.strip().endswith("nothing was written")
+    assert not list(tmp_path.iterdir())
+    assert how == "--timeout" or time.monotonic() - begin < 3  # one second, on a machine with other work

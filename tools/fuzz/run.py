@@ -1,0 +1,147 @@
+"""One case: a child forked from a process that has everything imported, its limits, and what is checked afterwards."""
+
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import time
+import traceback
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from tools.fuzz.mutate import NUMBERS, mutate
+from tools.fuzz.seeds import TARGETS, Target
+
+LIMIT_S = 60.0  # a hang
+STOPPED_S = 8  # --timeout given to every case
+MEMORY = 4 << 30  # bytes
+OK = ("accepted", "refused", "stopped", "numerical")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case.
+
+    Attributes:
+        kind: accepted, refused, stopped (--timeout), numerical, or a fault: traceback, hang, signal, lines, unnamed,
+            partial.
+    """
+
+    number: int
+    kind: str
+    command: list[str]
+    change: str
+    code: int
+    seconds: float
+    said: str
+
+    def data(self) -> dict[str, Any]:
+        """As a line of the corpus."""
+        return asdict(self)
+
+
+def case(number: int, seed: int, seeds: Path, folder: Path, memory: int = MEMORY) -> Outcome:
+    """Make a case from its number, run it in a child and judge it; the folder is emptied before."""
+    rng = random.Random(f"{seed}:{number}")
+    target = rng.choices(TARGETS, [target.weight for target in TARGETS])[0]
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for name in (target.file, *target.beside):
+        shutil.copy(seeds / name, folder / name)
+    arguments, change = _line(target, rng, seeds, folder)
+    written = rng.random() < 0.15
+    where = ["-o", "found.rrd" if target.command == "view" else "found"]
+    arguments += where if written or target.command == "view" else ["--json"]
+    arguments += ["--timeout", str(STOPPED_S)]
+    before = set(_tree(folder))
+    begin = time.monotonic()
+    status = _child(arguments, folder, memory)
+    seconds = time.monotonic() - begin
+    out, said = ((folder / f".{name}").read_text(errors="replace") for name in ("out", "err"))
+    after = set(_tree(folder)) - before
+    kind, code = judge(status, said, out, after)
+    return Outcome(number, kind, arguments, change, code, round(seconds, 2), said[-400:] if said else out[:200])
+
+
+def _line(target: Target, rng: random.Random, seeds: Path, folder: Path) -> tuple[list[str], str]:
+    if not (target.numbers and rng.random() < 0.25):
+        return target.line(), f"{target.file}: {mutate(seeds / target.file, folder / target.file, rng)}"
+    option = rng.choice(target.numbers)
+    pair = option in ("--low-pass", "--band", "--rpm")
+    values = [str(rng.choice((*NUMBERS, 3, 10, 10**4, 10**9, "x"))) for _ in range(1 + pair)]
+    line = target.line()
+    if option in line:
+        del line[line.index(option) : line.index(option) + 2]
+    return [*line, option, *values], f"{option} {' '.join(values)}"
+
+
+def _tree(folder: Path) -> list[str]:
+    return [str(path.relative_to(folder)) for path in folder.rglob("*") if path.name not in (".out", ".err")]
+
+
+def _child(arguments: list[str], folder: Path, memory: int) -> int | None:
+    """Wait status of ``twin ARGUMENTS`` in a forked process; None where it had to be killed."""
+    child = os.fork()
+    if child == 0:
+        _inside(arguments, folder, memory)
+    deadline, pause = time.monotonic() + LIMIT_S, 0.002
+    while time.monotonic() < deadline:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return status
+        time.sleep(pause)
+        pause = min(0.05, 1.2 * pause)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return None
+
+
+def _inside(arguments: list[str], folder: Path, memory: int) -> None:
+    code = 70
+    try:
+        os.setpgid(0, 0)
+        os.chdir(folder)
+        for stream, name in ((1, ".out"), (2, ".err")):
+            os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
+        sys.stdout, sys.stderr = (os.fdopen(stream, "w", closefd=False) for stream in (1, 2))
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        sys.argv = ["twin", *arguments]
+        from twin.cli import main
+
+        main()
+        code = 0
+    except SystemExit as stop:
+        code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        os._exit(code)
+
+
+def judge(status: int | None, said: str, out: str, made: set[str]) -> tuple[str, int]:
+    """Kind and exit code of what a child left."""
+    if status is None:
+        return "hang", -1
+    if os.WIFSIGNALED(status):
+        return "signal", -os.WTERMSIG(status)
+    code = os.waitstatus_to_exitcode(status)
+    if "Traceback (most recent call last)" in said or "Traceback" in out:
+        return "traceback", code
+    if code == 0:
+        return "accepted" if not any(Path(name).name.startswith(".") for name in made) else "partial", code
+    if made:
+        return "partial", code
+    lines = said.strip().splitlines()
+    if len(lines) != 1 or not lines[0].startswith("twin: "):
+        return "lines", code
+    if code == 124:
+        return "stopped", code
+    if code == 3:
+        return "numerical", code
+    return ("refused" if lines[0].count(": ") >= 2 else "unnamed"), code

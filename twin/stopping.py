@@ -1,0 +1,100 @@
+"""How a command ends before its time: ``--timeout``, Ctrl-C or a request to terminate. One line, within a second.
+
+The signal raises :class:`Stopped`, so that files half-written are taken away on the way out. Where long work outside
+Python holds that up, a thread takes them away and ends the process.
+"""
+
+import os
+import shutil
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import active_children
+from pathlib import Path
+from types import FrameType
+
+GRACE_S = 0.7  # in which the work may unwind
+TIMED_OUT = 124  # exit code, as of timeout(1)
+
+unfinished: set[Path] = set()
+"""Files and folders that are being written aside: nothing of them may stay."""
+
+
+class Stopped(BaseException):
+    """The command was asked to end; ``code`` is the exit code that says so."""
+
+    def __init__(self, code: int) -> None:
+        self.code = code
+        super().__init__(_line(code))
+
+
+def _line(code: int) -> str:
+    why = "--timeout: the time is up" if code == TIMED_OUT else "stopped on request"
+    return f"{why}: nothing was written"
+
+
+def _code(number: int) -> int:
+    return TIMED_OUT if number == signal.SIGALRM else 128 + number
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    raise Stopped(_code(number))
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Inside, the signals to stop raise :class:`Stopped`; only the main thread can."""
+    asked = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    before = {number: signal.signal(number, _stop) for number in asked}
+    woken = signal.set_wakeup_fd(writer)
+    done = threading.Event()
+    threading.Thread(target=_watch, args=(reader, done), daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        done.set()
+        signal.set_wakeup_fd(woken)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.close(writer)
+
+
+def _watch(reader: int, done: threading.Event) -> None:
+    """Wait for a signal (or the end of the work), and end the process where the work does not."""
+    first = os.read(reader, 1)
+    os.close(reader)
+    if not first or done.wait(GRACE_S):
+        return
+    for child in active_children():
+        child.kill()
+    for path in list(unfinished):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+    code = _code(first[0])
+    os.write(2, f"twin: {_line(code)}\n".encode())
+    os._exit(code)
+
+
+def end_after(seconds: float | None) -> None:
+    """Raise the alarm in so many seconds; None for never."""
+    if seconds is not None and sys.platform != "win32":
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def as_worker() -> None:
+    """In a forked process: leave Ctrl-C to the parent, and end at once when that says so."""
+    if sys.platform != "win32":
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
