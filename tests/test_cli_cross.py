@@ -2,9 +2,12 @@
 
 import contextlib
 import io
+import json
 import sys
+from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,6 +114,45 @@ def test_a_command_answers_or_refuses_in_one_line(
     else:
         assert found.out.strip()
         assert list(tmp_path.iterdir())
+
+
+class Page(HTMLParser):
+    """What a page loads, shows and calls things."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.lang, self.script = "", False
+        self.loads: list[str] = []
+        self.unnamed = 0
+        self.data: list[dict[str, Any]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.lang = given.get("lang") or self.lang
+        self.loads += [value for name in ("src", "href") if (value := given.get(name)) and value[:1] != "#"]
+        named = given.get("alt") or given.get("aria-label") or "aria-hidden" in given
+        self.unnamed += tag in ("img", "svg") and not named
+        self.script = tag == "script" and given.get("type") == "application/json"
+
+    def handle_data(self, data: str) -> None:
+        if self.script and data.strip():
+            self.data.append(json.loads(data))
+
+
+@pytest.mark.parametrize("folder", [f for f in OUTPUTS if f != "given"])
+def test_every_command_writes_a_page_that_loads_nothing_and_names_its_pictures(written: Path, folder: str) -> None:
+    (file,) = (written / folder).glob("*.html")
+    page = Page(file.read_text(encoding="utf-8"))
+    assert page.lang == "en"
+    assert page.loads
+    assert all(address.startswith("data:image/png;base64,") for address in page.loads)
+    assert not page.unnamed
+    for plot in page.data:
+        assert ", " in plot["x_label"]
+        for panel in plot["panels"]:
+            assert all(len(curve["y"]) == len(panel["x"]) for curve in panel["curves"])
+    assert bool(page.data) == (folder not in ("excite", "diagnose"))  # of a modal table there are no curves
 
 
 @pytest.mark.parametrize(("folder", "name"), ROBOTS)

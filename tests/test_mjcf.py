@@ -13,7 +13,7 @@ from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.robot.description import SHIPPED, Robot, load_robot
 from twin.robot.mechanism import assemble
-from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.mjcf import build_spec, lit, save_mjcf
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 
@@ -110,3 +110,17 @@ def test_what_mujoco_has_natively_is_written_natively(with_entry, milling: np.nd
 def test_model_names_do_not_depend_on_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert load_robot("kr90").name == "kr90"
+
+
+def test_a_written_robot_is_lit_and_on_a_floor_that_touches_nothing(kr90: Robot, milling: np.ndarray) -> None:
+    plain = build_spec(assemble(kr90, milling))
+    scene = lit(plain)
+    bare, shown = plain.compile(), scene.compile()
+    assert (shown.nlight, bare.nlight) == (1, 0)
+    floor = shown.geom("floor")
+    assert (floor.contype[0], floor.conaffinity[0]) == (0, 0)
+    np.testing.assert_array_equal(shown.body_mass, bare.body_mass)
+    np.testing.assert_array_equal(shown.qpos_spring, bare.qpos_spring)
+    assert shown.nq == bare.nq
+    on_a_wall = kr90.model_copy(update={"gravity": [9.81, 0.0, 0.0]})
+    assert "floor" not in [geom.name for geom in lit(build_spec(assemble(on_a_wall, milling))).geoms]

@@ -6,13 +6,14 @@ import sys
 import numpy as np
 import pytest
 import rerun as rr
+from PIL import Image
 
 from twin.commands.view import view
 from twin.errors import InputError
 from twin.model.frf import frf
 from twin.model.linear import linearise
 from twin.model.modes import modes
-from twin.report import figures, scene
+from twin.report import figures, movie, scene
 from twin.robot.description import load_robot, parse_robot
 from twin.robot.mechanism import assemble
 
@@ -375,3 +376,17 @@ def test_a_failing_figure_leaves_the_old_one(tmp_path, monkeypatch):
         figures.save(figure, path)
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_movie_moves_and_returns_to_where_it_began(tmp_path):
+    movie.write_movie(tmp_path / "modes.gif", *slider())
+    with Image.open(tmp_path / "modes.gif") as found:
+        assert found.n_frames == movie.FRAMES
+        frames = []
+        for k in range(found.n_frames):
+            found.seek(k)
+            frames.append(np.asarray(found.convert("L"), float))
+    change = [np.abs(frame - frames[0]).sum() for frame in frames]
+    half = movie.FRAMES // 2
+    assert max(change) == max(change[half - 1 : half + 2])  # opposite to where it began
+    np.testing.assert_allclose(change[1:half], change[:half:-1], rtol=0.05)  # there and back by the same way

@@ -47,6 +47,7 @@ for (const path of pages) {
   }
   for (const scheme of ["light", "dark"]) {
     await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
+    await page.evaluate(() => localStorage.clear()); // a site remembers what it showed before
     await page.setViewport({ width: WIDTHS[0], height: 900 });
     await page.goto(pathToFileURL(path), { waitUntil: "load" });
     await page.evaluate(axe);
@@ -58,6 +59,7 @@ for (const path of pages) {
     }
     if (scheme === "dark") await page.screenshot({ path: join(out, `${name}-dark.png`) });
   }
+  await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: "light" }]);
   await page.pdf({ path: join(out, `${name}.pdf`), format: "A4", printBackground: true });
   await page.close();
   faults += found.size;

@@ -43,7 +43,8 @@ def commands() -> str:
 def reference() -> str:
     """Every public name of the package, from its docstring."""
     parts = ["# Python, every function", "Made from the docstrings. [api.md](api.md) shows how they work together."]
-    parts += [f"::: {home}.{name}" for name, home in twin._HOME.items()]
+    for name, home in twin._HOME.items():
+        parts.append(f"::: {home}.{name}\n    options:\n      heading: twin.{name}\n      toc_label: {name}")
     return "\n\n".join(parts) + "\n"
 
 

@@ -32,6 +32,8 @@ _HOME = {
     "write_modal_table": "twin.measure.modal_table",
     "ModalTable": "twin.measure.modal_table",
     # what is done, and what comes out
+    "describe": "twin.commands.describe",
+    "Described": "twin.commands.describe",
     "simulate": "twin.commands.simulate",
     "Simulation": "twin.commands.simulate",
     "modal": "twin.commands.modal",
@@ -62,6 +64,8 @@ _HOME = {
 if TYPE_CHECKING:
     from twin.commands.compare import Compared as Compared
     from twin.commands.compare import compare as compare
+    from twin.commands.describe import Described as Described
+    from twin.commands.describe import describe as describe
     from twin.commands.diagnose import diagnose as diagnose
     from twin.commands.example import Example as Example
     from twin.commands.example import example as example

@@ -62,10 +62,45 @@ def _root(
 
 
 @app.command()
+def describe(
+    drawing: Annotated[Path, typer.Argument(metavar="URDF|MJCF", help="The robot's links and joints.")],
+    sheet: Annotated[
+        Path | None, typer.Option(help="sheet.yaml: payload, reach, masses, speeds, torques, gears.")
+    ] = None,
+    tool: Annotated[Path | None, typer.Option(help="tool.yaml: what is on the flange, by numbers or by mesh.")] = None,
+    without: Without = None,
+    out: Out = None,
+    json: Json = False,
+    seed: NoSeed = 0,
+) -> None:
+    """A robot that can be simulated, fitted and diagnosed, from a URDF or MJCF and a data sheet of a few lines.
+
+    Axes, limits, masses, meshes and collision shapes are kept. Gear ratios, rotors, friction, stiffness and damping
+    come from the sheet, or from scaling laws over published robots: these are listed as assumed, each with its
+    source, how far it may be off and the test that would settle it. Impossible inertias are repaired, side branches
+    welded, closed loops reduced, and all that is said.
+
+    ```yaml
+    payload: 10                        # sheet.yaml; every key may be left out
+    max_speed: [120, 120, 180, 180, 180, 180]     # °/s, one per axis
+    max_torque: [330, 330, 150, 54, 54, 54]       # N·m at the joint
+    gears: [strain_wave, strain_wave, strain_wave, strain_wave, strain_wave, strain_wave]
+    ```
+
+    Writes robot.yaml, robot.xml (MJCF), meshes, report.html and describe.json into the output folder, out/DRAWING by
+    default. With --json, files are written only where --out says so. docs/describe.md explains every key.
+    """
+    if out is None and not json:
+        out = Path("out") / drawing.stem
+    _show(twin.describe(drawing, sheet=sheet, tool=tool, without=without, out=out), json)
+
+
+@app.command()
 def simulate(
     posture: Annotated[Path, typer.Argument(help="posture.yaml: robot, posture, hammer, replay.")],
     robot: Robot = None,
     without: Without = None,
+    movie: Annotated[bool, typer.Option("--movie", help="Also write the modes in motion as modes.gif.")] = False,
     out: Out = None,
     json: Json = False,
     seed: Seed = 0,
@@ -86,7 +121,7 @@ def simulate(
     if out is None and not json:
         out = Path("out") / posture.stem
     with twin.progress() as progress:
-        found = twin.simulate(posture, robot=robot, without=without, out=out, seed=seed, progress=progress)
+        found = twin.simulate(posture, robot=robot, without=without, movie=movie, out=out, seed=seed, progress=progress)
     _show(found, json)
 
 

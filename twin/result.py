@@ -28,7 +28,10 @@ class Result:
     """
 
     drawn_by: ClassVar[str]
-    """Module whose ``draw(result)`` makes the figures by file name."""
+    """Module of the report: ``draw`` makes the figures by file name; ``title``, ``lead`` and ``sections`` the page."""
+
+    origin: dict[str, Any]
+    """Version, hashes of the inputs, options."""
 
     def data(self) -> dict[str, Any]:
         """Plain data: what the command prints with ``--json``."""

@@ -109,7 +109,7 @@ def compare(
     result.origin = provenance(traced(given, robot), options)
     if out is not None:
         with Outputs(out) as name:
-            name.draw(result)
+            name.report(result)
             path = name("compare.json")
             result.files = name.files
             write_json(path, result.data())

@@ -24,7 +24,7 @@ from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot, save_robot
 from twin.robot.mechanism import assemble
-from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.mjcf import build_spec, lit, save_mjcf
 
 
 def diagnose(
@@ -111,7 +111,7 @@ def _write_model(verdict: Verdict, folder: Path) -> Path:
     if fits := verdict.findings[-1].fits:
         save_posterior(folder / FILE, Posterior.of(fits[-1]))
     q, brakes = _posture(verdict)
-    save_mjcf(folder / "robot.xml", build_spec(assemble(without_limits(verdict.robot), q, brakes=brakes)))
+    save_mjcf(folder / "robot.xml", lit(build_spec(assemble(without_limits(verdict.robot), q, brakes=brakes))))
     return folder
 
 
@@ -140,8 +140,6 @@ def _check(verdict: Verdict, evidence: Sequence[Evidence], folder: Path) -> None
 
 def _write_report(verdict: Verdict, name: Outputs) -> None:
     """Figures, the page and the modes before and after."""
-    from twin.report import diagnosis
-    from twin.report.html import write_html
     from twin.report.scene import write_modes
 
     q, brakes = _posture(verdict)
@@ -150,8 +148,4 @@ def _write_report(verdict: Verdict, name: Outputs) -> None:
         found = modes(linearise(mechanism))
         if len(found):
             write_modes(name(f"modes-{stage}.rrd"), mechanism, found)
-    images = name.draw(verdict)
-    origin = verdict.origin
-    footer = f"twin {origin['version']} · " + " · ".join(f"{k} {v[:12]}" for k, v in origin["inputs"].items())
-    sections = diagnosis.sections(verdict, images)
-    write_html(name("diagnosis.html"), diagnosis.title(verdict), diagnosis.lead(verdict), sections, footer)
+    name.report(verdict, "diagnosis.html")

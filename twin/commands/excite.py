@@ -188,7 +188,7 @@ def _write(result: Excitations, name: Outputs, krl: bool) -> None:
         if krl:
             with writing(name(f"{stem}.src")) as stream:
                 stream.write(krl_program(stem, e, result.periods))
-    name.draw(result)
+    name.report(result)
     described, robot = result.robot.path, result.robot.name
     if described is not None and described.parent != SHIPPED:
         robot = os.path.relpath(described, name.out)

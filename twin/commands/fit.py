@@ -46,7 +46,7 @@ from twin.provenance import provenance, write_json
 from twin.result import Result, Table
 from twin.robot.description import Robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
-from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.mjcf import build_spec, lit, save_mjcf
 
 LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
@@ -652,9 +652,6 @@ def _runs(mask: FloatArray) -> list[tuple[int, int]]:
 
 
 def _write(found: FitResult, name: Outputs, progress: Progress) -> None:
-    from twin.report import fit_report
-    from twin.report.html import write_html
-
     save_robot(name("robot.yaml"), found.robot)
     known = Posterior.of(found.fit)
     save_posterior(
@@ -662,13 +659,7 @@ def _write(found: FitResult, name: Outputs, progress: Progress) -> None:
     )
     first = next(iter(found.postures.values()))
     mechanism = assemble(found.robot, within_limits(found.robot, found.robot.angles(first["q_deg"])))
-    save_mjcf(name("robot.xml"), build_spec(mechanism))
+    save_mjcf(name("robot.xml"), lit(build_spec(mechanism)))
     found.model = {"robot": str(name.out / "robot.yaml"), "mjcf": str(name.out / "robot.xml")}
-    images = name.draw(found, progress)
-    report = name("report.html")
+    name.report(found, progress=progress)
     write_json(name("fit.json"), found.data())
-    footer = f"twin {found.origin['version']} · " + " · ".join(
-        f"{k} {v[:12]}" for k, v in found.origin["inputs"].items()
-    )
-    title = f"{found.robot.name} fitted to {Path(found.source).name}"
-    write_html(report, title, fit_report.lead(found), fit_report.sections(found, images), footer)

@@ -16,7 +16,7 @@ from twin.provenance import provenance, write_json
 from twin.result import Result, Table
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import assemble
-from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.mjcf import build_spec, lit, save_mjcf
 
 
 @dataclass
@@ -191,8 +191,8 @@ def _write(result: Identified, name: Outputs) -> None:
     for i, axis in enumerate(found.robot.axes):
         if axis.limits and axis.limits.position:
             middle[i] = np.clip(middle[i], *axis.limits.position)
-    save_mjcf(name("robot.xml"), build_spec(assemble(found.robot, middle)))
+    save_mjcf(name("robot.xml"), lit(build_spec(assemble(found.robot, middle))))
     result.model = {"robot": result.files[0], "mjcf": result.files[1]}
-    name.draw(result)
+    name.report(result)
     path = name("identify.json")
     write_json(path, result.data())

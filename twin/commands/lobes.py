@@ -248,7 +248,7 @@ def lobes(
     result.origin = provenance(case.inputs, options)
     if out is not None:
         with Outputs(out) as outputs:
-            outputs.draw(result)
+            outputs.report(result)
             path = outputs("lobes.json")
             result.files = outputs.files
             write_json(path, result.data())

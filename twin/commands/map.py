@@ -382,11 +382,10 @@ def _plain(task: work.Task) -> Any:
 
 
 def _write(found: Map, name: Outputs) -> None:
-    from twin.report import figures, map_figures
+    from twin.report import map_figures
 
     write_map(name("map.h5"), found)
-    for file, figure in map_figures.draw(found).items():
-        figures.save(figure, name(file))
+    name.report(found)
     map_figures.write_scene(name("map.rrd"), found)
     page = name("map.json")
     write_json(page, found.data())

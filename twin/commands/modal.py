@@ -209,7 +209,7 @@ def _write(found: ModalAnalysis, robot: str | None, name: Outputs) -> None:
         scene.write_modes(name(f"{key}_modes.rrd"), *shown)
     for key, frame in found.frames.items():
         scene.write_wireframe(name(f"{key}_modes.rrd"), frame, found.results[key].titles, f"{key}: modes")
-    name.draw(found)
+    name.report(found)
     path = name("modal.json")
     found.files = name.files
     write_json(path, found.data())

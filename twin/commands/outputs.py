@@ -3,6 +3,7 @@
 import os
 import shutil
 import tempfile
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 
@@ -60,6 +61,16 @@ class Outputs:
             save(figure, images[f"{name}.png"])
             tick(1)
         return images
+
+    def report(self, result: Result, page: str = "report.html", progress: Progress = silent) -> None:
+        """Write a result's figures, and the page that shows them with its tables."""
+        from twin.report.html import write_html
+
+        images = self.draw(result, progress)
+        told = import_module(result.drawn_by)
+        inputs = [f"{name} {digest[:12]}" for name, digest in result.origin["inputs"].items()]
+        footer = " · ".join([f"twin {result.origin['version']}", *inputs])
+        write_html(self(page), told.title(result), told.lead(result), told.sections(result, images), footer)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -22,7 +22,7 @@ from twin.provenance import provenance, write_json
 from twin.result import Result, Table
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import Mechanism, assemble
-from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.mjcf import build_spec, lit, save_mjcf
 
 
 @dataclass
@@ -158,6 +158,7 @@ def simulate(
     brakes: Literal["on", "off"] | None = None,
     hammer: Mapping[str, Any] | bool | None = None,
     trajectory: MotionLog | str | Path | None = None,
+    movie: bool = False,
     out: str | Path | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -172,6 +173,7 @@ def simulate(
         hammer: wins over the file's: keys as in a posture file, ``True`` for three hits of 300 N, ``False`` for modes
             only. Positions alone are not hit unless this says so.
         trajectory: wins over the file's ``replay``: what the twin follows.
+        movie: with ``out``, also write the modes in motion as a GIF.
         out: folder for MJCF, recordings, figures, ``.rrd`` and JSON; ``None`` writes nothing.
         seed: of the hammer test's noise.
         progress: makes progress bars.
@@ -206,18 +208,22 @@ def simulate(
         found.replays[name] = Replayed(run, stepped, exact)
     if out is not None:
         with Outputs(out) as outputs:
-            _write(found, outputs)
+            _write(found, outputs, movie)
     return found
 
 
-def _write(found: Simulation, name: Outputs) -> None:
+def _write(found: Simulation, name: Outputs, movie: bool) -> None:
     from twin.report import scene
 
     robot = found.robot
     save_robot(name("robot.yaml"), robot)
-    save_mjcf(name("robot.xml"), build_spec(found.mechanism))
+    save_mjcf(name("robot.xml"), lit(build_spec(found.mechanism)))
     if len(found.modes):
         scene.write_modes(name("modes.rrd"), found.mechanism, found.modes)
+        if movie:
+            from twin.report.movie import write_movie
+
+            write_movie(name("modes.gif"), found.mechanism, found.modes)
     if found.campaign:
         write_campaign(name("hammer.h5"), replace(found.campaign, robot="robot.yaml"))
     for key, item in found.replays.items():
@@ -230,7 +236,7 @@ def _write(found: Simulation, name: Outputs) -> None:
         scene.write_replay(name(f"{stem}.rrd"), servo, r.time, r.position, r.deflections, torque)
     if found.replays:
         write_motion_log(name("replay.h5"), replace(found.log, robot="robot.yaml"))
-    name.draw(found)
+    name.report(found)
     path = name("simulate.json")
     found.files = name.files
     write_json(path, found.data())

@@ -21,16 +21,22 @@ from twin.robot.description import Robot
 
 
 def gained(records: Sequence[Record]) -> tuple[float, float]:
-    """What ln likelihood FRFs gain from before to after, and the deviation of that gain by their noise.
+    """What ln likelihood hammer tests gain from before to after, and the deviation of that gain by their noise.
 
     With H_b and H_a the predictions, the gain is ½ Σ (|H − H_b|² − |H − H_a|²)/σ². Its deviation is √Σ |H_a − H_b|²/σ².
+    The angles of a posture are recorded, too: ½ Σ (e_b² − e_a²), e by how much they are off over their tolerance.
     """
     gain = energy = 0.0
+    told: set[tuple[str, bool]] = set()  # force levels share their posture
     for record in records:
         if isinstance(record, FrfRecord):
             gain += 0.5 * float((record.energy("before") - record.energy("after")).sum()) / record.shared
             moved = np.abs(record.predicted["before"] - record.predicted["after"]) ** 2
             energy += float((moved / record.variance).sum()) / record.shared
+            if record.angles and (record.posture, record.held_out) not in told:
+                told.add((record.posture, record.held_out))
+                before, after = record.angles["before"], record.angles["after"]
+                gain += 0.5 * float(before @ before - after @ after)
     return gain, float(np.sqrt(energy))
 
 

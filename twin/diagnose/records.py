@@ -29,6 +29,7 @@ class FrfRecord:
         frequency: (nf,) Hz.
         measured: (nf, nr, ne); ``variance`` of real and imaginary part, infinite where a line is not used.
         predicted: stage → (nf, nr, ne).
+        angles: stage → (n,) by how much the recorded angles are off in it, over the tolerance that is described.
         modes_hz: stage → natural frequencies of the model in this posture.
         shared: lines that carry the noise of one independent line.
     """
@@ -45,6 +46,7 @@ class FrfRecord:
     measured: ComplexArray
     variance: FloatArray
     predicted: Mapping[Stage, ComplexArray]
+    angles: Mapping[Stage, FloatArray] = field(default_factory=dict)
     modes_hz: Mapping[Stage, FloatArray] = field(default_factory=dict)
     shared: float = 1.0
 
@@ -163,6 +165,7 @@ def frf_records(
         Records, used ones first, and stage → ``train`` and ``held_out`` (``None`` without any).
     """
     predicted: dict[Stage, list[ComplexArray]] = {}
+    angles: dict[Stage, list[FloatArray]] = {}
     errors: dict[str, Any] = {}
     for stage, robot, fit in (
         ("as_given", given, None),
@@ -173,20 +176,23 @@ def frf_records(
         seen, unseen = (placed(fit, Sample(tuple(some))).recordings if fit else some for some in (used, kept))
         if fit is None or robot is not fit.robot:
             train = judge(robot, seen)
-            on_used, error = list(train.predicted), train.error
+            on_used, error, of_used = list(train.predicted), train.error, train.angles
         else:
             on_used = Objective(fit.robot, fit.parameters, Sample(tuple(used))).predicted(fit.z)
             error = relative_error(used, on_used)
+            of_used = [fit.parameters.posture_error(r.setup.name, fit.values, len(r.setup.q)) for r in used]
         rest = judge(robot, unseen) if unseen else None
         predicted[stage] = [*on_used, *(rest.predicted if rest else ())]  # type: ignore[index]
+        angles[stage] = [*of_used, *(rest.angles if rest else ())]  # type: ignore[index]
         errors[stage] = {"train": error, "held_out": rest.error if rest else None}
-    records = []
+    records, width = [], np.deg2rad(given.tolerances.posture_deg) or np.inf
     for k, r in enumerate(placed(after, Sample((*used, *kept))).recordings):
         records.append(
             FrfRecord(
                 r.group, r.setup.name, k >= len(used), r.setup.q, r.setup.brakes, r.setup.response, r.setup.excitation,
                 r.frequency, QUANTITIES[r.power], r.frf, r.variance,
-                {stage: predicted[stage][k] for stage in STAGES}, shared=shared,
+                {stage: predicted[stage][k] for stage in STAGES},
+                {stage: angles[stage][k] / width for stage in STAGES}, shared=shared,
             )
         )  # fmt: skip
     return records, errors

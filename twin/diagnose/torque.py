@@ -14,6 +14,7 @@ from twin.diagnose.joint import followed, pooled, predicted_by, shared
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
+from twin.diagnose.torque_faults import put_right
 from twin.diagnose.torque_fit import (
     Base,
     System,
@@ -30,6 +31,7 @@ from twin.diagnose.torque_fit import (
 from twin.diagnose.torque_laws import log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
+from twin.diagnose.torque_numbers import follow
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
     REFITTED,
@@ -85,6 +87,9 @@ def diagnose_log(
         InputError: no torque, too short, or runs that are not there.
     """
     prepared = prepare(log, robot, source, hold_out, bands)
+    log, faults = put_right(log, prepared.regressor, [*{r.name: r for r in (*prepared.kept, *prepared.used)}.values()])
+    if faults:
+        prepared = prepare(log, robot, source, hold_out, bands)
     suspects = log_suspects(robot, prepared.used)
     system = system_of(prepared, suspects, processes=processes)
     search = explain(system, prepared.kept, suspects, progress, processes)
@@ -107,8 +112,8 @@ def diagnose_log(
         list(prepared.held_out), records, where, sites,
         [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
-            *prepared.notes, *not_sought(robot), *map(_restless, restless), *_told_apart(search), *_narrow(search),
-            *_bodies(prepared, search, errors),
+            *prepared.notes, *faults, *not_sought(robot), *map(_restless, restless), *_told_apart(search),
+            *_narrow(search), *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays),
         written=with_presliding(search.system, after.z, robot_after),
@@ -148,7 +153,8 @@ def _following(system: System, fit: Fitted, gaps: Sequence[Play], robot: Robot) 
     log = with_presliding(system, z, reduce(with_play, gaps, log))
     physics = [entry for entry in robot.physics if _shown_by_blows(entry.effect)]
     physics += [entry for entry in log.physics if not _shown_by_blows(entry.effect)]
-    return robot.model_copy(update={"drives": log.drives, "physics": physics})
+    followed = follow(robot, robot_of(system, fit.z), log)
+    return followed.model_copy(update={"drives": log.drives, "physics": physics})
 
 
 def _shown_by_blows(effect: str) -> bool:

@@ -34,6 +34,7 @@ from twin.diagnose.torque_laws import (
     smooth_columns,
     with_values,
 )
+from twin.diagnose.torque_numbers import corrected, number_columns, numbers_of
 from twin.diagnose.torque_signal import Prepared, Run
 from twin.identify.rigid import MOST_TAKEN, nearest_possible
 from twin.measure.campaign import FloatArray
@@ -64,7 +65,8 @@ class Base:
     Attributes:
         runs: fitted or held out; ``matrix`` (m, n, p) per run, torque per unit of the regressor's columns.
         known: (m, n) per run, torque of what has no column.
-        described: (p,) values; ``spread`` (p, z) their change per prior deviation.
+        described: (p,) values, and zeros for the changes of numbers that the regressor takes as given, which come
+            after its columns; ``spread`` (p, z) their change per prior deviation.
         parameters: (z + ripple + offsets) free numbers, offsets of the runs last.
         ripple: (m, n, 2 RIPPLE_ORDERS) per run, sines and cosines of each joint's angle, of ordinary size.
         offset: (n,) their prior deviation; ``friction`` (n,) a joint's dry friction as described, N·m (N).
@@ -170,7 +172,10 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
     offset = 0.01 * scale  # zero of a joint's current sensor
     matrices, known = _matrices(regressor, runs)
     links, covariance = link_parameters(robot)
-    others = _other_parameters(regressor, runs, matrices, scale)
+    numbers = numbers_of(robot)
+    others = [*_other_parameters(regressor, runs, matrices, scale), *numbers]
+    for k, run in enumerate(runs):
+        matrices[k] = np.concatenate([matrices[k], number_columns(regressor, run, numbers)], axis=2)
     inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
     spread = scipy.linalg.block_diag(inertial, np.diag([p.deviation for p in others]))
     described = np.zeros(robot.axis_count)
@@ -188,8 +193,8 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
     own = [*others, *_ordinary(runs, sizes, offset)]
     parameters = join(Parameters(tuple(links), covariance), independent(own))
     base = Base(
-        regressor, list(runs), matrices, known, regressor.described, spread, parameters, offset,
-        np.maximum(USUAL_SHARE * scale, described), ripple, np.zeros(robot.axis_count), none, none,
+        regressor, list(runs), matrices, known, np.pad(regressor.described, (0, len(numbers))), spread, parameters,
+        offset, np.maximum(USUAL_SHARE * scale, described), ripple, np.zeros(robot.axis_count), none, none,
     )  # fmt: skip
     return _sliding(base, sliding)
 
@@ -636,7 +641,8 @@ def refer(system: System, z: FloatArray, alike: float = 1e-3) -> list[FloatArray
     Through a recording whose gains, and delay in rows, are so much ``alike``, columns are what they were.
     """
     added = _refer(system, z, system.entries(z))
-    now = np.array([system.state[0].delay * system.base.runs[0].rate_hz, *system.state[0].gain])
+    state = system.state[0]
+    now = np.array([(state.delay + state.lag) * system.base.runs[0].rate_hz, *np.atleast_2d(state.gain).mean(axis=0)])
     if len(system.recording) and np.abs(now - system.recording).max() > alike:
         system.screened, system.slopes, system.recording = {}, {}, now
     elif not len(system.recording):
@@ -746,7 +752,7 @@ def with_doubts(system: System, mistimed: float = 0.02) -> System:
     late steps late: what a doubt in the wrong place leaves of a reversal looks like low-speed friction.
     Late by less than ``mistimed`` rows it is where it was.
     """
-    turning, late = np.eye(len(system.whitening)), system.state[0].delay
+    turning, late = np.eye(len(system.whitening)), system.state[0].delay + system.state[0].lag
     for entry in system.entries(system.z):
         drive, axis, ratio = CATALOGUE[entry.effect].spins(entry.site, entry.values)
         turning[drive, axis] += ratio
@@ -843,8 +849,12 @@ def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Ro
     """The description at the nearest to z that can exist, with entries."""
     base, z = system.base, that_can_exist(system, z)
     values = base.values(system.plain(z))
-    floor = [column.nonnegative and column.group != "link" for column in base.regressor.columns]
+    columns = base.regressor.columns
+    values, changes = values[: len(columns)], values[len(columns) :]
+    floor = [column.nonnegative and column.group != "link" for column in columns]
     fitted = base.regressor.robot_with(np.where(floor, np.maximum(values, 0.0), values))
+    numbers = numbers_of(base.regressor.robot)
+    fitted = corrected(fitted, numbers, [p.mean + x for p, x in zip(numbers, changes, strict=True)])
     added = [_rounded(entry, fitted) for entry in (*system.entries(z), *entries)]
     return fitted.model_copy(update={"physics": [*fitted.physics, *added]})
 
@@ -907,12 +917,13 @@ def that_can_exist(system: System, z: FloatArray) -> FloatArray:
     What the data do not hold gives way; what was found stays as it is.
     """
     base, size, shared = system.base, len(system.base.parameters), system.base.spread.shape[1]
-    regressor, values = base.regressor, base.values(system.plain(z))
+    regressor = base.regressor
+    values = base.values(system.plain(z))[: len(regressor.columns)]
     links = values[: 10 * regressor.robot.axis_count].reshape(-1, 10)
     others = [v for v, column in zip(values, regressor.columns, strict=True) if column.nonnegative]
     if min(others, default=0.0) >= 0 and all(_possible(link) for link in links):
         return z
-    step = base.spread * system.plain(np.ones(len(z)))[:shared]
+    step = base.spread[: len(values)] * system.plain(np.ones(len(z)))[:shared]
     covariance = np.linalg.inv(system.information[:size, :size])[:, :shared]
     H = np.linalg.inv(covariance[:shared])
     try:

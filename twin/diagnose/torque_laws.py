@@ -37,7 +37,8 @@ class State:
         turning: (m, n) of the torque, how ordinary friction turns round; in proportion to friction as it was recorded.
         sliding: (n,) N·m (N), dry friction that does so.
         uneven: (m, n) the same of what friction has alike in both directions, per unit: at rest it holds, too.
-        gain, delay: (n,) and s, of the recording.
+        gain, delay, lag: of the recording: torque constants (n,), or (m, n) of motors that warm; lateness s; time
+            constant of a low-pass of first order, s.
     """
 
     torque: FloatArray
@@ -48,6 +49,7 @@ class State:
     uneven: FloatArray = field(default_factory=lambda: np.zeros(1))
     gain: FloatArray = field(default_factory=lambda: np.ones(1))
     delay: float = 0.0
+    lag: float = 0.0
 
     def recorded(self, run: Run, torque: FloatArray | None = None) -> FloatArray:
         """The torque (m, n), or another, as it is recorded."""
@@ -55,7 +57,7 @@ class State:
             torque = self.gain * (self.torque - self.turning) + self.turning
         elif np.any(self.gain != 1):
             torque = self.gain * torque
-        return np.asarray(delayed(torque, run, self.delay) if self.delay else torque)
+        return np.asarray(delayed(torque, run, self.delay, self.lag) if self.delay or self.lag else torque)
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def add(run: Run, state: State, entry: Entry) -> None:
     """Let laws that act on other torques, and the recording, see an entry as part of the model."""
     effect = CATALOGUE[entry.effect]
     if effect.records_torque:
-        state.gain, state.delay = _recording(state, entry, entry.values)
+        state.gain, state.delay, state.lag = _recording(run, state, entry, entry.values)
         return
     extra = _law_torque(run, state, entry, entry.values)
     if effect.weight(entry.values) is not None:
@@ -126,17 +128,17 @@ def _depth(entry: Entry) -> int:
 def entry_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatArray:
     """What one more entry adds to the recorded torque (m, n), low-passed."""
     if CATALOGUE[entry.effect].records_torque:
-        gain, delay = _recording(state, entry, values)
-        return replace(state, gain=gain, delay=delay).recorded(run) - state.recorded(run)
+        gain, delay, lag = _recording(run, state, entry, values)
+        return replace(state, gain=gain, delay=delay, lag=lag).recorded(run) - state.recorded(run)
     return state.recorded(run, _law_torque(run, state, entry, values))
 
 
-def _recording(state: State, entry: Entry, values: Values) -> tuple[FloatArray, float]:
-    """Gain (n,) and delay of the recording, s, with one more entry."""
+def _recording(run: Run, state: State, entry: Entry, values: Values) -> tuple[FloatArray, float, float]:
+    """Gain (n,) or (m, n), delay and lag of the recording, s, with one more entry."""
     n = state.torque.shape[1]
     chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(n))
     CATALOGUE[entry.effect].record(chain, entry.site, values)
-    return state.gain * chain.torque_gain, state.delay + chain.torque_delay
+    return state.gain * chain.gain_at(run.time), state.delay + chain.torque_delay, state.lag + chain.torque_lag
 
 
 def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatArray:
@@ -158,10 +160,13 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
     return out
 
 
-def delayed(torque: FloatArray, run: Run, delay: float) -> FloatArray:
-    """A low-passed torque (m, n) as a channel shows it that is late by ``delay`` s."""
+def delayed(torque: FloatArray, run: Run, delay: float, lag: float = 0.0) -> FloatArray:
+    """A low-passed torque (m, n) as a channel shows it that is late by ``delay`` s, through a low-pass of first order
+    with the time constant ``lag`` s."""
     out, moved = np.zeros_like(torque), np.any(torque != 0, axis=0)
-    out[:, moved] = lowpass(torque[:, moved], run.rate_hz, 0.45 * run.rate_hz, 0.5 * run.rate_hz, delay_s=delay)
+    out[:, moved] = lowpass(
+        torque[:, moved], run.rate_hz, 0.45 * run.rate_hz, 0.5 * run.rate_hz, delay_s=delay, lag_s=lag
+    )
     return out
 
 

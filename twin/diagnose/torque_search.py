@@ -44,6 +44,7 @@ from twin.diagnose.torque_fit import (
     worth,
 )
 from twin.diagnose.torque_laws import USUAL_SHARE, Suspect, smooth_columns
+from twin.diagnose.torque_numbers import GAIN, LEANING
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress, spread
@@ -721,10 +722,14 @@ def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
     for k, name in enumerate(names):
         owner, _, quantity = name.partition(".")
         link, rotor = owner.startswith("link"), owner.removeprefix("drive")
-        drive = owner.startswith("drive") and rotor not in turning
-        if (link and quantity == "mass") or drive:
-            groups[name] = [k]
-        elif effect_named(name.partition("@")[0]).doubted:
+        drive = owner.startswith("drive") and (rotor not in turning or quantity == "gear_ratio")
+        if drive or owner.startswith("axis") or name == GAIN:
+            groups[name if quantity != "theta" else f"joint{owner[4:]}.offset"] = [k]
+        elif link:
+            groups.setdefault(f"{owner}.{quantity.partition('.')[0]}", []).append(k)
+        elif name in LEANING:
+            groups.setdefault("gravity", []).append(k)
+        elif "@" in name and effect_named(name.partition("@")[0]).doubted:
             groups.setdefault(name.partition("[")[0], []).append(k)
     found = []
     for name, members in groups.items():

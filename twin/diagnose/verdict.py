@@ -410,6 +410,10 @@ def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]
     for k in indices:
         parameter = fit.parameters[k]
         (one,) = estimates_of(fit, [k]).values()
+        if site.endswith(".offset"):  # of a joint's zero: how far it is from where it is described
+            ends = [end - parameter.mean for end in one["interval90"]]
+            found["offset"] = {**one, "value": one["value"] - parameter.mean, "interval90": ends}
+            continue
         if parameter.name == site:
             found[parameter.quantity] = one
             continue

@@ -45,6 +45,12 @@ class Judged:
     values: FloatArray
     error: float
 
+    @property
+    def angles(self) -> list[FloatArray]:
+        """By how much the angles of every recording were found to be off, (n,) rad (m)."""
+        setups = [r.setup for r in self.recordings]
+        return [self.parameters.posture_error(s.name, self.values, len(s.q)) for s in setups]
+
 
 @dataclass(frozen=True)
 class Comparison:

@@ -104,7 +104,10 @@ def joint_run(robot: Robot, run: MotionRun) -> MotionRun:
     to_joint = np.linalg.inv(C).T
     torque = run.torque
     if torque is not None:
-        torque = advance(torque / chain.torque_gain, run.sample_rate_hz, chain.torque_delay) @ C
+        torque = torque / chain.gain_at(run.time)
+        if chain.torque_lag:  # what the recorder's low-pass has taken, τ + T dτ/dt
+            torque = torque + chain.torque_lag * np.gradient(torque, 1 / run.sample_rate_hz, axis=0)
+        torque = advance(torque, run.sample_rate_hz, chain.torque_delay) @ C
     return replace(
         run,
         position=run.position @ to_joint,

@@ -9,7 +9,7 @@ from twin.measure.campaign import FloatArray
 
 def lowpass(
     signal: FloatArray, sample_rate_hz: float, pass_hz: float, stop_hz: float, derivative: int = 0, upsample: int = 1,
-    delay_s: float = 0.0,
+    delay_s: float = 0.0, lag_s: float = 0.0,
 ) -> FloatArray:  # fmt: skip
     """Low-pass with a cosine taper from ``pass_hz`` to ``stop_hz``, zero phase, and differentiate in the same step.
 
@@ -23,6 +23,7 @@ def lowpass(
         derivative: 0, 1 or 2 times by time.
         upsample: samples returned per sample given; every ``upsample``-th is at the time of one given.
         delay_s: by which what is returned is late.
+        lag_s: time constant of a low-pass of first order that what is returned has passed.
 
     Returns:
         (nt, …), or (``upsample`` (nt − 1) + 1, …).
@@ -47,6 +48,8 @@ def lowpass(
     gain = 0.5 * (1 + np.cos(np.pi * phase)) * (2j * np.pi * frequency) ** derivative
     if delay_s:
         gain = gain * np.exp(-2j * np.pi * frequency * delay_s)
+    if lag_s:
+        gain = gain / (1 + 2j * np.pi * frequency * lag_s)
     filtered = scipy.fft.irfft(spectrum * gain.reshape(-1, *[1] * (signal.ndim - 1)), circle * upsample, axis=0)
     middle = upsample * filtered[memory * upsample : (memory + count - 1) * upsample + 1]
     if derivative == 1:

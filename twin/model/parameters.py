@@ -1,12 +1,13 @@
 """The numbers a fit may change, as data: name, unit, prior; and a robot with them changed.
 
 Names read like the description: ``joint1.z.stiffness``, ``joint1.x.damping``, ``link3.mass``, ``link3.com.x``,
-``link3.inertia.xx``, ``axis2.a`` (m; ``axis2.alpha`` in rad); any other number of a physics entry is
-``EFFECT@SITE.name`` (``.name[k]`` in a list). What belongs to a recording and not to the robot: ``posture.NAME.q1``
-(the error of an angle), ``gain.21Z+``, ``node:7.position.x`` (in its link's frame, of all that is at a node;
-``node:7.response.x`` of its sensor, ``node:7Z+.excitation.x`` of one blow) and
-``posture.sag``, the share of their deflection under the weight by which springs sag from the stated angles: 0 where
-those are the links', 1 where they are the motors'.
+``link3.inertia.xx``, ``axis2.a`` (m), ``axis2.alpha`` and ``axis2.theta``, the joint's zero (rad). Any other number of
+a physics entry is ``EFFECT@SITE.name`` (``.name[k]`` in a list).
+
+What belongs to a recording and not to the robot: ``posture.NAME.q1``, the error of an angle; ``gain.21Z+``;
+``node:7.position.x``, in its link's frame, of all that is at a node (``node:7.response.x`` of its sensor,
+``node:7Z+.excitation.x`` of one blow); and ``posture.sag``, the share of their deflection under the weight by which
+springs sag from the stated angles: 0 where those are the links', 1 where they are the motors'.
 
 Optimisation runs in z, in which the prior is the standard normal: x = L z with the prior covariance L Lᵀ, and
 value = mean · eˣ (log-normal) or mean + x.
@@ -365,21 +366,24 @@ def recording_parameters(robot: Robot, postures: Iterable[str], labels: Iterable
 
 
 def axis_parameters(robot: Robot) -> list[Parameter]:
-    """Lengths, offsets and twists of the axes beyond the first, which the base carries.
+    """Lengths, offsets, twists and zeros of the axes beyond the first, which the base carries.
 
-    A length is as far off as the description's centres of mass ordinarily are, a twist as an angle of a posture is.
+    The prior is the description's tolerance, from the described value.
     """
-    length, angle = robot.tolerances.com, float(np.deg2rad(robot.tolerances.posture_deg))
+    length, angle = robot.tolerances.length, float(np.deg2rad(robot.tolerances.angle_deg))
     found = []
     for i, axis in enumerate(robot.axes[1:], 2):
         found.append(Parameter(f"axis{i}.a", "m", "axis", False, axis.a, length, "tolerance"))
         found.append(Parameter(f"axis{i}.d", "m", "axis", False, axis.d, length, "tolerance"))
         found.append(Parameter(f"axis{i}.alpha", "rad", "axis", False, np.deg2rad(axis.alpha_deg), angle, "tolerance"))
+        if axis.type == "revolute":  # the zero of a linear axis is its offset d
+            theta = np.deg2rad(axis.theta_deg)
+            found.append(Parameter(f"axis{i}.theta", "rad", "axis", False, theta, angle, "tolerance"))
     return found
 
 
 def point_parameters(robot: Robot, channels: Channels, side: Literal["position"] | Side) -> list[Parameter]:
-    """Coordinates of the nodes of channels, in the frames of their links; as far off as centres of mass.
+    """Coordinates of the nodes of channels, in the frames of their links.
 
     Args:
         side: ``response``, a sensor; ``excitation``, each blow by itself; ``position``, whatever is at a node.
@@ -388,7 +392,7 @@ def point_parameters(robot: Robot, channels: Channels, side: Literal["position"]
     for label, position in zip(channels.label, channels.position, strict=True):
         for letter, value in zip("xyz", position, strict=True):
             name = f"node:{label if side == 'excitation' else node_of(label)}.{side}.{letter}"
-            width = robot.tolerances.com
+            width = robot.tolerances.position
             found.setdefault(name, Parameter(name, "m", "point", False, float(value), width, "tolerance"))
     return list(found.values())
 
@@ -512,8 +516,8 @@ def _changed(robot: Robot, values: dict[str, float]) -> Robot:
         elif name.startswith("axis"):
             site, _, quantity = name.partition(".")
             i = int(site[4:]) - 1
-            turned = quantity == "alpha"
-            change = {"alpha_deg": float(np.rad2deg(value))} if turned else {quantity: float(value)}
+            turned = quantity in ("alpha", "theta")
+            change = {f"{quantity}_deg": float(np.rad2deg(value))} if turned else {quantity: float(value)}
             axes[i] = axes[i].model_copy(update=change)
         else:
             link, _, quantity = name.partition(".")

@@ -314,6 +314,21 @@ class Regressor:
                 rotors[:, axis, j] += torque
         return np.concatenate([link_regressor(self.robot, motion), rotors], axis=2)
 
+    def carried_torque(self, motion: Motion) -> np.ndarray:
+        """Torque (nt, n) of links, rotor masses and loads as described, through the gears: inverse dynamics."""
+        vectors = np.array([inertial_vector(*link.inertial) for link in self.robot.links])
+        vectors[:, 0] += [drive.rotor_mass for drive in self.robot.drives]
+        for entry in self.robot.physics:
+            if weight := CATALOGUE[entry.effect].weight(entry.values):
+                link, vector = weight_vector(entry.site, weight, len(vectors))
+                vectors[link] += vector
+        total = np.zeros_like(motion.position)
+        for i, frame in enumerate(_frames(self.robot, motion)):
+            wrench = _wrench(frame) @ vectors[i][:, None]
+            for j in range(i + 1):
+                total[:, j] += _power(frame, j, wrench)[:, 0]
+        return total
+
     def _carried(self, motion: Motion, drive: str, part: Part, amount: float) -> dict[int, np.ndarray]:
         """What a drive's inertia or friction does beyond its own axis, where other entries take it over."""
         total: dict[int, np.ndarray] = {}

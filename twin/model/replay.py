@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.signal import lfilter
 
 from twin.errors import InputError
 from twin.measure.motion_log import MotionRun
@@ -20,6 +21,7 @@ from twin.robot.mechanism import Joint, Mechanism, assemble
 from twin.robot.mjcf import build_spec, compile_model
 
 STEP_S = 0.0005
+FASTEST = 1e6  # rad/s: a pole that no robot has, and that nobody waits for
 SMOOTH_HZ = (8.0, 10.0)  # taper for positions recorded without velocity and acceleration
 SLIDING = 1e-3  # rad/s (m/s): a passive friction law changes sign over this speed in time stepping
 _ROLES = {"load": 0, "friction": 1, "drive": 2}
@@ -160,7 +162,7 @@ def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) ->
     """The model with its time step, and the steps per sample: at most ``STEP_S``, and as short as its fastest pole.
 
     Raises:
-        InputError: an elastic axis without a rotor's inertia.
+        InputError: an elastic axis without a rotor's inertia, or a pole too fast to step.
     """
     model = build_spec(mechanism, instruments=False, balanced=False).compile()
     for i, axis in enumerate(robot.axes):
@@ -170,6 +172,9 @@ def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) ->
             raise InputError(robot.name, where, "an elastic axis needs its rotor's inertia in a replay")
     free = linearise(assemble(robot, mechanism.q, drives="free"))
     fastest = np.abs(state_matrix_poles(free)).max(initial=0.0)
+    if not fastest < FASTEST:
+        message = f"a pole of {fastest:.1e} rad/s: stiffness over inertia is beyond reason"
+        raise InputError(robot.name, "axes, links", message)
     substeps = max(1, int(np.ceil(max(1 / STEP_S, fastest) / sample_rate_hz)))
     model.opt.timestep = 1 / (sample_rate_hz * substeps)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -230,9 +235,12 @@ def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.nd
     chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(robot.axis_count))
     for entry in robot.physics:
         CATALOGUE[entry.effect].record(chain, entry.site, robot.values(entry))
+    if chain.torque_lag:
+        keep = np.exp(-float(time[1] - time[0]) / chain.torque_lag)
+        torque = lfilter([1 - keep], [1, -keep], torque, axis=0, zi=keep * torque[:1])[0]
     if chain.torque_delay:
         torque = np.column_stack([np.interp(time - chain.torque_delay, time, column) for column in torque.T])
-    return torque * chain.torque_gain
+    return torque * chain.gain_at(time)
 
 
 def passive_torque(forces: list, state: Motion) -> np.ndarray:

@@ -40,6 +40,7 @@ from twin.physics.stribeck_friction import StribeckFriction
 from twin.physics.structural_damping import StructuralDamping
 from twin.physics.time_delay import TimeDelay
 from twin.physics.torque_constant import TorqueConstant
+from twin.physics.torque_filter import TorqueFilter
 from twin.physics.torque_ripple import TorqueRipple
 from twin.physics.transverse_compliance import TransverseCompliance
 from twin.physics.viscous_friction import ViscousFriction
@@ -74,6 +75,7 @@ CATALOGUE: dict[str, Effect] = {
         HammerMisalignment(),
         TimeDelay(),
         TorqueConstant(),
+        TorqueFilter(),
         Discovered(),
     )
 }

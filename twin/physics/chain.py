@@ -16,8 +16,10 @@ class MeasurementChain:
         excitation_direction: (ne, 3) unit vectors in the body's frame.
         response_gain: (nr,) recorded = gain × true.
         response_delay: (nr,) s, channel late by.
-        torque_gain: (n,) recorded = gain × true.
+        torque_gain: (n,) recorded = gain × true, of a cold motor.
+        torque_warming: axis → share by which the gain grows as the motor warms, and its time constant s.
         torque_delay: s, torque late against position.
+        torque_lag: s, time constant of the recorder's low-pass of first order on torque.
     """
 
     response_labels: tuple[str, ...]
@@ -27,7 +29,9 @@ class MeasurementChain:
     response_gain: np.ndarray = field(default_factory=lambda: np.ones(0))
     response_delay: np.ndarray = field(default_factory=lambda: np.zeros(0))
     torque_gain: np.ndarray = field(default_factory=lambda: np.ones(0))
+    torque_warming: dict[int, tuple[float, float]] = field(default_factory=dict)
     torque_delay: float = 0.0
+    torque_lag: float = 0.0
 
     def __post_init__(self) -> None:
         self.response_direction = np.array(self.response_direction, float).reshape(-1, 3)
@@ -36,6 +40,15 @@ class MeasurementChain:
             self.response_gain = np.ones(len(self.response_labels))
         if not self.response_delay.size:
             self.response_delay = np.zeros(len(self.response_labels))
+
+    def gain_at(self, time: np.ndarray) -> np.ndarray:
+        """Gain of the torques at times of the campaign's clock, s: (n,), or (nt, n) where motors warm."""
+        if not self.torque_warming:
+            return self.torque_gain
+        gain = np.tile(self.torque_gain, (len(time), 1))
+        for axis, (share, constant) in self.torque_warming.items():
+            gain[:, axis] *= 1 + share * (1 - np.exp(-time / constant))
+        return gain
 
     def responses(self, site: str) -> list[int]:
         """Indices of the response channel a site ``sensor:LABEL`` names; empty when it is not recorded."""

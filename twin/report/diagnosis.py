@@ -18,8 +18,9 @@ from twin.diagnose.verdict import MEANING, Finding, Verdict, parameter_rows
 from twin.measure.campaign import QUANTITIES
 from twin.physics import CATALOGUE
 from twin.report.figures import UNITS
-from twin.report.html import Section, Table
+from twin.report.html import Panel, Plot, Section, Table, pick
 from twin.report.motion_figures import axis_units
+from twin.report.plots import frf_panels, frf_plot, torque_panels, torque_plot
 from twin.robot.description import Robot
 
 COLOURS: dict[Stage, str] = {"as_given": "#8a8f98", "before": "#e8590c", "after": "#1f4e9c"}
@@ -34,6 +35,17 @@ FREED = {
 }
 """What the picture of sites says of each kind of recording."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+CAPTIONS = {
+    "probabilities.png": "Probability of every answer, of nothing missing, and of something without a name.",
+    "errors.png": "Error of every posture or run under the three models. The bar is the noise.",
+    "overlay.png": "FRF where the answer shows best, used and held out; below, phase and residual.",
+    "torque.png": "Torque where the answer shows best: recorded, before and after, and the residuals.",
+    "modes.png": "Frequency and damping of every mode, measured, before and after.",
+    "mismatch.png": "Residual over noise, before and after, by posture, channel and frequency.",
+    "residual.png": "Residual of the model without the answer over position, speed and time.",
+    "sites.png": "Where something more that is free would help most.",
+    "smallest_visible.png": "Size from which each effect would have shown, over its usual size. A dot is a site.",
+}
 _DOTS = 3000  # drawn at most per cloud
 _ANSWERS = 10  # listed at most
 
@@ -177,7 +189,7 @@ def smallest_visible(items: Sequence[dict[str, Any]], robot: Robot) -> Figure:
     ax.axvline(1, color=_INK, linewidth=0.9)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
-    ax.set_xlim(low / 4, high * 4)
+    ax.set_xlim(low / 30, high * 6)
     _decades(ax.xaxis)
     ax.set_yticks(range(len(rows)), rows, fontsize=8.5)
     ax.set_ylim(len(rows) - 0.4, -0.6)
@@ -572,7 +584,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     found = [
         Section(
             "Answer", [m.evidence for m in verdict.missing] + probable, tables=_answers(verdict),
-            figures=_pick(drawn, "probabilities.png", "Probabilities"),
+            figures=pick(drawn, "probabilities.png", CAPTIONS["probabilities.png"]),
         ),
     ]  # fmt: skip
     if verdict.next_test:
@@ -585,7 +597,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
         found.append(
             Section(
                 f"Errors{several}", [_error_text(finding)], finding.warnings, [_error_table(finding)],
-                _pick(of, "errors.png", "Errors"),
+                pick(of, "errors.png", CAPTIONS["errors.png"]),
             )
         )  # fmt: skip
         for heading, text, names in (
@@ -596,9 +608,10 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
                 ("mismatch.png", "residual.png", "sites.png"),
             ),
         ):
-            figures = [pair for name in names for pair in _pick(of, name, heading)]
+            figures = [pair for name in names for pair in pick(of, name, CAPTIONS[name])]
+            plots = [] if text else _plots(finding)
             if figures:
-                found.append(Section(heading + several, [text] if text else [], figures=figures))
+                found.append(Section(heading + several, [text] if text else [], figures=figures, plots=plots))
     checks = [check["description"] for check in verdict.checks if check["passed"]]
     failed = [f"failed: {check['description']}" for check in verdict.checks if not check["passed"]]
     edit, tables = verdict.payload_edit, []
@@ -611,13 +624,26 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
             "What these recordings would have shown, had it been there, after everything the model has free has moved "
             "to hide it."
         )
-        figures = _pick(drawn, "smallest_visible.png", "Smallest visible")
+        figures = pick(drawn, "smallest_visible.png", CAPTIONS["smallest_visible.png"])
         found.append(Section("What could have been seen", [text], figures=figures))
     return found
 
 
-def _pick(drawn: Mapping[str, Path], ending: str, alt: str) -> list[tuple[str, Path]]:
-    return [(alt, path) for name, path in drawn.items() if name.endswith(ending)]
+def _plots(finding: Finding) -> list[Plot]:
+    """What was recorded, and both models, of every posture or run."""
+    frfs: dict[str, Panel] = {}
+    torques: dict[str, Panel] = {}
+    quantity, (_, units) = QUANTITIES[-1], axis_units(finding.robot)
+    for r in finding.records:
+        name = f"{r.name}, {'held out' if r.held_out else 'used'}"
+        if isinstance(r, FrfRecord):
+            curves = {"measured": r.measured} | {NAMES[s]: r.predicted[s] for s in ("before", "after")}
+            frfs |= frf_panels(name, r.frequency, curves, r.response.label, r.excitation.label)
+            quantity = r.quantity
+        elif isinstance(r, LogRecord):
+            torque = {"recorded": r.measured} | {NAMES[s]: r.predicted[s] for s in ("before", "after")}
+            torques |= torque_panels(name, r.time, torque, r.units or units[: r.measured.shape[1]], r.valid)
+    return ([frf_plot(frfs, quantity)] if frfs else []) + ([torque_plot(torques, units)] if torques else [])
 
 
 def _answers(verdict: Verdict) -> list[Table]:

@@ -23,11 +23,14 @@ from twin.report import scene
 from twin.robot.mechanism import Mechanism
 
 UNITS = {"receptance": "m/N", "mobility": "m/(s·N)", "accelerance": "m/(s²·N)"}
+PALETTE = ("#1f4e9c", "#e8590c", "#1098ad", "#7048a8", "#f0a202", "#846358", "#343a40", "#c77dbb")
+"""Curves of one kind, told apart without red against green."""
+
 _CURVES: tuple[dict[str, Any], ...] = (
     {"color": "#1f4e9c", "linewidth": 2.0},
     {"color": "#e8590c", "linewidth": 1.0},
     {"color": "#111111", "linewidth": 0.8, "linestyle": "--"},
-    {"color": "#2b8a3e", "linewidth": 1.0, "linestyle": "-."},
+    {"color": "#7048a8", "linewidth": 1.0, "linestyle": "-."},
 )
 _TORQUES: dict[str, dict[str, Any]] = {
     "measured": {"color": "#111111", "linewidth": 1.8},
@@ -139,7 +142,19 @@ def frf_matrix(
     return figure
 
 
-def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4) -> Figure:
+def standing(mechanism: Mechanism) -> Figure:
+    """The robot at rest in its posture."""
+    stage = scene.stage(mechanism)
+    figure = Figure(figsize=(6.0, 5.4), layout="constrained")
+    ax = figure.subplots()
+    ax.set_axis_off()
+    at = scene.poses(stage, stage.rest[None])
+    _draw(ax, stage, at, _camera(scene.sight(stage)), dict.fromkeys(stage.bodies, "#b8bcc4"), 1.0)
+    _same_limits([ax])
+    return figure
+
+
+def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float | None = None) -> Figure:
     """The lowest modes drawn at their largest motion: undeformed grey, deformed in the colour of the energy share.
 
     Robots without meshes are drawn by the lines through their joints. Arrows: motion of the test points.
@@ -148,6 +163,7 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4) -> Figure:
         mechanism: the robot in the posture the modes belong to.
         modes: its modes.
         count: how many, the lowest first.
+        phase: of the motion, rad from where it is largest; drawn there by default.
     """
     stage = scene.stage(mechanism)
     number = min(count, len(modes))
@@ -167,14 +183,15 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4) -> Figure:
     for k, ax in zip(range(number), axes, strict=False):
         size = scene.drawn(stage, modes, k)
         motion = scene.modal_motion(stage, modes, k)
-        phase = np.array([-0.5 * np.angle(np.sum(motion**2))])  # where a complex shape's motion is largest
-        deformed = scene.poses(stage, scene.modal_coordinates(stage, modes, k, size.amplitude, phase))
+        largest = -0.5 * np.angle(np.sum(motion**2))  # of a complex shape
+        at_phase = np.array([largest + (phase or 0.0)])
+        deformed = scene.poses(stage, scene.modal_coordinates(stage, modes, k, size.amplitude, at_phase))
         share = scene.energy_share(stage, modes, k)
         colours = {name: _hex(scene.share_colour(share.get(name))) for name in stage.bodies}
         _draw(ax, stage, rest, camera, dict.fromkeys(stage.bodies, "#c3c7cf"), 0.75)
         _draw(ax, stage, deformed, camera, colours, 1.0)
         points = [(point.body, point.position) for point in mechanism.points]
-        if points:
+        if points and phase is None:
             tail, head = (scene.locate(stage, at, points)[0] @ camera[:, :2] for at in (rest, deformed))
             ax.quiver(
                 *tail.T, *(head - tail).T, angles="xy", scale_units="xy", scale=1, width=0.004,
@@ -190,8 +207,8 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4) -> Figure:
     )  # fmt: skip
     bar.set_label("share of strain energy, %", fontsize=9)
     figure.supxlabel(
-        f"{mechanism.robot.name}; grey: at rest; colour: strain energy in the springs that carry the link; "
-        "arrows: motion of the test points",
+        f"{mechanism.robot.name}; grey: at rest; colour: strain energy in the springs that carry the link"
+        + ("; arrows: motion of the test points" if phase is None else ""),
         fontsize=9,
     )
     return figure

@@ -1,15 +1,17 @@
 """Figures of a fit: parameter intervals against the prior, errors by posture and band, MAC, profiles."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
+from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, ScalarFormatter
 
 from twin.identify.elastic_compare import Comparison
 from twin.identify.uncertainty import NINETY, Estimate
 from twin.measure.campaign import FloatArray
+from twin.report.figures import PALETTE
 
 _DATA, _PRIOR, _PALE = "#1f4e9c", "#c8cdd4", "#9aa7b5"
 
@@ -55,16 +57,25 @@ def errors(comparisons: Mapping[str, Comparison]) -> Figure:
     figure = Figure(figsize=(5.2 * len(comparisons), 3.4), layout="constrained")
     axes = figure.subplots(1, len(comparisons), squeeze=False, sharey=True)[0]
     for ax, (role, comparison) in zip(axes, comparisons.items(), strict=True):
-        for posture in dict.fromkeys(part["posture"] for part in comparison.parts):
+        postures = dict.fromkeys(part["posture"] for part in comparison.parts)
+        for posture, colour in zip(postures, cycle(PALETTE), strict=False):
             bands = [part for part in comparison.parts if part["posture"] == posture and part["band_hz"]]
             edges = [part["band_hz"][0] for part in bands] + [bands[-1]["band_hz"][1]]
-            ax.stairs([100 * part["error"] for part in bands], edges, baseline=None, label=posture, linewidth=1.6)
+            ax.stairs(
+                [100 * part["error"] for part in bands],
+                edges,
+                baseline=None,
+                label=posture,
+                color=colour,
+                linewidth=1.6,
+            )
         if comparison.noise_floor is not None:
             ax.axhline(100 * comparison.noise_floor, color="#444444", linestyle=":", linewidth=1, label="noise floor")
         ax.set_axisbelow(True)
         ax.set_yscale("log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.yaxis.set_major_formatter(ScalarFormatter())
-        ax.yaxis.set_minor_formatter(ScalarFormatter())
+        ax.yaxis.set_minor_formatter(NullFormatter())
         ax.set_title(f"{role}: {comparison.error:.2%}", fontsize=10, loc="left")
         ax.set_xlabel("frequency, Hz")
         ax.grid(True, which="both", color="#e3e6ea", linewidth=0.5)

@@ -1,6 +1,6 @@
 """The HTML report and figures of ``twin fit``."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,11 +11,14 @@ from twin.identify.recorded import Recorded
 from twin.identify.uncertainty import Estimate
 from twin.measure.campaign import QUANTITIES, ComplexArray
 from twin.report import figures, fit_figures
-from twin.report.html import Section, Table
+from twin.report.html import Panel, Plot, Section, Table, pick
+from twin.report.plots import frf_panels, frf_plot
 
 if TYPE_CHECKING:
     from twin.commands.fit import FitResult
 
+PARAMETERS = "Stiffness and damping with 90 % intervals, and the prior; pale is what the prior holds alone."
+PROFILES = "Misfit over a number, everything else refitted: the flatter, the less the data know."
 BOUNDED = 0.75  # share of the prior's variance above which what the data give is a bound
 WORST_HELD = 6  # combinations shown
 
@@ -57,6 +60,11 @@ def overlay(r: Recorded, predicted: ComplexArray, role: str) -> Figure:
     )
 
 
+def title(found: "FitResult") -> str:
+    """Of the page."""
+    return f"{found.robot.name} fitted to {Path(found.source).name}"
+
+
 def lead(found: "FitResult") -> str:
     """The result in a sentence."""
     parts = [f"error {found.error['train']:.2%} on what was fitted"]
@@ -66,7 +74,7 @@ def lead(found: "FitResult") -> str:
     return "; ".join(parts) + f"; {held} of {len(found.estimates)} numbers held by the data"
 
 
-def sections(found: "FitResult", drawn: dict[str, Path]) -> list[Section]:
+def sections(found: "FitResult", drawn: Mapping[str, Path]) -> list[Section]:
     """The parts of the page; ``drawn``: file name → PNG."""
     springs = [e for e in found.estimates if e.parameter.kind in ("spring", "entry")]
     others = [e for e in found.estimates if e.parameter.kind not in ("spring", "entry")]
@@ -80,23 +88,53 @@ def sections(found: "FitResult", drawn: dict[str, Path]) -> list[Section]:
     text = "Combinations of springs and dampers, in prior deviations, of which the data know least."
     return [
         Section(
-            "Errors", errors, found.warnings, [left_out] if found.left_out else [], _pick(drawn, "errors", "By posture")
+            "Errors",
+            errors,
+            found.warnings,
+            [left_out] if found.left_out else [],
+            pick(drawn, "errors.png", "Error by posture and band of frequency; dotted, the noise floor."),
         ),
-        Section("Springs and dampers", tables=[_numbers(springs)], figures=_pick(drawn, "parameters", "Intervals")),
-        Section("FRFs", figures=_pick(drawn, "frf-", "Measured and modelled FRFs")),
-        Section("Modes", tables=[_modes(found)], figures=_pick(drawn, "mac", "MAC")),
+        Section("Springs and dampers", tables=[_numbers(springs)], figures=pick(drawn, "parameters.png", PARAMETERS)),
+        Section("FRFs", figures=_frfs(drawn), plots=_plots(found)),
+        Section(
+            "Modes",
+            tables=[_modes(found)],
+            figures=pick(drawn, "mac.png", "Likeness (MAC) of measured and modelled shapes."),
+        ),
         Section(
             "What the data do not hold",
             [text],
             tables=[_combinations(found)],
-            figures=_pick(drawn, "profiles", "Profiles"),
+            figures=pick(drawn, "profiles.png", PROFILES),
         ),
         Section("Tolerances", tables=[_numbers(others)] if others else []),
     ]
 
 
-def _pick(drawn: dict[str, Path], prefix: str, alt: str) -> list[tuple[str, Path]]:
-    return [(f"{alt} {file}", image) for file, image in drawn.items() if file.startswith(prefix)]
+def _frfs(drawn: Mapping[str, Path]) -> list[tuple[str, Path]]:
+    caption = "FRFs of posture {}, measured and modelled."
+    return [
+        (caption.format(Path(name).stem.removeprefix("frf-")), path)
+        for name, path in drawn.items()
+        if name.startswith("frf-")
+    ]
+
+
+def of_posture(r: Recorded, predicted: ComplexArray, role: str = "") -> dict[str, Panel]:
+    """Measured and modelled FRFs of a posture, for a reader to zoom."""
+    name = f"{r.group}, {role}" if role else r.group
+    curves = {"measured": r.frf, "model": predicted}
+    return frf_panels(name, r.frequency, curves, r.setup.response.label, r.setup.excitation.label)
+
+
+def _plots(found: "FitResult") -> list[Plot]:
+    panels: dict[str, Panel] = {}
+    quantity = QUANTITIES[-1]
+    for role, compared in found.comparisons.items():
+        for r, H in zip(compared.judged.recordings, compared.judged.predicted, strict=True):
+            panels |= of_posture(r, H, role)
+            quantity = QUANTITIES[r.power]
+    return [frf_plot(panels, quantity)] if panels else []
 
 
 def _numbers(shown: Sequence[Estimate]) -> Table:

@@ -1,88 +1,109 @@
-"""One self-contained HTML page from titled sections: text, tables, figures. Nothing is loaded from elsewhere."""
+"""One self-contained HTML page from titled sections: text, tables, figures, curves one can zoom. Nothing is loaded."""
 
 import base64
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-from jinja2 import Environment
+import numpy as np
+from jinja2 import Environment, PackageLoader
 
 from twin.files import writing
 from twin.result import Table
 
-_TABLE = """{% macro draw(table) %}{% if table.title %}<p><b>{{ table.title }}</b></p>
-{% endif %}<table><thead><tr>{% for head in table.header %}<th
-{%- if loop.index0 in table.numbers %} class="number"{% endif %}>{{ head }}</th>{% endfor %}</tr></thead><tbody>
-{% for row in table.rows %}<tr{% if loop.index0 in table.dim %} class="dim"{% endif %}>{% for cell in row %}<td
-{%- if loop.index0 in table.numbers %} class="number"{% endif %}>{{ cell }}</td>{% endfor %}</tr>
-{% endfor %}</tbody></table>
-{% endmacro %}"""
 
-_PAGE = (
-    _TABLE
-    + """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{{ title }}</title>
-<style>
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c2733; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.6rem; margin-bottom: .2rem; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem; }
-.lead { color: #51606f; margin-top: 0; } img { max-width: 100%; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0; }
-th, td { padding: .15rem .8rem .15rem 0; text-align: left; border-bottom: 1px solid #e3e7eb; }
-td.number, th.number { text-align: right; } tr.dim td { color: #8a96a3; }
-li.warning { color: #a33b00; } footer { color: #8a96a3; margin-top: 3rem; font-size: .85rem; }
-</style></head><body>
-<h1>{{ title }}</h1><p class="lead">{{ lead }}</p>
-{% for section in sections %}<section><h2>{{ section.title }}</h2>
-{% for text in section.text %}<p>{{ text }}</p>
-{% endfor %}{% if section.warnings %}<ul>
-{% for text in section.warnings %}<li class="warning">{{ text }}</li>
-{% endfor %}</ul>{% endif %}
-{% for table in section.tables %}{{ draw(table) }}{% endfor %}{% for image in section.images %}<p>
-<img alt="{{ image.alt }}" src="data:image/png;base64,{{ image.data }}"></p>
-{% endfor %}</section>
-{% endfor %}<footer>{{ footer }}</footer></body></html>
-"""
-)
+@dataclass(frozen=True)
+class Panel:
+    """Curves that are drawn together: ``x`` (n,) increasing; name → (n,), what was measured first."""
 
-_FRAGMENT = (
-    _TABLE
-    + """<style>.twin td.number, .twin th.number { text-align: right; } .twin tr.dim td { opacity: .55; }</style>
-<div class="twin"><p>{{ lead }}</p>
-{% for table in tables %}{{ draw(table) }}{% endfor %}</div>
-"""
-)
+    x: np.ndarray
+    curves: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves that a reader can zoom, drawn where the page may run scripts.
+
+    Attributes:
+        caption: what it shows.
+        x_label, y_label: with units.
+        panels: name of a channel or joint → its curves; one is shown at a time.
+        log: logarithmic ordinate.
+    """
+
+    caption: str
+    x_label: str
+    y_label: str
+    panels: Mapping[str, Panel]
+    log: bool = False
+
+    def data(self) -> dict[str, Any]:
+        """Plain data for the page's script, to four digits."""
+        panels = [
+            {
+                "x": _rounded(panel.x, 6),
+                "curves": [{"name": name, "y": _rounded(y)} for name, y in panel.curves.items()],
+            }
+            for panel in self.panels.values()
+        ]
+        return {"x_label": self.x_label, "y_label": self.y_label, "log": self.log, "panels": panels}
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: paragraphs, warnings, tables, then figures: what they show, and the PNG to be inlined."""
+    """A part of the page: text, warnings, tables, curves, then figures: what they show, and the PNG to be inlined."""
 
     title: str
     text: Sequence[str] = ()
     warnings: Sequence[str] = ()
     tables: Sequence[Table] = ()
     figures: Sequence[tuple[str, Path]] = ()
+    plots: Sequence[Plot] = ()
+
+
+def pick(drawn: Mapping[str, Path], ending: str, caption: str) -> list[tuple[str, Path]]:
+    """The figures whose file name ends so, with what they show; ``{}`` in the caption is what the name begins with."""
+    return [
+        (caption.format(name.removesuffix(ending).strip("-_")), path)
+        for name, path in drawn.items()
+        if name.endswith(ending)
+    ]
 
 
 def write_html(path: str | Path, title: str, lead: str, sections: Sequence[Section], footer: str = "") -> None:
-    """Write the page; it appears whole or not at all."""
-    content = [
-        {
-            "title": section.title, "text": section.text, "warnings": section.warnings, "tables": section.tables,
-            "images": [{"alt": alt, "data": _inlined(image)} for alt, image in section.figures],
-        }
-        for section in sections
-    ]  # fmt: skip
-    page = Environment(autoescape=True).from_string(_PAGE)
+    """Write the page; it appears whole or not at all. Sections without content are left out."""
+    shown = [s for s in sections if s.text or s.warnings or s.tables or s.figures or s.plots]
+    script = files("twin.report").joinpath("plot.js").read_text("utf-8") if any(s.plots for s in shown) else ""
+    page = _environment().get_template("page.html")
     with writing(path) as stream:
-        stream.write(page.render(title=title, lead=lead, sections=content, footer=footer))
+        stream.write(page.render(title=title, lead=lead, sections=shown, footer=footer, script=script))
 
 
 def fragment(lead: str, tables: Sequence[Table]) -> str:
     """A sentence and tables as HTML inside another page, such as a notebook."""
-    return Environment(autoescape=True).from_string(_FRAGMENT).render(lead=lead, tables=tables)
+    return _environment().get_template("fragment.html").render(lead=lead, tables=tables)
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("twin.report", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["inlined"] = _inlined
+    environment.filters["as_script"] = _as_script
+    return environment
 
 
 def _inlined(image: Path) -> str:
     return base64.b64encode(image.read_bytes()).decode("ascii")
+
+
+def _as_script(data: dict[str, Any]) -> str:
+    """JSON that may stand inside a script element."""
+    return json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+
+
+def _rounded(values: np.ndarray, digits: int = 4) -> list[float | None]:
+    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in np.asarray(values, float)]

@@ -1,5 +1,6 @@
-"""Figures of a map: the workspace coloured by the depth of cut, the depth along a path, modes over postures; rerun."""
+"""The report of a map: the workspace coloured by depth of cut, depth along a path, modes over postures; rerun."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from twin.identify.recorded import without_limits
+from twin.report.figures import PALETTE
+from twin.report.html import Section
 from twin.robot.mechanism import assemble
 
 if TYPE_CHECKING:
@@ -19,8 +22,17 @@ if TYPE_CHECKING:
 
 COLOURS = colormaps["viridis"]
 _GREY, _BLUE, _ORANGE = "#8a8f98", "#1f4e9c", "#e8590c"
+MODES = PALETTE[:4]
 RAPID = 2.5  # times the usual spacing of points: the tool was lifted between them
 _VIEWS = ((0, 2, "from the side"), (0, 1, "from above"))
+
+
+CAPTIONS = {
+    "workspace.png": "Depth over the workspace, from the side and from above.",
+    "modes.png": "Frequency and damping of the first modes over the map.",
+    "path.png": "Depth and first frequencies along the path; the mark is the shallowest point.",
+    "lobes.png": "Lobes of all postures: quantiles over the map at each speed.",
+}
 
 
 def draw(found: "Map") -> dict[str, Figure]:
@@ -82,10 +94,10 @@ def modes(found: "Map") -> Figure:
     ):
         values = found.result[name][order]
         band = found.result.get(f"{name}_interval90")
-        for k in range(min(4, values.shape[1])):
+        for k in range(min(len(MODES), values.shape[1])):
             if np.isnan(values[:, k]).all():
                 continue
-            colour = colormaps["tab10"](k)
+            colour = MODES[k]
             if band is not None and len(order) <= 2000:
                 low, high = band[order, k].T
                 ax.vlines(share, low, high, color=colour, alpha=0.25, linewidth=0.8)
@@ -96,7 +108,7 @@ def modes(found: "Map") -> Figure:
         _plain(ax.yaxis)
         _tidy(ax)
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize=8, markerscale=4, loc="upper left")
+            ax.legend(fontsize=8, markerscale=4, ncols=4, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     figure.suptitle(f"{found.robot.name}: modes over the map" + (", 90 % intervals" if found.safe is not None else ""))
     return figure
 
@@ -118,18 +130,23 @@ def along(found: "Map") -> Figure:
         )
     k = int(np.argmin(found.ranked))
     upper.plot(at[k], 1e3 * found.ranked[k], "o", color=_ORANGE)
+    right = at[k] > 0.5 * (at[0] + at[-1])
     upper.annotate(
         f"line {found.places.line[k]}: {1e3 * found.ranked[k]:.3g} mm", (at[k], 1e3 * found.ranked[k]),
-        textcoords="offset points", xytext=(8, 8), fontsize=9, color=_ORANGE,
+        textcoords="offset points", xytext=(-8 if right else 8, -14), ha="right" if right else "left", va="top",
+        fontsize=9, color=_ORANGE, annotation_clip=False,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
     )  # fmt: skip
+    upper.margins(y=0.25)
     upper.set_ylabel("depth, mm")
     _plain(upper.yaxis)
-    upper.legend(fontsize=9)
-    for mode in range(3):
-        lower.plot(broken(at), broken(found.result["frequency_hz"][:, mode]), linewidth=1.2, label=f"mode {mode + 1}")
+    upper.legend(fontsize=9, ncols=2, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    for mode, colour in enumerate(MODES[:3]):
+        frequency = broken(found.result["frequency_hz"][:, mode])
+        lower.plot(broken(at), frequency, color=colour, linewidth=1.2, label=f"mode {mode + 1}")
     lower.set_ylabel("frequency, Hz")
     lower.set_xlabel("along the path, m")
-    lower.legend(fontsize=8, ncols=3)
+    lower.legend(fontsize=8, ncols=3, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     for ax in (upper, lower):
         _tidy(ax)
     figure.suptitle(f"{found.robot.name}: how deep along the path")
@@ -190,3 +207,21 @@ def _plain(axis: Any) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def title(found: "Map") -> str:
+    """Of the page."""
+    return f"How deep {found.robot.name} may cut, and where"
+
+
+def lead(found: "Map") -> str:
+    """What is mapped."""
+    return _title(found)
+
+
+def sections(found: "Map", drawn: Mapping[str, Path]) -> list[Section]:
+    """The parts of the page; ``drawn``: file name → PNG."""
+    return [
+        Section("Depth", tables=found.tables()),
+        Section("Maps", figures=[(CAPTIONS[name], path) for name, path in drawn.items()]),
+    ]

@@ -1,17 +1,21 @@
-"""Figures of ``twin lobes``: the stability chart, what vibrates at the limit, and the vibration of the safe cut."""
+"""The report of ``twin lobes``: the stability chart, what vibrates at the limit, and the vibration of the safe cut."""
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from twin.report.html import Panel, Plot, Section, pick
+
 if TYPE_CHECKING:
     from twin.commands.lobes import StabilityLobes
 
-KINDS = {"hopf": "#1f4e9c", "flip": "#e8590c", "mode_coupling": "#2b8a3e"}
+KINDS = {"hopf": "#1f4e9c", "flip": "#e8590c", "mode_coupling": "#7048a8"}
 TITLES = {"hopf": "Hopf", "flip": "flip", "mode_coupling": "mode coupling"}
-_SAFE, _SHADE, _GREY = "#c2255c", "#e4e7eb", "#8a8f98"
+_SAFE, _SHADE, _GREY = "#0b7285", "#e4e7eb", "#8a8f98"
 DEPTHS = 240  # of the shaded chart
 VIEW = 4.0  # times the median limit that the chart shows, if there is that much
 
@@ -91,3 +95,29 @@ def _forced(ax: Axes, found: "StabilityLobes") -> None:
     ax.set_ylabel(f"{where}, µm", fontsize=9)
     ax.axhline(0, color=_GREY, linewidth=0.6)
     ax.legend(fontsize=8)
+
+
+def title(found: "StabilityLobes") -> str:
+    """Of the page."""
+    case = found.case
+    return f"How deep {case.robot.name if case.robot else 'the measured tool'} may cut: {case.name}"
+
+
+def lead(found: "StabilityLobes") -> str:
+    """The robot, the cut and the tool."""
+    return str(found).partition("\n")[0]
+
+
+def sections(found: "StabilityLobes", drawn: Mapping[str, Path]) -> list[Section]:
+    """The parts of the page; ``drawn``: file name → PNG."""
+    lobes = found.lobes
+    curves = {"limit": 1e3 * lobes.depth_m, "zeroth-order approximation": 1e3 * found.closed_form_m}
+    if lobes.safe_m is not None:
+        curves["stable with 90 % probability"] = 1e3 * lobes.safe_m
+    panels = {"depth of cut": Panel(lobes.spindle_rpm, curves)}
+    chart = Plot("Depth of cut.", "spindle speed, rpm", "axial depth of cut, mm", panels)
+    caption = "Stability chart, frequency at the limit, forced vibration and the error that it leaves."
+    return [
+        Section("Depth of cut", figures=pick(drawn, "lobes.png", caption), plots=[chart]),
+        Section("Limits", tables=found.tables()),
+    ]

@@ -1,6 +1,7 @@
-"""Figures of a modal test: stabilisation chart, indicators, measured against synthesised FRFs, MAC, wire frames."""
+"""The report of a modal test: stabilisation chart, indicators, measured against synthesised FRFs, MAC, wire frames."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,13 +12,15 @@ from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal import ModalResult
 from twin.measure.shapes import cmif, mac, mode_indicator, summation
 from twin.measure.wireframe import Wireframe
-from twin.report.figures import mode_shapes
+from twin.report.figures import PALETTE, mode_shapes
+from twin.report.html import Section, pick
+from twin.report.plots import frf_panels, frf_plot
 
 if TYPE_CHECKING:
     from twin.commands.modal import ModalAnalysis
 
 SYMBOLS = {"o": "new pole", "f": "frequency", "d": "frequency, damping", "v": "frequency, vector", "s": "stable"}
-COLOURS = {"o": "0.75", "f": "0.5", "d": "tab:blue", "v": "tab:orange", "s": "tab:red"}
+COLOURS = {"o": "0.75", "f": "0.5", "d": "tab:blue", "v": "tab:cyan", "s": "#e8590c"}
 MARKERS = {"o": "o", "f": "|", "d": "d", "v": "v", "s": "s"}
 MOST_PANELS = 6
 MOST_SHAPES = 12
@@ -42,10 +45,10 @@ def stabilisation_figure(result: ModalResult) -> Figure:
         (drawn,) = above.plot(pole[chosen], order[chosen], ls="", label=meaning, c=COLOURS[symbol])
         drawn.set(marker=MARKERS[symbol], markersize=3, markeredgewidth=0.5)
     for mode in result.modes:
-        colour, style = ("tab:green", "--") if mode.orders > 0 else ("tab:purple", ":")
-        below.axvline(mode.frequency_hz, lw=0.9, zorder=0, color=colour, ls=style)
+        style = "--" if mode.orders > 0 else ":"
+        below.axvline(mode.frequency_hz, lw=0.9, zorder=0, color="tab:purple", ls=style)
     handles = [*above.lines]
-    handles.append(below.plot([], [], color="tab:green", lw=0.9, ls="--", label="mode")[0])
+    handles.append(below.plot([], [], color="tab:purple", lw=0.9, ls="--", label="mode")[0])
     if any(mode.orders == 0 for mode in result.modes):
         handles.append(below.plot([], [], color="tab:purple", lw=0.9, ls=":", label="mode without a column")[0])
     figure.legend(handles=handles, loc="outside upper center", ncols=7, fontsize=8, title=result.name, frameon=False)
@@ -60,7 +63,7 @@ def indicator_figure(result: ModalResult) -> Figure:
     axes = figure.subplots(rows, 1, sharex=True, height_ratios=[2, 1, 1][:rows])
     values = cmif(result.measured)
     for k in range(min(4, values.shape[1])):
-        axes[0].semilogy(result.frequency, values[:, k], lw=0.9, label=f"singular value {k + 1}")
+        axes[0].semilogy(result.frequency, values[:, k], color=PALETTE[k], lw=0.9, label=f"singular value {k + 1}")
     axes[0].set_ylabel("CMIF [(m/s²)/N]")
     axes[0].legend(fontsize=8, ncols=4, loc="upper left")
     axes[1].plot(result.frequency, mode_indicator(result.measured), color="0.3", lw=0.9)
@@ -70,7 +73,7 @@ def indicator_figure(result: ModalResult) -> Figure:
         axes[2].set(ylabel="median coherence", ylim=(0, 1.02))
     for ax in axes:
         for mode in result.modes:
-            ax.axvline(mode.frequency_hz, color="tab:green", lw=0.7, ls="--", zorder=0)
+            ax.axvline(mode.frequency_hz, color="tab:purple", lw=0.7, ls="--", zorder=0)
     axes[-1].set(xlabel="frequency [Hz]", xlim=(result.frequency[0], result.frequency[-1]))
     return figure
 
@@ -131,7 +134,7 @@ def overlay_figure(result: ModalResult) -> Figure:
         size, phase = axes[2 * (n // columns)][n % columns], axes[2 * (n // columns) + 1][n % columns]
         for frf, style in (
             (result.measured, {"color": "0.3", "lw": 1.2}),
-            (result.synthesised, {"color": "tab:red", "lw": 0.8}),
+            (result.synthesised, {"color": "#e8590c", "lw": 0.8}),
         ):
             size.semilogy(result.frequency, np.abs(frf[:, r, e]), **style)
             phase.plot(result.frequency, np.degrees(np.angle(frf[:, r, e])), **style)
@@ -180,6 +183,15 @@ def mac_figure(
     return figure
 
 
+CAPTIONS = {
+    "shapes": "Mode shapes, enlarged.",
+    "frf": "Strongest FRFs, measured and synthesised from the modes, with their likeness (FRAC).",
+    "stabilisation": "Stabilisation chart: stable poles stand in columns.",
+    "indicators": "Mode indicator functions: modes stand at peaks and dips.",
+    "automac": "Likeness of the shapes among each other (MAC): off the diagonal it should be low.",
+}
+
+
 def draw(found: "ModalAnalysis") -> dict[str, Figure]:
     """File name → figure."""
     shapes = {f"{name}_shapes.png": mode_shapes(*shown) for name, shown in found.on_robot.items()}
@@ -209,3 +221,32 @@ def drawn(results: Mapping[str, ModalResult]) -> dict[str, Figure]:
 
 def _names(result: ModalResult) -> list[str]:
     return [f"{mode.frequency_hz:.1f} Hz" for mode in result.modes]
+
+
+def title(found: "ModalAnalysis") -> str:
+    """Of the page."""
+    return f"Modes: {', '.join(found.results)}"
+
+
+def lead(found: "ModalAnalysis") -> str:
+    """How many, where."""
+    return "; ".join(f"{name}: {len(result.modes)} modes" for name, result in found.results.items())
+
+
+def sections(found: "ModalAnalysis", drawn: Mapping[str, Path]) -> list[Section]:
+    """The parts of the page; ``drawn``: file name → PNG."""
+    parts = [Section("Modes", warnings=found.notes, tables=found.tables())]
+    for name, result in found.results.items():
+        checks = [str(check) for check in found.checks.get(name, []) if not check.passed]
+        figures = [
+            (caption, drawn[f"{name}_{kind}.png"])
+            for kind, caption in CAPTIONS.items()
+            if f"{name}_{kind}.png" in drawn
+        ]
+        curves = {"measured": result.measured, "synthesised": result.synthesised}
+        labels = result.response_label or [str(r) for r in range(result.measured.shape[1])]
+        blows = result.excitation_label or [str(e) for e in range(result.measured.shape[2])]
+        plots = [frf_plot(frf_panels(name, result.frequency, curves, labels, blows))]
+        parts.append(Section(f"Posture {name}", warnings=checks, figures=figures, plots=plots))
+    across = pick(drawn, "_mac.png", "Likeness of the shapes of two postures (MAC): {}.")
+    return [*parts, Section("Between postures", figures=across)]

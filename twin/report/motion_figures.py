@@ -11,10 +11,10 @@ from twin.identify.rigid import Bands, Rows, motion_of_run
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.regressor import flange_path
+from twin.report.figures import PALETTE
 from twin.robot.description import Robot
 
-_COLOURS = ("#1f4e9c", "#e8590c", "#2b8a3e", "#9c36b5", "#0b7285", "#846358", "#5f3dc4", "#c2255c")
-_PREDICTED = (_COLOURS[1], _COLOURS[0])
+_PREDICTED = (PALETTE[1], PALETTE[0])
 _POINTS = 4000  # drawn at most per curve
 _SIGNALS_S = 12.0  # of a run, in the figure of signals
 
@@ -34,7 +34,7 @@ def excitation(robot: Robot, found: Excitation, title: str) -> Figure:
     figure = Figure(figsize=(11, 6), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1])
     space = figure.add_subplot(grid[:, 0], projection="3d")
-    space.plot(*path.T, color=_COLOURS[0], linewidth=1.4)
+    space.plot(*path.T, color=PALETTE[0], linewidth=1.4)
     if robot.workspace:
         box = np.array([robot.workspace.x, robot.workspace.y, robot.workspace.z])
         for k in range(3):
@@ -54,7 +54,7 @@ def excitation(robot: Robot, found: Excitation, title: str) -> Figure:
     for k, (values, name, per) in enumerate(series):
         ax = figure.add_subplot(grid[k, 1])
         for i in range(robot.axis_count):
-            ax.plot(time, values[:, i], color=_COLOURS[i % 8], linewidth=1.1, label=f"joint{i + 1}")
+            ax.plot(time, values[:, i], color=PALETTE[i % len(PALETTE)], linewidth=1.1, label=f"joint{i + 1}")
         ax.set_ylabel(f"{name}, {'/'.join(sorted(set(units)))}{per}", fontsize=9)
         _tidy(ax)
         if k == 0:
@@ -85,10 +85,10 @@ def signals(robot: Robot, run: MotionRun, bands: Bands) -> Figure:
         torque, position, acceleration = axes[i]
         if run.torque is not None and smooth is not None:
             torque.plot(run.time[thin], run.torque[thin, i], color="#b8bcc4", linewidth=0.6, label="recorded")
-            torque.plot(run.time[thin], smooth[thin, i], color=_COLOURS[0], linewidth=1.0, label="low-passed")
+            torque.plot(run.time[thin], smooth[thin, i], color=PALETTE[0], linewidth=1.0, label="low-passed")
         position.plot(run.time[thin], run.position[thin, i], color="#b8bcc4", linewidth=2.0)
-        position.plot(run.time[thin], motion.position[thin, i], color=_COLOURS[0], linewidth=0.9)
-        acceleration.plot(run.time[thin], motion.acceleration[thin, i], color=_COLOURS[0], linewidth=0.9)
+        position.plot(run.time[thin], motion.position[thin, i], color=PALETTE[0], linewidth=0.9)
+        acceleration.plot(run.time[thin], motion.acceleration[thin, i], color=PALETTE[0], linewidth=0.9)
         labels = (f"joint{i + 1}, {forces[i]}", units[i], f"{units[i]}/s²")
         for ax, label in zip(axes[i], labels, strict=True):
             ax.set_ylabel(label, fontsize=9)
@@ -181,7 +181,7 @@ def residuals(robot: Robot, rows: Sequence[Rows], parameters: np.ndarray) -> Fig
             mean = np.bincount(of, residual[:, i], len(edges) - 1) / count
             if state.ndim == 1:  # no line across the pause between two runs
                 mean[np.diff(edges) > 2.5 * np.median(np.diff(edges))] = np.nan
-            ax.plot(0.5 * (edges[:-1] + edges[1:]), mean, color=_COLOURS[1], linewidth=1.3)
+            ax.plot(0.5 * (edges[:-1] + edges[1:]), mean, color=PALETTE[1], linewidth=1.3)
             ax.set_xlabel(label, fontsize=8)
             _tidy(ax)
         axes[i, 0].set_ylabel(f"joint{i + 1}, {forces[i]}", fontsize=9)

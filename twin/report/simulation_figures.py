@@ -1,12 +1,18 @@
-"""Figures of ``twin simulate``: modes, FRFs of the hammer test beside the linear model's, torques of a replay."""
+"""The report of ``twin simulate``: modes, FRFs of the hammer test beside the linear model's, torques of a replay."""
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.figure import Figure
 
+from twin.measure.campaign import ComplexArray
 from twin.model.frf import frf, measurement_chain
 from twin.report import figures
+from twin.report.html import Section, pick
 from twin.report.motion_figures import axis_units
+from twin.report.plots import frf_panels, frf_plot, torque_panels, torque_plot
 
 if TYPE_CHECKING:
     from twin.commands.simulate import Simulation
@@ -32,6 +38,11 @@ def draw(found: "Simulation") -> dict[str, Figure]:
 
 def hammer_frfs(found: "Simulation") -> Figure:
     """FRFs between up to three accelerometers and the hammer points at them: linear model and hammer test."""
+    return figures.frf_matrix(*_shown(found), "accelerance", modes_hz=found.modes.frequency_hz)
+
+
+def _shown(found: "Simulation") -> tuple[np.ndarray, dict[str, ComplexArray], list[str], list[str]]:
+    """Lines (nf,) Hz, FRFs (nf, nr, ne) of the linear model and of every hammer test, their responses and blows."""
     assert found.campaign is not None
     robot, excitation = found.robot, found.campaign.excitation.label
     responses = robot.accelerometers[:3]
@@ -48,6 +59,35 @@ def hammer_frfs(found: "Simulation") -> Figure:
         f"hammer test {key}": p.frf[band][:, : len(responses)][:, :, columns]
         for key, p in found.campaign.postures.items()
     }
-    return figures.frf_matrix(
-        first.frequency[band], shown, responses, struck, "accelerance", modes_hz=found.modes.frequency_hz
-    )
+    return first.frequency[band], shown, responses, struck
+
+
+def title(found: "Simulation") -> str:
+    """Of the page."""
+    return f"{found.robot.name} simulated: {found.case.name}"
+
+
+def lead(found: "Simulation") -> str:
+    """The posture."""
+    return str(found).partition("\n")[0]
+
+
+def sections(found: "Simulation", drawn: Mapping[str, Path]) -> list[Section]:
+    """The parts of the page; ``drawn``: file name → PNG."""
+    parts = []
+    if len(found.modes):
+        caption = "Mode shapes, enlarged; colour is the share of strain energy in each joint."
+        parts.append(Section("Modes", tables=found.tables(), figures=pick(drawn, "modes.png", caption)))
+    if found.campaign:
+        caption = "FRFs of the hammer test, stepped in time, over those of the linear model."
+        plots = [frf_plot(frf_panels(found.case.name, *_shown(found)))]
+        parts.append(Section("Hammer test", figures=pick(drawn, "frf.png", caption), plots=plots))
+    _, units = axis_units(found.robot)
+    for key, item in found.replays.items():
+        recorded = {} if item.run.torque is None else {"recorded": item.run.torque}
+        curves = recorded | {"twin, stepped in time": item.replay.torque, "inverse dynamics": item.inverse}
+        caption = "Torque of the replay in time, of inverse dynamics, and as recorded where the log holds it."
+        figures_ = pick(drawn, f"{found.stem(key)}.png", caption)
+        panels = torque_panels(key, item.replay.time, curves, units)
+        parts.append(Section(f"Replay {key}", figures=figures_, plots=[torque_plot(panels, units)]))
+    return parts

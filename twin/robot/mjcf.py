@@ -96,6 +96,37 @@ def build_spec(
     return spec
 
 
+def lit(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """The spec with a sky, a light and, where gravity points down, a floor; nothing of it touches the robot."""
+    scene = spec.copy()
+    scene.visual.headlight.ambient = scene.visual.headlight.diffuse = (0.4, 0.4, 0.4)
+    scene.visual.headlight.specular = (0, 0, 0)
+    scene.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=(0.75, 0.82, 0.9), rgb2=(0.3, 0.38, 0.48), width=256, height=1536,
+    )  # fmt: skip
+    scene.worldbody.add_light(
+        name="sun", pos=(1, -2, 5), dir=(-0.2, 0.4, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True
+    )
+    x, y, z = scene.option.gravity
+    if z < 0 and not (x or y):
+        scene.add_texture(
+            name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+            rgb1=(0.72, 0.74, 0.77), rgb2=(0.66, 0.68, 0.71), width=256, height=256,
+        )  # fmt: skip
+        material = scene.add_material(name="floor", texuniform=True, texrepeat=(1, 1), reflectance=0.1)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+        scene.worldbody.add_geom(
+            name="floor",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=(0, 0, 0.05),
+            material="floor",
+            contype=0,
+            conaffinity=0,
+        )
+    return scene
+
+
 def save_mjcf(path: str | Path, spec: mujoco.MjSpec, *, copy_meshes: bool = True) -> None:
     """Write the spec as an XML file that any MuJoCo loads, at 12 significant digits.
 

@@ -1,0 +1,160 @@
+"""What is wrong with a log itself, told before physics: torques reversed or exchanged, and a clock that runs apart.
+
+Each test compares the recorded torque with that of the description. It asks for sign, order and time alone, so that a
+description may be far off. A fault that is found is put right, with a note.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import linear_sum_assignment
+
+from twin.diagnose.note import Note
+from twin.diagnose.torque_signal import Run
+from twin.measure.campaign import FloatArray
+from twin.measure.motion_log import MotionLog, MotionRun
+from twin.model.regressor import Regressor
+
+ALIKE = 0.9  # correlation of a recorded torque with a described one that is taken for the same
+UNLIKE = 0.5  # less is not
+BLOCKS = 8  # of a run, in which its lateness is measured
+DRIFTING = 6.0  # deviations of a slope of lateness over time
+REPEATED = 3  # measurements of lateness
+DRIFTED = 0.5  # samples of the log over a run: less is a clock's ordinary jitter
+
+
+def put_right(log: MotionLog, regressor: Regressor, runs: Sequence[Run]) -> tuple[MotionLog, list[str]]:
+    """A log without the faults that are found in it, and a note on each.
+
+    Args:
+        log: in the coordinates of the motors.
+        regressor: of the description.
+        runs: of the log, as rows.
+    """
+    if any(drive.coupling for drive in regressor.robot.drives):
+        return log, []  # a motor's torque is then none of one joint
+    described = [described_torque(regressor, run) for run in runs]
+    notes: list[str] = []
+    order, sign = _channels(runs, described)
+    for kind, note in _told(order, sign):
+        notes.append(Note(note, kind, "fail"))
+    if notes:
+        torque = {name: sign * run.torque[:, order] for name, run in log.runs.items() if run.torque is not None}
+        log = replace(log, runs={name: replace(run, torque=torque.get(name)) for name, run in log.runs.items()})
+        return log, notes
+    rates = {run.name: _clock(run, torque) for run, torque in zip(runs, described, strict=True)}
+    rates = {name: rate for name, rate in rates.items() if rate}
+    if rates:
+        told = ", ".join(f"{1e6 * rate:+.0f} ppm in '{name}'" for name, rate in rates.items())
+        text = (
+            f"the clock of torque runs apart from that of positions: torque falls behind by {told}; it was put back "
+            "before the diagnosis"
+        )
+        notes.append(Note(text, "clock", "fail", runs=tuple(rates)))
+        log = replace(log, runs={name: _on_time(run, rates.get(name, 0.0)) for name, run in log.runs.items()})
+    return log, notes
+
+
+def described_torque(regressor: Regressor, run: Run) -> FloatArray:
+    """Torque (m, n) of the description along a run, at its rows."""
+    values = regressor.described
+    torque = np.asarray(run.bodies @ values[: run.bodies.shape[2]])
+    for column, axis, law in regressor.laws(run.dense):
+        torque[:, axis] += run.filtered(values[column] * law)
+    if not regressor.complete:
+        torque += run.filtered(regressor.known_torque(run.dense))
+    return torque
+
+
+def _channels(runs: Sequence[Run], described: Sequence[FloatArray]) -> tuple[NDArray[np.intp], FloatArray]:
+    """Which recorded torque (n,) is that of each joint, and its sign (n,)."""
+    recorded, model = (
+        np.concatenate([part[run.valid] - part[run.valid].mean(axis=0) for part, run in zip(parts, runs, strict=True)])
+        for parts in ([run.torque for run in runs], described)
+    )
+    size = np.maximum(np.linalg.norm(recorded, axis=0)[:, None] * np.linalg.norm(model, axis=0), 1e-300)
+    alike = (recorded.T @ model) / size  # (recorded, described)
+    n = len(alike)
+    taken, of = linear_sum_assignment(-np.abs(alike))
+    order, sign = np.arange(n), np.ones(n)
+    order[of] = taken
+    moved = order != np.arange(n)
+    plain = np.abs(np.diag(alike))
+    if not all(abs(alike[order[j], j]) > ALIKE and plain[j] < UNLIKE for j in np.flatnonzero(moved)):
+        order = np.arange(n)
+    for j in range(n):
+        if alike[order[j], j] < -ALIKE:
+            sign[j] = -1.0
+    return order, sign
+
+
+def _told(order: NDArray[np.intp], sign: FloatArray) -> list[tuple[str, str]]:
+    """Kind and text of what is wrong with the order and the signs of channels."""
+    found = []
+    if moved := [int(j) for j in np.flatnonzero(order != np.arange(len(order)))]:
+        names = ", ".join(f"joint{j + 1} has that of joint{int(order[j]) + 1}" for j in moved)
+        found.append(("swapped_channels", f"torque channels are exchanged: the one of {names}; they were put in order"))
+    if turned := [f"joint{j + 1}" for j in np.flatnonzero(sign < 0)]:
+        found.append(
+            ("reversed_channel", f"the torque of {', '.join(turned)} has the opposite sign; it was turned round")
+        )
+    return found
+
+
+def _clock(run: Run, described: FloatArray) -> float:
+    """By how much torque falls behind positions per second, s/s; zero where it does not.
+
+    The slope of lateness over time has the deviation of its scatter about a straight line. Lateness is taken to first
+    order, so it is measured again with the torque put back.
+    """
+    rate, torque = 0.0, run.torque
+    for _ in range(REPEATED):
+        t, late = _lateness(run, described, torque)
+        if len(t) < BLOCKS // 2:
+            return 0.0
+        t, y = t - t.mean(), late - late.mean()
+        slope = float(t @ y / (t @ t))
+        deviation = float(np.linalg.norm(y - slope * t) / np.sqrt(max(len(y) - 2, 1) * (t @ t)))
+        rate += slope
+        torque = CubicSpline(run.time, run.torque)(_there(run.time, rate))
+    seconds = float(np.ptp(run.time[run.valid]))
+    return rate if abs(rate) > max(DRIFTED / (run.sample_hz * seconds), DRIFTING * deviation) else 0.0
+
+
+def _lateness(run: Run, described: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """When (b,) and by how much (b,) torque is late, s, block by block.
+
+    Torque that is late by τ misses the described one y by −τ dy/dt; level and scale are free.
+    """
+    rate, when, late = np.gradient(described, run.time, axis=0), [], []
+    for block in np.array_split(np.flatnonzero(run.valid), BLOCKS):
+        pull = power = 0.0
+        for j in range(described.shape[1]):
+            columns = np.stack([described[block, j], rate[block, j], np.ones(len(block))], axis=1)
+            scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+            x, *_ = np.linalg.lstsq(columns / scale, torque[block, j], rcond=None)
+            gain, slope = x[0] / scale[0], x[1] / scale[1]
+            rest = torque[block, j] - columns / scale @ x
+            own = scale[1] ** 2 / max(float(rest @ rest), 1e-300)
+            if gain > UNLIKE:
+                pull, power = pull - own * slope / gain, power + own
+        if power:
+            late.append(pull / power)
+            when.append(float(run.time[block].mean()))
+    return np.array(when), np.array(late)
+
+
+def _there(time: FloatArray, rate: float) -> FloatArray:
+    """When torque is told that belongs to a time: it falls behind by ``rate`` from the run's beginning on."""
+    return np.asarray(time[0] + (time - time[0]) * (1 + rate))
+
+
+def _on_time(run: MotionRun, rate: float) -> MotionRun:
+    """A run with its torque where it belongs."""
+    if not rate or run.torque is None:
+        return run
+    there = _there(run.time, rate)
+    return replace(run, torque=np.stack([np.interp(there, run.time, column) for column in run.torque.T], axis=1))

@@ -1,0 +1,121 @@
+"""Numbers that a log's description states and the rigid-body regressor takes as given, as columns of torque.
+
+Lengths and twists of axes, the zeros of joints, the direction of gravity, gear ratios, and a gain that the torque of
+all joints shares. Each is as far off as the description's tolerances say; torque is linear in so small a change.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnose.torque_signal import Run
+from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter, axis_parameters, independent
+from twin.model.regressor import Regressor
+from twin.physics import CATALOGUE
+from twin.physics.motion import Motion
+from twin.robot.description import Robot
+
+GAIN = "torque_gain"
+LEANING = ("gravity.x", "gravity.y")
+PLACEMENT = ("a", "alpha_deg", "d", "theta_deg")  # of an axis
+
+
+def numbers_of(robot: Robot) -> list[Parameter]:
+    """Numbers of the description, values as described: m, rad, gear ratios, and one for the gain."""
+    tolerance = robot.tolerances
+    angle = float(np.deg2rad(tolerance.angle_deg))
+    found = [p for p in axis_parameters(robot) if p.deviation > 0]
+    found += [Parameter(name, "rad", "axis", False, 0.0, angle, "tolerance") for name in LEANING if angle]
+    for i, drive in enumerate(robot.drives, 1):
+        ratio, width = drive.gear_ratio, abs(drive.gear_ratio) * tolerance.gear_ratio
+        if width and not drive.coupling:
+            found.append(Parameter(f"drive{i}.gear_ratio", "1", "axis", False, ratio, width, "tolerance"))
+    if tolerance.torque_gain:
+        found.append(Parameter(GAIN, "1", "gain", False, 1.0, tolerance.torque_gain, "tolerance"))
+    return found
+
+
+def number_columns(regressor: Regressor, run: Run, numbers: Sequence[Parameter]) -> FloatArray:
+    """What each number adds to the torque of a run per unit (m, n, k), low-passed; by central differences.
+
+    What a gain or a ratio does to friction is left to the friction of each joint, which is known less well.
+    """
+    if not numbers:
+        return np.zeros((*run.torque.shape, 0))
+    torque, found = run.filtered(_through_gears(regressor, run.smooth)), []
+    for parameter in numbers:
+        if parameter.name == GAIN:
+            found.append(torque)
+            continue
+        step = 0.1 * parameter.deviation
+        high, low = (_changed(regressor, run.smooth, parameter, side) for side in (step, -step))
+        change = run.filtered((high - low) / (2 * step))
+        if parameter.quantity == "gear_ratio":  # the motor's torque is told times the described ratio
+            joint = int(parameter.site[5:]) - 1
+            change[:, joint] -= torque[:, joint] / parameter.mean
+        found.append(change)
+    return np.stack(found, axis=-1)
+
+
+def _through_gears(regressor: Regressor, motion: Motion) -> FloatArray:
+    """Torque (nt, n) of bodies and of laws of position, as described."""
+    torque = regressor.carried_torque(motion)
+    for column, axis, law in regressor.laws(motion):
+        effect = regressor.columns[column].name.partition("@")[0]
+        if effect in CATALOGUE and CATALOGUE[effect].role == "load":
+            torque[:, axis] += regressor.columns[column].value * law
+    return torque
+
+
+def _changed(regressor: Regressor, motion: Motion, parameter: Parameter, step: float) -> FloatArray:
+    """The same (nt, n) with one number changed by a step."""
+    if parameter.quantity in ("theta", "gear_ratio"):  # the joint is elsewhere than its motor tells
+        return _through_gears(regressor, _elsewhere(motion, parameter, step))
+    changed = corrected(regressor.robot, [parameter], [parameter.mean + step])
+    return replace(regressor, robot=changed).carried_torque(motion)
+
+
+def follow(robot: Robot, was: Robot, now: Robot) -> Robot:
+    """A robot with numbers that moved from one description to another, those left out that it has changed itself."""
+    axes = [
+        axis.model_copy(update={name: getattr(new, name) for name in PLACEMENT})
+        if all(getattr(axis, name) == getattr(old, name) for name in PLACEMENT)
+        else axis
+        for axis, old, new in zip(robot.axes, was.axes, now.axes, strict=True)
+    ]
+    gravity = now.gravity if robot.gravity == was.gravity else robot.gravity
+    return robot.model_copy(update={"axes": axes, "gravity": gravity})
+
+
+def _elsewhere(motion: Motion, parameter: Parameter, step: float) -> Motion:
+    """The motion of the joints if a zero or a gear ratio is off by a step."""
+    joint, shift, scale = int(parameter.site.lstrip("axisdrve")) - 1, step, 1.0
+    if parameter.quantity == "gear_ratio":
+        shift, scale = 0.0, 1 / (1 + step / parameter.mean)
+    own = np.arange(motion.position.shape[1]) == joint
+    factor = np.where(own, scale, 1.0)
+    position = motion.position * factor + shift * own
+    return replace(
+        motion, position=position, velocity=motion.velocity * factor, acceleration=motion.acceleration * factor
+    )
+
+
+def corrected(robot: Robot, numbers: Sequence[Parameter], values: Sequence[float]) -> Robot:
+    """The description with numbers changed; a gain of the record is none of the robot's."""
+    known = dict(zip((p.name for p in numbers), map(float, values), strict=True))
+    axes = independent(p for p in numbers if p.name.startswith("axis"))
+    robot = axes.apply(robot, np.array([known[name] for name in axes.names])) if len(axes) else robot
+    drives = [
+        drive.model_copy(update={"gear_ratio": known.get(f"drive{i}.gear_ratio", drive.gear_ratio)})
+        for i, drive in enumerate(robot.drives, 1)
+    ]
+    robot = robot.model_copy(update={"drives": drives})
+    lean = np.array([*(known.get(name, 0.0) for name in LEANING), 0.0])
+    if not lean.any():
+        return robot
+    gravity = np.array(robot.gravity)
+    turned = gravity + np.cross(lean, gravity)
+    turned *= np.linalg.norm(gravity) / np.linalg.norm(turned)
+    return robot.model_copy(update={"gravity": tuple(map(float, turned))})
