@@ -47,6 +47,7 @@ for (const path of pages) {
   }
   for (const scheme of ["light", "dark"]) {
     await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
+    await page.evaluate(() => localStorage.clear()); // a site remembers what it showed before
     await page.setViewport({ width: WIDTHS[0], height: 900 });
     await page.goto(pathToFileURL(path), { waitUntil: "load" });
     await page.evaluate(axe);
