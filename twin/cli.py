@@ -577,6 +577,67 @@ def view(
     print(said)
 
 
+@app.command("import")
+def import_(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE…", help="Files of one kind, or bags (folders).")],
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="FILE", help="map.yaml: which channel becomes what, in which unit.")
+    ] = None,
+    guess: Annotated[
+        bool, typer.Option("--guess", help="Print the map that the names suggest, to be corrected.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="campaign.h5 or log.h5 to write.")
+    ] = None,
+    json: Json = False,
+    seed: NoSeed = 0,
+) -> None:
+    """Foreign recordings: UFF, MATLAB, CSV, WAV, TDMS, KUKA traces, UR RTDE, ROS bags, MCAP.
+
+    A map says which channel becomes what, and in which unit. Units are declared, never guessed.
+
+    ```
+    twin import trace.dat --guess > map.yaml      # then replace every ask
+    twin import trace.dat --map map.yaml -o log.h5
+    ```
+    """
+    from twin.commands.foreign import guess_map, import_files
+    from twin.provenance import to_json
+
+    if guess == (map_file is not None):
+        raise InputError("--map", "", "expected either --map FILE or --guess, which prints one")
+    if guess:
+        found = guess_map(files)
+        if json:
+            print(to_json(found))
+        else:
+            from twin.yamlfile import dump_yaml
+
+            dump_yaml(found, sys.stdout)
+        return
+    if out is None and not json:
+        raise InputError("--out", "", "expected the file to write, as -o campaign.h5")
+    assert map_file is not None
+    _show(import_files(files, map_file, out), json)
+
+
+@app.command()
+def example(
+    name: Annotated[str, typer.Argument(help="Which one: cell.")] = "cell",
+    out: Out = None,
+    json: Json = False,
+    seed: NoSeed = 0,
+) -> None:
+    """Recordings to try everything on: a robot cell with a concealed fault.
+
+    Writes a hammer test with raw hits, a motion log and posture files into a folder of the example's name.
+    Another code simulated the robot; answer.json says what was concealed.
+    """
+    from twin.commands.example import example as run
+
+    _show(run(name, out), json)
+
+
 def _show(result: Any, json: bool) -> None:
     if json:
         from twin.provenance import to_json
