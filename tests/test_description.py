@@ -15,6 +15,7 @@ from twin.errors import InputError
 from twin.physics import CATALOGUE
 from twin.robot.description import (
     SHIPPED,
+    Assumed,
     Axis,
     Base,
     Drive,
@@ -306,7 +307,7 @@ def test_the_documentation_names_the_effects_that_may_repeat() -> None:
     ("heading", "model"),
     [
         ("The robot", Robot), ("`base`", Base), ("`links`", Link), ("`axes`", Axis), ("`drives`", Drive),
-        ("`test_points`", TestPoint), ("`priors`", Prior), ("`tolerances`", Tolerances),
+        ("`assumed`", Assumed), ("`test_points`", TestPoint), ("`priors`", Prior), ("`tolerances`", Tolerances),
     ],
 )  # fmt: skip
 def test_every_key_is_documented_and_every_documented_key_exists(heading: str, model: type[BaseModel]) -> None:

@@ -30,7 +30,7 @@ Robot = Annotated[
     str | None,
     typer.Option(
         "--robot",
-        help="Shipped name (kr90, kr90_identified), a robot.yaml or a URDF; wins over the robot a file names.",
+        help="Shipped name (kr90, kr90_six …), a robot.yaml or a URDF; wins over the robot a file names.",
         show_default="the file's, else kr90",
     ),
 ]
@@ -59,6 +59,40 @@ def _root(
     ] = False,
 ) -> None:
     pass
+
+
+@app.command()
+def describe(
+    drawing: Annotated[Path, typer.Argument(metavar="URDF|MJCF", help="The robot's links and joints.")],
+    sheet: Annotated[
+        Path | None, typer.Option(help="sheet.yaml: payload, reach, masses, speeds, torques, gears.")
+    ] = None,
+    tool: Annotated[Path | None, typer.Option(help="tool.yaml: what is on the flange, by numbers or by mesh.")] = None,
+    without: Without = None,
+    out: Out = None,
+    json: Json = False,
+    seed: NoSeed = 0,
+) -> None:
+    """A robot that can be simulated, fitted and diagnosed, from a URDF or MJCF and a data sheet of a few lines.
+
+    Axes, limits, masses, meshes and collision shapes are kept. Gear ratios, rotors, friction, stiffness and damping
+    come from the sheet, or from scaling laws over published robots: these are listed as assumed, each with its
+    source, how far it may be off and the test that would settle it. Impossible inertias are repaired, side branches
+    welded, closed loops reduced, and all that is said.
+
+    ```yaml
+    payload: 10                        # sheet.yaml; every key may be left out
+    max_speed: [120, 120, 180, 180, 180, 180]     # °/s, one per axis
+    max_torque: [330, 330, 150, 54, 54, 54]       # N·m at the joint
+    gears: [strain_wave, strain_wave, strain_wave, strain_wave, strain_wave, strain_wave]
+    ```
+
+    Writes robot.yaml, robot.xml (MJCF), meshes, report.html and describe.json into the output folder, out/DRAWING by
+    default. With --json, files are written only where --out says so. docs/describe.md explains every key.
+    """
+    if out is None and not json:
+        out = Path("out") / drawing.stem
+    _show(twin.describe(drawing, sheet=sheet, tool=tool, without=without, out=out), json)
 
 
 @app.command()
@@ -541,6 +575,67 @@ def view(
 
         said = to_json({"shown": said})
     print(said)
+
+
+@app.command("import")
+def import_(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE…", help="Files of one kind, or bags (folders).")],
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="FILE", help="map.yaml: which channel becomes what, in which unit.")
+    ] = None,
+    guess: Annotated[
+        bool, typer.Option("--guess", help="Print the map that the names suggest, to be corrected.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="campaign.h5 or log.h5 to write.")
+    ] = None,
+    json: Json = False,
+    seed: NoSeed = 0,
+) -> None:
+    """Foreign recordings: UFF, MATLAB, CSV, WAV, TDMS, KUKA traces, UR RTDE, ROS bags, MCAP.
+
+    A map says which channel becomes what, and in which unit. Units are declared, never guessed.
+
+    ```
+    twin import trace.dat --guess > map.yaml      # then replace every ask
+    twin import trace.dat --map map.yaml -o log.h5
+    ```
+    """
+    from twin.commands.foreign import guess_map, import_files
+    from twin.provenance import to_json
+
+    if guess == (map_file is not None):
+        raise InputError("--map", "", "expected either --map FILE or --guess, which prints one")
+    if guess:
+        found = guess_map(files)
+        if json:
+            print(to_json(found))
+        else:
+            from twin.yamlfile import dump_yaml
+
+            dump_yaml(found, sys.stdout)
+        return
+    if out is None and not json:
+        raise InputError("--out", "", "expected the file to write, as -o campaign.h5")
+    assert map_file is not None
+    _show(import_files(files, map_file, out), json)
+
+
+@app.command()
+def example(
+    name: Annotated[str, typer.Argument(help="Which one: cell.")] = "cell",
+    out: Out = None,
+    json: Json = False,
+    seed: NoSeed = 0,
+) -> None:
+    """Recordings to try everything on: a robot cell with a concealed fault.
+
+    Writes a hammer test with raw hits, a motion log and posture files into a folder of the example's name.
+    Another code simulated the robot; answer.json says what was concealed.
+    """
+    from twin.commands.example import example as run
+
+    _show(run(name, out), json)
 
 
 def _show(result: Any, json: bool) -> None:

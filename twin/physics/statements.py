@@ -9,9 +9,9 @@ import numpy as np
 if TYPE_CHECKING:
     from twin.robot.description import Robot
 
-Part = Literal["", "dry", "viscous", "inertia", "slip", "play", "mass", "law"]
+Part = Literal["", "dry", "viscous", "inertia", "slip", "play", "mass", "law", "tilt"]
 """What an effect is to a drive: dry or viscous friction, the rotor's inertia, how dry friction turns round, play in
-the gear, mass on a link, a law without a name."""
+the gear, mass on a link, a law without a name, a bearing that gives way."""
 
 Test = Literal["clock", "load", "reversals", "speeds", "mass", "acceleration", "sweep"]
 """A recording that shows an effect: the same motion later; with another load; short reversals and standstills; constant

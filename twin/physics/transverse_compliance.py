@@ -21,6 +21,7 @@ class TransverseCompliance(Effect):
     )
     seen_in = frozenset({"hammer"})
     order = 1
+    part = "tilt"
     sprung = True
     hinge = True
 

@@ -142,6 +142,18 @@ def frf_matrix(
     return figure
 
 
+def standing(mechanism: Mechanism) -> Figure:
+    """The robot at rest in its posture."""
+    stage = scene.stage(mechanism)
+    figure = Figure(figsize=(6.0, 5.4), layout="constrained")
+    ax = figure.subplots()
+    ax.set_axis_off()
+    at = scene.poses(stage, stage.rest[None])
+    _draw(ax, stage, at, _camera(scene.sight(stage)), dict.fromkeys(stage.bodies, "#b8bcc4"), 1.0)
+    _same_limits([ax])
+    return figure
+
+
 def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float | None = None) -> Figure:
     """The lowest modes drawn at their largest motion: undeformed grey, deformed in the colour of the energy share.
 

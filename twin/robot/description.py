@@ -73,6 +73,7 @@ class Base(Placement):
     com: Vector = (0.0, 0.0, 0.0)
     inertia: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     mesh: str | None = None
+    collision: str | None = None
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -85,7 +86,7 @@ class Link(Data):
     """A rigid link in its modified-DH frame: mass kg, com m, inertia (xx, yy, zz, xy, xz, yz) at the com, kg·m².
 
     A link given only by a ``mesh`` (STL, OBJ, DAE; metres after ``mesh_scale``) and a ``density`` (kg/m³) or a
-    ``mass`` gets the rest from the mesh.
+    ``mass`` gets the rest from the mesh. ``collision`` is the shape that other programs test for contact, in metres.
     """
 
     name: str | None = None
@@ -94,6 +95,7 @@ class Link(Data):
     inertia: Inertia | None = None
     mesh: str | None = None
     mesh_scale: Positive = 1.0
+    collision: str | None = None
     density: Positive | None = None
 
     @model_validator(mode="after")
@@ -116,11 +118,12 @@ class Link(Data):
 
 
 class Limits(Data):
-    """Position (lower, upper) rad or m; largest speed rad/s or m/s; largest acceleration rad/s² or m/s²."""
+    """Position (lower, upper) rad or m; largest speed rad/s or m/s, acceleration rad/s² or m/s², torque N·m or N."""
 
     position: tuple[Number, Number] | None = None
     velocity: Positive | None = None
     acceleration: Positive | None = None
+    torque: Positive | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -222,6 +225,21 @@ class Tolerances(Data):
     gear_ratio: NonNegative = 0.001  # relative
 
 
+class Assumed(Data):
+    """A number or statement of the description that nobody measured.
+
+    ``tolerance``: one standard deviation as a factor (1.5 is ×/÷ 1.5). ``settled_by``: the kind of test that would
+    replace it.
+    """
+
+    field: str
+    value: Number | list[Number] | str
+    unit: str = ""
+    tolerance: Annotated[Number, Field(ge=1)] | None = None
+    source: str
+    settled_by: str = ""
+
+
 class Workspace(Data):
     """Box the flange must stay in, m, in the base frame."""
 
@@ -256,6 +274,7 @@ class Robot(Data):
     physics: list[Entry] = []
     priors: list[Prior] = []
     tolerances: Tolerances = Tolerances()
+    assumed: list[Assumed] = []
     _path: Path | None = PrivateAttr(None)
 
     @property
@@ -501,8 +520,9 @@ def load_robot(name: "str | Path | Robot", relative_to: str | Path | None = None
     robot._path = path
     meshes: list[Link | Drive | Base] = [*robot.links, *robot.drives, robot.base]
     for holder in meshes:
-        if holder.mesh is not None:
-            holder.__dict__["mesh"] = str(_find_mesh(holder.mesh, path))
+        for shape in ("mesh", "collision"):
+            if (file := getattr(holder, shape, None)) is not None:
+                holder.__dict__[shape] = str(_find_mesh(file, path))
     if any(link.inertia is None for link in robot.links) or robot.total_mass is not None:
         from twin.robot.mesh_inertia import complete_inertias
 
@@ -526,7 +546,8 @@ def save_robot(path: str | Path, robot: Robot) -> None:
         for parameter in CATALOGUE[entry["effect"]].parameters:
             entry.setdefault(parameter.name, None)
     for holder in (*data["links"], *data["drives"], data["base"]):
-        if holder.get("mesh"):
-            mesh = Path(holder["mesh"])
-            holder["mesh"] = str(mesh.relative_to(SHIPPED) if mesh.is_relative_to(SHIPPED) else mesh)
+        for shape in ("mesh", "collision"):
+            if holder.get(shape):
+                mesh = Path(holder[shape])
+                holder[shape] = str(mesh.relative_to(SHIPPED) if mesh.is_relative_to(SHIPPED) else mesh)
     write_yaml(path, data)

@@ -41,7 +41,7 @@ def complete_inertias(robot: Robot, source: str | Path) -> None:
 
 def _solid(link: Link, source: str | Path, field: str) -> Link:
     assert link.mesh is not None  # the schema asks for it where the inertia is missing
-    shape = _closed_mesh(link.mesh, source, field)
+    shape = closed_mesh(link.mesh, source, field)
     shape.apply_scale(link.mesh_scale)
     shape.density = link.density if link.density is not None else link.mass / shape.volume
     inertia = inertia_six(shape.moment_inertia)
@@ -50,12 +50,17 @@ def _solid(link: Link, source: str | Path, field: str) -> Link:
     except ValueError as error:  # shells turned inside out can cancel
         raise InputError(source, field, f"{Path(link.mesh).name}: {error}") from error
     return Link.model_validate(
-        link.model_dump(include={"name", "mesh", "mesh_scale"})
+        link.model_dump(include={"name", "mesh", "mesh_scale", "collision"})
         | {"mass": float(shape.mass), "com": shape.center_mass.tolist(), "inertia": inertia}
     )
 
 
-def _closed_mesh(path: str, source: str | Path, field: str) -> Any:
+def closed_mesh(path: str, source: str | Path, field: str) -> Any:
+    """A mesh that encloses a volume, in metres where its file states the unit, wound outwards.
+
+    Raises:
+        InputError: naming source and field: not readable, empty, or not closed.
+    """
     import trimesh
     from trimesh.units import unit_conversion
 

@@ -1,0 +1,203 @@
+"""``twin describe``: a URDF or MJCF and a data sheet in; a robot that can be simulated, fitted and diagnosed out."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from twin.commands.outputs import Outputs, check_out
+from twin.errors import InputError
+from twin.provenance import provenance, write_json
+from twin.result import Result, Table
+from twin.robot.complete import complete
+from twin.robot.datasheet import fit_tools, read_sheet, read_tools, stand_on
+from twin.robot.description import Assumed, Robot, load_robot, save_robot
+from twin.robot.mechanism import Mechanism, assemble
+from twin.robot.mjcf import build_spec, save_mjcf
+from twin.robot.reduce import reduce_tree
+from twin.robot.tree import Chain, Shape, Tree, robot_data
+
+SETTLED_BY = {
+    "hammer test": "a hammer test: twin fit",
+    "torque log": "a log along the trajectories of twin excite: twin identify",
+    "data sheet": "the maker's data sheet, or the plate on the motor",
+    "drawing": "a drawing of the robot",
+}
+
+
+@dataclass
+class Described(Result):
+    """What ``twin describe`` made; prints itself, and is the JSON of the command.
+
+    Attributes:
+        robot: the description.
+        notes: what the file names and could not be read.
+        files: what was written.
+    """
+
+    robot: Robot
+    notes: list[str]
+    files: list[str] = field(default_factory=list)
+    origin: dict[str, Any] = field(default_factory=dict)
+
+    drawn_by = "twin.report.describe_figures"
+
+    @property
+    def assumed(self) -> list[Assumed]:
+        """What nobody measured."""
+        return self.robot.assumed
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The robot in the middle of its limits."""
+        return assemble(self.robot, middle(self.robot))
+
+    def data(self) -> dict[str, Any]:
+        """The JSON of the command."""
+        return {
+            "robot": self.robot.name,
+            "axes": [axis.name or f"joint{i}" for i, axis in enumerate(self.robot.axes, start=1)],
+            "assumed": [item.model_dump() for item in self.assumed],
+            "notes": self.notes,
+            "files": self.files,
+            "provenance": self.origin,
+        }
+
+    def tables(self) -> list[Table]:
+        """What was assumed, by the test that would settle it."""
+        tables = []
+        for kind, test in SETTLED_BY.items():
+            rows = [_row(item) for item in self.assumed if item.settled_by == kind]
+            if rows:
+                header = ("field", "value", "unit", "within", "source")
+                tables.append(Table(header, rows, (1,), title=f"Assumed; settled by {test}"))
+        return tables
+
+    def __str__(self) -> str:
+        robot = self.robot
+        mass = robot.base.mass + sum(link.inertial[0] for link in robot.links)
+        lines = [f"{robot.name} · {robot.axis_count} axes · {mass:.4g} kg · {len(self.assumed)} numbers assumed"]
+        for table in self.tables():
+            lines.append(f"  {table.title}")
+            kinds: dict[tuple[str, str, str], list[str]] = {}
+            for name, value, unit, within, _ in table.rows:
+                kinds.setdefault((re.sub(r"\d+", "*", name), unit, within), []).append(value)
+            lines += [
+                f"    {name} = {', '.join(values)} {unit} {within}".rstrip()
+                for (name, unit, within), values in kinds.items()
+            ]
+        lines += [f"  note: {note}" for note in self.notes]
+        if self.files:
+            lines.append("  wrote " + ", ".join(self.files))
+        return "\n".join(lines)
+
+
+def describe(
+    path: str | Path,
+    *,
+    sheet: str | Path | None = None,
+    tool: str | Path | None = None,
+    without: list[str] | None = None,
+    out: str | Path | None = None,
+) -> Described:
+    """A robot from a drawing and a data sheet; what neither holds is assumed, and said to be.
+
+    Args:
+        path: a URDF or an MJCF.
+        sheet: ``sheet.yaml``: payload, reach, masses, speeds, torques, gears, whatever is known.
+        tool: ``tool.yaml``: what is on the flange.
+        without: entries not to be written, ``EFFECT`` or ``EFFECT@SITE``.
+        out: folder for robot.yaml, robot.xml, meshes, report and JSON; ``None`` writes nothing.
+
+    Raises:
+        InputError: bad input; nothing is written.
+    """
+    check_out(out)
+    given = read_sheet(sheet)
+    tree = read_tree(path)
+    stand_on(tree, given.mount)
+    reduced = reduce_tree(tree, given.tip)
+    given.check(len(reduced.chain.axes), sheet or "sheet")
+    fit_tools(reduced.chain, read_tools(tool), tool or "tool")
+    data = robot_data(reduced.chain)
+    data["name"] = given.name or data["name"]
+    found = Described(complete(data, reduced, given).without(without or []), list(dict.fromkeys(tree.notes)))
+    inputs = [Path(item) for item in (path, sheet, tool) if item is not None]
+    found.origin = provenance(inputs, {"sheet": sheet, "tool": tool, "without": without or []})
+    if out is not None:
+        with Outputs(out) as outputs:
+            _write(found, reduced.chain, outputs)
+        found.robot = load_robot(Path(out) / "robot.yaml")
+    return found
+
+
+def read_tree(path: str | Path) -> Tree:
+    """The parts and joints of a URDF or an MJCF, told apart by their top element.
+
+    Raises:
+        InputError: the file is neither.
+    """
+    try:
+        top = ElementTree.parse(path).getroot().tag
+    except (OSError, ElementTree.ParseError):
+        top = "robot"  # the reader of URDF says what is wrong
+    if top == "mujoco":
+        from twin.robot.mjcf_tree import read_mjcf
+
+        return read_mjcf(path)
+    if top == "robot":
+        from twin.robot.urdf import read_urdf
+
+        return read_urdf(path)
+    raise InputError(path, "", f"expected a URDF (<robot>) or an MJCF (<mujoco>), found <{top}>")
+
+
+def middle(robot: Robot) -> np.ndarray:
+    """Joint positions (n,) half-way between the limits, rad (m)."""
+    limits = [axis.limits.position if axis.limits else None for axis in robot.axes]
+    return np.array([(ends[0] + ends[1]) / 2 if ends else 0.0 for ends in limits])
+
+
+def _row(item: Assumed) -> tuple[str, str, str, str, str]:
+    value = item.value
+    if isinstance(value, list):
+        text = "[" + ", ".join(f"{number:.3g}" for number in value) + "]"
+    else:
+        text = value if isinstance(value, str) else f"{value:.4g}"
+    within = f"×/÷ {item.tolerance:g}" if item.tolerance else ""
+    return item.field, text, item.unit, within, item.source
+
+
+def _write(found: Described, chain: Chain, name: Outputs) -> None:
+    robot = found.robot
+    holders = [robot.base, *robot.links]
+    for holder, body, frame, group in zip(
+        holders, ["base", *(f"link{i}" for i in range(1, len(holders)))],
+        [np.eye(4), *chain.frames()[0][1:]], chain.groups, strict=True,
+    ):  # fmt: skip
+        for kind, file in (("visual", f"meshes/{body}.stl"), ("collision", f"meshes/{body}_collision.stl")):
+            shapes = [(place, shape) for part, place in group.parts for shape in getattr(part, kind)]
+            if shapes:
+                _write_shapes(name(file), np.linalg.inv(frame), shapes)
+                setattr(holder, "mesh" if kind == "visual" else kind, file)
+    target = name("robot.yaml")
+    save_robot(target, robot)
+    found.robot = load_robot(target)
+    save_mjcf(name("robot.xml"), build_spec(found.mechanism))
+    name.report(found)
+    path = name("describe.json")
+    found.files = name.files
+    write_json(path, found.data())
+
+
+def _write_shapes(target: Path, into: np.ndarray, shapes: list[tuple[np.ndarray, Shape]]) -> None:
+    """All surfaces of a link as one STL in the frame that ``into`` (4, 4) leads to from the root's."""
+    import trimesh
+
+    target.parent.mkdir(exist_ok=True)
+    meshes = [shape.load().copy().apply_transform(into @ place @ shape.placement) for place, shape in shapes]
+    whole = trimesh.util.concatenate(meshes)
+    target.write_bytes(trimesh.exchange.stl.export_stl(whole))

@@ -1,0 +1,280 @@
+"""A rigid chain completed to a robot that can be fitted: limits, drives, friction, springs, from a sheet or from laws.
+
+Each number that neither the file nor the sheet states comes from ``twin.robot.scaling`` and is listed as *assumed*.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from twin.model.regressor import flange_path, inertial_vector, link_regressor
+from twin.physics import effect_of
+from twin.physics.motion import Motion
+from twin.robot.datasheet import Sheet
+from twin.robot.description import Assumed, Axis, Robot, parse_robot
+from twin.robot.frames import axis_placement, inertia_six
+from twin.robot.mechanism import fuse
+from twin.robot.reduce import Reduced
+from twin.robot.scaling import Estimate, estimate
+from twin.robot.tree import ball_inertia
+
+POSTURES = 2000  # at random, in which the largest static torque and the reach are looked for
+TURN = np.pi  # rad: range either way of an axis whose limits nobody states
+TRAVEL_M = 1.0  # the same of a linear axis
+LINK_SHARE = 0.5  # mass of a link over the one before it, where the file gives none
+UNLOADED = 0.01  # of the largest static torque: below, gravity says nothing of a drive
+LARGEST_STRAIN_WAVE = 400.0
+"""N·m of rated torque above which a gear is taken for a cycloidal one; strain-wave gears of robots end there."""
+
+
+class Filler:
+    """The content of a ``robot.yaml`` being completed: ``data``, the sheet, and what had to be ``assumed``."""
+
+    def __init__(self, data: dict[str, Any], reduced: Reduced, sheet: Sheet) -> None:
+        self.data, self.sheet = data, sheet
+        self.assumed = list(reduced.assumed)
+        self.massless = reduced.massless
+        self.joints = [joint for joint, _ in reduced.chain.axes]
+        self.turning = [joint.kind != "prismatic" for joint in self.joints]
+        data["drives"] = [{} for _ in self.joints]
+        data["priors"] = []
+        for number in self.massless:  # until the masses are known
+            link = data["links"][number - 1]
+            link["mass"], link["inertia"] = 1.0, inertia_six(ball_inertia(1.0))
+            link["com"] = [value / 2 for value in self._end(number)]
+
+    def _end(self, number: int) -> Sequence[float]:
+        """Where a link ends, in its frame: the next axis, or the flange."""
+        if number == len(self.joints):
+            return self.data["flange"]["position"]
+        axis = {key: value for key, value in self.data["axes"][number].items() if key != "limits"}
+        return axis_placement(Axis.model_validate(axis), 0.0)[0].tolist()
+
+    def say(self, field: str, value: float, unit: str, found: Estimate, settled_by: str) -> float:
+        """List a number as assumed; returns it rounded, as it will be written."""
+        rounded = float(f"{value:.4g}")
+        self.assumed.append(
+            Assumed(
+                field=field, value=rounded, unit=unit, tolerance=round(found.within, 2),
+                source=f"assumed: {found.source}", settled_by=settled_by,
+            )
+        )  # fmt: skip
+        return rounded
+
+    def given(self, name: str) -> Sequence[float | None]:
+        """A list of the sheet, one value per axis, ``None`` where it has none."""
+        return getattr(self.sheet, name) or [None] * len(self.joints)
+
+    def robot(self) -> Robot:
+        """What is complete so far."""
+        return parse_robot(self.data)
+
+
+def complete(data: dict[str, Any], reduced: Reduced, sheet: Sheet) -> Robot:
+    """The robot that data of a chain and a sheet describe, the rest from scaling laws.
+
+    Order matters: masses before static torques, those before drives, those before springs.
+    """
+    filler = Filler(data, reduced, sheet)
+    _limits(filler)
+    reach, payload = _size(filler)
+    _masses(filler, payload, reach)
+    _speeds(filler, reach)
+    peak = _torques(filler, payload)
+    ratio = _drives(filler, peak)
+    _friction(filler, peak, ratio)
+    _springs(filler, peak)
+    for name, turns in (reduced.coupling | sheet.coupling).items():
+        number = next((i for i, joint in enumerate(filler.joints) if name in (joint.name, f"joint{i + 1}")), None)
+        if number is not None:
+            names = {joint.name: f"joint{i + 1}" for i, joint in enumerate(filler.joints)}
+            data["drives"][number]["coupling"] = {names.get(other, other): r for other, r in turns.items()}
+    data["assumed"] = [item.model_dump() for item in filler.assumed]
+    return filler.robot()
+
+
+def _limits(filler: Filler) -> None:
+    for i, (axis, turning) in enumerate(zip(filler.data["axes"], filler.turning, strict=True)):
+        if axis["limits"]["position"] is None:
+            end, unit = (TURN, "rad") if turning else (TRAVEL_M, "m")
+            axis["limits"]["position"] = (-end, end)
+            filler.say(
+                f"axes[{i}].limits.position", end, unit, Estimate(end, 2.0, "no limit in the file"), "data sheet"
+            )
+
+
+def _size(filler: Filler) -> tuple[float, float]:
+    """Reach (m) and payload (kg)."""
+    sheet, robot = filler.sheet, filler.robot()
+    reach, payload = sheet.reach, sheet.payload
+    if reach is None:
+        tip = flange_path(robot, _postures(robot))
+        foot = np.array(robot.base.position)
+        reach = float(np.linalg.norm((tip - foot)[:, :2], axis=1).max())
+    if payload is None:
+        found = estimate("robot_payload", reach)
+        payload = filler.say("payload", found.value, "kg", found, "data sheet")
+    return reach, payload
+
+
+def _masses(filler: Filler, payload: float, reach: float) -> None:
+    """Masses of links without any: the robot's total split; the sheet's masses scale what the file gives."""
+    links, base, sheet = filler.data["links"], filler.data["base"], filler.sheet
+    known = [i for i in range(len(links)) if i + 1 not in filler.massless]
+    if sheet.link_masses is not None:
+        for link, mass in zip(links, sheet.link_masses, strict=True):
+            _scale(link, mass)
+        return
+    total = sheet.mass
+    if total is None and not known:
+        found = estimate("robot_mass", payload, reach)
+        total = filler.say("total mass", found.value, "kg", found, "data sheet")
+    share = LINK_SHARE ** np.arange(len(links))
+    if known:
+        per_share = sum(links[i]["mass"] for i in known) / sum(share[i] for i in known)
+    else:
+        per_share = (total - base["mass"]) / (sum(share) + 1.0)  # the foot as heavy as the first link
+    for number in filler.massless:
+        why = Estimate(0.0, 2.0, f"the file gives none; {LINK_SHARE:g} of the link before it")
+        mass = filler.say(f"links[{number - 1}].mass", per_share * share[number - 1], "kg", why, "torque log")
+        _scale(links[number - 1], mass)
+    if sheet.mass is not None and known:
+        factor = (sheet.mass - base["mass"]) / sum(link["mass"] for link in links)
+        for link in links:
+            _scale(link, factor * link["mass"])
+
+
+def _scale(link: dict[str, Any], mass: float) -> None:
+    """Give a link another mass; its inertia goes along."""
+    link["inertia"] = [mass / link["mass"] * value for value in link["inertia"]]
+    link["mass"] = mass
+
+
+def _speeds(filler: Filler, reach: float) -> None:
+    ramp = estimate("ramp_time")
+    speeds, accelerations = filler.given("max_speed"), filler.given("max_acceleration")
+    for i, (axis, turning) in enumerate(zip(filler.data["axes"], filler.turning, strict=True)):
+        limits, unit = axis["limits"], np.deg2rad(1.0) if turning else 1.0
+        if (speed := speeds[i]) is not None:
+            limits["velocity"] = float(speed * unit)
+        elif limits["velocity"] is None:
+            found = estimate("joint_speed", reach)
+            limits["velocity"] = filler.say(f"axes[{i}].limits.velocity", found.value, "rad/s", found, "data sheet")
+        if (acceleration := accelerations[i]) is not None:
+            limits["acceleration"] = float(acceleration * unit)
+        else:
+            field = f"axes[{i}].limits.acceleration"
+            value = limits["velocity"] / ramp.value
+            limits["acceleration"] = filler.say(field, value, "rad/s²" if turning else "m/s²", ramp, "data sheet")
+
+
+def _torques(filler: Filler, payload: float) -> np.ndarray:
+    """Largest drive torque of every axis, N·m (N)."""
+    given = filler.given("max_torque")
+    static = static_torque(filler.robot(), payload, filler.sheet.payload_com)
+    static = np.maximum.accumulate(static[::-1])[::-1]  # an axis that gravity does not load is as strong as the next
+    for i in range(1, len(static)):
+        if static[i] < UNLOADED * static.max():
+            static[i] = static[i - 1]  # the last of a wrist as strong as the one before
+    margin, peak = estimate("torque_margin"), np.zeros(len(static))
+    for i, joint in enumerate(filler.joints):
+        stated = given[i] or joint.effort
+        if stated is None:
+            field = f"axes[{i}].limits.torque"
+            stated = filler.say(
+                field, margin.value * static[i], "N·m" if filler.turning[i] else "N", margin, "data sheet"
+            )
+        peak[i] = filler.data["axes"][i]["limits"]["torque"] = stated
+    return peak
+
+
+def static_torque(robot: Robot, payload: float = 0.0, com: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Largest torque (n,) N·m (N) that holds a robot with a payload, over postures drawn within its limits.
+
+    ``com``: of the payload, in the flange's frame.
+    """
+    q = _postures(robot)
+    still = Motion(np.zeros(len(q)), q, np.zeros_like(q), np.zeros_like(q))
+    bodies = [link.inertial for link in robot.links]
+    if payload > 0:
+        place = np.array(robot.flange.position) + np.array(com)
+        bodies[-1] = fuse(bodies[-1], (payload, place, ball_inertia(payload)))
+    torque = link_regressor(robot, still) @ np.concatenate([inertial_vector(*body) for body in bodies])
+    return np.abs(torque).max(axis=0)
+
+
+def _postures(robot: Robot) -> np.ndarray:
+    limits = [axis.limits.position if axis.limits else None for axis in robot.axes]
+    low, high = np.array([limit or (-TURN, TURN) for limit in limits]).T
+    return np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
+
+
+def _drives(filler: Filler, peak: np.ndarray) -> np.ndarray:
+    """Gear ratios; rotor inertias beside them."""
+    ratios, inertias, speed = filler.given("gear_ratio"), filler.given("rotor_inertia"), estimate("motor_speed")
+    found = np.ones(len(peak))
+    for i, (joint, drive, turning) in enumerate(zip(filler.joints, filler.data["drives"], filler.turning, strict=True)):
+        if (ratio := ratios[i]) is None:
+            if not turning:
+                continue  # a linear drive's pinion or spindle is not to be guessed
+            value = speed.value / filler.data["axes"][i]["limits"]["velocity"]
+            ratio = filler.say(f"drives[{i}].gear_ratio", value, "", speed, "data sheet")
+        found[i] = drive["gear_ratio"] = ratio
+        if (inertia := inertias[i]) is None:
+            if joint.inertia > 0:
+                inertia = joint.inertia / ratio**2  # the file states it at the joint
+            else:
+                law = estimate("rotor_inertia", peak[i] / abs(ratio))
+                inertia = filler.say(f"drives[{i}].rotor_inertia", law.value, "kg·m²", law, "torque log")
+        drive["rotor_inertia"] = inertia
+    return np.abs(found)
+
+
+def _friction(filler: Filler, peak: np.ndarray, ratio: np.ndarray) -> None:
+    """Friction of the motors at the gears' outputs, where the file gives none."""
+    laws = (("viscous", "motor_viscous", ratio**2), ("dry", "motor_coulomb", ratio))
+    for i, (joint, turning) in enumerate(zip(filler.joints, filler.turning, strict=True)):
+        if joint.damping > 0 or joint.friction > 0 or not turning:
+            continue
+        for part, law, factor in laws:
+            effect = effect_of("viscous" if part == "viscous" else "dry")
+            name, unit = effect.parameters[0].name, effect.parameters[0].unit
+            found = estimate(law, peak[i] / ratio[i])
+            field = f"{effect.name}@joint{i + 1}.{name}"
+            value = filler.say(field, factor[i] * found.value, unit, found, "torque log")
+            filler.data["physics"].append({"effect": effect.name, "site": f"joint{i + 1}", name: value})
+
+
+def _springs(filler: Filler, peak: np.ndarray) -> None:
+    """Gear and bearing springs and dampers of the turning axes, with priors as wide as the laws scatter."""
+    overload, lag = estimate("overload"), estimate("damping_time")
+    tilt = effect_of("tilt")
+    stiffness, gears = filler.given("stiffness"), filler.sheet.gears
+    for i, turning in enumerate(filler.turning):
+        if not turning:
+            continue
+        rated = peak[i] / overload.value
+        kind = gears[i] if gears else "cycloidal" if rated > LARGEST_STRAIN_WAVE else "strain_wave"
+        axis, site = filler.data["axes"][i], f"joint{i + 1}"
+        gear = estimate(f"{kind}_torsion", rated)
+        if (value := stiffness[i]) is None:
+            value = filler.say(f"axes[{i}].stiffness", gear.value, "N·m/rad", gear, "hammer test")
+            _prior(filler, f"{site}.z.stiffness", gear)
+        axis["stiffness"] = value
+        axis["damping"] = filler.say(f"axes[{i}].damping", lag.value * value, "N·m·s/rad", lag, "hammer test")
+        bearing = estimate(f"{kind}_tilt", rated).times(estimate("tilt_share"))
+        for letter in "xy":
+            field = f"{tilt.name}@{site}.{letter}"
+            k = filler.say(f"{field}.stiffness", bearing.value, "N·m/rad", bearing, "hammer test")
+            d = filler.say(f"{field}.damping", lag.value * k, "N·m·s/rad", lag, "hammer test")
+            entry = {"effect": tilt.name, "site": f"{site}.{letter}", "stiffness": k, "damping": d}
+            filler.data["physics"].append(entry)
+            _prior(filler, f"{site}.{letter}.stiffness", bearing)
+        _prior(filler, f"{site}.*.damping", lag)
+
+
+def _prior(filler: Filler, parameter: str, found: Estimate) -> None:
+    filler.data["priors"].append(
+        {"parameter": parameter, "factor": round(found.within, 2), "source": f"assumed: {found.source}"}
+    )

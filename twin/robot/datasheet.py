@@ -1,0 +1,200 @@
+"""What people know of a robot beside its drawing: a data sheet of a few lines, what it stands on, and its tool."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import trimesh
+from pydantic import Field, ValidationError, model_validator
+
+from twin.errors import InputError
+from twin.robot.description import (
+    Data,
+    Inertia,
+    NonNegative,
+    Number,
+    Placement,
+    Positive,
+    Vector,
+    check_inertia,
+    first_problem,
+)
+from twin.robot.frames import inertia_matrix, matrix_of
+from twin.robot.mechanism import Inertial, fuse
+from twin.robot.mesh_inertia import closed_mesh
+from twin.robot.tree import Chain, Joint, Part, Shape, Tree, ball_inertia
+from twin.yamlfile import read_yaml
+
+Gear = Literal["cycloidal", "strain_wave"]
+
+
+class Mount(Data):
+    """A linear track or a turntable that carries the robot: an axis before the first, and the mass that it moves."""
+
+    type: Literal["prismatic", "revolute"]
+    axis: Vector
+    mass: Positive
+    com: Vector = (0.0, 0.0, 0.0)
+    foot: Vector = (0.0, 0.0, 0.0)
+    position: tuple[Number, Number] | None = None
+    velocity: Positive | None = None
+    torque: Positive | None = None
+
+
+class Sheet(Data):
+    """A robot's data sheet: whatever is known, the rest is left out. Lists have one number per axis of the chain.
+
+    kg, m, N·m (N) and °/s (m/s) as data sheets have them; ``gear_ratio`` and ``rotor_inertia`` (kg·m²) are the
+    motor's; ``payload_com`` is in the flange's frame. ``coupling`` as ``Drive.coupling`` has it, by joint.
+    """
+
+    name: str | None = None
+    tip: str | None = None
+    payload: NonNegative | None = None
+    payload_com: Vector = (0.0, 0.0, 0.0)
+    reach: Positive | None = None
+    mass: Positive | None = None
+    link_masses: list[Positive] | None = None
+    max_speed: list[Positive] | None = None
+    max_acceleration: list[Positive] | None = None
+    max_torque: list[Positive] | None = None
+    gear_ratio: list[Number] | None = None
+    rotor_inertia: list[Positive] | None = None
+    stiffness: list[Positive] | None = None
+    gears: list[Gear] | None = None
+    coupling: dict[str, dict[str, Number]] = Field(default_factory=dict)
+    mount: list[Mount] = Field(default_factory=list)
+
+    def check(self, axes: int, path: str | Path) -> None:
+        """Raise ``InputError`` where a list has not one number per axis."""
+        for name, value in self:
+            if isinstance(value, list) and name != "mount" and len(value) != axes:
+                raise InputError(path, name, f"expected {axes} values, one per axis, found {len(value)}")
+
+
+class Tool(Placement):
+    """A tool (or a tool changer) on the flange; position and quaternion place its frame there, ``tip`` is in it.
+
+    Mass kg, centre of mass m and inertia there kg·m², in its frame; or a closed ``mesh`` with a ``mass`` or a
+    ``density`` kg/m³. Without an inertia it is that of a steel ball.
+    """
+
+    name: str = "tool"
+    mass: Positive | None = None
+    com: Vector | None = None
+    inertia: Inertia | None = None
+    mesh: str | None = None
+    mesh_scale: Positive = 1.0
+    density: Positive | None = None
+    tip: Placement = Placement()
+
+    @model_validator(mode="after")
+    def _complete(self) -> "Tool":
+        if self.mesh is None and (self.mass is None or self.com is None):
+            raise ValueError("give mass and com, or a mesh with a density or a mass")
+        if self.mesh is not None and self.com is None and (self.mass is None) == (self.density is None):
+            raise ValueError("needs either a density or a mass beside its mesh")
+        if self.inertia is not None:
+            check_inertia(self.inertia)
+        return self
+
+
+class Tools(Data):
+    """A ``tool.yaml`` with several pieces, each on the tip of the one before: a tool changer, then its tool."""
+
+    tools: list[Tool] = Field(min_length=1)
+
+
+def read_sheet(path: str | Path | None) -> Sheet:
+    """The data sheet in a file; an empty one where there is none.
+
+    Raises:
+        InputError: one line that names file and field.
+    """
+    return Sheet() if path is None else _valid(Sheet, read_yaml(path), path)
+
+
+def read_tools(path: str | Path | None) -> list[Tool]:
+    """The pieces on the flange, innermost first.
+
+    Raises:
+        InputError: one line that names file and field.
+    """
+    if path is None:
+        return []
+    data = read_yaml(path)
+    return _valid(Tools, data, path).tools if "tools" in data else [_valid(Tool, data, path)]
+
+
+def _valid(kind: type[Any], data: dict[str, Any], path: str | Path) -> Any:
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        where, message = first_problem(error)
+        raise InputError(path, where, message) from error
+
+
+def stand_on(tree: Tree, mounts: list[Mount]) -> None:
+    """Put the robot on its tracks and turntables, the lowest first: each is a part that moves, before the root."""
+    for mount in reversed(mounts):
+        root, number = tree.root(), sum(name.startswith("mount") for name in tree.parts) + 1
+        carriage, ground = f"mount{number}", f"mount{number} ground"
+        tree.parts[carriage] = Part((mount.mass, np.array(mount.com), ball_inertia(mount.mass)))
+        tree.parts[ground] = Part()
+        axis = np.array(mount.axis)
+        if not axis.any():
+            raise InputError(tree.path, "mount", "axis must not be the zero vector")
+        tree.joints.append(
+            Joint(
+                carriage, mount.type if mount.position or mount.type == "prismatic" else "continuous", ground, carriage,
+                np.eye(4), axis / np.linalg.norm(axis), mount.position, mount.velocity, mount.torque,
+            )
+        )  # fmt: skip
+        foot = np.eye(4)
+        foot[:3, 3] = mount.foot
+        tree.joints.append(Joint(f"{carriage} foot", "fixed", carriage, root, foot, np.eye(3)[2]))
+
+
+def fit_tools(chain: Chain, tools: list[Tool], path: str | Path) -> None:
+    """Fix tools to the flange, innermost first: the last link gets their mass and shape, the flange moves to the tip.
+
+    Raises:
+        InputError: a mesh that cannot be read or encloses no volume.
+    """
+    last = chain.groups[-1]
+    for tool in tools:
+        depth, flange = last.tip
+        place = flange @ _matrix(tool)
+        part = Part(_tool_inertial(tool, path))
+        if tool.mesh is not None:
+            part.visual = [Shape(np.eye(4), partial(_tool_shape, tool, path))]
+            part.collision = part.visual
+        mass, com, inertia = part.inertial
+        rotation = place[:3, :3]
+        moved = mass, place[:3, 3] + rotation @ com, rotation @ inertia @ rotation.T
+        last.inertial = fuse(last.inertial, moved)
+        last.parts.append((part, place))
+        last.tip = depth + 1, place @ _matrix(tool.tip)
+
+
+def _tool_shape(tool: Tool, path: str | Path) -> trimesh.Trimesh:
+    assert tool.mesh is not None
+    return closed_mesh(str(Path(path).parent / tool.mesh), path, "mesh").apply_scale(tool.mesh_scale)
+
+
+def _tool_inertial(tool: Tool, path: str | Path) -> Inertial:
+    if tool.mass is not None and tool.com is not None:
+        inertia = ball_inertia(tool.mass) if tool.inertia is None else inertia_matrix(tool.inertia)
+        return tool.mass, np.array(tool.com), inertia
+    shape = _tool_shape(tool, path)
+    if (density := tool.density) is None:
+        density = (tool.mass or 0.0) / shape.volume
+    shape.density = density
+    return float(shape.mass), np.array(shape.center_mass), np.array(shape.moment_inertia)
+
+
+def _matrix(placement: Placement) -> np.ndarray:
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = matrix_of(np.array(placement.quaternion)), placement.position
+    return frame
