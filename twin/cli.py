@@ -30,7 +30,7 @@ Robot = Annotated[
     str | None,
     typer.Option(
         "--robot",
-        help="Shipped name (kr90, kr90_identified), a robot.yaml or a URDF; wins over the robot a file names.",
+        help="Shipped name (kr90, kr90_six …), a robot.yaml or a URDF; wins over the robot a file names.",
         show_default="the file's, else kr90",
     ),
 ]
