@@ -2,7 +2,9 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -10,6 +12,8 @@ import pytest
 
 from tools import make_example, readme_example
 from tools.truth.effects import parse
+from twin import progress
+from twin.result import written
 
 
 def contents(path: Path) -> dict[str, np.ndarray]:
@@ -49,3 +53,28 @@ def test_the_first_screen_of_the_readme_is_what_is_printed(tmp_path: Path, monke
     assert f"{concealed['effect']} at {concealed['site']}" in printed
     low, high = map(float, re.findall(r"stiffness .*90 %: (\S+) … (\S+)", printed)[0])
     assert low < concealed["stiffness"] < high
+
+
+def test_quiet_says_one_line_and_verbose_names_every_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, twin: Callable[..., SimpleNamespace]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    plain, quiet, loud = (twin(*how, "example") for how in ([], ["-q"], ["-v"]))
+    assert quiet.out == plain.out.partition("\n")[0] + "\n"
+    files = sorted(str(Path("cell") / file.name) for file in (tmp_path / "cell").iterdir())
+    assert sorted(loud.out.removeprefix(plain.out).splitlines()) == files
+    both = twin("-q", "-v", "example")
+    assert both.code == 2
+    assert both.err.count("\n") == 1
+
+
+def test_a_summary_names_what_is_opened_first() -> None:
+    files = [*(f"out/{i}.png" for i in range(40)), "out/report.html", "out/robot.xml", "out/robot.yaml", "out/frf.h5"]
+    assert (
+        written(files) == "wrote into out: report.html, robot.yaml, robot.xml, frf.h5 and 40 more, 40 of them figures"
+    )
+
+
+def test_nothing_to_do_shows_no_bar_of_nothing() -> None:
+    with progress() as bars:
+        bars("nothing", 0)(0)
