@@ -31,8 +31,8 @@ def written(files: Sequence[str | Path]) -> str:
     paths = sorted(map(Path, files), key=lambda path: order.get(path.suffix, len(order)))
     named, rest = [path.name for path in paths[:NAMED]], paths[NAMED:]
     figures = sum(path.suffix == ".png" for path in rest)
-    more = f" and {len(rest)} more" + (f", {figures} of them figures" if figures else "") if rest else ""
-    return f"wrote into {Path(files[0]).parent}: {', '.join(named)}{more}"
+    more = f"{figures} figures" if figures == len(rest) else f"{len(rest)} more, {figures} of them figures"
+    return f"wrote into {Path(files[0]).parent}: {', '.join(named)}{f' and {more}' if rest else ''}"
 
 
 class Result:
