@@ -3,6 +3,8 @@
 import io
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +13,7 @@ import typer
 import twin
 from twin.errors import InputError
 from twin.memory import keep_memory
+from twin.parallel import Progress, silent
 
 # Matrices here are small: threads inside a product cost more than they gain. Parallel work is over records and cases.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -20,7 +23,6 @@ os.environ.setdefault("MUJOCO_GL", "disable")
 app = typer.Typer(
     help="A MuJoCo digital twin of milling robots: simulate, fit, identify and diagnose soft joints.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -45,6 +47,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON and
 Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
 NoSeed = Annotated[int, typer.Option("--seed", help="Taken as everywhere; nothing here is random.")]
 
+_HOW: ContextVar[str] = ContextVar("how much is said", default="")
+
 
 def _print_version(asked: bool) -> None:
     if asked:
@@ -57,8 +61,22 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", help="Print the version and stop.", is_eager=True, callback=_print_version)
     ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress; of a result its first line.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Also name every file that was written.")] = False,
 ) -> None:
-    pass
+    if quiet and verbose:
+        raise InputError("--quiet", "", "and --verbose exclude each other")
+    _HOW.set("quiet" if quiet else "verbose" if verbose else "")
+
+
+def _asked(how: str) -> bool:
+    """Whether the command runs ``quiet`` or ``verbose``."""
+    return _HOW.get() == how
+
+
+def _bars() -> AbstractContextManager[Progress]:
+    """Progress bars, unless quiet."""
+    return nullcontext(silent) if _asked("quiet") else twin.progress()
 
 
 @app.command()
@@ -120,7 +138,7 @@ def simulate(
     """
     if out is None and not json:
         out = Path("out") / posture.stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.simulate(posture, robot=robot, without=without, movie=movie, out=out, seed=seed, progress=progress)
     _show(found, json)
 
@@ -150,7 +168,7 @@ def modal(
         raise InputError("--method", method, "expected plscf or lsce")
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.modal(
             recordings, robot=robot, without=without, fmin=fmin, fmax=fmax, max_order=max_order,
             method="lsce" if method == "lsce" else "plscf", out=out, progress=progress,
@@ -213,7 +231,7 @@ def fit(
         raise InputError("--objective", objective, "expected posterior or paper")
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.fit(
             recordings, robot=robot, without=without, hold_out=hold_out, leave_one_out=leave_one_out,
             objective="paper" if objective == "paper" else "posterior", band_hz=band, tolerances=tolerances,
@@ -250,7 +268,7 @@ def excite(
         raise InputError("--criterion", criterion, "expected condition or d-optimal")
     if out is None and not json:
         out = Path("out") / "excite"
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.excite(
             robot=robot, without=without, out=out, count=count, harmonics=harmonics, base_hz=base_hz, rest=rest,
             criterion="d-optimal" if criterion == "d-optimal" else "condition", periods=periods,
@@ -285,7 +303,7 @@ def identify(
         raise InputError("--weighting", weighting, "expected joint or none")
     if out is None and not json:
         out = Path("out") / log.stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.identify(
             log, robot=robot, without=without, out=out, hold_out=hold_out, low_pass=low_pass, weighting=weighting,
             progress=progress,
@@ -326,7 +344,7 @@ def compare(
 
     compare.json and figures are written only where --out says so.
     """
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.compare(
             recordings, robot=robot, without=without, out=out, as_is=as_is, low_pass=low_pass, stepped=stepped,
             progress=progress,
@@ -368,7 +386,7 @@ def diagnose(
     """
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.diagnose(
             recordings, robot=robot, without=without, hold_out=hold_out, out=out, seed=seed, progress=progress
         )  # fmt: skip
@@ -447,7 +465,7 @@ def lobes(
     """
     if out is None and not json:
         out = Path("out") / (given.stem or given.name)
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.lobes(
             given, robot=robot, without=without, cut=cut, q_deg=None if q is None else _numbers("--q", q, float),
             posture=posture, spindle_rpm=rpm, draws=draws, in_time=in_time, out=out, seed=seed, progress=progress,
@@ -532,7 +550,7 @@ def map_(
     if out is None and not json:
         out = Path("out") / "map"
     counts = None if posture_grid is None else _numbers("--posture-grid", posture_grid, int)
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = run(
             cut, robot=robot, without=without, random=random, grid=grid, posture_grid=counts, path=path, box=box,
             place=place, place_turn_deg=place_turn_deg,
@@ -643,8 +661,10 @@ def _show(result: Any, json: bool) -> None:
         from twin.provenance import to_json
 
         print(to_json(result.data()))
-    else:
-        print(result)
+        return
+    print(str(result).partition("\n")[0] if _asked("quiet") else result)
+    if _asked("verbose"):
+        print(*getattr(result, "files", []), sep="\n")
 
 
 def main() -> None:

@@ -28,9 +28,14 @@ class Example(Result):
     name: str
     folder: Path
 
+    @property
+    def files(self) -> list[str]:
+        """Paths of the files."""
+        return [str(self.folder / name) for name in WHAT]
+
     def data(self) -> dict[str, Any]:
         """As printed with ``--json``."""
-        return {"name": self.name, "folder": self.folder, "files": [str(self.folder / name) for name in WHAT]}
+        return {"name": self.name, "folder": self.folder, "files": self.files}
 
     def tables(self) -> list[Table]:
         """File and content."""
