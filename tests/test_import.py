@@ -360,7 +360,7 @@ def test_blows_are_found_in_a_running_record(kind: str, cell: Recorded, tmp_path
     ("truly", "declared", "named"),
     [
         ((G, 1), "(m/s²)/N", "looks like g"),
-        ((1e-3, 1), "(m/s²)/N", "looks like mm/s²"),
+        ((1e-3, 1), "(m/s²)/N", "looks like mm (mm/s²)"),
         ((1, LBF), "(m/s²)/N", "looks like lbf"),
     ],
 )

@@ -31,7 +31,7 @@ def written(files: Sequence[str | Path]) -> str:
     paths = sorted(map(Path, files), key=lambda path: order.get(path.suffix, len(order)))
     named, rest = [path.name for path in paths[:NAMED]], paths[NAMED:]
     figures = sum(path.suffix == ".png" for path in rest)
-    more = f"{figures} figures" if figures == len(rest) else f"{len(rest)} more, {figures} of them figures"
+    more = f"{figures} figures" if figures == len(rest) else f"{len(rest)} more ({figures} figures)"
     return f"wrote into {Path(files[0]).parent}: {', '.join(named)}{f' and {more}' if rest else ''}"
 
 

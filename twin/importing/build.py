@@ -15,7 +15,8 @@ from twin.measure.motion_log import MotionLog, MotionRun, even_run
 from twin.measure.spectra import posture_from_hits
 from twin.measure.units import factor, frf_factor, same
 
-ANALYSER = 2.56  # samples per second over the highest line an analyser shows: room for its anti-alias filter
+RECORD_DECAY = 5.0  # rate of the exponential window times the record: e⁻⁵ is left at its end, and hardly any leakage
+RATE_PER_LINE = 2.56  # samples per second over the highest line an analyser shows: room for its anti-alias filter
 MEASURES = {  # of a motion log: on a revolute, on a linear axis
     "position": ("angle", "length"),
     "torque": ("torque", "force"),
@@ -155,10 +156,12 @@ def _struck(sources: Sequence[Source], map_: HitsMap, name: str, stance: Stance)
         np.array([f[:least] for f in force]), np.array([r[:least] for r in response]), rate,
         round(map_.pretrigger_s * rate) / rate,
     )  # fmt: skip
-    low, high = map_.band_hz or (0.0, rate / ANALYSER)
+    low, high = map_.band_hz or (0.0, rate / RATE_PER_LINE)
+    window = RECORD_DECAY / map_.record_s if map_.exponential_window_rate is None else map_.exponential_window_rate
     made, _ = posture_from_hits(
-        name, np.array(stance.q_deg, dtype=float), stance.brakes, hits, fmax=high, source=str(sources[0].path)
-    )
+        name, np.array(stance.q_deg, dtype=float), stance.brakes, hits, exponential_window_rate=window, fmax=high,
+        source=str(sources[0].path),
+    )  # fmt: skip
     kept = made.frequency >= low
     if kept.sum() < 2:
         raise InputError(sources[0].path, "band_hz", f"no lines from {low:g} to {high:g} Hz")

@@ -78,6 +78,7 @@ class HitsMap(Data):
     trigger_n: Positive = 20.0
     pretrigger_s: Annotated[Number, Field(ge=0)] = 0.05
     record_s: Positive
+    exponential_window_rate: Annotated[Number, Field(ge=0)] | None = None
     band_hz: tuple[Number, Positive] | None = None
 
 

@@ -14,17 +14,17 @@ from twin.measure.units import INCH_M, POUND_FORCE_N, STANDARD_GRAVITY
 from twin.robot.description import Robot
 
 FARTHEST_M = 20.0  # no point of a robot is farther from its body's frame
-TURNS = 4.0  # revolutions beyond which a joint angle is hardly one in rad; 57 lie between the units
+MOST_TURNS = 4.0  # revolutions beyond which a joint angle is hardly one in rad; 57 lie between the units
 SLIPS = {  # measured over predicted accelerance → what was declared, and what it looks like
     1 / STANDARD_GRAVITY: "the response looks like g, declared m/s²",
     STANDARD_GRAVITY: "the response looks like m/s², declared g",
-    1e3: "the response looks like mm/s², declared m/s²",
-    1e-3: "the response looks like m/s², declared mm/s²",
+    1e3: "the response looks like mm (mm/s²), declared m (m/s²)",
+    1e-3: "the response looks like m (m/s²), declared mm (mm/s²)",
     POUND_FORCE_N: "the force looks like lbf, declared N",
     1 / POUND_FORCE_N: "the force looks like N, declared lbf",
-    1 / INCH_M: "the response looks like in/s², declared m/s²",
+    1 / INCH_M: "the response looks like inches (in/s²), declared m (m/s²)",
 }
-NEAR = 1.8  # ratios within this factor of a slip, and farther than that from 1, are one
+LIKE_A_SLIP = 1.8  # ratios within this factor of a slip, and farther than that from 1, are one
 
 
 def check_log(log: MotionLog, robot: Robot | None) -> None:
@@ -35,7 +35,7 @@ def check_log(log: MotionLog, robot: Robot | None) -> None:
     """
     for name, run in log.runs.items():
         largest = float(np.abs(run.position).max())
-        if robot is None and largest > 2 * np.pi * TURNS:
+        if robot is None and largest > 2 * np.pi * MOST_TURNS:
             raise InputError(
                 log.source, f"{name}: position", f"reaches {largest:.4g} rad; expected rad, these look like degrees"
             )
@@ -82,7 +82,7 @@ def check_campaign_units(campaign: Campaign, robot: Robot | None) -> None:
         return
     low, ratio, high = _over_described(campaign, robot)
     likely = min(SLIPS, key=lambda slip: abs(np.log(ratio / slip)))
-    if likely / NEAR < low and high < likely * NEAR and not 1 / NEAR < ratio < NEAR:
+    if likely / LIKE_A_SLIP < low and high < likely * LIKE_A_SLIP and not 1 / LIKE_A_SLIP < ratio < LIKE_A_SLIP:
         found = f"FRFs are {ratio:.3g} times those of {robot.name} as described"
         raise InputError(campaign.source, "unit", f"{found}: {SLIPS[likely]}")
 

@@ -387,41 +387,13 @@ def _nodes(path: str | Path, campaign: Campaign) -> dict[str, Any]:
     )
 
 
-_PLAIN: dict[str, Any] = {
-    "id3": "NONE",
-    "func_id": 0,
-    "ver_num": 0,
-    "load_case_id": 0,
-    "rsp_ent_name": "NONE",
-    "ref_ent_name": "NONE",
-    "ord_data_type": 6,
+_FREQUENCY: dict[str, Any] = {
     "abscissa_spacing": 1,
-    "z_axis_value": 0.0,
     "abscissa_spec_data_type": FREQUENCY_DATA,
-    "abscissa_len_unit_exp": 0,
-    "abscissa_force_unit_exp": 0,
-    "abscissa_temp_unit_exp": 0,
     "abscissa_axis_lab": "Frequency",
     "abscissa_axis_units_lab": "Hz",
-    "ordinate_len_unit_exp": 0,
-    "ordinate_force_unit_exp": 0,
-    "ordinate_temp_unit_exp": 0,
-    "ordinate_axis_lab": "NONE",
-    "ordinate_axis_units_lab": "NONE",
-    "orddenom_len_unit_exp": 0,
-    "orddenom_force_unit_exp": 0,
-    "orddenom_temp_unit_exp": 0,
-    "orddenom_axis_lab": "NONE",
-    "orddenom_axis_units_lab": "NONE",
-    "z_axis_spec_data_type": 0,
-    "z_axis_len_unit_exp": 0,
-    "z_axis_force_unit_exp": 0,
-    "z_axis_temp_unit_exp": 0,
-    "z_axis_axis_lab": "NONE",
-    "z_axis_axis_units_lab": "NONE",
-    "spec_data_type": 0,
 }
-"""Fields of a function in dataset 58 that are the same for all: pyuff leaves none to chance."""
+"""The abscissa of data set 58; pyuff fills in what is not given."""
 
 
 def _common(
@@ -446,7 +418,7 @@ def _common(
     (response_node, response_direction), (node, direction) = _parts(response), _parts(excitation)
     frequency = posture.frequency
     return {
-        **_PLAIN,
+        **_FREQUENCY,
         "type": 58,
         "binary": int(binary),
         "id1": ids[0],
