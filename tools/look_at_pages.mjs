@@ -36,6 +36,7 @@ for (const path of pages) {
   const name = (root ? relative(root, path) : basename(path)).replaceAll("/", "-").replace(/\.html$/, "");
   const found = new Set();
   const page = await browser.newPage();
+  await page.evaluateOnNewDocument(() => localStorage.clear()); // a site remembers the scheme it showed before
   page.on("request", (r) => /^(file|data|blob|about):/.test(r.url()) || found.add(`leaves the disk: ${r.url()}`));
   page.on("pageerror", (error) => found.add(`script: ${error.message}`));
   for (const width of WIDTHS) {
@@ -45,11 +46,11 @@ for (const path of pages) {
     if (wide > width) found.add(`${wide} pixels wide in a window of ${width}`);
     await page.screenshot({ path: join(out, `${name}-${width}.png`), clip: { x: 0, y: 0, width, height: Math.min(tall, TALLEST) }, captureBeyondViewport: true });
   }
+  await page.pdf({ path: join(out, `${name}.pdf`), format: "A4", printBackground: true });
   for (const scheme of ["light", "dark"]) {
     await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
-    await page.evaluate(() => localStorage.clear()); // a site remembers what it showed before
     await page.setViewport({ width: WIDTHS[0], height: 900 });
-    await page.goto(pathToFileURL(path), { waitUntil: "load" });
+    await page.goto(pathToFileURL(path), { waitUntil: "networkidle0" });
     await page.evaluate(axe);
     const { violations } = await page.evaluate(() => axe.run(document, { resultTypes: ["violations"] }));
     for (const { id, impact, nodes } of violations) {
@@ -59,8 +60,6 @@ for (const path of pages) {
     }
     if (scheme === "dark") await page.screenshot({ path: join(out, `${name}-dark.png`) });
   }
-  await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: "light" }]);
-  await page.pdf({ path: join(out, `${name}.pdf`), format: "A4", printBackground: true });
   await page.close();
   faults += found.size;
   console.log(`${name}: ${found.size ? "" : "nothing"}`);

@@ -52,6 +52,10 @@ _HOME = {
     "StabilityLobes": "twin.commands.lobes",
     "Cut": "twin.milling.cut",
     "read_cut": "twin.milling.cut",
+    "example": "twin.commands.example",
+    "Example": "twin.commands.example",
+    "import_files": "twin.commands.foreign",
+    "Imported": "twin.commands.foreign",
     # what goes wrong, and how far long work has come
     "InputError": "twin.errors",
     "progress": "twin.commands.progress",
@@ -63,10 +67,14 @@ if TYPE_CHECKING:
     from twin.commands.describe import Described as Described
     from twin.commands.describe import describe as describe
     from twin.commands.diagnose import diagnose as diagnose
+    from twin.commands.example import Example as Example
+    from twin.commands.example import example as example
     from twin.commands.excite import Excitations as Excitations
     from twin.commands.excite import excite as excite
     from twin.commands.fit import FitResult as FitResult
     from twin.commands.fit import fit as fit
+    from twin.commands.foreign import Imported as Imported
+    from twin.commands.foreign import import_files as import_files
     from twin.commands.identify import Identified as Identified
     from twin.commands.identify import identify as identify
     from twin.commands.lobes import StabilityLobes as StabilityLobes

@@ -6,6 +6,8 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from contextvars import ContextVar
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +17,7 @@ import typer
 import twin
 from twin.errors import InputError, NumericalError, numbers_of
 from twin.memory import keep_memory
+from twin.parallel import Progress, silent
 from twin.stopping import Stopped, end_after, stoppable
 
 # Matrices here are small: threads inside a product cost more than they gain. Parallel work is over records and cases.
@@ -25,7 +28,6 @@ os.environ.setdefault("MUJOCO_GL", "disable")
 app = typer.Typer(
     help="A MuJoCo digital twin of milling robots: simulate, fit, identify and diagnose soft joints.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -35,7 +37,7 @@ Robot = Annotated[
     str | None,
     typer.Option(
         "--robot",
-        help="Shipped name (kr90, kr90_identified), a robot.yaml or a URDF; wins over the robot a file names.",
+        help="Shipped name (kr90, kr90_six …), a robot.yaml or a URDF; wins over the robot a file names.",
         show_default="the file's, else kr90",
     ),
 ]
@@ -83,6 +85,9 @@ def _files(given: dict[str, Any]) -> str:
     return ", ".join(str(item) for values in lists for item in values if isinstance(item, Path))
 
 
+_HOW: ContextVar[str] = ContextVar("how much is said", default="")
+
+
 def _print_version(asked: bool) -> None:
     if asked:
         print(f"twin {twin.__version__}")
@@ -94,8 +99,22 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", help="Print the version and stop.", is_eager=True, callback=_print_version)
     ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress; of a result its first line.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Also name every file that was written.")] = False,
 ) -> None:
-    pass
+    if quiet and verbose:
+        raise InputError("--quiet", "", "and --verbose exclude each other")
+    _HOW.set("quiet" if quiet else "verbose" if verbose else "")
+
+
+def _asked(how: str) -> bool:
+    """Whether the command runs ``quiet`` or ``verbose``."""
+    return _HOW.get() == how
+
+
+def _bars() -> AbstractContextManager[Progress]:
+    """Progress bars, unless quiet."""
+    return nullcontext(silent) if _asked("quiet") else twin.progress()
 
 
 @command()
@@ -157,7 +176,7 @@ def simulate(
     """
     if out is None and not json:
         out = Path("out") / posture.stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.simulate(posture, robot=robot, without=without, movie=movie, out=out, seed=seed, progress=progress)
     _show(found, json)
 
@@ -187,7 +206,7 @@ def modal(
         raise InputError("--method", method, "expected plscf or lsce")
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.modal(
             recordings, robot=robot, without=without, fmin=fmin, fmax=fmax, max_order=max_order,
             method="lsce" if method == "lsce" else "plscf", out=out, progress=progress,
@@ -250,7 +269,7 @@ def fit(
         raise InputError("--objective", objective, "expected posterior or paper")
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.fit(
             recordings, robot=robot, without=without, hold_out=hold_out, leave_one_out=leave_one_out,
             objective="paper" if objective == "paper" else "posterior", band_hz=band, tolerances=tolerances,
@@ -287,7 +306,7 @@ def excite(
         raise InputError("--criterion", criterion, "expected condition or d-optimal")
     if out is None and not json:
         out = Path("out") / "excite"
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.excite(
             robot=robot, without=without, out=out, count=count, harmonics=harmonics, base_hz=base_hz, rest=rest,
             criterion="d-optimal" if criterion == "d-optimal" else "condition", periods=periods,
@@ -322,7 +341,7 @@ def identify(
         raise InputError("--weighting", weighting, "expected joint or none")
     if out is None and not json:
         out = Path("out") / log.stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.identify(
             log, robot=robot, without=without, out=out, hold_out=hold_out, low_pass=low_pass, weighting=weighting,
             progress=progress,
@@ -363,7 +382,7 @@ def compare(
 
     compare.json and figures are written only where --out says so.
     """
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.compare(
             recordings, robot=robot, without=without, out=out, as_is=as_is, low_pass=low_pass, stepped=stepped,
             progress=progress,
@@ -405,7 +424,7 @@ def diagnose(
     """
     if out is None and not json:
         out = Path("out") / recordings[0].stem
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.diagnose(
             recordings, robot=robot, without=without, hold_out=hold_out, out=out, seed=seed, progress=progress
         )  # fmt: skip
@@ -484,7 +503,7 @@ def lobes(
     """
     if out is None and not json:
         out = Path("out") / (given.stem or given.name)
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = twin.lobes(
             given, robot=robot, without=without, cut=cut, q_deg=None if q is None else _numbers("--q", q, float),
             posture=posture, spindle_rpm=rpm, draws=draws, in_time=in_time, out=out, seed=seed, progress=progress,
@@ -569,7 +588,7 @@ def map_(
     if out is None and not json:
         out = Path("out") / "map"
     counts = None if posture_grid is None else _numbers("--posture-grid", posture_grid, int)
-    with twin.progress() as progress:
+    with _bars() as progress:
         found = run(
             cut, robot=robot, without=without, random=random, grid=grid, posture_grid=counts, path=path, box=box,
             place=place, place_turn_deg=place_turn_deg,
@@ -614,13 +633,76 @@ def view(
     print(said)
 
 
+@command("import")
+def import_(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE…", help="Files of one kind, or bags (folders).")],
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="FILE", help="map.yaml: which channel becomes what, in which unit.")
+    ] = None,
+    guess: Annotated[
+        bool, typer.Option("--guess", help="Print the map that the names suggest, to be corrected.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="campaign.h5 or log.h5 to write.")
+    ] = None,
+    json: Json = False,
+    seed: NoSeed = 0,
+) -> None:
+    """Foreign recordings: UFF, MATLAB, CSV, WAV, TDMS, KUKA traces, UR RTDE, ROS bags, MCAP.
+
+    A map says which channel becomes what, and in which unit. Units are declared, never guessed.
+
+    ```
+    twin import trace.dat --guess > map.yaml      # then replace every ask
+    twin import trace.dat --map map.yaml -o log.h5
+    ```
+    """
+    from twin.commands.foreign import guess_map, import_files
+    from twin.provenance import to_json
+
+    if guess == (map_file is not None):
+        raise InputError("--map", "", "expected either --map FILE or --guess, which prints one")
+    if guess:
+        found = guess_map(files)
+        if json:
+            print(to_json(found))
+        else:
+            from twin.yamlfile import dump_yaml
+
+            dump_yaml(found, sys.stdout)
+        return
+    if out is None and not json:
+        raise InputError("--out", "", "expected the file to write, as -o campaign.h5")
+    assert map_file is not None
+    _show(import_files(files, map_file, out), json)
+
+
+@command()
+def example(
+    name: Annotated[str, typer.Argument(help="Which one: cell.")] = "cell",
+    out: Out = None,
+    json: Json = False,
+    seed: NoSeed = 0,
+) -> None:
+    """Recordings to try everything on: a robot cell with a concealed fault.
+
+    Writes a hammer test with raw hits, a motion log and posture files into a folder of the example's name.
+    Another code simulated the robot; answer.json says what was concealed.
+    """
+    from twin.commands.example import example as run
+
+    _show(run(name, out), json)
+
+
 def _show(result: Any, json: bool) -> None:
     if json:
         from twin.provenance import to_json
 
         print(to_json(result.data()))
-    else:
-        print(result)
+        return
+    print(str(result).partition("\n")[0] if _asked("quiet") else result)
+    if _asked("verbose"):
+        print(*getattr(result, "files", []), sep="\n")
 
 
 def main() -> None:

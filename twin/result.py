@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
@@ -18,6 +19,20 @@ class Table:
     numbers: Sequence[int] = ()
     dim: Sequence[int] = ()
     title: str = ""
+
+
+NAMED = 4  # of the files written, how many a summary names
+_FIRST = (".html", ".yaml", ".xml", ".h5", ".csv", ".json")  # what is opened first
+
+
+def written(files: Sequence[str | Path]) -> str:
+    """One line for what was written: the folder, the files that are opened first, and how many more there are."""
+    order = {suffix: place for place, suffix in enumerate(_FIRST)}
+    paths = sorted(map(Path, files), key=lambda path: order.get(path.suffix, len(order)))
+    named, rest = [path.name for path in paths[:NAMED]], paths[NAMED:]
+    figures = sum(path.suffix == ".png" for path in rest)
+    more = f"{figures} figures" if figures == len(rest) else f"{len(rest)} more ({figures} figures)"
+    return f"wrote into {Path(files[0]).parent}: {', '.join(named)}{f' and {more}' if rest else ''}"
 
 
 class Result:

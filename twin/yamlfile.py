@@ -2,7 +2,7 @@
 
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedSeq
@@ -71,14 +71,19 @@ def write_yaml(path: str | Path, data: dict[str, Any]) -> None:
 
     Lists of scalars and mappings inside lists that hold only scalars stay on one line.
     """
+    with writing(path) as stream:
+        dump_yaml(data, stream)
+
+
+def dump_yaml(data: dict[str, Any], stream: TextIO) -> None:
+    """The same to an open stream."""
     writer = YAML()
     writer.width = 110
     writer.default_flow_style = False
     writer.indent(mapping=2, sequence=4, offset=2)
     writer.representer.add_representer(float, _represent_float)
     writer.representer.add_representer(type(None), _represent_none)
-    with writing(path) as stream:
-        writer.dump(_styled(data), stream)
+    writer.dump(_styled(data), stream)
 
 
 def _styled(value: Any) -> Any:

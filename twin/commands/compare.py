@@ -12,7 +12,7 @@ from twin.identify.rigid_compare import LogComparison, compare_log
 from twin.measure.recordings import Given, Recording, read_recordings, traced
 from twin.parallel import Progress
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import Robot
 
 
@@ -68,7 +68,7 @@ class Compared(Result):
 
     def __str__(self) -> str:
         texts = [f"{source} · {found}" for source, found in self.found.items()]
-        return "\n".join(texts + (["  wrote " + ", ".join(self.files)] if self.files else []))
+        return "\n".join(texts + ([f"  {written(self.files)}"] if self.files else []))
 
 
 def compare(

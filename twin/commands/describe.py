@@ -11,7 +11,7 @@ import numpy as np
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.complete import complete
 from twin.robot.datasheet import fit_tools, read_sheet, read_tools, stand_on
 from twin.robot.description import Assumed, Robot, load_robot, save_robot
@@ -91,7 +91,7 @@ class Described(Result):
             ]
         lines += [f"  note: {note}" for note in self.notes]
         if self.files:
-            lines.append("  wrote " + ", ".join(self.files))
+            lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
 
 

@@ -17,7 +17,7 @@ from twin.measure.recordings import traced
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import MOST_SAMPLES, check_count
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import SHIPPED, Robot, load_robot
 
 SPLINE_POINTS = 100  # of a KRL spline block, per period
@@ -86,7 +86,7 @@ class Excitations(Result):
             lines.append(f"  {k + 1:10d}   {e.condition:16.2f}   {room:21.2g}")
         lines.append(f"  mean condition number {np.mean([e.condition for e in self.found]):.2f}")
         if self.files:
-            lines.append("  wrote " + ", ".join(self.files))
+            lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
 
 

@@ -44,7 +44,7 @@ from twin.model.parameters import SATURATED, Parameters, free_parameters
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import check_band, check_count
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import Robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
@@ -190,10 +190,7 @@ class FitResult(Result):
         lines.append(f"  {self.damping}")
         lines += [f"  warning: {text}" for text in self.warnings]
         if self.files:
-            names = [Path(file).name for file in self.files]
-            figures = sum(name.endswith(".png") for name in names)
-            named = [name for name in names if not name.endswith(".png")]
-            lines.append(f"  wrote {', '.join(named)} and {figures} figures into {Path(self.files[0]).parent}")
+            lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
 
 

@@ -13,7 +13,7 @@ from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Given, read_one, traced
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
@@ -136,7 +136,7 @@ class Identified(Result):
         effective = ", ".join(f"{value:.0f}" for value in estimate.effective)
         lines.append(f"  {estimate.samples[0]} rows per joint, worth {effective} independent ones")
         if self.files:
-            lines.append("  wrote " + ", ".join(self.files))
+            lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
 
 

@@ -22,7 +22,7 @@ from twin.milling.zeroth_order import limiting_depth
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import check_count
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import Robot, load_robot
 from twin.yamlfile import read_yaml
 
@@ -183,7 +183,7 @@ class StabilityLobes(Result):
             lines.append("  how sure is not known: no posterior beside the robot; twin fit and twin diagnose write one")
         lines += [f"  {note}" for note in case.notes]
         if self.files:
-            lines.append("  wrote " + ", ".join(self.files))
+            lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
 
 

@@ -23,7 +23,7 @@ from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
 from twin.ranges import check_count
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
 from twin.robot.inverse_kinematics import inverse_kinematics
@@ -137,7 +137,7 @@ class Map(Result):
         if self.safe is None:
             lines.append("  how sure is not known: no posterior beside the robot; twin fit and twin diagnose write one")
         if self.files:
-            lines.append(f"  wrote {', '.join(Path(f).name for f in self.files)} into {Path(self.files[0]).parent}")
+            lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
 
 

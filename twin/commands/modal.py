@@ -18,7 +18,7 @@ from twin.model.expansion import on_robot
 from twin.model.modes import Modes
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import Robot
 from twin.robot.mechanism import Mechanism
 
@@ -97,7 +97,7 @@ class ModalAnalysis(Result):
             lines += [f"  {check}" for check in self.checks.get(name, []) if not check.passed]
         lines += self.notes
         if self.files:
-            lines.append("wrote " + ", ".join(self.files))
+            lines.append(written(self.files))
         return "\n".join(lines)
 
 

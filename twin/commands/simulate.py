@@ -19,7 +19,7 @@ from twin.model.replay import Replay, inverse_dynamics, motion_of, recorded_torq
 from twin.model.simulated_test import simulated_test
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
@@ -137,7 +137,7 @@ class Simulation(Result):
             error = ", ".join(f"{value:.1f}" for value in _rms(found.replay.torque - found.inverse))
             lines.append(f"  replay {name}: torque RMS {torque} N·m (N); beyond inverse dynamics {error}")
         if self.files:
-            lines.append("  wrote " + ", ".join(self.files))
+            lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from twin.diagnose.decide import Decision, calibration, decide, finalists
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
+from twin.diagnose.frf_faults import put_right
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects
 from twin.diagnose.joint import Knowledge, settled_with, shared
 from twin.diagnose.joint_reaction import blows
@@ -104,6 +105,7 @@ def diagnose_campaign(
     """
     if not free_parameters(given, tolerances=False).items:
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
+    campaign, faults = put_right(campaign, without_limits(given), source)
     found = triage(campaign, given, source, hold_out)
     base = without_limits(told_by.model if told_by else given)
     sample = Sample(tuple(found.used), 1 / found.shared)
@@ -115,6 +117,7 @@ def diagnose_campaign(
     known = free if plain is base else _free(plain, found.used)
     search = converge(plain, known, sample, seed=seed, processes=processes)
     if law and (told := levels_finding(campaign, given, plain, source, found, search, progress, seed)):
+        told.warnings = [*faults, *told.warnings]
         return told
     if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
@@ -130,6 +133,7 @@ def diagnose_campaign(
     laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
     finding.next_test = _next_test(given, answer, few, seed)
+    finding.warnings = [*faults, *finding.warnings]
     return finding
 
 

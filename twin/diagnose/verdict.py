@@ -15,7 +15,7 @@ from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
 from twin.identify.uncertainty import NINETY
-from twin.result import Result, Table
+from twin.result import Result, Table, written
 from twin.robot.description import Robot
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
@@ -297,7 +297,7 @@ class Verdict(Result):
         if self.payload_edit:
             lines.append(f"  edit: {self.payload_edit['description']}")
         if self.files:
-            lines.append("  wrote " + ", ".join(self.files))
+            lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
 
 

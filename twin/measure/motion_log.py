@@ -103,7 +103,7 @@ def read_motion_log(path: str | Path) -> MotionLog:
                 raise InputError(path, f"{group.field}/sample_rate_hz", "missing attribute")
             time = group.real("time", "s")
             series = {key: group.real(key, *unit) for key, unit in SERIES.items() if group.has(key)}
-            runs[name], repairs = _checked(path, group.field, name, time, series, rate)
+            runs[name], repairs = even_run(path, group.field, name, time, series, rate)
             notes += repairs
             if kind == "motion-log" and runs[name].torque is None:
                 raise InputError(path, f"{group.field}/torque", "missing")
@@ -144,9 +144,21 @@ def require_axes(log: MotionLog, axes: int) -> MotionLog:
     return log
 
 
-def _checked(
+def even_run(
     path: Path, where: str, name: str, time: FloatArray, series: dict[str, FloatArray], rate: float
 ) -> tuple[MotionRun, list[str]]:
+    """A checked run on an even clock, and what was repaired, one sentence each.
+
+    Args:
+        path, where: file and field that messages name.
+        name: of the run.
+        time: (nt,) s.
+        series: quantity → (nt, n), SI; ``position`` at least.
+        rate: nominal, Hz.
+
+    Raises:
+        InputError: shapes that disagree, numbers that are not finite, a clock that cannot be repaired.
+    """
     if not rate > 0:
         raise InputError(path, f"{where}/sample_rate_hz", f"expected a number > 0, found {rate:g}")
     if time.ndim != 1 or len(time) < 2:
@@ -343,7 +355,7 @@ def _read_csv(path: Path) -> MotionLog:
     time = table[:, 0]
     steps = np.diff(time)
     rate = 1 / float(np.median(steps[steps > 0])) if np.any(steps > 0) else 1.0
-    run, notes = _checked(path, "csv", path.stem, time, series, rate)
+    run, notes = even_run(path, "csv", path.stem, time, series, rate)
     return MotionLog({path.stem: run}, None, str(path), tuple(notes))
 
 

@@ -29,6 +29,7 @@ from twin.measure.campaign import (
 from twin.measure.hdf5 import check_unit
 from twin.measure.modal import ModalResult
 from twin.measure.modal_table import TableMode
+from twin.measure.units import frf_factor, same
 
 FRF_FUNCTION, COHERENCE_FUNCTION = 4, 6
 FREQUENCY_DATA = 18
@@ -71,6 +72,7 @@ def read_uff(
     q_deg: FloatArray | None = None,
     points: dict[int, Point] | None = None,
     robot: str | None = None,
+    unit: str | None = None,
 ) -> Campaign:
     """Read FRFs, and coherence where there is one, from one universal file or many that belong together.
 
@@ -83,9 +85,11 @@ def read_uff(
         points: nodes by number; without them nodes are taken from data sets 15 or 2411, and body and position of a node
             that is in neither are ``base`` and the origin.
         robot: name for the campaign.
+        unit: of the FRFs, as ``g/lbf``, where it is not SI; what the file states must agree.
 
     Raises:
-        InputError: for what is not SI, no FRF, incomplete, doubled, or breaks the contract of a campaign.
+        InputError: for what is not SI and was not said to be, no FRF, incomplete, doubled, or breaks the contract of a
+            campaign.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     source = files[0]
@@ -101,7 +105,7 @@ def read_uff(
                 }
             elif dataset.get("type") == 82:
                 lines += _polylines(dataset["nodes"])
-            elif dataset.get("type") == 164:
+            elif dataset.get("type") == 164 and unit is None:
                 _check_units(file, dataset)
             elif dataset.get("type") == 58 and int(dataset["func_type"]) in (FRF_FUNCTION, COHERENCE_FUNCTION):
                 words = _words(dataset)
@@ -109,7 +113,9 @@ def read_uff(
                 for side, node in (("response", "rsp_node"), ("excitation", "ref_node")):
                     if f"{side}_body" in words:
                         group.bodies[int(dataset[node])] = words[f"{side}_body"]
-                _take(file, f"data set {number}", dataset, group)
+                _take(
+                    file, f"data set {number}", dataset if unit is None else _in_si(file, number, dataset, unit), group
+                )
     if not any(group.frf for group in groups.values()):
         raise InputError(source, "", "expected data sets 58 with frequency response functions, there is none")
     response, excitation = _labels(groups.values(), 0), _labels(groups.values(), 1)
@@ -125,6 +131,18 @@ def read_uff(
     )
     check_campaign(source, campaign)
     return campaign
+
+
+def stated_unit(path: str | Path) -> str | None:
+    """Unit of the FRFs, as ``g/N``, where the axis labels of a universal file state it."""
+    for dataset in _datasets(Path(path)):
+        if dataset.get("type") == 58 and int(dataset["func_type"]) == FRF_FUNCTION:
+            response, force = (
+                str(dataset.get(f"{side}_axis_units_lab", "")).strip() for side in ("ordinate", "orddenom")
+            )
+            if response.upper() not in NO_TEXT and force.upper() not in NO_TEXT:
+                return f"{response}/{force}"
+    return None
 
 
 def _datasets(path: Path) -> list[dict[str, Any]]:
@@ -158,7 +176,29 @@ def _words(dataset: dict[str, Any]) -> dict[str, str]:
 def _check_units(path: Path, dataset: dict[str, Any]) -> None:
     factors = [float(dataset.get(name, 1.0)) for name in ("length", "force")]
     if int(dataset["units_code"]) != 1 and not np.allclose(factors, 1.0):
-        raise InputError(path, "data set 164", f"expected SI units (code 1), found code {dataset['units_code']}")
+        expected = f"expected SI units (code 1), found code {dataset['units_code']}; `twin import` takes other units"
+        raise InputError(path, "data set 164", expected)
+
+
+def _in_si(path: Path, number: int, dataset: dict[str, Any], unit: str) -> dict[str, Any]:
+    """An FRF in a declared unit as SI; the file's own labels must not say otherwise."""
+    if int(dataset["func_type"]) != FRF_FUNCTION:
+        return dataset
+    where = f"data set {number}: unit"
+    try:
+        quantity, scale = frf_factor(unit)
+    except ValueError as error:
+        raise InputError(path, where, str(error)) from error
+    response, _, force = unit.rpartition("/")
+    for label, declared in (("ordinate_axis_units_lab", response), ("orddenom_axis_units_lab", force)):
+        stated = str(dataset.get(label, "")).strip()
+        if stated.upper() not in NO_TEXT and not any(same(stated, one) for one in (declared, unit)):
+            raise InputError(path, where, f"the file states {stated!r}, the map {unit!r}: correct the map")
+    kind = int(dataset["ordinate_spec_data_type"])
+    if kind in ORDINATE and ORDINATE[kind][0] != quantity:
+        raise InputError(path, where, f"the file holds {ORDINATE[kind][0]}, {unit!r} is one of {quantity}")
+    silent = dict.fromkeys(("ordinate_axis_units_lab", "orddenom_axis_units_lab"), "NONE")
+    return {**dataset, **silent, "data": np.asarray(dataset["data"]) * scale}
 
 
 def _label(path: Path, where: str, node: Any, direction: Any) -> str:
@@ -347,41 +387,13 @@ def _nodes(path: str | Path, campaign: Campaign) -> dict[str, Any]:
     )
 
 
-_PLAIN: dict[str, Any] = {
-    "id3": "NONE",
-    "func_id": 0,
-    "ver_num": 0,
-    "load_case_id": 0,
-    "rsp_ent_name": "NONE",
-    "ref_ent_name": "NONE",
-    "ord_data_type": 6,
+_FREQUENCY: dict[str, Any] = {
     "abscissa_spacing": 1,
-    "z_axis_value": 0.0,
     "abscissa_spec_data_type": FREQUENCY_DATA,
-    "abscissa_len_unit_exp": 0,
-    "abscissa_force_unit_exp": 0,
-    "abscissa_temp_unit_exp": 0,
     "abscissa_axis_lab": "Frequency",
     "abscissa_axis_units_lab": "Hz",
-    "ordinate_len_unit_exp": 0,
-    "ordinate_force_unit_exp": 0,
-    "ordinate_temp_unit_exp": 0,
-    "ordinate_axis_lab": "NONE",
-    "ordinate_axis_units_lab": "NONE",
-    "orddenom_len_unit_exp": 0,
-    "orddenom_force_unit_exp": 0,
-    "orddenom_temp_unit_exp": 0,
-    "orddenom_axis_lab": "NONE",
-    "orddenom_axis_units_lab": "NONE",
-    "z_axis_spec_data_type": 0,
-    "z_axis_len_unit_exp": 0,
-    "z_axis_force_unit_exp": 0,
-    "z_axis_temp_unit_exp": 0,
-    "z_axis_axis_lab": "NONE",
-    "z_axis_axis_units_lab": "NONE",
-    "spec_data_type": 0,
 }
-"""Fields of a function in dataset 58 that are the same for all: pyuff leaves none to chance."""
+"""The abscissa of data set 58; pyuff fills in what is not given."""
 
 
 def _common(
@@ -406,7 +418,7 @@ def _common(
     (response_node, response_direction), (node, direction) = _parts(response), _parts(excitation)
     frequency = posture.frequency
     return {
-        **_PLAIN,
+        **_FREQUENCY,
         "type": 58,
         "binary": int(binary),
         "id1": ids[0],

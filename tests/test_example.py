@@ -1,0 +1,78 @@
+"""The example is what its script makes, and the README's first screen is what the commands print."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+
+from tools import make_example, readme_example
+from tools.truth.effects import parse
+from twin import progress
+from twin.result import written
+
+
+def contents(path: Path) -> dict[str, np.ndarray]:
+    found: dict[str, np.ndarray] = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    return found
+
+
+def test_the_shipped_example_is_what_its_script_makes(tmp_path: Path) -> None:
+    make_example.make_campaign(tmp_path / "campaign.h5", parse(make_example.FAULT))
+    make_example.make_log(tmp_path / "log.h5")
+    for name in ("campaign.h5", "log.h5"):
+        made, shipped = contents(tmp_path / name), contents(make_example.FOLDER / name)
+        assert made.keys() == shipped.keys()
+        for key, values in made.items():
+            if values.dtype.kind in "fc":
+                np.testing.assert_allclose(values, shipped[key], rtol=1e-4, atol=3e-4 * np.abs(values).max())
+            else:
+                assert values.tolist() == shipped[key].tolist()
+    assert json.loads((tmp_path / "answer.json").read_text()) == json.loads(
+        (make_example.FOLDER / "answer.json").read_text()
+    )
+    assert sum(file.stat().st_size for file in make_example.FOLDER.iterdir()) < 3e6
+
+
+def test_the_first_screen_of_the_readme_is_what_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shown = readme_example.BLOCK.search(readme_example.README.read_text(encoding="utf-8"))
+    assert shown is not None
+    printed = readme_example.printed(tmp_path)
+    number = re.compile(r"\d+(?:\.\d+)?(?:e[+-]\d+)?")
+    assert number.sub("#", printed) == number.sub("#", shown[0]), "python -m tools.readme_example"
+    for now, then in zip(number.findall(printed), number.findall(shown[0]), strict=True):
+        assert float(now) == pytest.approx(float(then), rel=0.03, abs=0.02), "python -m tools.readme_example"
+    (concealed,) = json.loads((tmp_path / "cell" / "answer.json").read_text())["concealed"]
+    assert f"{concealed['effect']} at {concealed['site']}" in printed
+    low, high = map(float, re.findall(r"stiffness .*90 %: (\S+) … (\S+)", printed)[0])
+    assert low < concealed["stiffness"] < high
+
+
+def test_quiet_says_one_line_and_verbose_names_every_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, twin: Callable[..., SimpleNamespace]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    plain, quiet, loud = (twin(*how, "example") for how in ([], ["-q"], ["-v"]))
+    assert quiet.out == plain.out.partition("\n")[0] + "\n"
+    files = sorted(str(Path("cell") / file.name) for file in (tmp_path / "cell").iterdir())
+    assert sorted(loud.out.removeprefix(plain.out).splitlines()) == files
+    both = twin("-q", "-v", "example")
+    assert both.code == 2
+    assert both.err.count("\n") == 1
+
+
+def test_a_summary_names_what_is_opened_first() -> None:
+    files = [*(f"out/{i}.png" for i in range(40)), "out/report.html", "out/robot.xml", "out/robot.yaml", "out/frf.h5"]
+    assert written(files) == "wrote into out: report.html, robot.yaml, robot.xml, frf.h5 and 40 figures"
+
+
+def test_nothing_to_do_shows_no_bar_of_nothing() -> None:
+    with progress() as bars:
+        bars("nothing", 0)(0)

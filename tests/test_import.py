@@ -1,0 +1,422 @@
+"""Foreign files, written by other libraries, come in as what was recorded; a slip of units is refused by name."""
+
+import csv
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import h5py
+import mcap_ros2.writer
+import nptdms
+import numpy as np
+import pytest
+import pyuff
+import rosbags.rosbag2
+import rosbags.typesys
+import scipy.io
+import scipy.io.wavfile
+import yaml
+
+from twin.commands.example import EXAMPLES
+from twin.commands.foreign import guess_map, import_files
+
+CELL = EXAMPLES / "cell"
+G, LBF = 9.80665, 4.4482216152605
+N = 1500  # samples of the log that are written out
+POINTS = slice(6, 8)  # hammer points
+
+
+@dataclass
+class Recorded:
+    """What the example holds, read without our code."""
+
+    time: np.ndarray
+    q: np.ndarray
+    tau: np.ndarray
+    frequency: np.ndarray
+    frf: np.ndarray
+    coherence: np.ndarray
+    force: np.ndarray
+    response: np.ndarray
+    q_deg: list[float]
+    nodes: list[dict[str, Any]]
+    sensors: list[dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def cell() -> Recorded:
+    with h5py.File(CELL / "log.h5") as file, h5py.File(CELL / "campaign.h5") as campaign:
+        run, posture = file["runs/run1"], campaign["postures/upright"]
+
+        def points(side: str, some: slice) -> list[dict[str, Any]]:
+            group = campaign[side]
+            rows = zip(group["label"].asstr()[some], group["body"].asstr()[some], group["position"][some], strict=True)
+            return [{"label": label, "body": body, "position": at.tolist()} for label, body, at in rows]
+
+        return Recorded(
+            run["time"][:N], run["position"][:N], run["torque"][:N],
+            posture["frequency"][()], posture["frf"][:, :, POINTS], posture["coherence"][:, :, POINTS],
+            posture["hits/force"][POINTS], posture["hits/response"][POINTS], posture.attrs["q_deg"].tolist(),
+            points("excitation", POINTS), points("response", slice(None)),
+        )  # fmt: skip
+
+
+def mapped(tmp_path: Path, **content: Any) -> Path:
+    path = tmp_path / "map.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+# --- motion logs ----------------------------------------------------------------------------------------------
+
+
+def german(path: Path, cell: Recorded) -> dict[str, Any]:
+    header = ["Zeit [ms]", *(f"Achse {i} [°]" for i in (1, 2, 3)), *(f"Moment {i} [kNm]" for i in (1, 2, 3))]
+    rows = np.column_stack([1e3 * cell.time, np.rad2deg(cell.q), cell.tau / 1e3])
+    lines = [";".join(header), *(";".join(f"{x:.9f}".replace(".", ",") for x in row) for row in rows)]
+    path.write_text("\n".join(lines), encoding="cp1252")
+    return {
+        "time": {"channels": "Zeit", "unit": "ms"},
+        "position": {"channels": "Achse *", "unit": "°"},
+        "torque": {"channels": "Moment *", "unit": "kNm"},
+    }
+
+
+def tsv(path: Path, cell: Recorded) -> dict[str, Any]:
+    rows = np.column_stack([cell.time, cell.q, cell.tau / LBF / 0.0254])
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream, dialect="excel-tab")
+        writer.writerow(["t", "q1", "q2", "q3", "tau1", "tau2", "tau3"])
+        writer.writerows(rows.tolist())
+    return {
+        "time": {"channels": "t", "unit": "s"},
+        "position": {"channels": "q*", "unit": "rad"},
+        "torque": {"channels": "tau*", "unit": "lbf·in"},
+    }
+
+
+def rtde(path: Path, cell: Recorded) -> dict[str, Any]:
+    """As the record script of UR's RTDE client writes it; current stands for torque, by a constant per axis."""
+    names = ["timestamp", *(f"actual_q_{i}" for i in range(3)), *(f"actual_current_{i}" for i in range(3))]
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream, delimiter=" ")
+        writer.writerow(names)
+        writer.writerows(np.column_stack([cell.time, cell.q, cell.tau / [100, 200, 300]]).tolist())
+    return {
+        "time": {"channels": "timestamp", "unit": "s"},
+        "position": {"channels": "actual_q_*", "unit": "rad"},
+        "torque": {"channels": "actual_current_*", "unit": "Nm", "factor": [100, 200, 300]},
+    }
+
+
+def krc(path: Path, cell: Recorded) -> dict[str, Any]:
+    """A DIAdem header in the layout that KRC4 traces have, numbers beside it."""
+    block = np.column_stack([np.rad2deg(cell.q), cell.tau])
+    block.astype("<f8").tofile(path.with_suffix(".r64"))
+    names = [f"{what}_A{i}" for what in ("Istposition", "Moment") for i in (1, 2, 3)]
+    head = ["DIAEXTENDED", "#BEGINGLOBALHEADER", "  1,DOS", "112,High -> Low", "#ENDGLOBALHEADER"]
+    head += ["#BEGINCHANNELHEADER", "200,Zeit", "202,sec", "210,IMPLIZIT  ", f"220,{N}", f"240,{cell.time[0]}",
+             f"241,{cell.time[1] - cell.time[0]!r}", "#ENDCHANNELHEADER"]  # fmt: skip
+    for i, name in enumerate(names, 1):
+        head += ["#BEGINCHANNELHEADER", f"200,{name}", f"202,{'°' if i < 4 else 'Nm'}", "210,EXPLIZIT",
+                 f"211,{path.stem}.r64", "213,BLOCK", "214,REAL64", f"220,{N}", f"221,{i}", "240,0",
+                 "241,1.000000e+00", "#ENDCHANNELHEADER"]  # fmt: skip
+    path.write_text("\n".join(head).replace("np.float64(", "").replace(")", ""), encoding="cp1252")
+    return {
+        "time": {"channels": "Zeit", "unit": "s"},
+        "position": {"channels": "Istposition_A*", "unit": "deg"},
+        "torque": {"channels": "Moment_A*", "unit": "N·m"},
+    }
+
+
+def mat5(path: Path, cell: Recorded) -> dict[str, Any]:
+    scipy.io.savemat(path, {"log": {"t": cell.time, "q": cell.q, "tau": cell.tau}, "who": "lab"})
+    return {
+        "time": {"channels": "log.t", "unit": "s"},
+        "position": {"channels": "log.q.*", "unit": "rad"},
+        "torque": {"channels": "log.tau.*", "unit": "Nm"},
+    }
+
+
+def mat73_log(path: Path, cell: Recorded) -> dict[str, Any]:
+    with h5py.File(path, "w", userblock_size=512) as file:  # MATLAB writes axes in reverse
+        file["t"], file["q"], file["tau"] = cell.time[None], cell.q.T, cell.tau.T
+    return {
+        "time": {"channels": "t", "unit": "s"},
+        "position": {"channels": "q.*", "unit": "rad"},
+        "torque": {"channels": "tau.*", "unit": "Nm"},
+    }
+
+
+def tdms_log(path: Path, cell: Recorded) -> dict[str, Any]:
+    properties = {"wf_increment": float(cell.time[1] - cell.time[0])}
+    with nptdms.TdmsWriter(path) as writer:
+        for name, values, unit in (("q", cell.q, "rad"), ("M", cell.tau, "Nm")):
+            for i, column in enumerate(values.T):
+                said = {**properties, "unit_string": unit}
+                writer.write_segment([nptdms.ChannelObject("log", f"{name}{i}", np.ascontiguousarray(column), said)])
+    return {"position": {"channels": "q*", "unit": "rad"}, "torque": {"channels": "M*", "unit": "Nm"}}
+
+
+JOINT_STATES = {
+    "position": {"channels": "position.*", "unit": "rad"},
+    "torque": {"channels": "effort.*", "unit": "Nm"},
+    "time": {"channels": "time", "unit": "s"},
+}
+
+
+def bag(path: Path, cell: Recorded, plugin: Any = rosbags.rosbag2.StoragePlugin.SQLITE3) -> dict[str, Any]:
+    store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
+    types = store.types
+    with rosbags.rosbag2.Writer(path, version=8, storage_plugin=plugin) as writer:
+        topic = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        for t, q, tau in zip(cell.time, cell.q, cell.tau, strict=True):
+            ns = round(t * 1e9)
+            stamp = types["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
+            order = [2, 0, 1]  # joints come in any order
+            message = types["sensor_msgs/msg/JointState"](
+                types["std_msgs/msg/Header"](stamp, ""), [f"joint_a{i + 1}" for i in order], q[order], q[:0], tau[order]
+            )
+            writer.write(topic, ns, store.serialize_cdr(message, topic.msgtype))
+    return JOINT_STATES
+
+
+JOINT_STATE_MSG = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec"""
+
+
+def mcap(path: Path, cell: Recorded) -> dict[str, Any]:
+    with path.open("wb") as stream:
+        writer = mcap_ros2.writer.Writer(stream)
+        schema = writer.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE_MSG)
+        for t, q, tau in zip(cell.time, cell.q, cell.tau, strict=True):
+            ns = round(t * 1e9)
+            header = {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": ""}
+            joints = {"name": ["a1", "a2", "a3"], "position": q.tolist(), "velocity": [], "effort": tau.tolist()}
+            writer.write_message("/joint_states", schema, {"header": header, **joints}, log_time=ns, publish_time=ns)
+        writer.finish()
+    return JOINT_STATES
+
+
+LOGS = {
+    "german.csv": german,
+    "lbf.tsv": tsv,
+    "robot_data.csv": rtde,
+    "trace.dat": krc,
+    "v5.mat": mat5,
+    "v73.mat": mat73_log,
+    "log.tdms": tdms_log,
+    "bag": bag,
+    "joints.mcap": mcap,
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_foreign_log_comes_in_as_it_was_recorded(name: str, cell: Recorded, tmp_path: Path) -> None:
+    plan = LOGS[name](tmp_path / name, cell)
+    path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
+    guess_map([tmp_path / name])
+    import_files([tmp_path / name], path, tmp_path / "log.h5")
+    with h5py.File(tmp_path / "log.h5") as file:
+        (run,) = file["runs"].values()
+        np.testing.assert_allclose(run["position"][()], cell.q, atol=1e-8)
+        np.testing.assert_allclose(run["torque"][()], cell.tau, rtol=1e-8, atol=1e-5)
+        assert run.attrs["sample_rate_hz"] == pytest.approx(250, rel=1e-6)
+
+
+# --- hammer tests -----------------------------------------------------------------------------------------------
+
+
+def universal(path: Path, cell: Recorded, binary: bool, response: float = 1.0, force: float = 1.0) -> None:
+    """As Testlab exports: no words of ours, nodes in the map alone."""
+    si = {"units_code": 1, "units_description": "SI", "temp_mode": 1, "length": 1.0, "force": 1.0, "temp": 1.0}
+    sets = [pyuff.prepare_164(**si, temp_offset=273.15)]
+    for e, point in enumerate(cell.nodes):
+        for r, sensor in enumerate(cell.sensors):
+            for function, data in ((4, cell.frf[:, r, e] * force / response), (6, cell.coherence[:, r, e])):
+                sets.append(
+                    pyuff.prepare_58(
+                        binary=int(binary), func_type=function, id1="Record  1", id2="FRF", id3="12-Mar-24",
+                        id4="NONE", id5="NONE", ver_num=0, load_case_id=0, rsp_ent_name="Robot", ref_ent_name="Robot",
+                        rsp_node=int(sensor["label"][:-2]), rsp_dir="XYZ".index(sensor["label"][-2]) + 1,
+                        ref_node=int(point["label"][:-2]),
+                        ref_dir=("XYZ".index(point["label"][-2]) + 1) * (1 if point["label"][-1] == "+" else -1),
+                        ord_data_type=6 if function == 4 else 4, num_pts=len(data), abscissa_spacing=1,
+                        abscissa_min=cell.frequency[0], abscissa_inc=cell.frequency[1] - cell.frequency[0],
+                        z_axis_value=0.0, abscissa_spec_data_type=18, ordinate_spec_data_type=12,
+                        orddenom_spec_data_type=13, data=data, x=cell.frequency,
+                    )
+                )  # fmt: skip
+    pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
+    if binary:  # pyuff 2.5 states half the bytes of complex numbers, which an analyser does not
+        half = re.compile(rb"(?<=    58b)(.{24})%12d(?=.{24}\n(?:[^\n]*\n){6} {9}6)" % (8 * len(cell.frequency)))
+        path.write_bytes(half.sub(rb"\g<1>%12d" % (16 * len(cell.frequency)), path.read_bytes()))
+
+
+def stance(cell: Recorded, **more: Any) -> dict[str, Any]:
+    return {"upright": {"q_deg": cell.q_deg, "brakes": "off", **more}}
+
+
+def nodes(cell: Recorded) -> dict[int, Any]:
+    return {int(p["label"][:-2]): {"body": p["body"], "position": p["position"]} for p in cell.nodes + cell.sensors}
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["58", "58b"])
+@pytest.mark.parametrize(("unit", "response", "force"), [("(m/s²)/N", 1.0, 1.0), ("g/lbf", G, LBF)])
+def test_universal_files_without_any_words(
+    binary: bool, unit: str, response: float, force: float, cell: Recorded, tmp_path: Path
+) -> None:
+    universal(tmp_path / "export.unv", cell, binary, response, force)
+    plan = mapped(tmp_path, makes="frf-campaign", robot="kr90", postures=stance(cell), nodes=nodes(cell), unit=unit)
+    import_files([tmp_path / "export.unv"], plan, tmp_path / "campaign.h5")
+    check_campaign_file(tmp_path / "campaign.h5", cell)
+
+
+def check_campaign_file(path: Path, cell: Recorded, rtol: float = 1e-5) -> None:
+    with h5py.File(path) as file:
+        assert file["response/label"].asstr()[()].tolist() == [s["label"] for s in cell.sensors]
+        assert file["excitation/body"].asstr()[()].tolist() == [p["body"] for p in cell.nodes]
+        np.testing.assert_allclose(file["excitation/position"], [p["position"] for p in cell.nodes])
+        (posture,) = file["postures"].values()
+        lines = np.isin(np.round(posture["frequency"][()], 6), np.round(cell.frequency, 6))
+        difference = posture["frf"][lines] - cell.frf[: lines.sum()]
+        assert np.linalg.norm(difference) < rtol * np.linalg.norm(cell.frf)
+
+
+def test_matlab_7_3_holds_frfs(cell: Recorded, tmp_path: Path) -> None:
+    pairs = np.zeros(cell.frf.T.shape, dtype=[("real", "f8"), ("imag", "f8")])
+    pairs["real"], pairs["imag"] = cell.frf.T.real * 1e3, cell.frf.T.imag * 1e3
+    with h5py.File(tmp_path / "frf.mat", "w", userblock_size=512) as file:
+        file["f"], file["H"] = cell.frequency[None], pairs
+    plan = mapped(
+        tmp_path, makes="frf-campaign", robot="kr90", postures=stance(cell), excitation=cell.nodes,
+        response=cell.sensors, frequency={"channels": "f", "unit": "Hz"}, frf={"channels": "H", "unit": "mm/s²/N"},
+    )  # fmt: skip
+    assert guess_map([tmp_path / "frf.mat"])["frf"]["unit"] == "ask"
+    import_files([tmp_path / "frf.mat"], plan, tmp_path / "campaign.h5")
+    check_campaign_file(tmp_path / "campaign.h5", cell)
+
+
+def one_record(cell: Recorded, point: int) -> np.ndarray:
+    """Force and responses (nt, 4) of all blows at a point, one after another in one record."""
+    hits = [np.vstack([cell.force[point, h][None], cell.response[point, h]]) for h in range(cell.force.shape[1])]
+    return np.hstack(hits).T
+
+
+@pytest.mark.parametrize("kind", ["wav", "tdms"])
+def test_blows_are_found_in_a_running_record(kind: str, cell: Recorded, tmp_path: Path) -> None:
+    files = []
+    for i in range(len(cell.nodes)):
+        record, path = one_record(cell, i), tmp_path / f"point{i}.{kind}"
+        if kind == "wav":
+            scipy.io.wavfile.write(path, 256, (record / [1000, 10, 10, 10]).astype(np.float32))
+        else:
+            with nptdms.TdmsWriter(path) as writer:
+                for name, column in zip(["Hammer", "X", "Y", "Z"], record.T, strict=True):
+                    said = {"wf_increment": 1 / 256, "unit_string": "N" if name == "Hammer" else "m/s^2"}
+                    writer.write_segment([nptdms.ChannelObject("hits", name, np.ascontiguousarray(column), said)])
+        files.append(path)
+    names = [f"channel.{i}" for i in range(1, 5)] if kind == "wav" else ["Hammer", "X", "Y", "Z"]
+    scale = (1000, 10) if kind == "wav" else (1, 1)
+    plan = mapped(
+        tmp_path, makes="frf-campaign", robot="kr90", postures=stance(cell),
+        force={"channels": [names[0]], "unit": "N", "factor": scale[0]},
+        response=[{**s, "channel": n, "unit": "m/s²", "factor": scale[1]}
+                  for s, n in zip(cell.sensors, names[1:], strict=True)],
+        excitation=[{**p, "files": f"point{i}.{kind}"} for i, p in enumerate(cell.nodes)],
+        record_s=3.9, pretrigger_s=0.05, band_hz=[5, 45],
+    )  # fmt: skip
+    import_files(files, plan, tmp_path / "campaign.h5")
+    with h5py.File(tmp_path / "campaign.h5") as file:
+        posture = file["postures/upright"]
+        force = posture["hits/force"][()]
+        assert force.shape[:2] == (2, 3)
+        np.testing.assert_allclose(force.max(axis=2), cell.force.max(axis=2), rtol=1e-5)
+        np.testing.assert_allclose(
+            np.abs(posture["hits/response"][()]).max(axis=3), np.abs(cell.response).max(axis=3), rtol=1e-5
+        )
+        assert posture["frequency"][0] >= 5
+        assert posture["frequency"][-1] <= 45
+
+
+# --- slips -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("truly", "declared", "named"),
+    [
+        ((G, 1), "(m/s²)/N", "looks like g"),
+        ((1e-3, 1), "(m/s²)/N", "looks like mm (mm/s²)"),
+        ((1, LBF), "(m/s²)/N", "looks like lbf"),
+    ],
+)
+def test_a_slip_of_units_in_frfs_is_named(
+    truly: tuple[float, float], declared: str, named: str, cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    universal(tmp_path / "e.unv", cell, True, *truly)
+    plan = mapped(tmp_path, makes="frf-campaign", robot="kr90", postures=stance(cell), nodes=nodes(cell), unit=declared)
+    refused(twin("import", tmp_path / "e.unv", "--map", plan, "-o", tmp_path / "c.h5"), named, tmp_path / "c.h5")
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"position": {"channels": "q*", "unit": "rad", "factor": 57.3}}, "look like degrees"),
+        ({"torque": {"channels": "tau*", "unit": "Nm", "factor": 1e3}}, "look like N·mm"),
+        ({"torque": {"channels": "tau*", "unit": "Nm", "factor": 1e-4}}, "look like kN·m"),
+        ({"torque": {"channels": "tau*", "unit": "ask"}}, "never guessed"),
+        ({"torque": {"channels": "tau*", "unit": "rad"}}, "expected a unit of torque"),
+        ({"torque": {"channels": "moment*", "unit": "Nm"}}, "fits no channel"),
+        ({"time": {"channels": "t", "unit": "ms"}, "colour": 1}, "unknown field"),
+    ],
+)
+def test_a_slip_of_units_in_a_log_is_named(
+    change: dict[str, Any], named: str, cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    plan = tsv(tmp_path / "l.tsv", cell) | change
+    path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
+    refused(twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5"), named, tmp_path / "l.h5")
+
+
+def test_a_unit_that_the_file_states_wins_over_a_wrong_map(
+    cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    plan = german(tmp_path / "g.csv", cell)
+    plan["position"]["unit"] = "rad"
+    path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
+    refused(twin("import", tmp_path / "g.csv", "--map", path, "-o", tmp_path / "l.h5"), "states '°'", tmp_path / "l.h5")
+
+
+def refused(said: SimpleNamespace, named: str, written: Path) -> None:
+    assert said.code == 2, said.out
+    assert named in said.err
+    assert said.err.count("\n") == 1
+    assert not written.exists()
+
+
+def test_a_guessed_map_is_a_map_but_for_its_units(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
+    rtde(tmp_path / "data.csv", cell)
+    said = twin("import", tmp_path / "data.csv", "--guess")
+    assert said.code == 0, said.err
+    assert said.out.count("unit: ask") == 3
+    path = tmp_path / "map.yaml"
+    path.write_text(said.out.replace("unit: ask", "unit: s", 1).replace("unit: ask", "unit: rad", 1)
+                    .replace("unit: ask\n    factor: 1.0", "unit: Nm\n    factor: [100, 200, 300]", 1)
+                    .replace("unit: ask", "unit: Nm"))  # fmt: skip
+    said = twin("import", tmp_path / "data.csv", "--map", path, "-o", tmp_path / "log.h5")
+    assert said.code == 0, said.err
+    assert "rate (Hz) 250" in said.out

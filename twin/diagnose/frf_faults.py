@@ -1,0 +1,118 @@
+"""What is wrong with a hammer test itself, told before physics: channels in another unit, reversed or exchanged, noise
+that is larger than stated.
+
+Channels are compared with those of the description. What counts is phase, averaged over all lines, and the median of
+the ratio of sizes, so that the description's modes may be elsewhere. A fault that is found is put right, with a note.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from twin.diagnose.note import Note
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded, prepare
+from twin.measure.campaign import Campaign, FloatArray
+from twin.model.parameters import independent
+from twin.robot.description import Robot
+
+UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}
+"""What FRFs in other units are over those in m/s² per newton."""
+IN_PHASE = 0.5  # mean cosine of the phase between a channel and the one it is; of robots as described 0.5 to 0.95
+NEAR_UNIT = 0.5  # in ln size: so near a unit's factor a channel is in that unit
+
+ROUGH = 4.0  # times the stated variance: rougher FRFs have more noise than stated; sound ones came to 2.3 at most
+NOISY = 3.0  # times, from the smoothest tenth of lines to the median: above, it is resonances and no noise
+
+
+def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, list[Note]]:
+    """A campaign without the faults that are found in it, and a note on each.
+
+    Args:
+        robot: the description, its limits taken off.
+        source: the file, for messages.
+    """
+    phase, size = _alike(campaign, robot, source)
+    labels = campaign.response.label
+    order, sign = _order(phase)
+    notes = []
+    if moved := np.flatnonzero(order != np.arange(len(order))).tolist():
+        told = ", ".join(f"{labels[k]} has what is recorded as {labels[order[k]]}" for k in moved)
+        text = f"sensor channels are exchanged: {told}; they were put in order"
+        notes.append(Note(text, "swapped_channels", "fail", tuple(labels[k] for k in moved)))
+    if turned := [labels[k] for k in np.flatnonzero(sign < 0)]:
+        text = f"{', '.join(turned)} is recorded with the opposite sign; it was turned round"
+        notes.append(Note(text, "reversed_channel", "fail", tuple(turned)))
+    factor = np.ones(len(order))
+    for unit, times in UNITS.items():
+        off = np.array([size[order[k], k] for k in range(len(order))]) - np.log(times)
+        clear = np.array([abs(phase[order[k], k]) > IN_PHASE for k in range(len(order))])
+        inside = [int(k) for k in np.flatnonzero(clear & (np.abs(off) < NEAR_UNIT))]
+        if inside:
+            factor[inside] = times
+            of = tuple(labels[k] for k in inside)
+            text = f"{', '.join(of)} looks recorded in {unit}: FRFs are {times:.4g} times those in m/s² per newton"
+            notes.append(Note(f"{text}; they were divided by that", "unit", "fail", of))
+    if not notes:
+        return campaign, []
+    postures = {}
+    for name, posture in campaign.postures.items():
+        frf = (sign / factor)[:, None] * posture.frf[:, order]
+        coherence = None if posture.coherence is None else posture.coherence[:, order]
+        postures[name] = replace(posture, frf=frf, coherence=coherence, hits=None)
+    return replace(campaign, postures=postures), notes
+
+
+def _alike(campaign: Campaign, robot: Robot, source: str) -> tuple[FloatArray, FloatArray]:
+    """Mean cosine of the phase between recorded and described channels, and the median of ln |H|/|Ĥ|, both (nr, nr)."""
+    recordings = tuple(prepare(campaign, robot, source).values())
+    model = Objective(robot, independent([]), Sample(recordings)).predicted(np.zeros(0))
+    nr = len(campaign.response.label)
+    phase, size = np.zeros((nr, nr)), np.zeros((nr, nr))
+    for i in range(nr):
+        for k in range(nr):
+            cosine, ratio = [], []
+            for r, H in zip(recordings, model, strict=True):
+                both = np.abs(r.frf[:, i]) * np.abs(H[:, k])
+                some = np.isfinite(r.variance[:, i]) & (both > 0)
+                cosine.append(np.real(r.frf[:, i] * np.conj(H[:, k]))[some] / both[some])
+                ratio.append(np.log(np.abs(r.frf[:, i])[some] / np.abs(H[:, k])[some]))
+            if sum(part.size for part in cosine):
+                phase[i, k], size[i, k] = np.concatenate(cosine).mean(), np.median(np.concatenate(ratio))
+    return phase, size
+
+
+def _order(phase: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+    """Which recorded channel (nr,) is each described one, and its sign (nr,)."""
+    n = len(phase)
+    order, sign = np.arange(n), np.ones(n)
+    recorded, described = linear_sum_assignment(-np.abs(phase))
+    order[described] = recorded
+    moved = np.flatnonzero(order != np.arange(n))
+    if any(abs(phase[order[k], k]) < IN_PHASE or abs(phase[k, k]) > 0.5 * abs(phase[order[k], k]) for k in moved):
+        order = np.arange(n)
+    sign[[k for k in range(n) if phase[order[k], k] < -IN_PHASE]] = -1.0
+    return order, sign
+
+
+def understated(recordings: Iterable[Recorded]) -> float:
+    """How many times larger the variance of the noise is than stated; 1 where that is not plain.
+
+    The third difference of four neighbouring lines leaves little of a smooth FRF, and of noise the sum of 1, 9, 9 and 1
+    times its variance. |d|² over that is exponentially distributed: its quantiles tell noise, which is everywhere, from
+    resonances, which are not.
+    """
+    parts = []
+    for r in recordings:
+        d = r.frf[:-3] - 3 * r.frf[1:-2] + 3 * r.frf[2:-1] - r.frf[3:]
+        expected = 2 * (r.variance[:-3] + 9 * r.variance[1:-2] + 9 * r.variance[2:-1] + r.variance[3:])
+        some = np.isfinite(expected)
+        parts.append(np.abs(d[some]) ** 2 / expected[some])
+    ratio = np.concatenate(parts) if parts else np.zeros(0)
+    if not ratio.size:
+        return 1.0
+    smooth, middle = np.quantile(ratio, [0.1, 0.5]) / -np.log1p(-np.array([0.1, 0.5]))
+    return float(smooth) if smooth > ROUGH and middle < NOISY * smooth else 1.0

@@ -1,0 +1,278 @@
+"""Tables and a map become what the twin reads: a motion log, or a hammer test."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.importing.map import FunctionsMap, HitsMap, LogMap, Sensor, Stance, Struck, Taken, UniversalMap
+from twin.importing.tables import Table, chosen
+from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, check_campaign
+from twin.measure.motion_log import MotionLog, MotionRun, even_run
+from twin.measure.spectra import posture_from_hits
+from twin.measure.units import factor, frf_factor, same
+
+RECORD_DECAY = 5.0  # rate of the exponential window times the record: e⁻⁵ is left at its end, and hardly any leakage
+RATE_PER_LINE = 2.56  # samples per second over the highest line an analyser shows: room for its anti-alias filter
+MEASURES = {  # of a motion log: on a revolute, on a linear axis
+    "position": ("angle", "length"),
+    "torque": ("torque", "force"),
+    "velocity": ("angular velocity", "velocity"),
+    "acceleration": ("angular acceleration", "acceleration"),
+    "link_position": ("angle", "length"),
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A table and the file it is from."""
+
+    path: Path
+    table: Table
+
+    def matches(self, patterns: str | Sequence[str]) -> bool:
+        """Whether the file's or the table's name fits one of the patterns."""
+        several = [patterns] if isinstance(patterns, str) else patterns
+        return any(fnmatchcase(name, p) for p in several for name in (self.path.name, self.table.name))
+
+    def series(self, field: str, taken: Taken, *measures: str) -> FloatArray:
+        """Channels (nt, n) in SI.
+
+        Raises:
+            InputError: a channel or unit is missing, or the file states another unit.
+        """
+        names = chosen(list(self.table.channels), taken.channels)
+        for name in names:
+            if name not in self.table.channels:
+                raise InputError(self.path, f"{field}: {name}", f"no such channel; there are {self._some()}")
+        if not names:
+            raise InputError(self.path, f"{field}: {taken.channels}", f"fits no channel; there are {self._some()}")
+        for name in names:
+            stated = self.table.channels[name].unit
+            if stated and not same(stated, taken.unit):
+                expected = f"the file states {stated!r}, the map {taken.unit!r}: correct the map"
+                raise InputError(self.path, f"{field}: {name}: unit", expected)
+        try:
+            scale = factor(taken.unit, *measures)
+        except ValueError as error:
+            raise InputError(self.path, f"{field}: unit", str(error)) from error
+        factors = np.atleast_1d(np.asarray(taken.factor, dtype=float))
+        if len(factors) not in (1, len(names)):
+            raise InputError(self.path, f"{field}: factor", f"expected one, or {len(names)}, found {len(factors)}")
+        values = [np.asarray(self.table.channels[name].values) for name in names]
+        lengths = sorted({value.shape for value in values})
+        if len(lengths) > 1 or len(lengths[0]) != 1 or values[0].dtype.kind not in "iuf":
+            raise InputError(self.path, field, f"expected real channels of one length, found shapes {lengths}")
+        return np.stack(values, axis=1).astype(float) * factors * scale
+
+    def _some(self) -> str:
+        names = list(self.table.channels)
+        return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def build_log(sources: Sequence[Source], map_: LogMap) -> MotionLog:
+    """A motion log: every table a run, on an even clock.
+
+    Raises:
+        InputError: what is missing, or a clock that cannot be repaired.
+    """
+    runs: dict[str, MotionRun] = {}
+    notes: list[str] = []
+    for source in sources:
+        name = source.table.name
+        if name in runs:
+            raise InputError(source.path, "", f"a second run {name}: rename one of the files")
+        series = {
+            field: source.series(field, taken, *measures)
+            for field, measures in MEASURES.items()
+            if (taken := getattr(map_, field)) is not None
+        }
+        axes = {field: values.shape[1] for field, values in series.items()}
+        if len(set(axes.values())) > 1:
+            found = ", ".join(f"{field} {count}" for field, count in axes.items())
+            raise InputError(source.path, "channels", f"expected as many of each quantity, found {found}")
+        time = _clock(source, map_, len(series["position"]))
+        steps = np.diff(time)
+        if not (steps > 0).any():
+            raise InputError(source.path, "time", "expected increasing instants")
+        rate = 1 / float(np.median(steps[steps > 0]))
+        runs[name], repairs = even_run(source.path, name, name, time, series, rate)
+        notes += repairs
+    return MotionLog(runs, map_.robot, str(sources[0].path), tuple(notes))
+
+
+def _clock(source: Source, map_: LogMap, count: int) -> FloatArray:
+    """(count,) s."""
+    if map_.time is not None:
+        time = source.series("time", map_.time, "time")[:, 0]
+        if len(time) != count:
+            raise InputError(source.path, "time", f"expected {count} instants, as of the positions, found {len(time)}")
+        return time
+    rate = map_.sample_rate_hz or source.table.sample_rate_hz
+    if rate is None:
+        raise InputError(
+            source.path, "time", "expected a channel `time`, or `sample_rate_hz`; the file states no clock"
+        )
+    return np.arange(count) / rate
+
+
+def build_hits(sources: Sequence[Source], map_: HitsMap) -> Campaign:
+    """A hammer test from time records, with its FRFs; every hammer point keeps as many blows as the fewest have.
+
+    Raises:
+        InputError: a point without blows, tables of different rates, channels or units.
+    """
+    postures = {name: _struck(sources, map_, name, stance) for name, stance in map_.postures.items()}
+    return _campaign(sources[0].path, map_, postures)
+
+
+def _struck(sources: Sequence[Source], map_: HitsMap, name: str, stance: Stance) -> PostureFRF:
+    force, response, rates = [], [], set()
+    for point in map_.excitation:
+        here = [source for source in sources if source.matches(stance.files) and source.matches(point.files)]
+        blows = []
+        for source in here:
+            rate = source.table.sample_rate_hz or map_.sample_rate_hz
+            if rate is None:
+                raise InputError(source.path, "sample_rate_hz", "the file states no rate: expected one in the map")
+            rates.add(rate)
+            blows += _blows(source, map_, rate)
+        if not blows:
+            files = f"among {len(here)} records" if here else f"no record fits {point.files!r}"
+            raise InputError(
+                sources[0].path, f"postures.{name}: {point.label}",
+                f"no blow above {map_.trigger_n:g} N ({files}); expected one or more",
+            )  # fmt: skip
+        force.append([f for f, _ in blows])
+        response.append([r for _, r in blows])
+    if len(rates) > 1:
+        raise InputError(sources[0].path, f"postures.{name}", f"expected one sampling rate, found {sorted(rates)} Hz")
+    least = min(map(len, force))
+    rate = rates.pop()
+    hits = Hits(
+        np.array([f[:least] for f in force]), np.array([r[:least] for r in response]), rate,
+        round(map_.pretrigger_s * rate) / rate,
+    )  # fmt: skip
+    low, high = map_.band_hz or (0.0, rate / RATE_PER_LINE)
+    window = RECORD_DECAY / map_.record_s if map_.exponential_window_rate is None else map_.exponential_window_rate
+    made, _ = posture_from_hits(
+        name, np.array(stance.q_deg, dtype=float), stance.brakes, hits, exponential_window_rate=window, fmax=high,
+        source=str(sources[0].path),
+    )  # fmt: skip
+    kept = made.frequency >= low
+    if kept.sum() < 2:
+        raise InputError(sources[0].path, "band_hz", f"no lines from {low:g} to {high:g} Hz")
+    coherence = None if made.coherence is None else made.coherence[kept]
+    return replace(made, frequency=made.frequency[kept], frf=made.frf[kept], coherence=coherence)
+
+
+def _blows(source: Source, map_: HitsMap, rate: float) -> list[tuple[FloatArray, FloatArray]]:
+    """Force (nt,) and response (nr, nt) of each blow that lies whole in the record and is not run into by the next."""
+    force = source.series("force", map_.force, "force")
+    if force.shape[1] != 1:
+        raise InputError(source.path, "force", f"expected one channel, found {force.shape[1]}")
+    sensors = [
+        source.series(f"response {s.label}", Taken(channels=[s.channel], unit=s.unit, factor=s.factor), "acceleration")
+        for s in map_.response
+    ]
+    signal = force[:, 0] - np.median(force)
+    before, length = round(map_.pretrigger_s * rate), round(map_.record_s * rate)
+    above = np.abs(signal) > map_.trigger_n
+    starts: list[int] = []
+    for start in np.flatnonzero(above & ~np.concatenate([[False], above[:-1]])):
+        if not starts or start - starts[-1] >= length - before:
+            starts.append(int(start))
+    cuts = [slice(start - before, start - before + length) for start in starts if start >= before]
+    return [(force[cut, 0], np.array([s[cut, 0] for s in sensors])) for cut in cuts if cut.stop <= len(force)]
+
+
+def build_universal(paths: Sequence[Path], map_: UniversalMap) -> Campaign:
+    """A hammer test from universal files without any words of ours; nodes by the map, else by data sets 15 or 2411.
+
+    Raises:
+        InputError: a posture without files, or postures with different channels.
+    """
+    from twin.measure.uff import Point as Node
+    from twin.measure.uff import read_uff
+
+    nodes = {n: Node(point.body, np.array(point.position, dtype=float)) for n, point in map_.nodes.items()} or None
+    read: dict[str, Campaign] = {}
+    for name, stance in map_.postures.items():
+        patterns = [stance.files] if isinstance(stance.files, str) else stance.files
+        here = [path for path in paths if any(fnmatchcase(path.name, p) for p in patterns)]
+        if not here:
+            raise InputError(paths[0], f"postures.{name}: files", f"no file fits {stance.files!r}")
+        try:
+            frf_factor(map_.unit)
+        except ValueError as error:
+            raise InputError(paths[0], "unit", str(error)) from error
+        read[name] = read_uff(here, q_deg=np.array(stance.q_deg, dtype=float), points=nodes, unit=map_.unit)
+    first = next(iter(read.values()))
+    postures = {}
+    for name, campaign in read.items():
+        if campaign.response.label != first.response.label or campaign.excitation.label != first.excitation.label:
+            raise InputError(campaign.source, f"postures.{name}", "expected the channels of the first posture")
+        if len(campaign.postures) > 1:
+            raise InputError(campaign.source, f"postures.{name}", "its files name several postures themselves")
+        (only,) = campaign.postures.values()
+        postures[name] = replace(only, name=name, brakes=map_.postures[name].brakes)
+    return replace(first, postures=postures, robot=map_.robot)
+
+
+def build_functions(sources: Sequence[Source], map_: FunctionsMap) -> Campaign:
+    """A hammer test from arrays of FRFs.
+
+    Raises:
+        InputError: a posture without a table, arrays of another shape, units that are no FRF's.
+    """
+    postures = {}
+    for name, stance in map_.postures.items():
+        here = [source for source in sources if source.matches(stance.files)]
+        if len(here) != 1:
+            raise InputError(sources[0].path, f"postures.{name}: files", f"expected one table, {len(here)} fit")
+        postures[name] = _functions(here[0], map_, name, stance)
+    return _campaign(sources[0].path, map_, postures)
+
+
+def _functions(source: Source, map_: FunctionsMap, name: str, stance: Stance) -> PostureFRF:
+    try:
+        quantity, scale = frf_factor(map_.frf.unit)
+    except ValueError as error:
+        raise InputError(source.path, "frf: unit", str(error)) from error
+    frequency = source.series("frequency", map_.frequency, "frequency")[:, 0]
+    shape = len(frequency), len(map_.response), len(map_.excitation)
+
+    def array(field: str, wanted: str | Sequence[str]) -> np.ndarray:
+        names = chosen(list(source.table.channels), wanted)
+        if len(names) != 1 or names[0] not in source.table.channels:
+            raise InputError(source.path, field, f"expected one array, {wanted!r} fits {len(names)}")
+        values = np.asarray(source.table.channels[names[0]].values)
+        if values.size != np.prod(shape):
+            raise InputError(
+                source.path, field, f"expected {shape} numbers (frequency, response, excitation), found {values.shape}"
+            )
+        return values.reshape(shape)
+
+    return PostureFRF(
+        name, np.array(stance.q_deg, dtype=float), stance.brakes, frequency,
+        array("frf", map_.frf.channels).astype(complex) * scale * np.asarray(map_.frf.factor), quantity,  # type: ignore[arg-type]
+        coherence=None if map_.coherence is None else array("coherence", map_.coherence).astype(float),
+        averages=map_.averages, exponential_window_rate=map_.exponential_window_rate,
+    )  # fmt: skip
+
+
+def _campaign(path: Path, map_: HitsMap | FunctionsMap, postures: dict[str, PostureFRF]) -> Campaign:
+    found = Campaign(_channels(map_.response), _channels(map_.excitation), postures, robot=map_.robot, source=str(path))
+    check_campaign(path, found)
+    return found
+
+
+def _channels(points: Sequence[Struck] | Sequence[Sensor]) -> Channels:
+    axis = [np.eye(3)["XYZ".index(p.label[-2])] * (1 if p.label[-1] == "+" else -1) for p in points]
+    return Channels(
+        tuple(p.label for p in points), tuple(p.body for p in points),
+        np.array([p.position for p in points], dtype=float), np.array(axis),
+    )  # fmt: skip

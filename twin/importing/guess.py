@@ -1,0 +1,119 @@
+"""The map that `twin import --guess` prints, from the names of channels: for the user to correct.
+
+Units that the file does not state are left to ask.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from twin.errors import InputError
+from twin.importing.tables import Table, natural
+from twin.measure.units import ASK
+
+CLOCK = re.compile(r"(?i)^(time(stamp)?|t|zeit|.*\.(time|t))$")
+HAMMER = re.compile(r"(?i)hammer|force|kraft|impact")
+FRF = re.compile(r"(?i)(^|\.)(frf|h|h1|hv|accelerance)$")
+LINES = re.compile(r"(?i)(^|\.)(f|freq.*)$")
+SERIES = {  # in the order they are looked for; what others call them: URScript's RTDE, KRC, ROS, German
+    "torque": re.compile(r"(?i)tau|torque|effort|moment|current"),
+    "velocity": re.compile(r"(?i)vel|qd|speed|geschw|drehzahl"),
+    "acceleration": re.compile(r"(?i)acc|qdd"),
+    "position": re.compile(r"(?i)pos|(^|_|\.)q([_.]?\d+)?$|axis|angle|achs|winkel"),
+}
+COMMANDED = re.compile(r"(?i)target|soll|command|cmd")
+
+
+def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
+    """A map for tables: a motion log, or a hammer test where a channel is a hammer's or FRFs are there.
+
+    Raises:
+        InputError: no channel has a name that tells.
+    """
+    first = tables[0]
+    names = [name for name in first.channels if not COMMANDED.search(name)]
+    if any(FRF.search(name) and first.channels[name].values.ndim == 3 for name in names):
+        return _functions(first, tables)
+    if hammers := [name for name in names if HAMMER.search(name)]:
+        return _hits(first, tables, names, hammers[0])
+    series: dict[str, list[str]] = {}
+    for name in sorted((name for name in names if not CLOCK.match(name)), key=natural):
+        kind = next((kind for kind, pattern in SERIES.items() if pattern.search(name)), None)
+        if kind:
+            series.setdefault(kind, []).append(name)
+    if "position" not in series:
+        raise InputError(first.name, "channels", f"no name tells a hammer or positions: {', '.join(names[:12])}")
+    clock = next((name for name in names if CLOCK.match(name)), None)
+    found: dict[str, Any] = {"makes": "motion-log", "robot": "kr90"}
+    if clock:
+        found["time"] = {"channels": [clock], "unit": first.channels[clock].unit or ASK}
+    else:
+        found["sample_rate_hz"] = first.sample_rate_hz or ASK
+    for kind in ("position", "torque", "velocity", "acceleration"):
+        if kind in series or kind == "torque":
+            found[kind] = _taken(first, series.get(kind, [ASK]))
+    return found
+
+
+def _taken(table: Table, names: list[str]) -> dict[str, Any]:
+    units = {table.channels[name].unit for name in names if name in table.channels}
+    return {"channels": names, "unit": units.pop() if len(units) == 1 and all(units) else ASK, "factor": 1.0}
+
+
+def _point(label: str) -> dict[str, Any]:
+    return {"label": label, "body": ASK, "position": [0.0, 0.0, 0.0]}
+
+
+def _hits(first: Table, tables: Sequence[Table], names: list[str], hammer: str) -> dict[str, Any]:
+    heard = [name for name in names if name != hammer and not CLOCK.match(name)]
+    sensors = [
+        {"channel": name, "unit": first.channels[name].unit or ASK, "factor": 1.0, **_point(f"1{'XYZ'[i % 3]}+")}
+        for i, name in enumerate(heard)
+    ]
+    return {
+        "makes": "frf-campaign",
+        "robot": "kr90",
+        "postures": {"posture": {"q_deg": [], "files": "*"}},
+        "sample_rate_hz": first.sample_rate_hz or ASK,
+        "record_s": 2.0,
+        "force": _taken(first, [hammer]),
+        "response": sensors,
+        "excitation": [{**_point(f"{i + 2}Z+"), "files": table.name} for i, table in enumerate(tables)],
+    }
+
+
+def _functions(first: Table, tables: Sequence[Table]) -> dict[str, Any]:
+    name = next(name for name in first.channels if FRF.search(name))
+    lines = next((n for n in first.channels if LINES.search(n)), ASK)
+    _, responses, excitations = first.channels[name].values.shape
+    return {
+        "makes": "frf-campaign",
+        "robot": "kr90",
+        "postures": {table.name: {"q_deg": [], "files": table.name} for table in tables},
+        "frequency": {"channels": lines, "unit": ASK},
+        "frf": {"channels": name, "unit": ASK},
+        "response": [_point(f"{i + 1}Z+") for i in range(responses)],
+        "excitation": [_point(f"{i + 1}Z+") for i in range(excitations)],
+    }
+
+
+def guess_universal(paths: Sequence[Path]) -> dict[str, Any]:
+    """A map for universal files: their nodes, each still to be given its body, every file a posture.
+
+    Raises:
+        InputError: the files hold no FRFs.
+    """
+    from twin.measure.uff import read_uff, stated_unit
+
+    campaign = read_uff(paths[0], q_deg=None, unit=stated_unit(paths[0]))
+    sides = campaign.response, campaign.excitation
+    nodes = {int(label[:-2]): list(map(float, at)) for side in sides
+             for label, at in zip(side.label, side.position, strict=True)}  # fmt: skip
+    return {
+        "makes": "frf-campaign",
+        "robot": "kr90",
+        "postures": {path.stem: {"q_deg": [], "files": path.name} for path in paths},
+        "unit": stated_unit(paths[0]) or ASK,
+        "nodes": {node: {"body": ASK, "position": at} for node, at in nodes.items()},
+    }

@@ -1,0 +1,121 @@
+"""What every reader gives: tables of named channels with the units their file states; and which reader reads what."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.errors import InputError
+
+EXTRA = 'pip install "twin[import]"'
+READERS = {
+    ".csv": "text",
+    ".tsv": "text",
+    ".txt": "text",
+    ".trc": "text",
+    ".mat": "matlab",
+    ".wav": "wave",
+    ".tdms": "tdms",
+    ".dat": "krc",
+    ".bag": "ros_bag",
+    ".db3": "ros_bag",
+    ".mcap": "mcap_log",
+}
+"""Suffix → module of this package."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One series.
+
+    Attributes:
+        values: (nt,), or an array of more axes where the file holds one.
+        unit: as the file states it; empty where it does not.
+    """
+
+    values: NDArray[Any]
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Channels that were recorded together.
+
+    Attributes:
+        name: of the run or record: the file's, or the part of the file.
+        channels: by name, in the order of the file.
+        sample_rate_hz: where the file states it and holds no clock.
+    """
+
+    name: str
+    channels: dict[str, Channel]
+    sample_rate_hz: float | None = None
+
+
+def read_tables(path: Path) -> list[Table]:
+    """Tables of a foreign file.
+
+    Raises:
+        InputError: no such file, no reader for it, the reader is not installed, or the file is damaged.
+    """
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        module = "ros_bag"  # ROS 2 keeps a bag in a folder
+    elif not path.is_file():
+        raise InputError(path, "", "is a folder; expected a file" if path.is_dir() else "no such file")
+    elif (suffix := path.suffix.lower()) in READERS:
+        module = READERS[suffix]
+    else:
+        raise InputError(path, "", f"no reader for {suffix or 'a file without suffix'}; expected {', '.join(READERS)}")
+    read: Callable[[Path], list[Table]] = import_module(f"twin.importing.{module}").read
+    try:
+        tables = [table for table in read(path) if table.channels]
+    except (InputError, OSError):
+        raise
+    except Exception as error:  # whatever a library raises over a damaged file
+        raise InputError(
+            path, "", f"cannot be read: {str(error).splitlines()[0] if str(error) else error!r}"
+        ) from error
+    if not tables:
+        raise InputError(path, "", "expected channels of numbers, found none")
+    return tables
+
+
+def library(name: str) -> ModuleType:
+    """A reader's library.
+
+    Raises:
+        InputError: it is not installed; the remedy is in the message.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise InputError(name, "", f"is not installed, this format needs it: {EXTRA}") from error
+
+
+def chosen(names: Sequence[str], wanted: str | Sequence[str]) -> list[str]:
+    """Names that a list, or one pattern with ``*``, asks for; those of a pattern by their numbers, in rising order."""
+    if not isinstance(wanted, str):
+        return list(wanted)
+    if wanted in names or "*" not in wanted:
+        return [wanted]
+    return sorted((n for n in names if fnmatchcase(n, wanted.replace("[", "[[]"))), key=natural)
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """Sorting key by which q2 comes before q10."""
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)]
+
+
+def columns(name: str, values: NDArray[Any], unit: str = "") -> dict[str, Channel]:
+    """A matrix (nt, n) as channels ``name.1`` … ``name.n``; anything else as one channel."""
+    values = np.squeeze(values)
+    if values.ndim == 2 and values.shape[0] > values.shape[1] and not np.iscomplexobj(values):
+        return {f"{name}.{i + 1}": Channel(column, unit) for i, column in enumerate(values.T)}
+    return {name: Channel(values, unit)}

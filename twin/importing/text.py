@@ -1,0 +1,71 @@
+"""Tables as text: CSV and TSV of any separator, decimal comma, units in the header; UR RTDE, exported KRC traces."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.importing.tables import Channel, Table
+
+SEPARATORS = "\t;, "  # tried in this order: a comma may be a decimal mark, a blank may be part of a name
+UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")  # "Kraft [N]", "q1 (deg)"
+
+
+def read(path: Path) -> list[Table]:
+    """One table; the header is the last line before the numbers, a line of units may stand between."""
+    raw = path.read_bytes()
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("cp1252", errors="replace")  # what Windows programs write in Western Europe
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    separator = next((mark for mark in SEPARATORS if _columns(lines, mark) > 1), None)
+    if separator is None:
+        raise InputError(path, "", "expected columns of numbers, separated by commas, semicolons, tabs or blanks")
+    decimal = "," if separator != "," and any("," in line for line in lines[-3:]) else "."
+    rows = [_split(line, separator) for line in lines]
+    first = next(i for i, row in enumerate(rows) if _numbers(row, decimal) is not None)
+    width = len(rows[first])
+    values = []
+    for number, row in enumerate(rows[first:], first + 1):
+        found = _numbers(row, decimal)
+        if found is None or len(found) != width:
+            raise InputError(path, f"line {number} of those with text", f"expected {width} numbers")
+        values.append(found)
+    names, units = _header([row for row in rows[:first] if len(row) == width], width)
+    table = np.array(values)
+    channels = {name: Channel(table[:, i], units[i]) for i, name in enumerate(names)}
+    return [Table(path.stem, channels)]
+
+
+def _split(line: str, separator: str) -> list[str]:
+    cells = line.split() if separator == " " else line.rstrip(separator).split(separator)
+    return [cell.strip().strip('"') for cell in cells]
+
+
+def _columns(lines: list[str], separator: str) -> int:
+    """Columns of the last lines if they are all numbers, else 0."""
+    tail = [_split(line, separator) for line in lines[-3:]]
+    for decimal in "," if separator == ";" else ".,":
+        if decimal != separator and tail and all(_numbers(row, decimal) is not None for row in tail):
+            return min(len(row) for row in tail)
+    return len(tail[0]) if tail and separator == ";" and all(_numbers(row, ".") is not None for row in tail) else 0
+
+
+def _numbers(row: list[str], decimal: str) -> list[float] | None:
+    try:
+        return [float(cell.replace(decimal, ".") if decimal == "," else cell) for cell in row]
+    except ValueError:
+        return None
+
+
+def _header(rows: list[list[str]], width: int) -> tuple[list[str], list[str]]:
+    """Names and units of the columns; without a header they are ``column.1`` …"""
+    if not rows:
+        return [f"column.{i + 1}" for i in range(width)], [""] * width
+    names, units = rows[0], rows[1] if len(rows) > 1 else [""] * width
+    for i, name in enumerate(names):
+        if found := UNIT.match(name):
+            names[i], units[i] = found["name"], found["unit"]
+    return names, [unit.strip("[]()") for unit in units]
