@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
+from twin.diagnose.frf_faults import understated
 from twin.diagnose.noise import ANALYSER, perfect, pooled_variance, shared_lines
 from twin.diagnose.note import Note
 from twin.errors import InputError
@@ -79,6 +80,8 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
         InputError: the recording does not fit the robot, or names to hold out are not there.
     """
     recordings, shared = believed(campaign, robot, source)
+    times = understated(recordings.values()) if shared == 1 else 1.0  # lines that share noise are smooth
+    recordings = {group: replace(r, variance=times * r.variance) for group, r in recordings.items()}
     names = list(dict.fromkeys(r.setup.name for r in recordings.values()))
     groups = {group: base_name(campaign, group) for group in campaign.postures}
     checks: list[Check] = []
@@ -105,7 +108,12 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
     nonlinear = any(check.kind == "linearity" and not check.passed for check in levels)
     unknown = "postures disagree without a peak_force_n that says how hard they were hit: no law of amplitude is sought"
     forceless = any(check.kind == REPEAT and not check.passed for check in levels)
+    louder = (
+        f"neighbouring lines differ by {times**0.5:.1f} times the noise that coherence states: the noise is "
+        "understated, and was taken as large as it is"
+    )
     notes = [
+        *([Note(louder, "noise_understated")] if times > 1 else ()),
         *(Note(text, "noise_unstated", "note") for text in assumed if noiseless),
         *([Note(unknown, "force_unstated", "note")] if forceless else ()),
     ]
