@@ -8,6 +8,7 @@ from twin.model.linear import linearise
 from twin.model.modes import Modes, modes
 from twin.model.regressor import flange_path
 from twin.model.replay import inverse_dynamics
+from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
 from twin.robot.description import Robot, load_robot
 from twin.robot.mechanism import assemble
@@ -79,3 +80,10 @@ def test_the_committed_description_is_what_the_command_makes() -> None:
     for ours, theirs in zip(made.links, committed.links, strict=True):
         np.testing.assert_allclose(ours.inertial[2], theirs.inertial[2])
     assert all(item.source.startswith("assumed") for item in committed.assumed)
+
+
+def test_a_link_without_length_is_no_suspect_of_bending() -> None:
+    """The wrist's axes meet: nothing of links 4 and 5 can bend, and diagnoses need not try."""
+    six, bending = load_robot("kr90_six"), CATALOGUE["link_flexibility"]
+    can = [link for link in range(1, 7) if bending.typical(six, f"link{link}.y") is not None]
+    assert can == [1, 2, 3, 6]

@@ -11,12 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tools.truth.chain import flange_position
+from tools.truth.chain import inverse_dynamics as rigid_torque
+from tools.truth.robots import described as written_out
+from tools.truth.robots import machines
 from twin.measure.campaign import read_campaign
 from twin.measure.motion_log import read_motion_log
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
+from twin.model.regressor import flange_path
 from twin.model.replay import inverse_dynamics, motion_of
-from twin.robot.description import Robot, parse_robot
+from twin.physics.motion import Motion
+from twin.robot.description import Drive, Robot, parse_robot
 from twin.robot.mechanism import assemble
 
 ROOT = Path(__file__).parents[1]
@@ -122,3 +128,15 @@ def test_log_effects(kr90: Robot, tmp_path: Path, effect: str, site: str, values
     inner = slice(100, -100)
     error = np.sqrt(np.mean((torque - run.torque)[inner] ** 2, axis=0))
     assert (error < 0.02 * np.sqrt(np.mean(run.torque**2, axis=0))).all(), error
+
+
+@pytest.mark.parametrize("name", ["six", "seven"])
+def test_whole_arms_stand_and_move_as_the_truth_has_them(name: str) -> None:
+    """Flange and rigid-body torques of random states, by Kane's equations there and Newton–Euler here."""
+    machine = machines()[name]
+    robot = parse_robot(written_out(machine))
+    bare = robot.model_copy(update={"physics": [], "drives": [Drive() for _ in robot.axes]})
+    q, v, a = np.random.default_rng(5).normal(size=(3, 6, machine.chain.n))
+    np.testing.assert_allclose(flange_path(robot, q), flange_position(machine.chain, q), atol=1e-12)
+    ours = inverse_dynamics(bare, Motion(np.zeros(6), q, v, a))
+    np.testing.assert_allclose(ours, rigid_torque(machine.chain, q, v, a), rtol=1e-9, atol=1e-9)

@@ -71,7 +71,7 @@ def draw_fourier(
         float(x) for x in 3 + (duration - 8) * (np.arange(dwells) + rng.uniform(0.2, 0.8, dwells)) / max(dwells, 1)
     )
     for _ in range(300):
-        centre = rng.uniform(*(chain.range_ * [[0.15, 0.15], [1, 1], [1, 1]]).T)
+        centre = rng.uniform(*(chain.range_ * np.r_[0.15, np.ones(chain.n - 1)][:, None]).T)
         sine, cosine = rng.normal(size=(2, chain.n, harmonics))
         shape = Fourier(sine, cosine, np.zeros(chain.n), duration, dwells=instants)
         q, v, a = replace(shape, duration=1e3, dwells=())(t)

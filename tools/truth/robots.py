@@ -58,8 +58,11 @@ class Machine:
 
 
 def machines() -> dict[str, Machine]:
-    """The KR90, an arm half its size with its axes the other way round, a column whose second axis is vertical, too."""
-    arm, column = _arm(), _column()
+    """The KR90, an arm half its size with its axes the other way round, a column whose second axis is vertical, too.
+
+    Then whole arms: one of six axes with a spherical wrist, one of seven as collaborative robots are.
+    """
+    arm, column, six, seven = _arm(), _column(), _six(), _seven()
     return {
         "kr90": Machine("kr90", kr90()),
         "arm": Machine(
@@ -69,6 +72,14 @@ def machines() -> dict[str, Machine]:
         "column": Machine(
             "column", column, *_points(column, 0.8), 0.8, 0.3, start_hz=5.0,
             tolerances=Tolerances(com=0.008, poor_damping=0.0),
+        ),
+        "six": Machine(
+            "six", six, *_points(six, 0.6), 0.6, 0.1, start_hz=6.0, spacing_hz=0.5,
+            tolerances=Tolerances(com=0.005, poor_damping=0.0),
+        ),
+        "seven": Machine(
+            "seven", seven, *_points(seven, 0.3), 0.3, 0.02, start_hz=5.0, spacing_hz=0.5,
+            tolerances=Tolerances(com=0.004, poor_damping=0.0),
         ),
     }  # fmt: skip
 
@@ -119,6 +130,77 @@ def _column() -> Chain:
         acceleration=np.array([8.0, 9.0, 10.0]),
         workspace=np.array([[-2.3, 2.4], [-2.3, 2.3], [0.3, 2.4]]),
     )
+
+
+def _six() -> Chain:
+    """An arm for 20 kg with 1.8 m reach: three axes as usual, and a spherical wrist."""
+    return Chain(
+        dh=np.array([
+            [0.0, 0.0, 0.50], [0.15, -pi / 2, 0.0], [0.79, 0.0, 0.0], [0.15, -pi / 2, 0.84], [0.0, pi / 2, 0.0],
+            [0.0, -pi / 2, 0.0],
+        ]),
+        links=(
+            Link(95.0, np.array([0.06, 0.02, -0.10]), symmetric(3.0, 3.4, 2.6, 0.1, 0.2, -0.05)),
+            Link(42.0, np.array([0.36, 0.01, -0.12]), symmetric(0.5, 3.1, 3.0, 0.03, 0.1, -0.02)),
+            Link(36.0, np.array([0.08, 0.04, 0.02]), symmetric(0.8, 0.7, 0.9, 0.02, -0.03, 0.01)),
+            Link(16.0, np.array([0.0, 0.01, -0.38]), symmetric(0.75, 0.74, 0.08, 0.0, 0.01, 0.01)),
+            Link(6.5, np.array([0.0, 0.03, 0.01]), symmetric(0.03, 0.02, 0.03, 0.0, 0.0, 0.001)),
+            Link(1.8, np.array([0.01, 0.0, 0.09]), symmetric(0.004, 0.004, 0.003, 0.0, 0.0, 0.0)),
+        ),
+        flange=np.array([0.0, 0.0, 0.12]),
+        gear_ratio=np.array([145.0, 160.0, 148.0, 101.0, -88.0, 76.0]),
+        rotor_inertia=np.array([1.1e-3, 1.1e-3, 6e-4, 1.2e-4, 1.0e-4, 8e-5]),
+        stiffness=np.array([
+            [4.6e5, 1.1e6, 1.4e6], [5.2e5, 1.2e6, 0.9e6], [2.4e5, 5.4e5, 7.0e5], [6.0e4, 1.6e5, 1.9e5],
+            [4.5e4, 1.3e5, 1.1e5], [2.2e4, 8.0e4, 9.0e4],
+        ]),
+        damping=np.array([
+            [130.0, 220.0, 300.0], [150.0, 260.0, 210.0], [60.0, 120.0, 160.0], [12.0, 28.0, 34.0],
+            [8.0, 22.0, 18.0], [3.0, 10.0, 11.0],
+        ]),
+        viscous=np.array([95.0, 110.0, 55.0, 14.0, 10.0, 5.0]),
+        coulomb=np.array([45.0, 52.0, 30.0, 9.0, 7.0, 4.0]),
+        compensator=np.zeros((6, 3)),
+        range_=np.array([[-2.9, 2.9], [-2.4, 0.3], [-1.9, 2.2], [-3.1, 3.1], [-2.1, 2.1], [-3.1, 3.1]]),
+        speed=np.array([2.9, 2.6, 2.9, 5.2, 5.2, 7.0]),
+        acceleration=np.array([11.0, 10.0, 12.0, 24.0, 24.0, 32.0]),
+        workspace=np.array([[-1.7, 1.8], [-1.7, 1.7], [-0.4, 2.2]]),
+    )  # fmt: skip
+
+
+def _seven() -> Chain:
+    """A collaborative arm for 10 kg: seven axes, each across the one before."""
+    n = 7
+    return Chain(
+        dh=np.array([
+            [0.0, 0.0, 0.34], [0.0, -pi / 2, 0.0], [0.0, pi / 2, 0.40], [0.0, pi / 2, 0.0], [0.0, -pi / 2, 0.40],
+            [0.0, -pi / 2, 0.0], [0.0, pi / 2, 0.0],
+        ]),
+        links=tuple(
+            Link(mass, np.array(com), symmetric(*inertia))
+            for mass, com, inertia in (
+                (6.2, (0.0, -0.03, -0.06), (0.05, 0.045, 0.02, 0.0, 0.0, 0.004)),
+                (5.6, (0.0, -0.07, 0.03), (0.06, 0.02, 0.055, 0.0, 0.0, 0.006)),
+                (4.3, (0.0, 0.03, -0.13), (0.05, 0.048, 0.015, 0.0, 0.0, -0.005)),
+                (4.0, (0.0, 0.07, 0.03), (0.04, 0.013, 0.038, 0.0, 0.0, 0.004)),
+                (3.1, (0.0, 0.02, -0.12), (0.03, 0.028, 0.009, 0.0, 0.0, -0.003)),
+                (2.6, (0.0, 0.01, 0.01), (0.009, 0.008, 0.008, 0.0, 0.0, 0.0)),
+                (0.9, (0.005, 0.0, 0.08), (0.002, 0.002, 0.0012, 0.0, 0.0, 0.0)),
+            )
+        ),
+        flange=np.array([0.0, 0.0, 0.126]),
+        gear_ratio=np.array([160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0]),
+        rotor_inertia=np.array([5e-5, 5e-5, 4e-5, 4e-5, 2e-5, 1.5e-5, 1.5e-5]),
+        stiffness=np.array([2.8e4, 2.8e4, 1.9e4, 1.9e4, 1.2e4, 7e3, 7e3])[:, None] * [1.0, 3.6, 4.1],
+        damping=np.array([9.0, 9.0, 5.0, 5.0, 2.5, 1.2, 1.2])[:, None] * [1.0, 2.2, 2.6],
+        viscous=np.array([12.0, 12.0, 8.0, 8.0, 4.0, 2.5, 2.5]),
+        coulomb=np.array([7.0, 7.5, 5.0, 5.0, 3.0, 2.0, 2.0]),
+        compensator=np.zeros((n, 3)),
+        range_=np.array([2.9, 2.0, 2.9, 2.0, 2.9, 2.0, 3.0])[:, None] * [-1.0, 1.0],
+        speed=np.array([1.7, 1.7, 1.7, 2.3, 2.4, 3.1, 3.1]),
+        acceleration=np.array([7.0, 7.0, 7.0, 9.0, 10.0, 13.0, 13.0]),
+        workspace=np.array([[-0.9, 0.9], [-0.9, 0.9], [0.0, 1.3]]),
+    )  # fmt: skip
 
 
 def _points(chain: Chain, size: float) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:

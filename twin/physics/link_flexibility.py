@@ -6,6 +6,8 @@ Points and mass inboard of the hinge stay behind. ``Mechanism.split`` says how t
 from math import inf
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from twin.physics.effect import (
     UNIT_VECTORS,
     Companion,
@@ -16,10 +18,14 @@ from twin.physics.effect import (
     light_damping,
     usual_stiffness,
 )
+from twin.robot.frames import axis_placement
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
+
+SHORTEST_M = 1e-6
+"""A link shorter than this cannot bend."""
 
 
 class LinkFlexibility(Effect):
@@ -44,6 +50,11 @@ class LinkFlexibility(Effect):
         return [Companion("parameter", f"joint{joint}.{letter}.stiffness") for letter in "yz"]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
-        """Three times a joint's stiffness."""
+        """Three times a joint's stiffness; nothing where the next joint lies in the link's origin, as in a wrist."""
+        link = axis_of(site)
+        last = link + 1 == robot.axis_count
+        end = robot.flange.position if last else axis_placement(robot.axes[link + 1], 0.0)[0]
+        if np.linalg.norm(end) < SHORTEST_M:
+            return None
         stiffness = 3 * usual_stiffness(robot)
         return {"stiffness": stiffness, "damping": light_damping(stiffness)}
