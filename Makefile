@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install test lint demo docs bench proof clean
+.PHONY: install test lint demo docs bench fuzz proof clean
 
 install: $(VENV)/.installed
 
@@ -32,6 +32,10 @@ docs: install
 
 bench: install
 	$(BIN)/python tools/benchmark.py
+
+# Mutated inputs for every command; goes on where it stopped.
+fuzz: install
+	$(BIN)/python -m tools.fuzz --cases 5000 --out out/fuzz
 
 # Parallel and resumable; REAL=file of `python -m tools.trials real`, for the section on measured recordings.
 proof: install

@@ -1,6 +1,7 @@
 """The edges: what breaks a reader or a calculation ends in one line, and work that is stopped leaves nothing behind."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -140,6 +141,20 @@ def test_numbers_that_break_a_calculation_name_their_source() -> None:
     said = r"frf\.h5: bent: the calculation broke down \(Singular matrix\)"
     with pytest.raises(NumericalError, match=said), numbers_of("frf.h5", "bent"):
         np.linalg.inv(np.zeros((2, 2)))
+
+
+def test_a_full_disk_gets_one_line_that_names_the_folder(tmp_path: Path) -> None:
+    def small() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+
+    (tmp_path / "bent.yaml").write_text("posture: {q_deg: [0, 70, -100]}\nhammer: false\n")
+    line = [sys.executable, "-m", "twin", "simulate", str(tmp_path / "bent.yaml"), "-o", str(tmp_path / "out")]
+    found = subprocess.run(line, capture_output=True, text=True, preexec_fn=small, check=False)
+    assert (found.returncode, found.stderr) == (
+        2,
+        f"twin: --out: {tmp_path / 'out'}: cannot be written (File too large)\n",
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["bent.yaml"]
 
 
 @pytest.mark.parametrize(("how", "code"), [("--timeout", 124), (signal.SIGINT, 130), (signal.SIGTERM, 143)])

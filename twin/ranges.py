@@ -23,6 +23,7 @@ RANGES = {  # unit → least of what is a scale (a mass, a spring), largest magn
     "Hz": (1e-6, 1e8),
     "s": (1e-12, 1e10),
     "rad": (1e-15, 1e7),
+    "%": (1e-12, 1e4),
     "1": (1e-18, 1e18),
 }
 ANY = (1e-30, 1e18)  # of a unit that is not listed
@@ -33,6 +34,7 @@ MOST_NESTED = 60  # levels of a text file
 MOST_PARTS = 400  # links or joints of a drawing
 MOST_AXES = 30
 MOST_CHARACTERS = 20_000  # of a text
+LONGEST_SPACING_M = 100.0  # of points along a tool path
 MOST_SAMPLES = 20_000_000  # of a trajectory: two hours of six axes at 1 kHz, twice over
 
 COUNTS = {  # smallest and largest of what is asked for

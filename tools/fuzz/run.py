@@ -17,7 +17,7 @@ from tools.fuzz.seeds import TARGETS, Target
 
 LIMIT_S = 60.0  # a hang
 STOPPED_S = 8  # --timeout given to every case
-MEMORY = 4 << 30  # bytes
+MEMORY = 4 << 30  # bytes that a case may take
 OK = ("accepted", "refused", "stopped", "numerical")
 
 
@@ -107,7 +107,8 @@ def _inside(arguments: list[str], folder: Path, memory: int) -> None:
         for stream, name in ((1, ".out"), (2, ".err")):
             os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
         sys.stdout, sys.stderr = (os.fdopen(stream, "w", closefd=False) for stream in (1, 2))
-        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+        reserved = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()  # by what is imported
+        resource.setrlimit(resource.RLIMIT_AS, (reserved + memory, reserved + memory))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         sys.argv = ["twin", *arguments]
         from twin.cli import main

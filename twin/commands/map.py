@@ -22,7 +22,7 @@ from twin.milling.postures import tool_place
 from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
-from twin.ranges import check_count
+from twin.ranges import LONGEST_SPACING_M, check_count
 from twin.result import Result, Table, written
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
@@ -275,8 +275,8 @@ def _check_asked(
         raise InputError(
             "--spindle-rpm", "", "full lobes take the speeds of the cut's spindle_rpm; give one or the other"
         )
-    if not 0 < spacing < np.inf:
-        raise InputError("--spacing", f"{spacing:g}", "expected metres above 0")
+    if not 0 < spacing <= LONGEST_SPACING_M:
+        raise InputError("--spacing", f"{spacing:g}", f"expected metres above 0, up to {LONGEST_SPACING_M:g}")
 
 
 def _angles(robot: Robot, near_deg: Sequence[float]) -> np.ndarray:

@@ -133,8 +133,10 @@ def modal(
     given = read_one(recording, "frf-campaign")
     campaign: Campaign = given.content
     check_out(out)
-    if not (fmin is None or np.isfinite(fmin)) or not (fmax is None or np.isfinite(fmax)) or not 2 <= max_order <= 500:
-        raise InputError("--fmin, --fmax, --max-order", "", "expected finite frequencies and an order of 2 to 500")
+    if not (fmin is None or 0 <= fmin < np.inf) or not (fmax is None or np.isfinite(fmax)) or not 2 <= max_order <= 500:
+        raise InputError(
+            "--fmin, --fmax, --max-order", "", "expected frequencies from 0 upwards and an order of 2 to 500"
+        )
     if method not in ("plscf", "lsce"):
         raise InputError("--method", method, "expected plscf or lsce")
     described, unknown = _robot(given, robot, without)

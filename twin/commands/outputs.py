@@ -1,5 +1,6 @@
 """The output folder of a command: checked before anything is computed, filled only when everything is there."""
 
+import errno
 import os
 import shutil
 import tempfile
@@ -10,6 +11,9 @@ from types import TracebackType
 from twin.errors import InputError
 from twin.parallel import Progress, silent
 from twin.result import Result
+from twin.stopping import unfinished
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)  # what a folder may say while it is being filled
 
 
 def check_out(out: str | Path | None) -> None:
@@ -43,6 +47,7 @@ class Outputs:
         parent = self.out.absolute().parent
         parent.mkdir(parents=True, exist_ok=True)
         self.stage = Path(tempfile.mkdtemp(dir=parent, prefix=f".{self.out.name}."))
+        unfinished.add(self.stage)
         return self
 
     def __call__(self, name: str) -> Path:
@@ -76,10 +81,18 @@ class Outputs:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if kind is None:
+            if kind is None and not self.out.exists():
+                umask = os.umask(0)
+                os.umask(umask)
+                self.stage.chmod(0o777 & ~umask)
+                self.stage.rename(self.out)  # the whole folder at once
+            elif kind is None:
                 for file in sorted(path for path in self.stage.rglob("*") if path.is_file()):
                     target = self.out / file.relative_to(self.stage)
                     target.parent.mkdir(parents=True, exist_ok=True)
                     os.replace(file, target)
         finally:
             shutil.rmtree(self.stage, ignore_errors=True)
+            unfinished.discard(self.stage)
+        if isinstance(error, OSError) and error.errno in FULL:
+            raise InputError("--out", str(self.out), f"cannot be written ({error.strerror})") from error

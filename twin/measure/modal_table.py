@@ -13,7 +13,7 @@ from twin.errors import InputError
 from twin.files import writing
 from twin.measure.campaign import FloatArray
 from twin.measure.modal import ModalResult
-from twin.ranges import ill_named
+from twin.ranges import ill_named, implausible
 from twin.yamlfile import read_yaml
 
 
@@ -99,16 +99,18 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     if not isinstance(value, dict):
         raise InputError(path, where, f"expected frequency_hz and damping_percent, found {value!r}")
 
-    def number(name: str) -> float | None:
+    def number(name: str, unit: str) -> float | None:
         entry = value.get(name)
         if entry is not None and not _is_number(entry):
             raise InputError(path, f"{where}.{name}", f"expected a number, found {entry!r}")
+        if entry is not None and (problem := implausible(entry, unit, scale=name == "frequency_hz")):
+            raise InputError(path, f"{where}.{name}", problem)
         return None if entry is None else float(entry)
 
-    frequency = number("frequency_hz")
+    frequency = number("frequency_hz", "Hz")
     if frequency is None or frequency <= 0:
         raise InputError(path, f"{where}.frequency_hz", f"expected Hz above 0, found {value.get('frequency_hz')!r}")
-    damping = number("damping_percent")
+    damping = number("damping_percent", "%")
     if damping is not None and damping < 0:
         raise InputError(path, f"{where}.damping_percent", f"expected per cent from 0 upwards, found {damping:g}")
     shape = value.get("shape") or {}
@@ -120,8 +122,8 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     return TableMode(
         frequency,
         damping,
-        number("frequency_std_hz"),
-        number("damping_std_percent"),
+        number("frequency_std_hz", "Hz"),
+        number("damping_std_percent", "%"),
         {str(label): complex(*pair) for label, pair in shape.items()},
     )
 
