@@ -93,7 +93,7 @@ def test_numbers_of_no_machine_are_refused(kr90: Robot, place: tuple[Any, ...], 
         Robot.model_validate(data)
 
 
-def test_five_thousand_links_and_unknown_encodings_are_refused(tmp_path: Path) -> None:
+def test_five_thousand_links_and_unknown_encodings_are_refused(tmp_path: Path, twin: Twin) -> None:
     for text in (
         "<robot name='r'>" + "".join(f"<link name='l{k}'/>" for k in range(5000)) + "</robot>",
         "<?xml version='1.0' encoding='nonsense-9'?><robot name='r'/>",
@@ -101,6 +101,8 @@ def test_five_thousand_links_and_unknown_encodings_are_refused(tmp_path: Path) -
         (tmp_path / "r.urdf").write_text(text)
         with pytest.raises(InputError, match=r"r\.urdf"):
             read_urdf(tmp_path / "r.urdf")
+        found = twin("describe", tmp_path / "r.urdf", "--json")
+        assert (found.code, len(found.err.splitlines())) == (2, 1)
 
 
 @pytest.mark.parametrize("made", ["huge", "empty", "itself"])

@@ -21,6 +21,8 @@ RANGES = {  # unit → least of what is a scale (a mass, a spring), largest magn
     "N": (1e-12, 1e9),
     "m/s²": (1e-15, 1e8),
     "Hz": (1e-6, 1e8),
+    "rad/s": (1e-15, 1e6),
+    "rad/s²": (1e-15, 1e9),
     "s": (1e-12, 1e10),
     "rad": (1e-15, 1e7),
     "%": (1e-12, 1e4),
@@ -34,6 +36,7 @@ MOST_NESTED = 60  # levels of a text file
 MOST_PARTS = 400  # links or joints of a drawing
 MOST_AXES = 30
 MOST_CHARACTERS = 20_000  # of a text
+FASTEST_RPM = 3e5  # of a spindle
 LONGEST_SPACING_M = 100.0  # of points along a tool path
 MOST_SAMPLES = 20_000_000  # of a trajectory: two hours of six axes at 1 kHz, twice over
 

@@ -142,7 +142,7 @@ def read_tree(path: str | Path) -> Tree:
     """
     try:
         top = ElementTree.parse(path).getroot().tag
-    except (OSError, ElementTree.ParseError):
+    except (OSError, ElementTree.ParseError, LookupError, ValueError):
         top = "robot"  # the reader of URDF says what is wrong
     if top == "mujoco":
         from twin.robot.mjcf_tree import read_mjcf

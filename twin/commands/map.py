@@ -22,7 +22,7 @@ from twin.milling.postures import tool_place
 from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
-from twin.ranges import LONGEST_SPACING_M, check_count
+from twin.ranges import FASTEST_RPM, LONGEST_SPACING_M, check_count
 from twin.result import Result, Table, written
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
@@ -269,8 +269,8 @@ def _check_asked(
         raise InputError("--posture-grid", text, f"expected {robot.axis_count} numbers above 0, one for each axis")
     if lobes < 0 or draws < 0:
         raise InputError("--lobes" if lobes < 0 else "--draws", str(min(lobes, draws)), "expected 0 or more")
-    if spindle_rpm is not None and not 0 < spindle_rpm < np.inf:
-        raise InputError("--spindle-rpm", f"{spindle_rpm:g}", "expected a speed above 0")
+    if spindle_rpm is not None and not 0 < spindle_rpm <= FASTEST_RPM:
+        raise InputError("--spindle-rpm", f"{spindle_rpm:g}", f"expected a speed above 0, up to {FASTEST_RPM:g}")
     if spindle_rpm is not None and lobes:
         raise InputError(
             "--spindle-rpm", "", "full lobes take the speeds of the cut's spindle_rpm; give one or the other"

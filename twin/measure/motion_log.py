@@ -16,7 +16,7 @@ from twin.files import replacing, writing
 from twin.measure.campaign import FloatArray
 from twin.measure.hdf5 import Node
 from twin.measure.signals import resample
-from twin.ranges import ill_named
+from twin.ranges import check_array, ill_named
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -178,6 +178,7 @@ def even_run(
             raise InputError(
                 path, f"{where}/{key}", f"not finite at sample {int(np.argwhere(~np.isfinite(values))[0, 0])}"
             )
+        check_array(path, f"{where}/{key}", values, SERIES[key][0])
     time, series, rate, notes = _even(path, where, time, series, rate)
     return MotionRun(name, time, sample_rate_hz=rate, **series), notes
 

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, field
 
 from twin.errors import InputError
 from twin.physics.payload import Payload
+from twin.ranges import FASTEST_RPM
 from twin.robot.description import Data, Entry, NonNegative, Number, Positive, Robot, Vector, first_problem
 from twin.robot.frames import matrix_of
 from twin.yamlfile import read_yaml
@@ -204,7 +205,7 @@ class Cut(Data):
         low, high = self.spindle_rpm
         if low >= high:
             raise ValueError(f"spindle_rpm: expected a lowest and a highest speed, found {[low, high]}")
-        if low < 1 or high > 3e5:
+        if low < 1 or high > FASTEST_RPM:
             raise ValueError(f"spindle_rpm: expected 1 to 300000 rpm, found {[low, high]}")
         if np.linalg.norm(self.feed_direction) < 1e-9:
             raise ValueError("feed_direction: expected a direction, found a zero vector")
