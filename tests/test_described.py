@@ -67,9 +67,9 @@ def test_a_moved_node_moves_what_is_there_and_nothing_else(setup: Setup) -> None
         some = setup.response if side == "response" else setup.excitation
         parameters = independent(p for p in point_parameters(robot, some, side) if p.name.startswith("node:21"))  # type: ignore[arg-type]
         placed = setup.placed(parameters, parameters.values(np.ones(3)))
-        assert np.allclose(placed.response.position - setup.response.position, 0.01 * sensors_move)
+        assert np.allclose(placed.response.position - setup.response.position, 0.005 * sensors_move)
         at_node = np.array([[False], [False], [blows_move]])
-        assert np.allclose(placed.excitation.position - setup.excitation.position, 0.01 * at_node)
+        assert np.allclose(placed.excitation.position - setup.excitation.position, 0.005 * at_node)
 
 
 def test_every_number_of_a_description_is_a_suspect(setup: Setup) -> None:

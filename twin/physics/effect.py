@@ -74,7 +74,7 @@ class Parameter:
                 return f"expected a number > 0 [{self.unit}], found {item!r}"
             if self.nonnegative and item < 0:
                 return f"expected a number ≥ 0 [{self.unit}], found {item!r}"
-            if problem := implausible(item, self.unit, self.log):
+            if problem := implausible(item, self.unit, self.positive):
                 return problem
         return None
 

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from twin.physics.motion import Motion
     from twin.robot.mechanism import Mechanism
 
+HIGHEST = 80.0  # order looked for
+
 
 class TorqueRipple(Effect):
     """Natively: a cogging element on the motor's joint."""
@@ -29,15 +31,20 @@ class TorqueRipple(Effect):
             mechanism.passive_motor(f"{site}.ripple", motor.name, cogging=(-amplitude, order, phase))
 
     def suspected(self, view: LogView) -> list[Suspected]:
-        """Orders as far apart as the joint's range tells them, up to where the low-pass takes the wave."""
+        """Orders as far apart as the joint's range tells them, from one wave over that range to where the low-pass
+        takes the wave. What waves less than once over all that the joint moves does not repeat."""
         if view.robot.axes[view.axis].type == "prismatic":
             return []
         _, half = view.middle()
+        lowest = max(1.0, np.pi / max(half, 1e-3))
+        if lowest >= HIGHEST:
+            return []
         highest = 2 * np.pi * view.highest_hz / view.speed()
-        orders = np.arange(2.0, min(highest, 80.0), min(0.7 / max(half, 1e-3), 4.0))
-        own = [Prior("amplitude", view.usual()), scale("order", 12.0, 3.0), Prior("phase", np.pi / np.sqrt(3))]
+        orders = np.arange(max(2.0, lowest), min(highest, HIGHEST), min(0.7 / max(half, 1e-3), 4.0))
+        middle, factor = np.sqrt(lowest * HIGHEST), (HIGHEST / lowest) ** (1 / 6)  # three deviations to either end
+        own = [Prior("amplitude", view.usual()), scale("order", middle, factor), Prior("phase", np.pi / np.sqrt(3))]
         starts = [[0.0, order, phase] for order in orders for phase in (0.0, np.pi / 2)]
-        return [Suspected({"amplitude": 0.0, "order": 12.0, "phase": 0.0}, own, starts)]
+        return [Suspected({"amplitude": 0.0, "order": middle, "phase": 0.0}, own, starts)]
 
     def canonical(self, values: np.ndarray) -> np.ndarray:
         """The amplitude above zero and the phase within half a turn of zero."""
