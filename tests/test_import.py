@@ -18,7 +18,7 @@ import rosbags.rosbag2
 import rosbags.typesys
 import scipy.io
 import scipy.io.wavfile
-import yaml
+from ruamel.yaml import YAML
 
 from twin.commands.example import EXAMPLES
 from twin.commands.foreign import guess_map, import_files
@@ -66,7 +66,7 @@ def cell() -> Recorded:
 
 def mapped(tmp_path: Path, **content: Any) -> Path:
     path = tmp_path / "map.yaml"
-    path.write_text(yaml.safe_dump(content))
+    YAML(typ="safe", pure=True).dump(content, path)
     return path
 
 

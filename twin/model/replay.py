@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
-from scipy.signal import lfilter
 
 from twin.errors import InputError
 from twin.measure.motion_log import MotionRun
@@ -236,6 +235,8 @@ def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.nd
     for entry in robot.physics:
         CATALOGUE[entry.effect].record(chain, entry.site, robot.values(entry))
     if chain.torque_lag:
+        from scipy.signal import lfilter  # a third of what there is to import, for few
+
         keep = np.exp(-float(time[1] - time[0]) / chain.torque_lag)
         torque = lfilter([1 - keep], [1, -keep], torque, axis=0, zi=keep * torque[:1])[0]
     if chain.torque_delay:
