@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install test lint demo docs bench fuzz proof clean
+.PHONY: install test lint demo docs bench fuzz kills sbom proof clean
 
 install: $(VENV)/.installed
 
@@ -36,6 +36,18 @@ bench: install
 # Mutated inputs for every command; goes on where it stopped.
 fuzz: install
 	$(BIN)/python -m tools.fuzz --cases 5000 --out out/fuzz
+
+# Kills of every command at random moments; goes on where it stopped.
+kills: install
+	$(BIN)/python -m tools.kills --kills 500 --out out/kills
+
+# What the package brings along, as CycloneDX: name, version and licence of every distribution that it needs.
+sbom: pyproject.toml
+	$(PYTHON) -m venv out/sbom
+	out/sbom/bin/python -m pip install --quiet --disable-pip-version-check .
+	$(PYTHON) -m venv out/sbom-tool
+	out/sbom-tool/bin/python -m pip install --quiet --disable-pip-version-check "cyclonedx-bom>=7.2,<8"
+	out/sbom-tool/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --of JSON -o out/sbom.json out/sbom/bin/python
 
 # Parallel and resumable; REAL=file of `python -m tools.trials real`, for the section on measured recordings.
 proof: install

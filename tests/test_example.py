@@ -61,7 +61,7 @@ def test_quiet_says_one_line_and_verbose_names_every_file(
     monkeypatch.chdir(tmp_path)
     plain, quiet, loud = (twin(*how, "example") for how in ([], ["-q"], ["-v"]))
     assert quiet.out == plain.out.partition("\n")[0] + "\n"
-    files = sorted(str(Path("cell") / file.name) for file in (tmp_path / "cell").iterdir())
+    files = sorted(str(Path("cell") / file.name) for file in (tmp_path / "cell").glob("[!.]*"))
     assert sorted(loud.out.removeprefix(plain.out).splitlines()) == files
     both = twin("-q", "-v", "example")
     assert both.code == 2

@@ -211,3 +211,24 @@ def test_modes_come_back_from_data_set_55(tmp_path: Path) -> None:
         np.testing.assert_allclose(shape, column / column[np.argmax(np.abs(column))], atol=1e-4)
     with pytest.raises(InputError):
         write_uff_modes(tmp_path / "none.uff", replace(result, response_label=()))
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_file_cut_short_is_refused_wherever_the_cut_falls(tmp_path: Path, binary: bool) -> None:
+    """A cut between two data sets leaves a whole file: what it lacks then is a channel pair or a coherence."""
+    write_uff(tmp_path / "whole.uff", campaign(), binary=binary)
+    data = (tmp_path / "whole.uff").read_bytes()
+    for share in (0.02, 0.2, 0.5, 0.77, 0.9, 0.999):
+        (tmp_path / "cut.uff").write_bytes(data[: int(share * len(data))])
+        with pytest.raises(InputError, match=r"cut\.uff: (ends inside|data set|expected|posture)") as found:
+            read_uff(tmp_path / "cut.uff")
+        assert len(str(found.value).splitlines()) == 1
+
+
+def test_a_data_set_holds_as_many_values_as_it_states(tmp_path: Path) -> None:
+    write_uff(tmp_path / "whole.uff", campaign(), binary=False)
+    lines = (tmp_path / "whole.uff").read_text().splitlines(keepends=True)
+    at = max(n for n, line in enumerate(lines) if line.strip() == "-1") - 2
+    (tmp_path / "less.uff").write_text("".join(lines[:at] + lines[at + 1 :]))
+    with pytest.raises(InputError, match=r"less\.uff"):
+        read_uff(tmp_path / "less.uff")

@@ -15,11 +15,16 @@ import h5py
 import numpy as np
 import pytest
 
+from tools.fuzz import seeds
 from tools.fuzz.__main__ import main as fuzz
+from twin.commands.outputs import Outputs, exchange
 from twin.errors import InputError, NumericalError, numbers_of
+from twin.measure.modal_table import read_modal_table
 from twin.physics import CATALOGUE
+from twin.robot.datasheet import read_sheet
 from twin.robot.description import Robot
 from twin.robot.urdf import read_urdf
+from twin.stopping import hold, stoppable
 from twin.yamlfile import read_yaml
 
 SLICE = 40  # cases; `python -m tools.fuzz` runs thousands
@@ -174,3 +179,130 @@ def test_stopped_work_ends_within_a_second_and_leaves_nothing(tmp_path: Path, ho
     assert said.strip().endswith("nothing was written")
     assert not list(tmp_path.iterdir())
     assert how == "--timeout" or time.monotonic() - begin < 3  # one second, on a machine with other work
+
+
+OLD = "of the earlier run"
+
+
+def simulate(folder: Path, *more: str, **how: Any) -> subprocess.CompletedProcess[str]:
+    """``twin simulate`` of a posture without a hammer, into ``folder/out``."""
+    (folder / "bent.yaml").write_text("posture: {q_deg: [0, 70, -100]}\nhammer: false\n")
+    line = [sys.executable, "-m", "twin", "simulate", str(folder / "bent.yaml"), "-o", str(folder / "out"), *more]
+    return subprocess.run(line, capture_output=True, text=True, check=False, **how)
+
+
+def test_an_earlier_run_is_replaced_whole_and_the_users_own_files_stay(tmp_path: Path) -> None:
+    with Outputs(tmp_path / "out", "fit") as name:
+        for file in ("robot.yaml", "gone.csv"):
+            name(file).write_text(OLD)
+    (tmp_path / "out" / "sub").mkdir()
+    (tmp_path / "out" / "sub" / "mine.txt").write_text("mine")
+    with Outputs(tmp_path / "out", "modal") as name:
+        name("modes.yaml").write_text("of another command")
+    with Outputs(tmp_path / "out", "fit") as name:
+        name("robot.yaml").write_text("new")
+        assert (tmp_path / "out" / "robot.yaml").read_text() == OLD
+        assert (tmp_path / "out" / "gone.csv").read_text() == OLD
+    found = {
+        str(p.relative_to(tmp_path / "out")): p.read_text() for p in (tmp_path / "out").rglob("[!.]*") if p.is_file()
+    }
+    assert found == {"robot.yaml": "new", "sub/mine.txt": "mine", "modes.yaml": "of another command"}
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("swap", [True, False], ids=["exchange", "two renames"])
+def test_folders_are_exchanged(tmp_path: Path, swap: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).touch()
+    if not swap:
+        monkeypatch.setattr("sys.platform", "darwin")
+    exchange(tmp_path / "a", tmp_path / "b")
+    assert [path.name for path in (tmp_path / "b").iterdir()] == ["a"]
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_failed_run_leaves_the_earlier_one(tmp_path: Path) -> None:
+    with Outputs(tmp_path / "out", "fit") as name:
+        name("robot.yaml").write_text(OLD)
+
+    def fail() -> None:
+        with Outputs(tmp_path / "out", "fit") as name:
+            name("robot.yaml").write_text("new")
+            raise RuntimeError("half")
+
+    with pytest.raises(RuntimeError, match="half"):
+        fail()
+    assert (tmp_path / "out" / "robot.yaml").read_text() == OLD
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="folders are held by abstract sockets, which Linux has")
+def test_two_runs_into_one_folder_get_one_line(tmp_path: Path) -> None:
+    with stoppable():
+        assert hold(str((tmp_path / "out").resolve()))
+        found = simulate(tmp_path)
+    assert (found.returncode, found.stderr.count("\n")) == (2, 1)
+    assert found.stderr.startswith(f"twin: --out: {tmp_path / 'out'}: another run is writing there")
+    assert simulate(tmp_path).returncode == 0  # the other has ended
+
+
+def test_what_a_killed_run_left_is_cleared_by_the_next(tmp_path: Path) -> None:
+    stale = tmp_path / ".out.abcd1234.writing"
+    (stale / "half").mkdir(parents=True)
+    assert simulate(tmp_path).returncode == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bent.yaml", "out"]
+
+
+@pytest.mark.skipif(os.name != "posix" or os.getuid() == 0, reason="root may write anywhere")
+def test_a_read_only_folder_gets_one_line(tmp_path: Path) -> None:
+    (tmp_path / "bent.yaml").write_text("")
+    tmp_path.chmod(0o500)
+    line = [sys.executable, "-m", "twin", "example", "-o", str(tmp_path / "out")]
+    found = subprocess.run(line, capture_output=True, text=True, check=False)
+    tmp_path.chmod(0o700)
+    assert (found.returncode, found.stderr.count("\n")) == (2, 1)
+    assert "no permission" in found.stderr
+
+
+def test_a_clock_set_back_is_of_no_consequence(tmp_path: Path) -> None:
+    """What is there is told by names and locks, never by dates: an earlier run of the future is replaced as any."""
+    assert simulate(tmp_path).returncode == 0
+    first = {path.name for path in (tmp_path / "out").iterdir()}
+    for path in [tmp_path / "out", *(tmp_path / "out").rglob("*")]:
+        os.utime(path, (4e9, 4e9))
+    assert simulate(tmp_path).returncode == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == first
+    assert max(path.stat().st_mtime for path in (tmp_path / "out").rglob("*") if path.is_file()) < 4e9
+
+
+@pytest.mark.parametrize("suffix", ["tdms", "wav", "mcap"])
+def test_foreign_files_cut_short_are_refused(tmp_path: Path, suffix: str, twin: Twin) -> None:
+    seeds.make(tmp_path)
+    file = tmp_path / f"cut.{suffix}"
+    whole = (tmp_path / ("blows.wav" if suffix == "wav" else f"foreign.{suffix}")).read_bytes()
+    for short in (8, len(whole) // 2):
+        file.write_bytes(whole[:-short])
+        found = twin("import", file, "--map", tmp_path / f"{suffix}-map.yaml", "--json")
+        assert (found.code, found.err.count("\n")) == (2, 1), found.err
+        assert found.err.startswith(f"twin: {file}: ")
+
+
+@pytest.mark.parametrize(
+    ("mode", "field"),
+    [("{frequency_hz: 10, damping_percent: 5428}", "damping_percent"), ("{frequency_hz: 10, damping: 2}", "damping")],
+)
+def test_modes_that_are_none_and_fields_unknown_are_refused(tmp_path: Path, mode: str, field: str) -> None:
+    (tmp_path / "modes.yaml").write_text(f"postures: {{a: {{q_deg: [0, 0, 0], modes: [{mode}]}}}}\n")
+    with pytest.raises(InputError, match=rf"postures\.a\.modes\[0\]\.{field}: "):
+        read_modal_table(tmp_path / "modes.yaml")
+
+
+def test_a_joint_from_a_link_to_itself_and_speeds_of_no_machine_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.urdf").write_text(seeds.URDF.replace('<child link="upper"/>', '<child link="base"/>'))
+    with pytest.raises(InputError, match="joint a1: expected two links"):
+        read_urdf(tmp_path / "a.urdf")
+    (tmp_path / "sheet.yaml").write_text("max_speed: [1.0e+12, 120]\n")
+    with pytest.raises(InputError, match="max_speed"):
+        read_sheet(tmp_path / "sheet.yaml")

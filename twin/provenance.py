@@ -30,7 +30,13 @@ def write_json(path: str | Path, data: Mapping[str, Any]) -> None:
 
 def to_json(data: Mapping[str, Any]) -> str:
     """Plain data as indented JSON."""
-    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False, default=_path)
+
+
+def _path(value: object) -> str:
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} is no plain data")
 
 
 def _hash(item: Any) -> tuple[str, str]:

@@ -4,9 +4,11 @@ The signal raises :class:`Stopped`, so that files half-written are taken away on
 Python holds that up, a thread takes them away and ends the process.
 """
 
+import hashlib
 import os
 import shutil
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
@@ -20,6 +22,31 @@ TIMED_OUT = 124  # exit code, as of timeout(1)
 
 unfinished: set[Path] = set()
 """Files and folders that are being written aside: nothing of them may stay."""
+
+
+_held: dict[str, socket.socket] | None = None  # by name, while a command runs
+
+
+def hold(name: str) -> bool:
+    """Whether this command alone uses a name, from now until it ends; always true outside commands and off Linux.
+
+    An abstract socket is held: nothing of it is on the disk, and it goes with the process, however that ends.
+    """
+    if _held is None or name in _held or sys.platform != "linux":
+        return True
+    one = socket.socket(socket.AF_UNIX)
+    try:
+        one.bind(f"\0twin-{os.getuid()}-{hashlib.sha256(os.fsencode(name)).hexdigest()}")
+    except OSError:
+        one.close()
+        return False
+    _held[name] = one
+    return True
+
+
+def holds(name: str) -> bool:
+    """Whether this command holds a name, so that no other can."""
+    return _held is not None and name in _held
 
 
 class Stopped(BaseException):
@@ -45,11 +72,13 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Inside, the signals to stop raise :class:`Stopped`; only the main thread can."""
+    """Inside, the signals to stop raise :class:`Stopped`; only the main thread can. Names are held until the end."""
+    global _held
     asked = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
         yield
         return
+    _held = {}
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     before = {number: signal.signal(number, _stop) for number in asked}
@@ -65,6 +94,9 @@ def stoppable() -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, handler)
         os.close(writer)
+        for one in _held.values():
+            one.close()
+        _held = None
 
 
 def _watch(reader: int, done: threading.Event) -> None:

@@ -17,7 +17,8 @@ from tools.fuzz import run, seeds
 WARM = (
     "twin.commands.simulate", "twin.commands.modal", "twin.commands.fit", "twin.commands.excite",
     "twin.commands.identify", "twin.commands.compare", "twin.commands.diagnose", "twin.commands.lobes",
-    "twin.commands.map", "twin.commands.view", "twin.commands.describe", "twin.measure.uff", "twin.report.figures",
+    "twin.commands.map", "twin.commands.view", "twin.commands.foreign",
+    "twin.commands.example", "twin.commands.describe", "twin.measure.uff", "twin.report.figures",
     "twin.report.scene", "twin.report.html", "mujoco", "h5py", "scipy.optimize", "scipy.signal", "typer",
 )  # fmt: skip
 

@@ -28,7 +28,8 @@ def value(rng: random.Random) -> Any:
 
 def mutate(source: Path, target: Path, rng: random.Random) -> str:
     """Write a mutated copy of a file; returns what was done."""
-    kinds = {".yaml": _yaml, ".h5": _hdf5, ".urdf": _xml}
+    binary = dict.fromkeys((".mat", ".tdms", ".mcap", ".wav"), _raw)
+    kinds = {".yaml": _yaml, ".h5": _hdf5, ".urdf": _xml, **binary}
     change = kinds.get(source.suffix, _text)
     if rng.random() < 0.08:
         change = _raw

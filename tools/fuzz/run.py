@@ -12,8 +12,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tools.fuzz.mutate import NUMBERS, mutate
+from tools.fuzz.mutate import NUMBERS, WORDS, mutate
 from tools.fuzz.seeds import TARGETS, Target
+from twin.commands.outputs import LISTED
 
 LIMIT_S = 60.0  # a hang
 STOPPED_S = 8  # --timeout given to every case
@@ -53,7 +54,9 @@ def case(number: int, seed: int, seeds: Path, folder: Path, memory: int = MEMORY
         shutil.copy(seeds / name, folder / name)
     arguments, change = _line(target, rng, seeds, folder)
     written = rng.random() < 0.15
-    where = ["-o", "found.rrd" if target.command == "view" else "found"]
+    where = ["-o", {"view": "found.rrd", "import": "found.h5"}.get(target.command, "found")]
+    if "--guess" in arguments:
+        where = ["--json"]
     arguments += where if written or target.command == "view" else ["--json"]
     arguments += ["--timeout", str(STOPPED_S)]
     before = set(_tree(folder))
@@ -67,6 +70,9 @@ def case(number: int, seed: int, seeds: Path, folder: Path, memory: int = MEMORY
 
 
 def _line(target: Target, rng: random.Random, seeds: Path, folder: Path) -> tuple[list[str], str]:
+    if target.command == "example":
+        word = rng.choice(("cell", *WORDS)).replace("\x00", "")
+        return ["example", "--", word] if word.startswith("-") else ["example", word], f"NAME {word[:60]!r}"
     if not (target.numbers and rng.random() < 0.25):
         return target.line(), f"{target.file}: {mutate(seeds / target.file, folder / target.file, rng)}"
     option = rng.choice(target.numbers)
@@ -86,7 +92,7 @@ def _child(arguments: list[str], folder: Path, memory: int) -> int | None:
     """Wait status of ``twin ARGUMENTS`` in a forked process; None where it had to be killed."""
     child = os.fork()
     if child == 0:
-        _inside(arguments, folder, memory)
+        inside(arguments, folder, memory)
     deadline, pause = time.monotonic() + LIMIT_S, 0.002
     while time.monotonic() < deadline:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -99,7 +105,7 @@ def _child(arguments: list[str], folder: Path, memory: int) -> int | None:
     return None
 
 
-def _inside(arguments: list[str], folder: Path, memory: int) -> None:
+def inside(arguments: list[str], folder: Path, memory: int) -> None:
     code = 70
     try:
         os.setpgid(0, 0)
@@ -135,7 +141,8 @@ def judge(status: int | None, said: str, out: str, made: set[str]) -> tuple[str,
     if "Traceback (most recent call last)" in said or "Traceback" in out:
         return "traceback", code
     if code == 0:
-        return "accepted" if not any(Path(name).name.startswith(".") for name in made) else "partial", code
+        left = [name for name in (Path(path).name for path in made) if name.startswith(".")]
+        return "accepted" if all(name.startswith(LISTED) for name in left) else "partial", code
     if made:
         return "partial", code
     lines = said.strip().splitlines()

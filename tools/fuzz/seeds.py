@@ -4,7 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
+import mcap_ros2.writer
+import nptdms
 import numpy as np
+import scipy.io
+import scipy.io.wavfile
 
 import twin
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
@@ -74,6 +78,46 @@ PATHS = {
     "path.nc": "G21 G90\nG0 X800 Y0 Z500\nG1 X820 F600\nG2 X840 Y20 R20\nM30\n",
     "path.apt": "UNITS/MM\nGOTO/800,0,500\nGOTO/820,0,500\nFINI\n",
 }
+LOG_MAP = """makes: motion-log
+robot: two.yaml
+time: {channels: %s, unit: s}
+position: {channels: %s, unit: rad}
+torque: {channels: %s, unit: Nm}
+"""
+LOG_MAPS = {
+    "csv": LOG_MAP % ("t", "q*", "tau*"),
+    "mat": LOG_MAP % ("t", "q.*", "tau.*"),
+    "tdms": LOG_MAP % ("t", "q*", "tau*"),
+    "mcap": LOG_MAP % ("time", "position.*", "effort.*"),
+}
+WAV_MAP = """makes: frf-campaign
+robot: two.yaml
+postures: {bent: {q_deg: [10, 40], brakes: "on"}}
+force: {channels: channel.1, unit: N, factor: 1000}
+response: [{label: 1X+, channel: channel.2, unit: m/s^2, factor: 10, body: link2, position: [0.8, 0, 0]}]
+excitation: [{label: 1Z+, body: link2, position: [0.8, 0, 0]}]
+record_s: 0.9
+pretrigger_s: 0.0
+"""
+UNV_MAP = """makes: frf-campaign
+robot: two.yaml
+postures: {bent: {q_deg: [10, 40], brakes: "on"}}
+nodes: {1: {body: link2, position: [0.8, 0, 0]}}
+unit: (m/s^2)/N
+"""
+JOINT_STATE = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec"""
 
 
 @dataclass(frozen=True)
@@ -131,6 +175,17 @@ TARGETS = (
     Target("describe", "arm.urdf", ("sheet.yaml",), (), (), 6),
     Target("describe", "sheet.yaml", ("arm.urdf",), ("arm.urdf", "--sheet", "{}"), (), 3),
     Target("describe", "tool.yaml", ("arm.urdf",), ("arm.urdf", "--tool", "{}"), (), 3),
+    *(
+        Target("import", file, ("two.yaml", beside), ("{}", "--map", beside), (), 2)
+        for file, beside in (*((f"foreign.{kind}", f"{kind}-map.yaml") for kind in LOG_MAPS),
+                             ("blows.wav", "wav-map.yaml"), ("hammer.unv", "unv-map.yaml"))
+    ),
+    *(
+        Target("import", f"{kind}-map.yaml", ("two.yaml", file), (file, "--map", "{}"), (), 1)
+        for kind, file in (("csv", "foreign.csv"), ("wav", "blows.wav"), ("unv", "hammer.unv"))
+    ),
+    Target("import", "foreign.csv", (), ("--guess", "{}"), (), 1),
+    Target("example", "tool.yaml", (), ("{}",), (), 1),
     Target("diagnose", "modes.yaml", ("two.yaml",), (), ("--seed",), 1),
     Target("diagnose", "log.h5", ("two.yaml",), (), ("--seed",), 1),
 )  # fmt: skip
@@ -138,7 +193,7 @@ TARGETS = (
 
 def make(folder: Path) -> None:
     """Write a valid file of every format, once."""
-    if (folder / "hammer.unv").exists():
+    if (folder / "blows.wav").exists():
         return
     folder.mkdir(parents=True, exist_ok=True)
     texts = {"two.yaml": ROBOT, "posture.yaml": POSTURE, "cut.yaml": CUT, "arm.urdf": URDF, "sheet.yaml": SHEET}
@@ -165,3 +220,34 @@ def make(folder: Path) -> None:
     modes = ", ".join(f"{{frequency_hz: {f:.4f}, damping_percent: {d:.3f}}}" for f, d in numbers)
     (folder / "modes.yaml").write_text(f"robot: two.yaml\npostures:\n  bent: {{q_deg: [10, 40], modes: [{modes}]}}\n")
     write_uff(folder / "hammer.unv", twin.read_campaign(folder / "hammer.h5"))
+    _foreign(folder)
+
+
+def _foreign(folder: Path) -> None:
+    """The same recordings as other programs write them, and the maps they are imported with."""
+    run = next(iter(twin.read_log(folder / "log.h5").runs.values()))
+    assert run.torque is not None
+    for kind, text in {**{k: LOG_MAPS[k] for k in LOG_MAPS}, "wav": WAV_MAP, "unv": UNV_MAP}.items():
+        (folder / f"{kind}-map.yaml").write_text(text)
+    names = ["t", *(f"q{i}" for i in (1, 2)), *(f"tau{i}" for i in (1, 2))]
+    columns = np.column_stack([run.time, run.position, run.torque])
+    np.savetxt(folder / "foreign.csv", columns, "%.9g", ",", header=",".join(names), comments="")
+    scipy.io.savemat(folder / "foreign.mat", {"t": run.time, "q": run.position, "tau": run.torque})
+    with nptdms.TdmsWriter(folder / "foreign.tdms") as writer:
+        for name, column in zip(names, columns.T, strict=True):
+            writer.write_segment([nptdms.ChannelObject("log", name, np.ascontiguousarray(column))])
+    with (folder / "foreign.mcap").open("wb") as stream:
+        states = mcap_ros2.writer.Writer(stream)
+        schema = states.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE)
+        for t, q, torque in zip(run.time, run.position, run.torque, strict=True):
+            ns = round(t * 1e9)
+            header = {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": ""}
+            joints = {"name": ["a1", "a2"], "position": q.tolist(), "velocity": [], "effort": torque.tolist()}
+            states.write_message("/joint_states", schema, {"header": header, **joints}, log_time=ns, publish_time=ns)
+        states.finish()
+    with h5py.File(folder / "hits.h5") as file:
+        hits = next(iter(file["postures"].values()))["hits"]
+        force, response = hits["force"][0], hits["response"][0]
+        rate = float(next(iter(file["postures"].values()))["hits"].attrs["sample_rate_hz"])
+    record = np.column_stack([force.ravel(), response[:, 0].ravel()])
+    scipy.io.wavfile.write(folder / "blows.wav", round(rate), (record / [1000, 10]).astype(np.float32))

@@ -108,7 +108,7 @@ def compare(
     options = {"robot": robot, "without": without or [], "as_is": as_is, "low_pass": list(low_pass)}
     result.origin = provenance(traced(given, robot), options)
     if out is not None:
-        with Outputs(out) as name:
+        with Outputs(out, "compare") as name:
             name.report(result)
             path = name("compare.json")
             result.files = name.files

@@ -128,7 +128,7 @@ def describe(
     inputs = [Path(item) for item in (path, sheet, tool) if item is not None]
     found.origin = provenance(inputs, {"sheet": sheet, "tool": tool, "without": without or []})
     if out is not None:
-        with Outputs(out) as outputs:
+        with Outputs(out, "describe") as outputs:
             _write(found, reduced.chain, outputs)
         found.robot = load_robot(Path(out) / "robot.yaml")
     return found

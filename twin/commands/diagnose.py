@@ -92,7 +92,7 @@ def _finish(verdict: Verdict, evidence: Sequence[Evidence], out: str | Path | No
         with tempfile.TemporaryDirectory() as folder:
             _check(verdict, evidence, _write_model(verdict, Path(folder)))
         return
-    with Outputs(out) as name:
+    with Outputs(out, "diagnose") as name:
         _write_model(verdict, name("robot.yaml").parent)
         name("robot.xml")
         if verdict.findings[-1].fits:

@@ -58,7 +58,7 @@ def example(name: str = "cell", out: str | Path | None = None) -> Example:
         raise InputError("NAME", name, f"no such example; expected {' or '.join(names)}")
     folder = Path(out if out is not None else name)
     check_out(folder)
-    with Outputs(folder) as target:
+    with Outputs(folder, "example") as target:
         for path in (EXAMPLES / name, SHIPPED / "postures"):
             for file in sorted(path.iterdir()):
                 if file.name in WHAT:

@@ -148,7 +148,7 @@ def excite(
     }  # fmt: skip
     result.origin = provenance(traced([], robot), options)
     if out is not None:
-        with Outputs(out) as outputs:
+        with Outputs(out, "excite") as outputs:
             result.files = outputs.files
             _write(result, outputs, krl)
     return result

@@ -250,7 +250,7 @@ def fit(
         )
     found.origin = provenance(traced([given], robot), options)
     if out is not None:
-        with Outputs(out) as outputs:
+        with Outputs(out, "fit") as outputs:
             found.files = outputs.files
             _write(found, outputs, progress)
     return found

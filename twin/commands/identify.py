@@ -178,7 +178,7 @@ def identify(
     options = {"robot": robot, "without": without or [], "hold_out": hold_out or [], "low_pass": list(low_pass)}
     result.origin = provenance(traced([given], robot), {**options, "weighting": weighting})
     if out is not None:
-        with Outputs(out) as outputs:
+        with Outputs(out, "identify") as outputs:
             result.files = outputs.files
             _write(result, outputs)
     return result

@@ -263,7 +263,7 @@ def lobes(
     }  # fmt: skip
     result.origin = provenance(case.inputs, options)
     if out is not None:
-        with Outputs(out) as outputs:
+        with Outputs(out, "lobes") as outputs:
             outputs.report(result)
             path = outputs("lobes.json")
             result.files = outputs.files

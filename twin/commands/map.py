@@ -243,7 +243,7 @@ def make_map(
     }  # fmt: skip
     found.origin = provenance(inputs, options)
     if out is not None:
-        with Outputs(out) as outputs:
+        with Outputs(out, "map") as outputs:
             found.files = outputs.files
             _write(found, outputs)
         if keep_in is not None:

@@ -157,7 +157,7 @@ def modal(
     options = {"fmin": fmin, "fmax": fmax, "max_order": max_order, "method": method}
     found.origin = provenance(traced([given], robot), options | {"robot": robot, "without": without or []})
     if out is not None:
-        with Outputs(out) as outputs:
+        with Outputs(out, "modal") as outputs:
             _write(found, given.named_in(out), outputs)
     return found
 

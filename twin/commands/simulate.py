@@ -207,7 +207,7 @@ def simulate(
         exact = recorded_torque(case.robot, run.time, inverse_dynamics(case.robot, motion_of(run)))
         found.replays[name] = Replayed(run, stepped, exact)
     if out is not None:
-        with Outputs(out) as outputs:
+        with Outputs(out, "simulate") as outputs:
             _write(found, outputs, movie)
     return found
 

@@ -32,7 +32,7 @@ def view(
             raise InputError("--out", str(out), "is for robots and recordings, which have to be drawn first")
         return scene.view(path)
     target = out or Path("out") / f"{path.stem}.rrd"
-    check_out(target.parent)
+    check_out(target.parent, alone=False)
     if target.is_dir():
         raise InputError("--out", str(target), "is a folder; expected a file name.rrd")
     if _is_robot(path):

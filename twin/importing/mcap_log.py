@@ -12,7 +12,7 @@ def read(path: Path) -> list[Table]:
     reader, decoder = library("mcap.reader"), library("mcap_ros2.decoder")
     topics: dict[str, list[Any]] = {}
     with path.open("rb") as stream:
-        messages = reader.make_reader(stream, decoder_factories=[decoder.DecoderFactory()])
+        messages = reader.make_reader(stream, validate_crcs=True, decoder_factories=[decoder.DecoderFactory()])
         wanted = [
             channel.topic
             for channel in messages.get_summary().channels.values()

@@ -1,5 +1,6 @@
 """WAV: channels ``channel.1`` … in full scale (±1) for whole numbers, as they stand for floating point."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from twin.importing.tables import Channel, Table
 
 def read(path: Path) -> list[Table]:
     """One table; a map's ``factor`` says how many N or m/s² full scale is."""
-    rate, data = scipy.io.wavfile.read(path)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "Reached EOF", scipy.io.wavfile.WavFileWarning)  # the file is cut short
+        rate, data = scipy.io.wavfile.read(path)
     scale = 1.0 if data.dtype.kind == "f" else float(np.iinfo(data.dtype).max) + 1
     offset = scale / 2 if data.dtype.kind == "u" else 0.0  # 8 bits are unsigned about their middle
     values = (np.asarray(data, dtype=float) - offset) / (scale - offset)

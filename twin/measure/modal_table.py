@@ -1,7 +1,7 @@
 """The modal table: frequencies, dampings and, where known, shapes per posture, as YAML 1.2."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,8 @@ from twin.measure.campaign import FloatArray
 from twin.measure.modal import ModalResult
 from twin.ranges import ill_named, implausible
 from twin.yamlfile import read_yaml
+
+CRITICAL = 100.0  # per cent: what is damped more does not oscillate and has no frequency
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,9 @@ def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
 def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     if not isinstance(value, dict):
         raise InputError(path, where, f"expected frequency_hz and damping_percent, found {value!r}")
+    known = [one.name for one in fields(TableMode)]
+    if strange := next((key for key in value if key not in known), None):
+        raise InputError(path, f"{where}.{strange}", f"no such field; expected {', '.join(known)}")
 
     def number(name: str, unit: str) -> float | None:
         entry = value.get(name)
@@ -111,8 +116,9 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     if frequency is None or frequency <= 0:
         raise InputError(path, f"{where}.frequency_hz", f"expected Hz above 0, found {value.get('frequency_hz')!r}")
     damping = number("damping_percent", "%")
-    if damping is not None and damping < 0:
-        raise InputError(path, f"{where}.damping_percent", f"expected per cent from 0 upwards, found {damping:g}")
+    if damping is not None and not 0 <= damping < CRITICAL:
+        expected = f"expected per cent of critical damping, 0 to below {CRITICAL:g}, found {damping:g}"
+        raise InputError(path, f"{where}.damping_percent", expected)
     shape = value.get("shape") or {}
     if not isinstance(shape, dict):
         raise InputError(path, f"{where}.shape", f"expected labels with [re, im], found {shape!r}")

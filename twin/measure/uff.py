@@ -32,6 +32,7 @@ from twin.measure.modal_table import TableMode
 from twin.measure.units import frf_factor, same
 
 FRF_FUNCTION, COHERENCE_FUNCTION = 4, 6
+MARK = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")  # begins and ends a data set
 FREQUENCY_DATA = 18
 FORCE_DATA = (9, 13)  # reaction and excitation force
 ORDINATE: dict[int, tuple[Quantity, str]] = {
@@ -152,9 +153,21 @@ def _datasets(path: Path) -> list[dict[str, Any]]:
         with redirect_stdout(StringIO()):
             file = pyuff.UFF(str(path))
             wanted = [n for n, kind in enumerate(file.get_set_types()) if kind in (15, 55, 58, 82, 164, 2411)]
-            return [file.read_sets(n) for n in wanted]
+            found = [file.read_sets(n) for n in wanted]
     except Exception as error:
         raise InputError(path, "", f"expected a universal file: {error}") from None
+    _check_whole(path, found)
+    return found
+
+
+def _check_whole(path: Path, found: list[dict[str, Any]]) -> None:
+    """A file that ends inside a data set was cut short; a data set 58 holds as many values as it states."""
+    if len(MARK.findall(path.read_bytes())) % 2:
+        raise InputError(path, "", "ends inside a data set: the file is cut short; expected it whole")
+    for number, dataset in enumerate(found, 1):
+        if dataset.get("type") == 58 and int(dataset["num_pts"]) != len(dataset["data"]):
+            held, stated = len(dataset["data"]), int(dataset["num_pts"])
+            raise InputError(path, f"data set {number}", f"expected the {stated} values it states, found {held}")
 
 
 def _polylines(nodes: Iterable[float]) -> list[tuple[int, ...]]:

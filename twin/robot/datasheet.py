@@ -10,12 +10,17 @@ from pydantic import Field, ValidationError, model_validator
 
 from twin.errors import InputError
 from twin.robot.description import (
+    Acceleration,
     Data,
     Inertia,
+    Mass,
     NonNegative,
     Number,
     Placement,
     Positive,
+    Speed,
+    Stiffness,
+    Torque,
     Vector,
     check_inertia,
     first_problem,
@@ -34,12 +39,12 @@ class Mount(Data):
 
     type: Literal["prismatic", "revolute"]
     axis: Vector
-    mass: Positive
+    mass: Mass
     com: Vector = (0.0, 0.0, 0.0)
     foot: Vector = (0.0, 0.0, 0.0)
     position: tuple[Number, Number] | None = None
-    velocity: Positive | None = None
-    torque: Positive | None = None
+    velocity: Speed | None = None
+    torque: Torque | None = None
 
 
 class Sheet(Data):
@@ -54,14 +59,14 @@ class Sheet(Data):
     payload: NonNegative | None = None
     payload_com: Vector = (0.0, 0.0, 0.0)
     reach: Positive | None = None
-    mass: Positive | None = None
-    link_masses: list[Positive] | None = None
-    max_speed: list[Positive] | None = None
-    max_acceleration: list[Positive] | None = None
-    max_torque: list[Positive] | None = None
+    mass: Mass | None = None
+    link_masses: list[Mass] | None = None
+    max_speed: list[Speed] | None = None
+    max_acceleration: list[Acceleration] | None = None
+    max_torque: list[Torque] | None = None
     gear_ratio: list[Number] | None = None
     rotor_inertia: list[Positive] | None = None
-    stiffness: list[Positive] | None = None
+    stiffness: list[Stiffness] | None = None
     gears: list[Gear] | None = None
     coupling: dict[str, dict[str, Number]] = Field(default_factory=dict)
     mount: list[Mount] = Field(default_factory=list)
@@ -81,7 +86,7 @@ class Tool(Placement):
     """
 
     name: str = "tool"
-    mass: Positive | None = None
+    mass: Mass | None = None
     com: Vector | None = None
     inertia: Inertia | None = None
     mesh: str | None = None

@@ -54,6 +54,9 @@ Length = Annotated[_Finite, _within("m")]
 Moment = Annotated[_Finite, _within("kg·m²")]
 Stiffness = Annotated[_Finite, Field(gt=0), _within("N·m/rad", scale=True)]
 Damping = Annotated[_Finite, Field(ge=0), _within("N·m·s/rad")]
+Speed = Annotated[_Finite, Field(gt=0), _within("rad/s", scale=True)]
+Acceleration = Annotated[_Finite, Field(gt=0), _within("rad/s²", scale=True)]
+Torque = Annotated[_Finite, Field(gt=0), _within("N·m", scale=True)]
 Vector = tuple[Length, Length, Length]
 Quaternion = tuple[Number, Number, Number, Number]
 Inertia = tuple[Moment, Moment, Moment, Moment, Moment, Moment]
@@ -147,7 +150,7 @@ class Limits(Data):
     """Position (lower, upper) rad or m; largest speed rad/s or m/s, acceleration rad/s² or m/s², torque N·m or N."""
 
     position: tuple[Length, Length] | None = None
-    velocity: Positive | None = None
+    velocity: Speed | None = None
     acceleration: Positive | None = None
     torque: Positive | None = None
 

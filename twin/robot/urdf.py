@@ -164,6 +164,8 @@ def _joint(path: Path, element: ElementTree.Element) -> Joint:
         if end is None:
             raise InputError(path, where, f"<{tag} link=…> is missing")
         ends.append(_attribute(path, end, "link", where))
+    if ends[0] == ends[1]:
+        raise InputError(path, where, f"expected two links, it leads from {ends[0]!r} to itself")
     axis = _numbers(path, where, element.find("axis"), "xyz", [1.0, 0.0, 0.0])
     if kind == "fixed":
         axis = np.array([1.0, 0.0, 0.0])  # of no consequence; files write zeros
