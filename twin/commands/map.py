@@ -202,6 +202,15 @@ def make_map(
     if not any(axis.stiffness for axis in loaded.axes) and not any("stiffness" in e.values for e in loaded.physics):
         raise InputError(loaded.name, "axes", "no axis has a stiffness, so nothing limits the depth of cut")
     asked = read_cut(cut) if cut else Cut()
+    turns = {
+        "--place-turn-deg": (place_turn_deg,),
+        "--place": place or (),
+        "--box": box or (),
+        "--near": near_deg or (),
+    }
+    for option, numbers in turns.items():
+        if bad := next((number for number in numbers if not np.isfinite(number)), None):
+            raise InputError(option, f"{bad:g}", "expected finite numbers")
     _check_asked(loaded, random, grid, posture_grid, path, lobes, draws, spindle_rpm, spacing)
     near = None
     if near_deg is not None:

@@ -180,6 +180,9 @@ def _blows(source: Source, map_: HitsMap, rate: float) -> list[tuple[FloatArray,
     ]
     signal = force[:, 0] - np.median(force)
     before, length = round(map_.pretrigger_s * rate), round(map_.record_s * rate)
+    if length < before + 2:
+        expected = f"expected more than pretrigger_s and two samples at {rate:g} Hz, found {map_.record_s:g} s"
+        raise InputError("map", "record_s", expected)
     above = np.abs(signal) > map_.trigger_n
     starts: list[int] = []
     for start in np.flatnonzero(above & ~np.concatenate([[False], above[:-1]])):

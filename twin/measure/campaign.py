@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.errors import InputError
 from twin.files import replacing
-from twin.measure.hdf5 import Node
+from twin.measure.hdf5 import Node, undamaged
 from twin.ranges import ill_named
 
 FORMAT, VERSION = "frf-campaign", 1
@@ -337,7 +337,7 @@ def read_campaign(path: str | Path) -> Campaign:
         file = h5py.File(path, "r")
     except OSError:
         raise InputError(path, "", "expected an HDF5 file") from None
-    with file:
+    with file, undamaged(path):
         root = Node(path, file)
         if root.text("format") != FORMAT:
             raise InputError(path, "format", f'expected "{FORMAT}", found {root.text("format")!r}')

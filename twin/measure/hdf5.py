@@ -1,6 +1,8 @@
 """Reading HDF5 that others wrote: what is missing, malformed or in another unit becomes one clear line."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +73,17 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return _plain(value.item())
     return value
+
+
+@contextmanager
+def undamaged(source: Path) -> Iterator[None]:
+    """What the library says of a damaged file inside becomes an :class:`InputError`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (OSError, RuntimeError, KeyError) as error:
+        raise InputError(source, "", f"the file is damaged, expected it whole ({error})") from error
 
 
 class Node:
