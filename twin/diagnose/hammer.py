@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration, decide, finalists
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision, decide, finalists
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import put_right

@@ -10,7 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision
 from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
