@@ -1,11 +1,11 @@
-"""What is wrong with a hammer test itself, told before physics: channels in another unit, reversed or exchanged, noise
-that is larger than stated.
+"""What is wrong with a hammer test itself: channels in another unit, reversed or exchanged, noise that is larger than
+stated, mains hum, records that end too early.
 
 Channels are compared with those of the description. What counts is phase, averaged over all lines, and the median of
 the ratio of sizes, so that the description's modes may be elsewhere. A fault that is found is put right, with a note.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from twin.diagnose.note import Note
+from twin.diagnose.refit import Fitted
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded, prepare
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.parameters import independent
+from twin.model.sensitivity import observe_all, poles
 from twin.robot.description import Robot
 
 UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}
@@ -26,6 +28,11 @@ NEAR_UNIT = 0.5  # in ln size: so near a unit's factor a channel is in that unit
 
 ROUGH = 4.0  # times the stated variance: rougher FRFs have more noise than stated; sound ones came to 2.3 at most
 NOISY = 3.0  # times, from the smoothest tenth of lines to the median: above, it is resonances and no noise
+
+MAINS_HZ = (50.0, 60.0)
+TONE = 4.0  # times the residual around a tone; of noise alone, averaged over channels, neighbouring lines come to 2
+BY_CHANCE = 1e-3  # probability that residuals peak at a multiple of the mains in every posture by chance
+LEFT = 0.1  # of a mode's swing at the end of a record without a window: 10 % of it leak
 
 
 def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, list[Note]]:
@@ -116,3 +123,71 @@ def understated(recordings: Iterable[Recorded]) -> float:
         return 1.0
     smooth, middle = np.quantile(ratio, [0.1, 0.5]) / -np.log1p(-np.array([0.1, 0.5]))
     return float(smooth) if smooth > ROUGH and middle < NOISY * smooth else 1.0
+
+
+def without_hum(campaign: Campaign, fit: Fitted, sample: Sample) -> tuple[Campaign, list[Note]]:
+    """A campaign without the lines that mains hum into, and a note on each tone.
+
+    What the best fit leaves peaks at one multiple of the mains' frequency in every posture, where modes move.
+    """
+    objective = Objective(fit.robot, fit.parameters, sample)
+    residual, at, left = objective.residual(fit.z), 0, []
+    for w in objective.weight:
+        part = residual[2 * at : 2 * (at + w.size)].view(complex).reshape(w.shape)
+        at += w.size
+        left.append((np.abs(part) ** 2).sum(axis=(1, 2)))
+    notes, hummed = [], []
+    for mains in MAINS_HZ:
+        top = max(r.frequency[-1] for r in sample.recordings)
+        for tone in mains * np.arange(1, int(top / mains) + 1):
+            chance, reaches = float(len(MAINS_HZ) * (top // mains)), []
+            for r, energy in zip(sample.recordings, left, strict=True):
+                spacing = float(np.median(np.diff(r.frequency)))
+                reach = max(spacing, float(r.s[0].real))  # a window of rate σ widens a tone to σ
+                around = np.flatnonzero(np.abs(r.frequency - tone) <= 3 * reach + spacing)
+                near = np.abs(r.frequency[around] - tone) <= spacing
+                if not near.any():
+                    continue
+                peaked = energy[around].max() == energy[around][near].max()
+                times = energy[around].max() / max(float(np.median(energy)), 1e-12)
+                clear = peaked and energy[around].max() > TONE * np.median(energy[around])
+                chance *= near.mean() if clear else 1.0
+                reaches.append(max(spacing, float(r.s[0].real) / (2 * np.pi) * np.sqrt(2 * times)))  # half the median
+            if chance < BY_CHANCE:
+                hummed.append((float(tone), max(reaches)))
+                text = (
+                    f"what is left of the FRFs peaks at {tone:g} Hz in the postures used, wherever the modes are: mains "
+                    f"hum; lines within {hummed[-1][1]:.3g} Hz of it were left out"
+                )
+                notes.append(Note(text, "hum", "fail"))
+    if not notes:
+        return campaign, []
+    postures = {}
+    for name, posture in campaign.postures.items():
+        keep = np.all([np.abs(posture.frequency - tone) > reach for tone, reach in hummed], axis=0)
+        coherence = None if posture.coherence is None else posture.coherence[keep]
+        postures[name] = replace(posture, frequency=posture.frequency[keep], frf=posture.frf[keep], coherence=coherence)
+    return replace(campaign, postures=postures), notes
+
+
+def cut_short(robot: Robot, recordings: Sequence[Recorded]) -> list[Note]:
+    """A note where modes of the description still ring at the end of a record whose FRFs state no window.
+
+    A record is taken to be as long as the spacing of its lines says.
+    """
+    worst, told = LEFT, ""
+    for r in recordings:
+        spacing, window = float(np.median(np.diff(r.frequency))), float(r.s[0].real)
+        for seen, _ in observe_all(robot, [r.setup], independent([]), np.zeros(0)):
+            pole, _ = poles(seen)
+            inside = pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]
+            for one in inside:
+                left = float(np.exp((one.real - window) / spacing))
+                if left > worst:
+                    worst, told = left, (
+                        f"{r.group}: lines are {spacing:.3g} Hz apart, so a record is {1 / spacing:.3g} s long at most as "
+                        f"stated, and the mode near {abs(one) / 2 / np.pi:.3g} Hz still has {left:.0%} of its swing at its "
+                        "end: unless lines were dropped, leakage bends every peak; put an exponential window on the "
+                        "records and state it, or record longer"
+                    )
+    return [Note(told, "leakage")] if told else []

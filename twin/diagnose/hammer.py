@@ -10,7 +10,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision, decide, finalists
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
-from twin.diagnose.frf_faults import put_right
+from twin.diagnose.frf_faults import cut_short, put_right, without_hum
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects
 from twin.diagnose.joint import Knowledge, settled_with, shared
 from twin.diagnose.joint_reaction import blows
@@ -107,6 +107,22 @@ def diagnose_campaign(
     if not free_parameters(given, tolerances=False).items:
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
     campaign, faults = put_right(campaign, without_limits(given), source)
+    finding = _diagnosed(campaign, given, source, hold_out, seed, progress, told_by, processes)
+    finding.warnings = [*faults, *finding.warnings]
+    return finding
+
+
+def _diagnosed(
+    campaign: Campaign,
+    given: Robot,
+    source: str,
+    hold_out: list[str] | None,
+    seed: int,
+    progress: Progress | None,
+    told_by: Finding | None,
+    processes: int,
+) -> Finding:
+    """What a campaign says whose channels are as stated."""
     found = triage(campaign, given, source, hold_out)
     base = without_limits(told_by.model if told_by else given)
     sample = Sample(tuple(found.used), 1 / found.shared)
@@ -118,12 +134,17 @@ def diagnose_campaign(
     known = free if plain is base else _free(plain, found.used)
     search = converge(plain, known, sample, seed=seed, processes=processes)
     if law and (told := levels_finding(campaign, given, plain, source, found, search, progress, seed)):
-        told.warnings = [*faults, *told.warnings]
         return told
     if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
     looked_at = _suspects(campaign, base, free, found)
     explain(base, search, sample, looked_at, progress)
+    best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
+    quiet, hum = without_hum(campaign, best, sample)
+    if hum:
+        finding = _diagnosed(quiet, given, source, hold_out, seed, progress, told_by, processes)
+        finding.warnings = [*hum, *finding.warnings]
+        return finding
     answer = _answered(base, search, sample, looked_at, found)
     before = _as_described(base, search, answer, sample)
     if told_by and told_by.missing:
@@ -134,7 +155,8 @@ def diagnose_campaign(
     laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
     finding.next_test = _next_test(given, answer, few, seed)
-    finding.warnings = [*faults, *finding.warnings]
+    if answer.word == "unexplained":
+        finding.warnings = [*cut_short(without_limits(given), found.used), *finding.warnings]
     return finding
 
 
