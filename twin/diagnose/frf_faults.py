@@ -32,6 +32,7 @@ NOISY = 3.0  # times, from the smoothest tenth of lines to the median: above, it
 MAINS_HZ = (50.0, 60.0)
 TONE = 4.0  # times the residual around a tone; of noise alone, averaged over channels, neighbouring lines come to 2
 BY_CHANCE = 1e-3  # probability that residuals peak at a multiple of the mains in every posture by chance
+LIGHTEST = 0.01  # damping ratio of the modes of robots, at least: descriptions know little of dampers
 LEFT = 0.1  # of a mode's swing at the end of a record without a window: 10 % of it leak
 
 
@@ -182,7 +183,8 @@ def cut_short(robot: Robot, recordings: Sequence[Recorded]) -> list[Note]:
             pole, _ = poles(seen)
             inside = pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]
             for one in inside:
-                left = float(np.exp((one.real - window) / spacing))
+                decay = max(-float(one.real), LIGHTEST * abs(one)) + window
+                left = float(np.exp(-decay / spacing))
                 if left > worst:
                     worst, told = left, (
                         f"{r.group}: lines are {spacing:.3g} Hz apart, so a record is {1 / spacing:.3g} s long at most as "

@@ -24,6 +24,7 @@ from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_f
 from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
 from twin.diagnose.sentences import sentence
+from twin.diagnose.states import states
 from twin.diagnose.struck import without_laws
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import (
@@ -156,7 +157,9 @@ def _diagnosed(
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
     finding.next_test = _next_test(given, answer, few, seed)
     if answer.word == "unexplained":
-        finding.warnings = [*cut_short(without_limits(given), found.used), *finding.warnings]
+        plain = without_limits(given)
+        mixed = states(base, search.base.parameters, sample)
+        finding.warnings = [*(mixed or cut_short(plain, found.used)), *finding.warnings]
     return finding
 
 
