@@ -4,13 +4,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import twin
 from tools.study_milling import (
+    AMPLITUDE_Q,
+    AMPLITUDE_RPM,
+    NONLINEAR,
     RADII,
+    amplitude_cut,
     benchmark_cut,
     benchmark_modes,
     kr90_point,
+    linear_limit,
+    nonlinear_robot,
     simulated_limits,
     thirteen_modes,
 )
@@ -45,9 +52,9 @@ def test_spectral_radii_of_the_published_slot(depth_mm: float, radius: float) ->
     assert found == pytest.approx(radius, abs=1e-7)
 
 
-@pytest.mark.parametrize("milling", ["up", "down"])
-def test_first_limits_are_those_of_an_independent_time_simulation(milling: str) -> None:
-    cut = benchmark_cut(0.1, milling)
+@pytest.mark.parametrize(("immersion", "milling"), [(0.1, "up"), (0.1, "down"), (1.0, "up")])
+def test_first_limits_are_those_of_an_independent_time_simulation(immersion: float, milling: str) -> None:
+    cut = benchmark_cut(immersion, milling)
     speeds = np.array([7000.0, 12500.0])
     first = limits(benchmark_modes(), cut, speeds, 0.05).first()
     simulated, below = simulated_limits(benchmark_modes(), cut, speeds, first, 240, 0.25)
@@ -153,6 +160,79 @@ def test_the_stepped_cut_of_a_linear_robot_chatters_where_its_lobes_say() -> Non
     stepper = CutStepper(robot, Q, "on", cut, 2500.0)
     assert not stepper.run(0.93 * first, 3.0).chatter
     assert stepper.run(1.07 * first, 3.0).chatter
+
+
+GAP, SLIP, HARDENING = tuple(NONLINEAR)[1:]
+
+
+def chatters(name: str, depth_m: float, blow_n_s: float = 0.0) -> bool:
+    """Whether the KR90 with a nonlinear joint chatters in the cut of the study."""
+    stepper = CutStepper(nonlinear_robot(NONLINEAR[name]), AMPLITUDE_Q, "on", amplitude_cut(), AMPLITUDE_RPM)
+    return stepper.run(depth_m, kick_n_s=blow_n_s).chatter
+
+
+def test_a_blow_that_throws_teeth_out_of_the_work_lowers_the_limit_of_a_linear_robot() -> None:
+    limit = linear_limit(nonlinear_robot(None), amplitude_cut())
+    assert not chatters("as described", 0.93 * limit)
+    assert chatters("as described", 1.07 * limit)
+    assert chatters("as described", 0.6 * limit, blow_n_s=6.0)
+
+
+def test_the_mean_force_closes_a_gap_where_linear_lobes_miss_the_spring() -> None:
+    linear, closed = (linear_limit(nonlinear_robot(NONLINEAR[name]), amplitude_cut()) for name in (GAP, "as described"))
+    assert linear < 0.7 * closed
+    assert not chatters(GAP, 0.93 * closed)
+    assert chatters(GAP, 1.07 * closed)
+
+
+def test_slip_is_stuck_in_linear_lobes_and_slides_in_the_cut() -> None:
+    """Beyond its yield an element adds no stiffness: where all slides, the limit is that of the robot without it."""
+    stuck, sliding = (
+        linear_limit(nonlinear_robot(NONLINEAR[name]), amplitude_cut()) for name in (SLIP, "as described")
+    )
+    assert stuck < 0.3 * sliding
+    assert chatters(SLIP, 1.4 * stuck)
+    assert not chatters(SLIP, 0.8 * sliding)
+    assert chatters(SLIP, 0.8 * sliding, blow_n_s=6.0)  # as the robot without it: teeth leave the work
+
+
+def test_the_mean_force_stiffens_a_hardening_joint_until_the_cut_chatters() -> None:
+    """Linearised about the mean force k + 3k₃φ², the limit is where the depth that loads the joint equals it."""
+    cut, entry, robot = amplitude_cut(), NONLINEAR[HARDENING], load_robot("kr90")
+    assert entry is not None
+    point = tool_point(robot, AMPLITUDE_Q, "on", cut)
+    assert point.linear is not None
+    force = static_force(cut, (np.arange(2000) + 0.5) / 2000, 1.0).mean(axis=0) @ cut.frame(point.axis)
+    arm = np.cross([0, 0, 1], point.position)  # joint 1 turns about the base's vertical
+    k, cubic = float(robot.axes[0].stiffness or 0), float(entry["cubic"])
+
+    def loaded(depth: float) -> float:
+        angle = next(r.real for r in np.roots([cubic, 0, k, -depth * (arm @ force)]) if abs(r.imag) < 1e-12)
+        first = robot.axes[0].model_copy(update={"stiffness": k + 3 * cubic * angle**2})
+        return linear_limit(robot.model_copy(update={"axes": [first, *robot.axes[1:]]}), cut) - depth
+
+    expected = brentq(loaded, 1e-3, 4e-3, xtol=1e-5)
+    assert expected < 0.7 * linear_limit(nonlinear_robot(entry), cut)
+    assert not chatters(HARDENING, 0.85 * expected)
+    assert chatters(HARDENING, 1.15 * expected)
+
+
+def test_lobes_say_where_a_blow_leaves_chatter_beside_the_linear_limit() -> None:
+    cut = amplitude_cut().model_copy(update={"spindle_rpm": (2490.0, 2510.0), "depth_max_m": 0.05})
+    robot = nonlinear_robot(NONLINEAR[HARDENING])
+    found = twin.lobes([0, 70, -100], robot=robot, cut=cut, draws=0, in_time=1, blow_n_s=1.0)
+    (at,) = found.data()["in_time"]
+    assert at["blow_n_s"] == 1.0
+    assert at["depth_mm"] < 0.7 * found.data()["depth_limit_mm"][0]
+    assert "after a blow of 1 N·s, at 2500 rpm: chatter from" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("options", "line"), [({"blow_n_s": 3.0}, "--in-time N"), ({"in_time": 1, "blow_n_s": -1.0}, "0 to 100 N·s")]
+)
+def test_a_blow_that_cannot_be_is_told(options: dict[str, float], line: str) -> None:
+    with pytest.raises(InputError, match=line):
+        twin.lobes([0, 70, -100], robot="kr90", **options)  # type: ignore[arg-type]
 
 
 def campaign(noise: float) -> Campaign:

@@ -1,7 +1,7 @@
 """Limits of milling against published radii, an independent time simulation and closed forms, and how fast they are.
 
     python -m tools.study_milling            # everything, some minutes
-    python -m tools.study_milling radii first thirteen kr90 slow speed
+    python -m tools.study_milling radii first thirteen kr90 slow speed amplitude
 
 The time simulation (`tools.truth.milling`) shares no code with the twin: it steps the delay equation from a random
 disturbance and reads the growth rate; a limit is where the rate changes sign.
@@ -9,16 +9,21 @@ disturbance and reads the growth rate; a limit is where the rate changes sign.
 
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
 from tools.truth import milling as truth
 from twin.milling.cut import Cut, read_cut
+from twin.milling.in_time import CutInTime, CutStepper
 from twin.milling.stability import limits, multipliers
 from twin.milling.tool_point import ToolModes, real_modes, tool_point
 from twin.milling.zeroth_order import limiting_depth, low_frequency_depth
-from twin.robot.description import load_robot
+from twin.report.figures import save
+from twin.robot.description import Entry, Robot, load_robot
 
 PUBLISHED_HZ = [7.07, 10.29, 16.02, 18.49, 34.39, 37.81, 72.67, 107.81, 116.76, 121.93, 141.74, 193.88, 253.25]
 PUBLISHED_PERCENT = [3.74, 2.21, 2.30, 3.32, 4.00, 3.84, 5.05, 4.84, 7.60, 3.44, 2.07, 3.67, 3.88]
@@ -107,7 +112,7 @@ def first() -> None:
     """First limits of up and down milling."""
     speeds = np.linspace(5000, 20000, 7)
     for immersion in (0.05, 0.1, 0.5, 1.0):
-        for milling in ("up", "down"):
+        for milling in ("up", "down") if immersion < 1 else ("up",):  # a full slot is both
             cut = benchmark_cut(immersion, milling).model_copy(update={"depth_max_m": 0.05})
             compare(f"{milling} milling, immersion {immersion:g}", benchmark_modes(), cut, speeds, 500, 0.6)
 
@@ -143,6 +148,72 @@ def slow() -> None:
         print(f"  {rpm:8.0f} {1e3 * exact:9.4f} {1e3 * form:9.4f} {100 * (form / exact - 1):8.3f}")
 
 
+NONLINEAR: dict[str, dict[str, Any] | None] = {
+    "as described": None,
+    "gap of 50 µrad in joint 1": {"effect": "backlash", "site": "joint1.z", "gap": 5e-5},
+    "slip of 15 % in joint 3 beyond 10 µrad": {
+        "effect": "hysteresis", "site": "joint3.z", "stiffness": [4.2e5], "yield_torque": [4.2],
+    },
+    "joint 1 twice as stiff at 50 µrad": {"effect": "hardening_stiffness", "site": "joint1.z", "cubic": 2e15},
+}  # fmt: skip
+AMPLITUDE_Q, AMPLITUDE_RPM = np.deg2rad([0, 70, -100]), 2500.0
+
+
+def amplitude_cut() -> Cut:
+    """A cut whose limit asks much of the joints: teeth of thick chips, so that they stay in the work for long."""
+    tool = {"teeth": 2, "overhang_m": 0.25, "mass_kg": 12}
+    return read_cut({"tool": tool, "coefficients": "benchmark", "milling": "up", "feed_per_tooth_m": 3e-4})
+
+
+def nonlinear_robot(entry: dict[str, Any] | None) -> Robot:
+    """The KR90 with one entry more."""
+    robot = load_robot("kr90")
+    return (
+        robot if entry is None else robot.model_copy(update={"physics": [*robot.physics, Entry.model_validate(entry)]})
+    )
+
+
+def linear_limit(robot: Robot, cut: Cut) -> float:
+    """Depth, m, that the lobes state."""
+    point = tool_point(robot, AMPLITUDE_Q, "on", cut)
+    modes = point.modes.turned(cut.frame(point.axis))
+    return float(limits(modes, cut, np.array([AMPLITUDE_RPM]), 0.05).first()[0])
+
+
+def settled_m(ran: CutInTime) -> float:
+    """RMS change of the motion from turn to turn over the last tenth, m; having run away, a tenth of the tool."""
+    count = len(ran.change_m)
+    return float(np.mean(ran.change_m[-max(1, count // 10) :])) if count > 8 else 0.1 * amplitude_cut().tool.diameter_m
+
+
+def amplitude() -> None:
+    """Where linear lobes lie: one cut after blows of many sizes, joints linear or not; a figure."""
+    cut, blows, depths = amplitude_cut(), (0.0, 1.0, 2.0, 3.0, 4.0, 6.0), np.arange(0.5, 6.6, 0.5)
+    figure = Figure(figsize=(11.0, 6.4), layout="constrained")
+    for ax, (name, entry) in zip(figure.subplots(2, 2, sharex=True, sharey=True).flat, NONLINEAR.items(), strict=True):
+        robot = nonlinear_robot(entry)
+        limit, stepper = 1e3 * linear_limit(robot, cut), CutStepper(robot, AMPLITUDE_Q, "on", cut, AMPLITUDE_RPM)
+        ran = [[stepper.run(1e-3 * depth, kick_n_s=blow) for depth in depths] for blow in blows]
+        size = np.array([[settled_m(one) for one in row] for row in ran])
+        chatter = np.array([[one.chatter for one in row] for row in ran])
+        shown = ax.pcolormesh(
+            depths, np.arange(len(blows)), 1e6 * size, norm=LogNorm(0.1, 2000), cmap="viridis", shading="nearest"
+        )
+        at, row = np.meshgrid(depths, np.arange(len(blows)))
+        ax.plot(at[chatter], row[chatter], "x", color="white", markersize=6, label="chatters")
+        ax.axvline(limit, color="#e8590c", linewidth=2.2, label="limit of the linear lobes")
+        ax.set_title(f"{name}: linear limit {limit:.2f} mm", fontsize=10)
+        ax.set_yticks(np.arange(len(blows)), [f"{blow:g}" for blow in blows])
+        print(f"{name}: linear limit {limit:.2f} mm")
+        for blow, row in zip(blows, chatter, strict=True):
+            print(f"  blow {blow:g} N·s: chatters at", *(f"{depth:g}" for depth in depths[row]), "mm")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=9, facecolor="#8a8f98")
+    figure.colorbar(shown, ax=figure.axes, label="settled change from turn to turn, µm")
+    figure.supxlabel("axial depth of cut, mm", fontsize=10)
+    figure.supylabel("blow before the cut, N·s", fontsize=10)
+    save(figure, Path("docs/milling-amplitude.png"))
+
+
 def speed() -> None:
     """CPU time of a chart of 1000 speeds, and of closed forms of 10,000 postures."""
     modes, cut = kr90_point()
@@ -160,6 +231,7 @@ def speed() -> None:
 
 STUDIES: dict[str, Any] = {
     "radii": radii, "first": first, "thirteen": thirteen, "kr90": kr90, "slow": slow, "speed": speed,
+    "amplitude": amplitude,
 }  # fmt: skip
 
 if __name__ == "__main__":

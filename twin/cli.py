@@ -467,6 +467,9 @@ def lobes(
             "--in-time", min=0, metavar="N", help="Also step the cut in MuJoCo at N speeds, nonlinear joints and all."
         ),
     ] = 0,
+    blow: Annotated[
+        float, typer.Option(metavar="N·S", help="Blow on the tip before each cut in time; else from rest.")
+    ] = 0.0,
     out: Out = None,
     json: Json = False,
     seed: Seed = 0,
@@ -495,6 +498,7 @@ def lobes(
     twin lobes out/measured_frf --q 0,70,-100 --cut cut.yaml
     twin lobes tool_frf.h5 --cut cut.yaml               # no model: straight from the measured FRF
     twin lobes posture.yaml --in-time 3                 # amplitudes, slip, gaps: where linear lobes lie
+    twin lobes posture.yaml --in-time 3 --blow 5        # the same after a blow of 5 N·s on the tip
     ```
 
     Prints limits and writes lobes.json and lobes.png (chart, frequency at the limit, forced vibration and surface
@@ -506,7 +510,8 @@ def lobes(
     with _bars() as progress:
         found = twin.lobes(
             given, robot=robot, without=without, cut=cut, q_deg=None if q is None else _numbers("--q", q, float),
-            posture=posture, spindle_rpm=rpm, draws=draws, in_time=in_time, out=out, seed=seed, progress=progress,
+            posture=posture, spindle_rpm=rpm, draws=draws, in_time=in_time, blow_n_s=blow, out=out, seed=seed,
+            progress=progress,
         )  # fmt: skip
     _show(found, json)
 

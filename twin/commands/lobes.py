@@ -31,6 +31,7 @@ Given = str | Path | Robot | Campaign | Mapping[str, Any] | Sequence[float] | np
 DRAWS = 100
 SHOWN = 8  # speeds in the table
 FORCED = 60  # speeds at which forced vibration is given
+HARDEST_BLOW_N_S = 100.0  # a sledge hammer of 10 kg at 10 m/s
 IN_TIME_REACH = 3.0  # times the linear limit, up and down, that a limit in time is looked for
 
 
@@ -73,7 +74,7 @@ class StabilityLobes(Result):
         lobes: the limits over spindle speed.
         closed_form_m: (ns,) limits by the zeroth-order approximation.
         forced: spindle speeds (nf,) rpm, depths (nf,) m, vibrations.
-        in_time: (spindle speed rpm, depth m) at which the stepped robot begins to chatter.
+        in_time: (spindle speed rpm, depth m) where the stepped robot begins to chatter, after a blow of ``blow_n_s``.
         files: what was written.
     """
 
@@ -82,6 +83,7 @@ class StabilityLobes(Result):
     closed_form_m: np.ndarray
     forced: tuple[np.ndarray, np.ndarray, list[Vibration]]
     in_time: list[tuple[float, float]] = field(default_factory=list)
+    blow_n_s: float = 0.0
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
 
@@ -117,7 +119,9 @@ class StabilityLobes(Result):
                 "peak_to_peak_mm": [_mm(v.peak_to_peak_m) for v in shaken],
                 "surface_error_mm": [_mm(np.array(v.surface_error_m)) for v in shaken],
             },
-            "in_time": [{"spindle_rpm": rpm, "depth_mm": 1e3 * depth} for rpm, depth in self.in_time],
+            "in_time": [
+                {"spindle_rpm": rpm, "depth_mm": 1e3 * depth, "blow_n_s": self.blow_n_s} for rpm, depth in self.in_time
+            ],
             "cut": self.case.cut.model_dump(mode="json"),
             "notes": self.case.notes,
             "files": self.files,
@@ -176,8 +180,9 @@ class StabilityLobes(Result):
         )
         for rpm_, depth_ in self.in_time:
             linear = np.interp(rpm_, found.spindle_rpm, found.depth_m)
+            hit = f", after a blow of {self.blow_n_s:g} N·s" if self.blow_n_s else ""
             lines.append(
-                f"  in time, at {rpm_:.0f} rpm: chatter from {1e3 * depth_:.3g} mm (linear {1e3 * linear:.3g} mm)"
+                f"  in time{hit}, at {rpm_:.0f} rpm: chatter from {1e3 * depth_:.3g} mm (linear {1e3 * linear:.3g} mm)"
             )
         if found.safe_m is None:
             lines.append("  how sure is not known: no posterior beside the robot; twin fit and twin diagnose write one")
@@ -203,6 +208,7 @@ def lobes(
     spindle_rpm: tuple[float, float] | None = None,
     draws: int = DRAWS,
     in_time: int = 0,
+    blow_n_s: float = 0.0,
     out: str | Path | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -221,6 +227,7 @@ def lobes(
         spindle_rpm: lowest and highest speed; wins over the cut's.
         draws: of the posterior, for the depth that is stable with 90 % probability; 0 for none.
         in_time: at how many speeds the cut is also stepped in MuJoCo, nonlinear joints and all.
+        blow_n_s: on the tip along the feed, before each of these cuts begins.
         out: folder for JSON and figures; ``None`` writes nothing.
         seed: of the draws.
         progress: makes progress bars.
@@ -234,6 +241,10 @@ def lobes(
     check_count("in_time", in_time)
     if draws < 0 or in_time < 0:
         raise InputError("--draws" if draws < 0 else "--in-time", "", "expected no negative number")
+    if not 0 <= blow_n_s <= HARDEST_BLOW_N_S:
+        raise InputError("--blow", "", f"expected 0 to {HARDEST_BLOW_N_S:g} N·s, found {blow_n_s:g}")
+    if blow_n_s and not in_time:
+        raise InputError("--blow", "", "is a blow on the cut in time; add --in-time N")
     case = _case(given, robot, without, _read_cut(cut), q_deg, posture, brakes, spindle_rpm, draws, seed)
     if in_time and (case.robot is None or case.point.linear is None):
         raise InputError("--in-time", "", "needs a robot; a measured FRF cannot be stepped")
@@ -246,8 +257,10 @@ def lobes(
     )
     closed = np.interp(found.spindle_rpm, _spread(found.spindle_rpm, 400), np.minimum(closed, found.depth_max_m))
     result = StabilityLobes(case, found, closed, _forced(case, found))
-    result.in_time = _in_time(case, found, in_time, progress)
-    options = {"robot": robot, "without": without or [], "draws": draws, "in_time": in_time, "seed": seed}
+    result.in_time, result.blow_n_s = _in_time(case, found, in_time, blow_n_s, progress), blow_n_s
+    options = {
+        "robot": robot, "without": without or [], "draws": draws, "in_time": in_time, "blow_n_s": blow_n_s, "seed": seed
+    }  # fmt: skip
     result.origin = provenance(case.inputs, options)
     if out is not None:
         with Outputs(out) as outputs:
@@ -405,8 +418,8 @@ def _forced(case: Case, found: Lobes) -> tuple[np.ndarray, np.ndarray, list[Vibr
     return found.spindle_rpm[places], depth[places], shaken
 
 
-def _in_time(case: Case, found: Lobes, count: int, progress: Progress) -> list[tuple[float, float]]:
-    """Limits in time at speeds spread evenly over the range."""
+def _in_time(case: Case, found: Lobes, count: int, blow: float, progress: Progress) -> list[tuple[float, float]]:
+    """Limits in time, after a blow, N·s, at speeds spread evenly over the range."""
     if not count:
         return []
     assert case.robot is not None
@@ -418,6 +431,6 @@ def _in_time(case: Case, found: Lobes, count: int, progress: Progress) -> list[t
     for rpm in speeds:
         linear = float(np.interp(rpm, found.spindle_rpm, found.depth_m))
         stepper = CutStepper(case.robot, q, case.brakes, case.cut, float(rpm))
-        out.append((float(rpm), stepper.limit(linear / IN_TIME_REACH, linear * IN_TIME_REACH)))
+        out.append((float(rpm), stepper.limit(linear / IN_TIME_REACH, linear * IN_TIME_REACH, kick_n_s=blow)))
         tick(1)
     return out

@@ -24,7 +24,7 @@ STEPS = 48  # of a tooth period, at least
 SLICES = 12  # of a helix
 DECAYS = 3.0  # times the slowest decay that a cut is stepped
 LONGEST_S, SHORTEST_S = 12.0, 1.0
-LASTING = 0.2  # of ln amplitude over the last half: what throws teeth out of the work and decays less than this goes on
+LASTING = 0.2  # of ln amplitude over the last half: a vibration that amplitudes bound and that decays less goes on
 QUIET = 1e-4  # of the feed per tooth: below it nothing vibrates
 
 
@@ -37,7 +37,7 @@ class CutInTime:
         time: (nt,) s; ``motion`` (nt, 3) m of the tip and ``force`` (nt, 3) N on it, cut frame.
         change_m: (np,) RMS change of the motion from turn to turn of the spindle, by turn.
         growth: rate of that change over the last half, 1/s.
-        chatter: whether it grows, or goes on and throws teeth out of the work.
+        chatter: whether it grows, or goes on where something bounds it: teeth out of the work, a nonlinear joint.
     """
 
     depth_m: float
@@ -68,6 +68,9 @@ class CutStepper:
         fastest = float(np.abs(state_matrix_poles(linear)).max(initial=1.0))
         self.steps = max(STEPS, int(np.ceil(period * fastest / FASTEST)))
         self.model = stepping_model(mechanism, period / self.steps)
+        curved = any(any(joint.stiffness[1:]) or any(joint.damping[1:]) for joint in mechanism.joints)
+        gaps = any(joint.dead_zone for joint in mechanism.joints)
+        self.nonlinear = curved or gaps or any(tendon.springyield for tendon in mechanism.tendons)
         body, jacobian = linear.points[LABELS[0]]
         data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, data)
@@ -117,25 +120,27 @@ class CutStepper:
         growth = np.inf
         if len(late) > 2:
             growth = float(np.polyfit(np.arange(len(late)) * turn_steps * step, late, 1)[0])
-        lasts = growth * len(late) * turn_steps * step > -LASTING and out > len(motion) - len(motion) // 8
+        bounded = self.nonlinear or out > len(motion) - len(motion) // 8
+        lasts = bounded and growth * len(late) * turn_steps * step > -LASTING
         quiet = len(change) > 0 and change[-1] < QUIET * self.cut.feed_per_tooth_m
         return CutInTime(
             depth_m, self.spindle_rpm, (np.arange(len(motion)) + 0.5) * step, motion, force, change, growth,
             bool(away or (not quiet and (growth > 0 or lasts))),
         )  # fmt: skip
 
-    def limit(self, low_m: float, high_m: float, rounds: int = 6) -> float:
-        """Depth (m) at which chatter begins when cutting starts from rest, by bisection of its logarithm.
+    def limit(self, low_m: float, high_m: float, rounds: int = 6, kick_n_s: float = 0.0) -> float:
+        """Depth (m) at which chatter begins when cutting starts from rest or with a blow, by bisection of its log.
 
         ``low_m`` where chatter is there already, ``high_m`` where there is none.
         """
-        if self.run(low_m).chatter:
+        if self.run(low_m, kick_n_s=kick_n_s).chatter:
             return low_m
-        if not self.run(high_m).chatter:
+        if not self.run(high_m, kick_n_s=kick_n_s).chatter:
             return high_m
         for _ in range(rounds):
             middle = float(np.sqrt(low_m * high_m))
-            low_m, high_m = (low_m, middle) if self.run(middle).chatter else (middle, high_m)
+            chatters = self.run(middle, kick_n_s=kick_n_s).chatter
+            low_m, high_m = (low_m, middle) if chatters else (middle, high_m)
         return float(np.sqrt(low_m * high_m))
 
 
