@@ -84,8 +84,8 @@ def decide(
     unseen = cache(lambda k: foreseen(fits[k] if k < len(fits) else base, kept)) if kept else None
     later = _later(gains, scale, unseen) if unseen else np.zeros(len(fits))
     priors = np.array([_prior(fit.hypothesis, sites, numbers["none"]) for fit in fits])
-    handicap = _beside(fits, base, scale) if handicap is None else np.asarray(handicap)
-    used = (gains - handicap) / numbers["temperature"] + priors
+    beside = _beside(fits, base, scale) if handicap is None else np.asarray(handicap)
+    used = (gains - beside) / numbers["temperature"] + priors
     logs = used + later / numbers["temperature"]
     both, before = (np.logaddexp.reduce([*some, np.log(numbers["none"])]) for some in (logs, used))
     foretold = max(float(both - before), 0.0)

@@ -131,38 +131,18 @@ def without_hum(campaign: Campaign, fit: Fitted, sample: Sample) -> tuple[Campai
 
     What the best fit leaves peaks at one multiple of the mains' frequency in every posture, where modes move.
     """
-    objective = Objective(fit.robot, fit.parameters, sample)
-    residual, at, left = objective.residual(fit.z), 0, []
-    for w in objective.weight:
-        part = residual[2 * at : 2 * (at + w.size)].view(complex).reshape(w.shape)
-        at += w.size
-        left.append((np.abs(part) ** 2).sum(axis=(1, 2)))
-    notes, hummed = [], []
-    for mains in MAINS_HZ:
-        top = max(r.frequency[-1] for r in sample.recordings)
-        for tone in mains * np.arange(1, int(top / mains) + 1):
-            chance, reaches = float(len(MAINS_HZ) * (top // mains)), []
-            for r, energy in zip(sample.recordings, left, strict=True):
-                spacing = float(np.median(np.diff(r.frequency)))
-                reach = max(spacing, float(r.s[0].real))  # a window of rate σ widens a tone to σ
-                around = np.flatnonzero(np.abs(r.frequency - tone) <= 3 * reach + spacing)
-                near = np.abs(r.frequency[around] - tone) <= spacing
-                if not near.any():
-                    continue
-                peaked = energy[around].max() == energy[around][near].max()
-                times = energy[around].max() / max(float(np.median(energy)), 1e-12)
-                clear = peaked and energy[around].max() > TONE * np.median(energy[around])
-                chance *= near.mean() if clear else 1.0
-                reaches.append(max(spacing, float(r.s[0].real) / (2 * np.pi) * np.sqrt(2 * times)))  # half the median
-            if chance < BY_CHANCE:
-                hummed.append((float(tone), max(reaches)))
-                text = (
-                    f"what is left of the FRFs peaks at {tone:g} Hz in the postures used, wherever the modes are: mains "
-                    f"hum; lines within {hummed[-1][1]:.3g} Hz of it were left out"
-                )
-                notes.append(Note(text, "hum", "fail"))
-    if not notes:
-        return campaign, []
+    hummed = _tones(fit, sample)
+    notes = [
+        Note(
+            f"what is left of the FRFs peaks at {tone:g} Hz in all postures used, wherever the modes are: mains hum; "
+            f"lines within {reach:.3g} Hz of it were left out",
+            "hum",
+            "fail",
+        )
+        for tone, reach in hummed
+    ]
+    if not hummed:
+        return campaign, notes
     postures = {}
     for name, posture in campaign.postures.items():
         keep = np.all([np.abs(posture.frequency - tone) > reach for tone, reach in hummed], axis=0)
@@ -171,25 +151,62 @@ def without_hum(campaign: Campaign, fit: Fitted, sample: Sample) -> tuple[Campai
     return replace(campaign, postures=postures), notes
 
 
+def _tones(fit: Fitted, sample: Sample) -> list[tuple[float, float]]:
+    """Multiples of the mains' frequency that hum, and how far each reaches, Hz."""
+    objective = Objective(fit.robot, fit.parameters, sample)
+    residual, at, left = objective.residual(fit.z), 0, []
+    for w in objective.weight:
+        part = residual[2 * at : 2 * (at + w.size)].view(complex).reshape(w.shape)
+        at += w.size
+        left.append((np.abs(part) ** 2).sum(axis=(1, 2)))
+    top = max(float(r.frequency[-1]) for r in sample.recordings)
+    tones = [mains * k for mains in MAINS_HZ for k in range(1, int(top / mains) + 1)]
+    found = []
+    for tone in tones:
+        seen = [_tone(r, energy, tone) for r, energy in zip(sample.recordings, left, strict=True)]
+        chance = len(tones) * float(np.prod([chance for chance, _ in seen]))
+        if chance < BY_CHANCE:
+            found.append((tone, max(reach for _, reach in seen)))
+    return found
+
+
+def _tone(r: Recorded, energy: FloatArray, tone: float) -> tuple[float, float]:
+    """Probability that a residual's energy (nf,) peaks at a tone by chance, one where it does not; its reach, Hz.
+
+    A window of rate σ spreads a tone as 1/(1 + (2πΔf/σ)²). It reaches to where that adds a tenth to the median.
+    """
+    spacing, rate = float(np.median(np.diff(r.frequency))), float(r.s[0].real)
+    around = np.abs(r.frequency - tone) <= 3 * max(spacing, rate) + spacing
+    near = np.abs(r.frequency - tone) <= spacing
+    if not near.any() or energy[near].max() <= max(
+        TONE * float(np.median(energy[around])), energy[around & ~near].max()
+    ):
+        return 1.0, 0.0
+    times = float(energy[near].max() / max(np.median(energy), np.finfo(float).tiny))
+    return float(near.sum() / around.sum()), max(spacing, rate / (2 * np.pi) * float(np.sqrt(10 * times)))
+
+
 def cut_short(robot: Robot, recordings: Sequence[Recorded]) -> list[Note]:
     """A note where modes of the description still ring at the end of a record whose FRFs state no window.
 
     A record is taken to be as long as the spacing of its lines says.
     """
-    worst, told = LEFT, ""
+    worst, found = LEFT, None
     for r in recordings:
         spacing, window = float(np.median(np.diff(r.frequency))), float(r.s[0].real)
-        for seen, _ in observe_all(robot, [r.setup], independent([]), np.zeros(0)):
-            pole, _ = poles(seen)
-            inside = pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]
-            for one in inside:
-                decay = max(-float(one.real), LIGHTEST * abs(one)) + window
-                left = float(np.exp(-decay / spacing))
-                if left > worst:
-                    worst, told = left, (
-                        f"{r.group}: lines are {spacing:.3g} Hz apart, so a record is {1 / spacing:.3g} s long at most as "
-                        f"stated, and the mode near {abs(one) / 2 / np.pi:.3g} Hz still has {left:.0%} of its swing at its "
-                        "end: unless lines were dropped, leakage bends every peak; put an exponential window on the "
-                        "records and state it, or record longer"
-                    )
-    return [Note(told, "leakage")] if told else []
+        ((seen, _),) = observe_all(robot, [r.setup], independent([]), np.zeros(0))
+        pole, _ = poles(seen)
+        for one in pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]:
+            decay = max(-float(one.real), LIGHTEST * abs(one)) + window
+            left = float(np.exp(-decay / spacing))
+            if left > worst:
+                worst, found = left, (r.group, spacing, abs(one) / 2 / np.pi)
+    if found is None:
+        return []
+    group, spacing, frequency_hz = found
+    text = (
+        f"{group}: lines are {spacing:.3g} Hz apart, so a record is {1 / spacing:.3g} s long as stated, and the mode "
+        f"near {frequency_hz:.3g} Hz still has {worst:.0%} of its swing at its end: unless lines were dropped, leakage "
+        "bends every peak; put an exponential window on the records and state it, or record longer"
+    )
+    return [Note(text, "leakage")]

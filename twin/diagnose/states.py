@@ -1,4 +1,4 @@
-"""Whether the postures of a hammer test are of one robot in one state: asked where no one model does for all of them."""
+"""Whether the postures of a hammer test are of one robot in one state: asked where no one model explains them all."""
 
 import numpy as np
 

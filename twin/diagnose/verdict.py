@@ -469,10 +469,8 @@ def strained(fit: Fitted) -> list[str]:
     """
     found: list[str] = []
     if fit.misfit > ASTRAY:
-        text = (
-            f"the fit still misses the recording by {fit.misfit**0.5:.0f} times its noise: none of its numbers is to be "
-            "believed"
-        )
+        times = fit.misfit**0.5
+        text = f"the fit still misses the recording by {times:.0f} times its noise: none of its numbers can be believed"
         return [Note(text, "note", "note")]
     answered = dict(fit.hypothesis.scale)
     base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]

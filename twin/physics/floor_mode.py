@@ -69,7 +69,7 @@ class FloorMode(Effect):
 
 
 def _of_a_body(inertia: np.ndarray, values: Values) -> np.ndarray:
-    """Moments (3,) that a body can have: those about directions that are rigid, which move nothing, follow the others."""
+    """Moments (3,) that a body can have: about rigid directions they move nothing, and follow the others."""
     free = [bool(np.isfinite(values.get(d, inf))) for d in DIRECTIONS[3:]]
     known = inertia[free]
     if 0 < len(known) < 3:
