@@ -39,6 +39,7 @@ S = 2j * np.pi * np.linspace(5.0, 30.0, 60) + 0.3  # an exponential window of 0.
 EXTRA = (
     {"effect": "base_compliance", "site": "base.rx", "stiffness": 3e7, "damping": 2e3},
     {"effect": "base_compliance", "site": "base.z", "stiffness": 2e8, "damping": 2e3},
+    {"effect": "floor_mode", "site": "base", "mass": 900, "inertia": [400, 500, 800], "x": 9e7, "damping_ratio": 0.02},
     {"effect": "link_flexibility", "site": "link2.y", "stiffness": 2e7, "damping": 300},
     {"effect": "servo_compliance", "site": "joint3", "stiffness": 2e7, "damping": 5e3, "integral_time": 0.3},
     {"effect": "payload", "site": "flange", "mass": 20, "com": [1.7, 0.0, 0.1]},

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -9,6 +10,14 @@ import twin
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
+from twin.diagnose.states import states
+from twin.diagnose.triage import triage
+from twin.diagnose.verdict import Verdict
+from twin.identify.objective import Sample
+from twin.identify.recorded import without_limits
+from twin.measure.campaign import read_campaign
+from twin.model.parameters import free_parameters
+from twin.robot.description import load_robot
 
 
 @pytest.mark.parametrize(
@@ -21,11 +30,53 @@ from tools.truth.wrong import record
     ],
 )
 def test_a_fault_is_told_and_put_right(way: str, recording: str, seed: int, kind: str, tmp_path: Path) -> None:
-    world, *_ = case(way, recording, "arm", seed, False)
-    record(world, tmp_path, np.random.default_rng(seed))
-    write_description(machines()["arm"], tmp_path / "robot.yaml")
-    (file,) = tmp_path.glob("*.h5")
-    verdict = twin.diagnose(file, robot=tmp_path / "robot.yaml")
+    verdict = _diagnosed(way, recording, "arm", seed, tmp_path)
     told = [note["kind"] for note in verdict.data()["triage"] if note["severity"] == "fail"]
     assert told == [kind]
     assert verdict.word == "adequate"
+
+
+def test_hum_is_told_and_gets_no_other_name(tmp_path: Path) -> None:
+    verdict = _diagnosed("hum", "hammer", "arm", 901, tmp_path)
+    assert [note["kind"] for note in verdict.data()["triage"] if note["severity"] == "fail"] == ["hum"]
+    assert not verdict.missing
+
+
+@pytest.mark.parametrize(("way", "told"), [("other_robot", ["other_robot"]), ("nothing", [])])
+def test_postures_of_two_robots_are_told_apart(way: str, told: list[str], tmp_path: Path) -> None:
+    world, *_ = case(way, "hammer", "kr90", 941, False)
+    record(world, tmp_path, np.random.default_rng(941))
+    campaign, robot = read_campaign(tmp_path / "frf.h5"), without_limits(load_robot("kr90"))
+    used = triage(campaign, robot, "frf.h5", None).used
+    free = free_parameters(robot, dict.fromkeys(r.setup.name for r in used), campaign.response.label)
+    notes = states(robot, free, Sample(tuple(used)))
+    assert [note.kind for note in notes] == told
+    assert all("posture4, posture5, posture6; rigid, upright" in note for note in notes)
+
+
+def test_a_slab_under_the_robot_is_named(tmp_path: Path) -> None:
+    verdict = _diagnosed("floor_mode", "hammer", "column", 920, tmp_path)
+    assert [missing.first.key for missing in verdict.missing] == ["floor_mode@base"]
+    assert verdict.error["after"]["held_out"] < 1.2 * verdict.error["noise_floor"]
+
+
+def test_hits_alone_say_what_their_frfs_say(tmp_path: Path) -> None:
+    """FRFs made of hits are off by more than their noise; that is small beside what is missing and gets no name."""
+    twin.example("cell", tmp_path / "cell")
+    with h5py.File(tmp_path / "cell" / "campaign.h5", "r+") as file:
+        for group in file["postures"].values():
+            for name in ("frf", "coherence", "frequency"):
+                del group[name]
+    verdict = twin.diagnose(tmp_path / "cell" / "campaign.h5")
+    assert [missing.first.key for missing in verdict.missing] == ["base_compliance@base.rx"]
+    assert verdict.word == "named"
+
+
+def _diagnosed(way: str, recording: str, robot: str, seed: int, folder: Path) -> Verdict:
+    """The verdict on a recording of the wrong world."""
+    world, *_ = case(way, recording, robot, seed, False)
+    record(world, folder, np.random.default_rng(seed))
+    (file,) = folder.glob("*.h5")
+    if robot != "kr90":
+        write_description(machines()[robot], folder / "robot.yaml")
+    return twin.diagnose(file, robot="kr90" if robot == "kr90" else folder / "robot.yaml")

@@ -56,6 +56,12 @@ HAMMER = [
     ("transverse_compliance", "joint2.x", {"stiffness": 5e6, "damping": 300.0}, 1e-6),
     ("base_compliance", "base.rx", {"stiffness": 3e7, "damping": 2e3}, 1e-3),
     ("base_compliance", "base.y", {"stiffness": 1e8, "damping": 2e3}, 1e-3),
+    (
+        "floor_mode",
+        "base",
+        {"mass": 2000.0, "inertia": [900.0, 900.0, 1500.0], "z": 5e7, "rx": 3e7, "ry": 4e7, "damping_ratio": 0.03},
+        1e-3,
+    ),
     ("link_flexibility", "link2.z", {"stiffness": 8e6, "damping": 300.0}, 0.1),
     ("link_flexibility", "link3.y", {"stiffness": 5e6, "damping": 300.0}, 0.1),
     ("servo_compliance", "joint2", {"stiffness": 3e7, "damping": 1e4}, 1e-6),

@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tools.trials import ask, make, real, reference, score, store, wrong, wrong_score
 from tools.trials.cases import RECORDINGS, SIZES
 from tools.trials.report import page
-from twin.diagnose.decide import calibration
+from twin.diagnose.calibration import calibration
 from twin.errors import InputError
 
 DEVELOPMENT_SEED = 20

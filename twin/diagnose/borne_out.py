@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import calibration
+from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
 from twin.diagnose.records import FrfRecord, Record
 from twin.diagnose.verdict import Finding, Verdict, Word

@@ -7,26 +7,19 @@ development cases. What the best entry leaves of the misfit tells whether the tr
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
-from twin.diagnose.search import WITHIN
+from twin.diagnose.search import WITHIN, inexact
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
-from twin.yamlfile import read_yaml
 
 FIRST_ORDER = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
-
-
-@lru_cache
-def calibration() -> dict[str, float]:
-    """The decision's numbers."""
-    return {key: float(value) for key, value in read_yaml(Path(__file__).with_name("calibration.yaml")).items()}
 
 
 @dataclass(frozen=True)
@@ -72,7 +65,8 @@ def decide(
         fits: at their optimum, on all lines.
         base: the same for the base model.
         suspects: all that was looked at, which sets the prior.
-        handicap: evidence taken off each fit, where a simpler one is within reach.
+        handicap: evidence taken off each fit, where a simpler one is within reach; by default what its laws may be
+            off by (:func:`twin.diagnose.search.inexact`).
         other: probability that something unnamed is missing, where the engine has a better measure than the misfit.
         scale: factor on the data's variance (Birge's ratio); what the best fit leaves, by default.
         kept: hammer tests that were not fitted to; how well each fit foretells them counts in its evidence, and a name
@@ -90,11 +84,12 @@ def decide(
     unseen = cache(lambda k: foreseen(fits[k] if k < len(fits) else base, kept)) if kept else None
     later = _later(gains, scale, unseen) if unseen else np.zeros(len(fits))
     priors = np.array([_prior(fit.hypothesis, sites, numbers["none"]) for fit in fits])
-    used = (gains - (0.0 if handicap is None else np.asarray(handicap))) / numbers["temperature"] + priors
+    beside = _beside(fits, base, scale) if handicap is None else np.asarray(handicap)
+    used = (gains - beside) / numbers["temperature"] + priors
     logs = used + later / numbers["temperature"]
     both, before = (np.logaddexp.reduce([*some, np.log(numbers["none"])]) for some in (logs, used))
     foretold = max(float(both - before), 0.0)
-    lawless = _lawless(fits, base, logs, foretold, unnamed, len(sites), numbers) if unnamed else -np.inf
+    lawless = _lawless(fits, base, scale, logs, foretold, unnamed, len(sites), numbers) if unnamed else -np.inf
     weights = np.array([*logs, np.log(numbers["none"]), lawless])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
@@ -155,6 +150,16 @@ def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> 
     return later
 
 
+def _beside(fits: Sequence[Fitted], base: Fitted, scale: float) -> FloatArray:
+    """Evidence taken off fits of several things: what the others of each may be off by, without any one of them."""
+    known = {fit.hypothesis.identity: fit for fit in fits}
+    taken = np.zeros(len(fits))
+    for k, fit in enumerate(fits):
+        simpler = [known[rest] for key in fit.hypothesis.identity if (rest := fit.hypothesis.identity - {key}) in known]
+        taken[k] = max((inexact(other, base, scale) for other in simpler), default=0.0)
+    return taken
+
+
 def _scatter(fit: Fitted) -> float:
     """Two standard deviations of χ² per datum, of noise alone."""
     return 2 * float(np.sqrt(2 / max(fit.data, 1)))
@@ -168,6 +173,7 @@ def _misfit(unseen: Fitted) -> float:
 def _lawless(
     fits: Sequence[Fitted],
     base: Fitted,
+    scale: float,
     logs: FloatArray,
     foretold: float,
     unnamed: Callable[[Fitted], Mapping[str, float]],
@@ -179,13 +185,13 @@ def _lawless(
     Alone it is known to first order only, which holds near the truth. Recordings that were not fitted to it is taken to
     foretell as well as nothing and the names together: ``foretold``, over the base model.
     """
-    models = [(foretold, base)] if base.misfit < FIRST_ORDER else []
+    models = [(foretold, 0.0, base)] if base.misfit < FIRST_ORDER else []
     if len(logs):
         best = int(np.argmax(logs))
-        models.append((logs[best], fits[best]))
+        models.append((logs[best], inexact(fits[best], base, scale), fits[best]))
     found = []
-    for log, fit in models:
-        gains = np.array(list(unnamed(fit).values()))
+    for log, known, fit in models:
+        gains = np.array(list(unnamed(fit).values())) - known
         if len(gains):
             found.append(log + np.logaddexp.reduce(gains / numbers["temperature"]) - np.log(len(gains)))
     return float(np.logaddexp.reduce(found) + np.log((1 - numbers["none"]) / (effects + 1))) if found else -np.inf

@@ -1,11 +1,11 @@
-"""What is wrong with a hammer test itself, told before physics: channels in another unit, reversed or exchanged, noise
-that is larger than stated.
+"""What is wrong with a hammer test itself: channels in another unit, reversed or exchanged, noise that is larger than
+stated, mains hum, records that end too early.
 
 Channels are compared with those of the description. What counts is phase, averaged over all lines, and the median of
 the ratio of sizes, so that the description's modes may be elsewhere. A fault that is found is put right, with a note.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from twin.diagnose.note import Note
+from twin.diagnose.refit import Fitted
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded, prepare
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.parameters import independent
+from twin.model.sensitivity import observe_all, poles
 from twin.robot.description import Robot
 
 UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}
@@ -26,6 +28,12 @@ NEAR_UNIT = 0.5  # in ln size: so near a unit's factor a channel is in that unit
 
 ROUGH = 4.0  # times the stated variance: rougher FRFs have more noise than stated; sound ones came to 2.3 at most
 NOISY = 3.0  # times, from the smoothest tenth of lines to the median: above, it is resonances and no noise
+
+MAINS_HZ = (50.0, 60.0)
+TONE = 4.0  # times the residual around a tone; of noise alone, averaged over channels, neighbouring lines come to 2
+BY_CHANCE = 1e-3  # probability that residuals peak at a multiple of the mains in every posture by chance
+LIGHTEST = 0.01  # damping ratio of the modes of robots, at least: descriptions know little of dampers
+LEFT = 0.1  # of a mode's swing at the end of a record without a window: 10 % of it leak
 
 
 def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, list[Note]]:
@@ -116,3 +124,89 @@ def understated(recordings: Iterable[Recorded]) -> float:
         return 1.0
     smooth, middle = np.quantile(ratio, [0.1, 0.5]) / -np.log1p(-np.array([0.1, 0.5]))
     return float(smooth) if smooth > ROUGH and middle < NOISY * smooth else 1.0
+
+
+def without_hum(campaign: Campaign, fit: Fitted, sample: Sample) -> tuple[Campaign, list[Note]]:
+    """A campaign without the lines that mains hum into, and a note on each tone.
+
+    What the best fit leaves peaks at one multiple of the mains' frequency in every posture, where modes move.
+    """
+    hummed = _tones(fit, sample)
+    notes = [
+        Note(
+            f"what is left of the FRFs peaks at {tone:g} Hz in all postures used, wherever the modes are: mains hum; "
+            f"lines within {reach:.3g} Hz of it were left out",
+            "hum",
+            "fail",
+        )
+        for tone, reach in hummed
+    ]
+    if not hummed:
+        return campaign, notes
+    postures = {}
+    for name, posture in campaign.postures.items():
+        keep = np.all([np.abs(posture.frequency - tone) > reach for tone, reach in hummed], axis=0)
+        coherence = None if posture.coherence is None else posture.coherence[keep]
+        postures[name] = replace(posture, frequency=posture.frequency[keep], frf=posture.frf[keep], coherence=coherence)
+    return replace(campaign, postures=postures), notes
+
+
+def _tones(fit: Fitted, sample: Sample) -> list[tuple[float, float]]:
+    """Multiples of the mains' frequency that hum, and how far each reaches, Hz."""
+    objective = Objective(fit.robot, fit.parameters, sample)
+    residual, at, left = objective.residual(fit.z), 0, []
+    for w in objective.weight:
+        part = residual[2 * at : 2 * (at + w.size)].view(complex).reshape(w.shape)
+        at += w.size
+        left.append((np.abs(part) ** 2).sum(axis=(1, 2)))
+    top = max(float(r.frequency[-1]) for r in sample.recordings)
+    tones = [mains * k for mains in MAINS_HZ for k in range(1, int(top / mains) + 1)]
+    found = []
+    for tone in tones:
+        seen = [_tone(r, energy, tone) for r, energy in zip(sample.recordings, left, strict=True)]
+        chance = len(tones) * float(np.prod([chance for chance, _ in seen]))
+        if chance < BY_CHANCE:
+            found.append((tone, max(reach for _, reach in seen)))
+    return found
+
+
+def _tone(r: Recorded, energy: FloatArray, tone: float) -> tuple[float, float]:
+    """Probability that a residual's energy (nf,) peaks at a tone by chance, one where it does not; its reach, Hz.
+
+    A window of rate σ spreads a tone as 1/(1 + (2πΔf/σ)²). It reaches to where that adds a tenth to the median.
+    """
+    spacing, rate = float(np.median(np.diff(r.frequency))), float(r.s[0].real)
+    around = np.abs(r.frequency - tone) <= 3 * max(spacing, rate) + spacing
+    near = np.abs(r.frequency - tone) <= spacing
+    if not near.any() or energy[near].max() <= max(
+        TONE * float(np.median(energy[around])), energy[around & ~near].max()
+    ):
+        return 1.0, 0.0
+    times = float(energy[near].max() / max(np.median(energy), np.finfo(float).tiny))
+    return float(near.sum() / around.sum()), max(spacing, rate / (2 * np.pi) * float(np.sqrt(10 * times)))
+
+
+def cut_short(robot: Robot, recordings: Sequence[Recorded]) -> list[Note]:
+    """A note where modes of the description still ring at the end of a record whose FRFs state no window.
+
+    A record is taken to be as long as the spacing of its lines says.
+    """
+    worst, found = LEFT, None
+    for r in recordings:
+        spacing, window = float(np.median(np.diff(r.frequency))), float(r.s[0].real)
+        ((seen, _),) = observe_all(robot, [r.setup], independent([]), np.zeros(0))
+        pole, _ = poles(seen)
+        for one in pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]:
+            decay = max(-float(one.real), LIGHTEST * abs(one)) + window
+            left = float(np.exp(-decay / spacing))
+            if left > worst:
+                worst, found = left, (r.group, spacing, abs(one) / 2 / np.pi)
+    if found is None:
+        return []
+    group, spacing, frequency_hz = found
+    text = (
+        f"{group}: lines are {spacing:.3g} Hz apart, so a record is {1 / spacing:.3g} s long as stated, and the mode "
+        f"near {frequency_hz:.3g} Hz still has {worst:.0%} of its swing at its end: unless lines were dropped, leakage "
+        "bends every peak; put an exponential window on the records and state it, or record longer"
+    )
+    return [Note(text, "leakage")]

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration, decide, finalists
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision, decide, finalists
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
-from twin.diagnose.frf_faults import put_right
+from twin.diagnose.frf_faults import cut_short, put_right, without_hum
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects
 from twin.diagnose.joint import Knowledge, settled_with, shared
 from twin.diagnose.joint_reaction import blows
@@ -23,6 +24,7 @@ from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_f
 from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
 from twin.diagnose.sentences import sentence
+from twin.diagnose.states import states
 from twin.diagnose.struck import without_laws
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import (
@@ -106,6 +108,22 @@ def diagnose_campaign(
     if not free_parameters(given, tolerances=False).items:
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
     campaign, faults = put_right(campaign, without_limits(given), source)
+    finding = _diagnosed(campaign, given, source, hold_out, seed, progress, told_by, processes)
+    finding.warnings = [*faults, *finding.warnings]
+    return finding
+
+
+def _diagnosed(
+    campaign: Campaign,
+    given: Robot,
+    source: str,
+    hold_out: list[str] | None,
+    seed: int,
+    progress: Progress | None,
+    told_by: Finding | None,
+    processes: int,
+) -> Finding:
+    """What a campaign says whose channels are as stated."""
     found = triage(campaign, given, source, hold_out)
     base = without_limits(told_by.model if told_by else given)
     sample = Sample(tuple(found.used), 1 / found.shared)
@@ -117,12 +135,17 @@ def diagnose_campaign(
     known = free if plain is base else _free(plain, found.used)
     search = converge(plain, known, sample, seed=seed, processes=processes)
     if law and (told := levels_finding(campaign, given, plain, source, found, search, progress, seed)):
-        told.warnings = [*faults, *told.warnings]
         return told
     if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
     looked_at = _suspects(campaign, base, free, found)
     explain(base, search, sample, looked_at, progress)
+    best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
+    quiet, hum = without_hum(campaign, best, sample)
+    if hum:
+        finding = _diagnosed(quiet, given, source, hold_out, seed, progress, told_by, processes)
+        finding.warnings = [*hum, *finding.warnings]
+        return finding
     answer = _answered(base, search, sample, looked_at, found)
     before = _as_described(base, search, answer, sample)
     if told_by and told_by.missing:
@@ -133,7 +156,10 @@ def diagnose_campaign(
     laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
     finding.next_test = _next_test(given, answer, few, seed)
-    finding.warnings = [*faults, *finding.warnings]
+    if answer.word == "unexplained":
+        plain = without_limits(given)
+        mixed = states(base, search.base.parameters, sample)
+        finding.warnings = [*(mixed or cut_short(plain, found.used)), *finding.warnings]
     return finding
 
 

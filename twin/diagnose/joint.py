@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnose.decide import calibration
+from twin.diagnose.calibration import calibration
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word

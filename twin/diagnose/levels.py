@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration, decide, unexplained
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision, decide, unexplained
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.joint_reaction import (
     FADED,

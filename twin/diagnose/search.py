@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from twin.diagnose.calibration import calibration
 from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, merged, same_axes, together
 from twin.diagnose.locate import free_laws
@@ -133,16 +134,16 @@ def explain(
         if not found or found[0].evidence() <= best.evidence():
             break
         before, best = best, _without_last(robot, search, best, found[0], sample)
-        if not worth(before, found[0]):  # recordings that are not fitted to may yet bear it out
+        if not worth(before, found[0], search.base):  # recordings that are not fitted to may yet bear it out
             break
-        if not worth(best, found[0]):  # it had only not converged
+        if not worth(best, found[0], search.base):  # it had only not converged
             continue
         best = max([found[0], *_everywhere(robot, search, found, sample, suspects)], key=lambda fit: fit.evidence())
         if number:
             best = _reconsider(robot, search, best, sample, suspects, progress)
     best = _needed(robot, search, best, sample)
     there = _where_it_is(robot, search, best, sample, suspects, progress)
-    if worth(best, there):
+    if worth(best, there, search.base):
         _needed(robot, search, there, sample)
     _about_the_same_axis(robot, search, sample)
     return search
@@ -170,7 +171,7 @@ def _where_it_is(
     site, gain = next(iter(search.lawless(best, sample).items()), ("", 0.0))
     joint = site.partition(".")[0]
     there = [variants for variants in suspects if variants[0].site.partition(".")[0] == joint]
-    if gain <= WORTH or not there:
+    if gain <= max(WORTH, inexact(best, search.base)) or not there:
         return best
     for fit in _round(robot, search, search.base, sample, there, progress, every=True):
         if not fit.converged and len(fit.hypothesis.pieces) == 1:
@@ -196,9 +197,18 @@ def _where_it_is(
     return max([best, *_refits(robot, search, places, sample)], key=lambda fit: fit.evidence())
 
 
-def worth(simpler: Fitted, richer: Fitted) -> bool:
+def worth(simpler: Fitted, richer: Fitted, base: Fitted) -> bool:
     """Whether what a hypothesis has more than a simpler one pays for the search to go on."""
-    return richer.evidence() - simpler.evidence() >= WORTH * max(1.0, richer.misfit)
+    least = max(WORTH * max(1.0, richer.misfit), inexact(simpler, base))
+    return richer.evidence() - simpler.evidence() >= least
+
+
+def inexact(fit: Fitted, base: Fitted, scale: float = 1.0) -> float:
+    """ln evidence that the laws of a fit may be off by: a share of what they gain over the base model.
+
+    A structure that is not exactly the named one, or a test that is not exactly as stated, leaves as much.
+    """
+    return calibration()["inexact_linear"] * max(fit.evidence(scale) - base.evidence(scale), 0.0)
 
 
 def _without_last(robot: Robot, search: Search, simpler: Fitted, richer: Fitted, sample: Sample) -> Fitted:
@@ -297,7 +307,7 @@ def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitte
         fit = descend(robot, rest, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=near)
         if known is None or fit.cost < known.cost:
             search.fits[rest.identity] = known = fit
-        if not worth(known, best):
+        if not worth(known, best, search.base):
             return _needed(robot, search, known, sample)
     return best
 

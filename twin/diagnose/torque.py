@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision
 from twin.diagnose.edit import check_replayed
 from twin.diagnose.joint import followed, pooled, predicted_by, shared
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage

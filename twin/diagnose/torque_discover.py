@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.diagnose.decide import calibration
+from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.torque_fit import Columns, System, Trial, settle, span_of, start
 from twin.diagnose.torque_laws import USUAL_SHARE, Suspect

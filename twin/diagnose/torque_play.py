@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from twin.diagnose.decide import calibration
+from twin.diagnose.calibration import calibration
 from twin.diagnose.torque_fit import System, prediction_filter
 from twin.diagnose.torque_laws import State
 from twin.diagnose.torque_signal import Run

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration, decide, finalists
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision, decide, finalists
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_discover import discover, unnamed

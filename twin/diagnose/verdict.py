@@ -10,10 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from twin.diagnose.decide import Decision, calibration
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision
 from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
-from twin.diagnose.refit import Fitted
+from twin.diagnose.refit import ASTRAY, Fitted
 from twin.identify.uncertainty import NINETY
 from twin.result import Result, Table, written
 from twin.robot.description import Robot
@@ -467,6 +468,10 @@ def strained(fit: Fitted) -> list[str]:
     What is in series with such a spring, about its axis, may be all that is wrong with it.
     """
     found: list[str] = []
+    if fit.misfit > ASTRAY:
+        times = fit.misfit**0.5
+        text = f"the fit still misses the recording by {times:.0f} times its noise: none of its numbers can be believed"
+        return [Note(text, "note", "note")]
     answered = dict(fit.hypothesis.scale)
     base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
     for p, value in base:

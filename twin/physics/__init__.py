@@ -20,6 +20,7 @@ from twin.physics.cable_stiffness import CableStiffness
 from twin.physics.coulomb_friction import CoulombFriction
 from twin.physics.discovered import Discovered
 from twin.physics.effect import Effect
+from twin.physics.floor_mode import FloorMode
 from twin.physics.friction_drift import FrictionDrift
 from twin.physics.gravity_compensator import GravityCompensator
 from twin.physics.hammer_misalignment import HammerMisalignment
@@ -50,6 +51,7 @@ CATALOGUE: dict[str, Effect] = {
     for effect in (
         TransverseCompliance(),
         BaseCompliance(),
+        FloorMode(),
         LinkFlexibility(),
         ServoCompliance(),
         Payload(),

@@ -1,0 +1,78 @@
+"""A foundation that is a body of its own: a slab under the robot's foot, on springs along and about the base's axes."""
+
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.physics.effect import UNIT_VECTORS, Companion, Effect, Parameter, Values
+
+if TYPE_CHECKING:
+    from twin.robot.description import Robot
+    from twin.robot.mechanism import Mechanism
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+SEARCHED = ("z", "rx", "ry")
+"""Directions that a search frees: a slab on soil bounces and rocks; it neither slides nor turns freely."""
+
+
+class FloorMode(Effect):
+    """Natively: slides and hinges of the base body, and its mass. Directions that are left out are rigid."""
+
+    name = "floor_mode"
+    sites = ("base",)
+    parameters = (
+        Parameter("mass", "kg", nonnegative=True, spread=1.0),
+        Parameter("inertia", "kg·m²", nonnegative=True, length=3, spread=1.5),
+        *(Parameter(d, "N/m", inf, positive=True, optional=True, spread=1.6) for d in DIRECTIONS[:3]),
+        *(Parameter(d, "N·m/rad", inf, positive=True, optional=True, spread=1.6) for d in DIRECTIONS[3:]),
+        Parameter("damping_ratio", "1", nonnegative=True, spread=1.0),
+    )
+    seen_in = frozenset({"hammer"})
+    order = 1
+    adds_mode = True
+
+    def check(self, values: Values) -> str | None:
+        if all(not np.isfinite(values.get(d, inf)) for d in DIRECTIONS):
+            return f"expected a stiffness in at least one of {', '.join(DIRECTIONS)}"
+        moments = sorted(_of_a_body(np.array(values["inertia"], float), values))
+        if moments[2] > (moments[0] + moments[1]) * (1 + 1e-9):
+            return f"inertia: expected no moment above the sum of the two others, found {values['inertia']}"
+        return None
+
+    def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
+        mass, inertia = values["mass"], np.array(values["inertia"], float)
+        for d in DIRECTIONS:
+            if not np.isfinite(values[d]):
+                continue
+            turns = d.startswith("r")
+            moved = inertia["xyz".index(d[-1])] if turns else mass
+            damping = 2 * values["damping_ratio"] * float(np.sqrt(values[d] * moved))
+            axis, kind = UNIT_VECTORS[d[-1]], "hinge" if turns else "slide"
+            mechanism.spring("base", f"floor.{d}", axis, values[d], damping, kind)  # type: ignore[arg-type]
+        mechanism.attach("base", mass, np.zeros(3), np.diag(_of_a_body(inertia, values)))
+
+    def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """A foundation without a mass of its own."""
+        return [Companion("base_compliance", f"base.{d}") for d in SEARCHED]
+
+    def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
+        """Three times the robot's mass, as a block of its cube root; rocks with the robot at 15 Hz, bounces at 20."""
+        own, slab = sum(link.inertial[0] for link in robot.links), 3 * sum(link.inertial[0] for link in robot.links)
+        reach = sum(float(np.hypot(axis.a, axis.d)) for axis in robot.axes) / 2
+        turn = slab * reach**2 / 3
+        rocks = (turn + own * reach**2) * (2 * np.pi * 15.0) ** 2
+        return {
+            "mass": slab, "inertia": [turn, turn, 2 * turn], "z": (slab + own) * (2 * np.pi * 20.0) ** 2,
+            "rx": rocks, "ry": rocks, "damping_ratio": 0.03,
+        }  # fmt: skip
+
+
+def _of_a_body(inertia: np.ndarray, values: Values) -> np.ndarray:
+    """Moments (3,) that a body can have: about rigid directions they move nothing, and follow the others."""
+    free = [bool(np.isfinite(values.get(d, inf))) for d in DIRECTIONS[3:]]
+    known = inertia[free]
+    if 0 < len(known) < 3:
+        inertia = inertia.copy()
+        inertia[np.logical_not(free)] = 0.999 * known.sum() if len(known) == 2 else known[0]
+    return inertia
