@@ -209,7 +209,7 @@ def make_map(
         "--near": near_deg or (),
     }
     for option, numbers in turns.items():
-        if bad := next((number for number in numbers if not np.isfinite(number)), None):
+        if bad := next((number for number in numbers or () if not np.isfinite(number)), None):
             raise InputError(option, f"{bad:g}", "expected finite numbers")
     _check_asked(loaded, random, grid, posture_grid, path, lobes, draws, spindle_rpm, spacing)
     near = None
