@@ -205,7 +205,9 @@ def test_an_axis_that_is_likelier_comes_first_however_many_share_it() -> None:
 
     def fit(key: str, evidence: float) -> Any:
         piece = SimpleNamespace(effect="one", family="one")
-        hypothesis = SimpleNamespace(pieces=(piece,), key=key, under=lambda axes: (axes.get(key, key),))
+        hypothesis = SimpleNamespace(
+            pieces=(piece,), key=key, identity=frozenset({key}), under=lambda axes: (axes.get(key, key),)
+        )
         return SimpleNamespace(hypothesis=hypothesis, misfit=1.0, data=1e4, evidence=lambda scale: evidence)
 
     fits = [fit("c@link1", 100.0), fit("a@base", 100.3), fit("b@joint1", 50.0)]

@@ -259,7 +259,9 @@ def test_lobes_say_how_sure_they_are_only_where_it_is_known(tmp_path: Path) -> N
     cut = {"tool": {"overhang_m": 0}, "coefficients": "aluminium_7075", "spindle_rpm": [9000, 12000]}
     plain = twin.lobes([0, 70, -100], robot="kr90", cut=cut, out=tmp_path / "plain")
     assert set(plain.data()["depth_safe90_mm"]) == {None}
-    assert sorted(path.name for path in (tmp_path / "plain").iterdir()) == ["lobes.json", "lobes.png", "report.html"]
+    assert sorted(path.name for path in (tmp_path / "plain").iterdir()) == [
+        ".twin-lobes", "lobes.json", "lobes.png", "report.html"
+    ]  # fmt: skip
     measured = twin.lobes(campaign(0.01), cut=cut, draws=10)
     data = measured.data()
     assert len(data["spindle_rpm"]) == len(data["depth_limit_mm"]) == len(data["kind"]) == len(data["depth_safe90_mm"])

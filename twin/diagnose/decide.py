@@ -15,7 +15,7 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
-from twin.diagnose.search import WITHIN, inexact
+from twin.diagnose.search import WITHIN, in_doubt, inexact
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 
@@ -151,13 +151,17 @@ def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> 
 
 
 def _beside(fits: Sequence[Fitted], base: Fitted, scale: float) -> FloatArray:
-    """Evidence taken off fits of several things: what the others of each may be off by, without any one of them."""
+    """Evidence taken off fits of several things: what the others of each may be off by, without any one of them.
+
+    A fit is in doubt no less than those it goes on from.
+    """
     known = {fit.hypothesis.identity: fit for fit in fits}
-    taken = np.zeros(len(fits))
-    for k, fit in enumerate(fits):
-        simpler = [known[rest] for key in fit.hypothesis.identity if (rest := fit.hypothesis.identity - {key}) in known]
-        taken[k] = max((inexact(other, base, scale) for other in simpler), default=0.0)
-    return taken
+    taken: dict[frozenset[str], float] = {}
+    for identity in sorted(known, key=len):
+        simpler = [rest for key in identity if (rest := identity - {key}) in known]
+        doubts = (max(taken[rest], in_doubt(known[rest], known[identity], base, scale)) for rest in simpler)
+        taken[identity] = max(doubts, default=0.0)
+    return np.array([taken[fit.hypothesis.identity] for fit in fits])
 
 
 def _scatter(fit: Fitted) -> float:

@@ -199,8 +199,14 @@ def _where_it_is(
 
 def worth(simpler: Fitted, richer: Fitted, base: Fitted) -> bool:
     """Whether what a hypothesis has more than a simpler one pays for the search to go on."""
-    least = max(WORTH * max(1.0, richer.misfit), inexact(simpler, base))
-    return richer.evidence() - simpler.evidence() >= least
+    gain = richer.evidence() - simpler.evidence()
+    return gain >= WORTH * max(1.0, richer.misfit) and gain > in_doubt(simpler, richer, base)
+
+
+def in_doubt(simpler: Fitted, richer: Fitted, base: Fitted, scale: float = 1.0) -> float:
+    """ln evidence of a hypothesis that may be the error of a simpler one's laws: none where the data do not move."""
+    moved = 0.5 * (simpler.misfit * simpler.data - richer.misfit * richer.data) / scale
+    return min(inexact(simpler, base, scale), max(moved, 0.0))
 
 
 def inexact(fit: Fitted, base: Fitted, scale: float = 1.0) -> float:
