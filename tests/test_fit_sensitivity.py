@@ -51,6 +51,7 @@ EXTRA = (
     {"effect": "hardening_stiffness", "site": "joint2.z", "cubic": 3e12},
     {"effect": "hysteresis", "site": "joint1.z", "stiffness": [4e5, 3e5], "yield_torque": [20, 40]},
     {"effect": "sensor_misalignment", "site": "sensor:21", "angles": [0.02, -0.03, 0.01]},
+    {"effect": "sensor_mass", "site": "sensor:*", "mass": 3.0},
     {"effect": "hammer_misalignment", "site": "hammer:9Y+", "angles": [0.05, 0.02]},
     {"effect": "time_delay", "site": "sensor:21Y+", "delay": 4e-4},
 )  # fmt: skip
@@ -164,7 +165,8 @@ def test_nothing_free_has_no_slopes(full: Robot) -> None:
 def everything(robot: Robot) -> Parameters:
     entries = [
         "payload@flange.mass", "payload@flange.com[2]", "attached_resonator@link3.mass",
-        "sensor_misalignment@sensor:21.angles[1]", "hammer_misalignment@hammer:9Y+.angles[0]",
+        "sensor_misalignment@sensor:21.angles[1]", "sensor_mass@sensor:*.mass",
+        "hammer_misalignment@hammer:9Y+.angles[0]",
         "time_delay@sensor:21Y+.delay", "attached_resonator@link3.position[0]",
         "servo_compliance@joint3.integral_time",
     ]  # fmt: skip

@@ -80,3 +80,10 @@ def _diagnosed(way: str, recording: str, robot: str, seed: int, folder: Path) ->
     if robot != "kr90":
         write_description(machines()[robot], folder / "robot.yaml")
     return twin.diagnose(file, robot="kr90" if robot == "kr90" else folder / "robot.yaml")
+
+
+def test_a_sensor_that_goes_from_node_to_node_is_named_with_its_mass(tmp_path: Path) -> None:
+    verdict = _diagnosed("roving_mass", "hammer", "column", 947, tmp_path)
+    (missing,) = verdict.missing
+    assert missing.first.key == "sensor_mass@sensor:*"
+    assert verdict.error["after"]["held_out"] < 1.2 * verdict.error["noise_floor"]

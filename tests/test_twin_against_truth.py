@@ -15,7 +15,7 @@ from tools.truth.chain import flange_position
 from tools.truth.chain import inverse_dynamics as rigid_torque
 from tools.truth.robots import described as written_out
 from tools.truth.robots import machines
-from twin.measure.campaign import read_campaign
+from twin.measure.campaign import Campaign, read_campaign
 from twin.measure.motion_log import read_motion_log
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
@@ -89,15 +89,37 @@ def test_hammer_effects(  # type: ignore[no-untyped-def]
     file = tmp_path / "c.h5"
     truth("campaign", "--out", file, "--nominal", "--no-sag", "--noise", 0, "--scatter", 0, "--postures", 3, *concealed)
     campaign = read_campaign(file)
-    sides = {side: getattr(campaign, side) for side in ("response", "excitation")}
+    robot = described(kr90, effect, site, values, points_of(campaign))
+    compared(robot, campaign, tolerance)
+
+
+def test_a_sensor_s_mass_is_felt_where_it_sits(kr90: Robot, tmp_path: Path) -> None:
+    """The truth hangs it at the node as a payload; the twin leaves out what its weight adds to the stiffness."""
+    file, mass = tmp_path / "c.h5", 6.0
+    at = next(point for point in kr90.test_points if point.label == "21X+")
+    options = ["--nominal", "--no-sag", "--noise", 0, "--scatter", 0, "--postures", 3, "--effect"]
+    truth("campaign", "--out", file, *options, f"payload@{at.body}:{written({'mass': mass, 'com': list(at.position)})}")
+    campaign = read_campaign(file)
+    assert set(map(tuple, campaign.response.position.tolist())) == {tuple(at.position)}
+    for site in ("sensor:21", "sensor:*"):
+        compared(described(kr90, "sensor_mass", site, {"mass": mass}, points_of(campaign)), campaign, 1e-3)
+    with pytest.raises(AssertionError):
+        compared(described(kr90, "", "", {}, points_of(campaign)), campaign, 0.1)
+
+
+def points_of(campaign: Campaign) -> list[dict[str, object]]:
+    """Test points of a description at the campaign's channels."""
     points = {
         label: {"label": label, "body": body, "position": position.tolist(), "direction": direction.tolist()}
-        for channels in sides.values()
+        for channels in (campaign.response, campaign.excitation)
         for label, body, position, direction in zip(
             channels.label, channels.body, channels.position, channels.direction, strict=True
         )
     }
-    robot = described(kr90, effect, site, values, list(points.values()))
+    return list(points.values())
+
+
+def compared(robot: Robot, campaign: Campaign, tolerance: float) -> None:
     for posture in campaign.postures.values():
         linear = linearise(assemble(robot, robot.angles(posture.q_deg), brakes="off"))
         chain = measurement_chain(linear, robot, campaign.response.label, campaign.excitation.label)

@@ -105,7 +105,7 @@ def receptances(seen: Observed, index: int, s: ComplexArray, power: int, rate: O
     unit = np.eye(len(seen.M))[index][None]
     wide = replace(
         seen, J_r=np.vstack([seen.J_r, unit]), J_e=np.vstack([seen.J_e, unit]),
-        gain=np.append(seen.gain, 1.0), delay=np.append(seen.delay, 0.0), sag=None,
+        gain=np.append(seen.gain, 1.0), delay=np.append(seen.delay, 0.0), load=np.pad(seen.load, (0, 1)), sag=None,
     )  # fmt: skip
     back = s[:, None] ** -power
     if rate is None:
@@ -116,6 +116,7 @@ def receptances(seen: Observed, index: int, s: ComplexArray, power: int, rate: O
         rate = replace(
             rate, J_r=np.concatenate([rate.J_r, row], axis=1), J_e=np.concatenate([rate.J_e, row], axis=1),
             gain=np.hstack([rate.gain, one]), delay=np.hstack([rate.delay, one]),
+            load=np.pad(rate.load, ((0, 0), (0, 1), (0, 1))),
         )  # fmt: skip
         H, dH = frf_slopes(wide, rate, s, power)
         rates = dH[:, :, :-1, :-1], dH[:, :, :-1, -1], dH[:, :, -1, :-1] * back, dH[:, :, -1, -1] * back[:, 0]

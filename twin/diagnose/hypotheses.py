@@ -153,12 +153,15 @@ def _parameter(effect: str, name: str, quantity: Quantity, centre: float) -> Par
 def sites(effect: str, axes: int, response: Channels, excitation: Channels) -> list[str]:
     """Where an effect can act on a robot tested through these channels."""
     found: list[str] = []
+    nodes = list(dict.fromkeys(node_of(label) for label in response.label))
+    if len(nodes) < CATALOGUE[effect].nodes:
+        return found
     for pattern in CATALOGUE[effect].sites:
         if "LABEL" in pattern:
             labels = response.label if pattern.startswith("sensor") else excitation.label
             found += [pattern.replace("LABEL", label) for label in labels]
         elif "NODE" in pattern:
-            found += [pattern.replace("NODE", node) for node in dict.fromkeys(node_of(x) for x in response.label)]
+            found += [pattern.replace("NODE", node) for node in nodes]
     return found + list(CATALOGUE[effect].fixed_sites(axes))
 
 

@@ -131,7 +131,11 @@ class _Postures:
             loaded, rate = self.load_slopes(r)
             loads[loaded] = rate
         acting = replace(
-            joint.rate, J_r=joint.rate.J_r[:, :0], gain=joint.rate.gain[:, :0], delay=joint.rate.delay[:, :0]
+            joint.rate,
+            J_r=joint.rate.J_r[:, :0],
+            gain=joint.rate.gain[:, :0],
+            delay=joint.rate.delay[:, :0],
+            load=joint.rate.load[:, :0],
         )
         view, found = joint.view, {}
         for p in sorted({*moving(acting).tolist(), *np.flatnonzero(loads).tolist()}):

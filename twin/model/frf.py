@@ -64,9 +64,14 @@ def frf(
         Z = Z + 1j * linear.loss
     if linear.integral.any():
         Z = Z + linear.integral / s
-    X = np.linalg.solve(Z, np.broadcast_to(J_e.T, (len(s), *J_e.T.shape)))
+    loaded = chain.response_load.any()
+    forces = np.vstack([J_e, J_r]).T if loaded else J_e.T
+    X = J_r @ np.linalg.solve(Z, np.broadcast_to(forces, (len(s), *forces.shape)))
+    if loaded:  # each sensor on the robot while it records, see twin.model.sensitivity
+        X, B = X[..., : len(J_e)], X[..., len(J_e) :]
+        X = np.linalg.solve(np.eye(len(J_r)) + s**2 * chain.response_load * B, X)
     record = chain.response_gain[:, None] * np.exp(-s * chain.response_delay[:, None])
-    return s ** _POWER[quantity] * record * (J_r @ X)
+    return s ** _POWER[quantity] * record * X
 
 
 def _rows(linear: LinearModel, labels: Sequence[str], directions: np.ndarray) -> np.ndarray:

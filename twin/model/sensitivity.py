@@ -394,6 +394,7 @@ class Observed:
     Attributes:
         J_r, J_e: (nr, nv) and (ne, nv) displacement along the channels per unit of the coordinates.
         gain, delay: (nr,) of the response channels; delay in s.
+        load: (nr, nr) kg, of the sensor that channels share, on the robot only while they record.
         sag: what full sag adds to M … J_e, where the sag is free.
     """
 
@@ -406,17 +407,19 @@ class Observed:
     J_e: FloatArray
     gain: FloatArray
     delay: FloatArray
+    load: FloatArray
     sag: "Observed | None" = None
 
     @classmethod
     def of(cls, arrays: Iterable[FloatArray], sag: "Observed | None" = None) -> "Observed":
-        """From the nine arrays in the order of the fields."""
-        M, C, K, loss, integral, J_r, J_e, gain, delay = arrays
-        return cls(M, C, K, loss, integral, J_r, J_e, gain, delay, sag)
+        """From the ten arrays in the order of the fields."""
+        M, C, K, loss, integral, J_r, J_e, gain, delay, load = arrays
+        return cls(M, C, K, loss, integral, J_r, J_e, gain, delay, load, sag)
 
     def arrays(self) -> tuple[FloatArray, ...]:
-        """The nine arrays in the order of the fields."""
-        return self.M, self.C, self.K, self.loss, self.integral, self.J_r, self.J_e, self.gain, self.delay
+        """The ten arrays in the order of the fields."""
+        structure = self.M, self.C, self.K, self.loss, self.integral
+        return *structure, self.J_r, self.J_e, self.gain, self.delay, self.load
 
 
 def observe(
@@ -471,7 +474,7 @@ def _seen(models: Sequence[Structure], setup: Setup, chain: MeasurementChain, ga
     J_r = _rows(models, setup.response, chain.response_direction)
     J_e = _rows(models, setup.excitation, chain.excitation_direction)
     return [
-        Observed(m.M, m.C, m.K, m.loss, m.integral, r, e, gain, chain.response_delay)
+        Observed(m.M, m.C, m.K, m.loss, m.integral, r, e, gain, chain.response_delay, chain.response_load)
         for m, r, e in zip(models, J_r, J_e, strict=True)
     ]
 
@@ -617,13 +620,20 @@ def _difference(
 ) -> list[FloatArray]:
     """Central differences of :func:`observe`, or of what sag adds to it, with respect to one parameter's value."""
     step = parameters[p].step(values[p])
-    sides = []
-    for side in (values[p] + step, values[p] - step):
+
+    def at(value: float) -> Observed:
         shifted = values.copy()
-        shifted[p] = side
-        seen, _ = observe(parameters.apply_one(robot, p, side), setup, parameters, shifted, sagging=sag)
-        sides.append((seen.sag or seen).arrays())
-    return [(high - low) / (2 * step) for high, low in zip(*sides, strict=True)]
+        shifted[p] = value
+        seen, _ = observe(parameters.apply_one(robot, p, value), setup, parameters, shifted, sagging=sag)
+        return seen.sag or seen
+
+    above, below = values[p] + step, values[p] - step
+    high, low = at(above), at(below)
+    if high.M.shape != low.M.shape:  # on one side of the value what it belongs to has vanished, and its coordinate
+        here = at(values[p])
+        high, above = (high, above) if high.M.shape == here.M.shape else (here, values[p])
+        low, below = (low, below) if low.M.shape == here.M.shape else (here, values[p])
+    return [(a - b) / (above - below) for a, b in zip(high.arrays(), low.arrays(), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -633,12 +643,12 @@ class Change:
     Attributes:
         inertial: body → spatial inertia (6, 6) about, and in, its own frame.
         joints: name → armature, damping, stiffness, loss factor times stiffness, stiffness over integral time.
-        chain: directions of responses (nr, 3) and excitations (ne, 3), gains (nr,), delays (nr,).
+        chain: directions of responses (nr, 3) and excitations (ne, 3), gains (nr,), delays (nr,), loads (nr, nr).
     """
 
     inertial: dict[str, FloatArray]
     joints: dict[str, FloatArray]
-    chain: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+    chain: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 def _change(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, p: int) -> Change | None:
@@ -673,9 +683,9 @@ def _change(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArr
             if (was != now).any():
                 joints[old.name] = (now - was) / (2 * step)
     before, after = (recording_chain(side, setup.response, setup.excitation) for side in sides)
-    names = ("response_direction", "excitation_direction", "response_gain", "response_delay")
-    first, second, third, fourth = ((getattr(after, n) - getattr(before, n)) / (2 * step) for n in names)
-    return Change(inertial, joints, (first, second, third, fourth))
+    names = ("response_direction", "excitation_direction", "response_gain", "response_delay", "response_load")
+    response, excitation, gain, delay, load = ((getattr(after, n) - getattr(before, n)) / (2 * step) for n in names)
+    return Change(inertial, joints, (response, excitation, gain, delay, load))
 
 
 def _apply_change(
@@ -690,12 +700,12 @@ def _apply_change(
         k = model.coordinates.index(name)
         for target, rate in zip((out.M, out.C, out.K, out.loss, out.integral), rates, strict=True):
             target[p, k, k] += rate
-    response, excitation, gain, delay = change.chain
+    response, excitation, gain, delay, load = change.chain
     if response.any():
         out.J_r[p] = model.rows(setup.response, response)
     if excitation.any():
         out.J_e[p] = model.rows(setup.excitation, excitation)
-    out.gain[p], out.delay[p] = gain * calibration, delay
+    out.gain[p], out.delay[p], out.load[p] = gain * calibration, delay, load
 
 
 def _apply_point(out: Observed, p: int, parameter: Parameter, robot: Robot, setup: Setup, model: Structure) -> None:
@@ -747,7 +757,10 @@ def contract(slopes_: Observed, transform: FloatArray) -> Observed:
 
 
 def frf(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
-    """H(s) = sᵖ R J_r Z(s)⁻¹ J_eᵀ, (nf, nr, ne), R the channels' gains and delays."""
+    """H(s) = sᵖ R J_r Z(s)⁻¹ J_eᵀ, (nf, nr, ne), R the channels' gains and delays; with loads see :func:`_loaded`."""
+    if seen.load.any():
+        H, B = _split(frf(_bare(seen, seen), s, 0), len(seen.J_e))
+        return _record(seen, s, power) * (_loaded(seen, s, B) @ H)
     X_r = np.linalg.solve(_dynamic(seen, s), np.broadcast_to(seen.J_r.T, (len(s), *seen.J_r.T.shape)))
     return _record(seen, s, power) * (X_r.swapaxes(1, 2) @ seen.J_e.T)
 
@@ -757,6 +770,8 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
 
     ∂H = sᵖR [∂J_r Z⁻¹J_eᵀ + J_r Z⁻¹∂J_eᵀ − J_r Z⁻¹ ∂Z Z⁻¹J_eᵀ] + H ∂R/R.
     """
+    if seen.load.any() or rate.load.any():
+        return _loaded_slopes(seen, rate, s, power)
     nf, nr, nv, ne, n = len(s), len(seen.J_r), seen.M.shape[0], len(seen.J_e), len(rate.M)
     inverse = np.linalg.inv(_dynamic(seen, s))
     X_r, X_e = seen.J_r @ inverse, (inverse.reshape(-1, nv) @ seen.J_e.T).reshape(nf, nv, ne)
@@ -783,6 +798,39 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
     for p in np.flatnonzero(rate.gain.any(axis=1) | rate.delay.any(axis=1)):
         slope[p] += H * (rate.gain[p] / seen.gain - s[:, None] * rate.delay[p])[:, :, None]
     return H, slope
+
+
+def _loaded(seen: Observed, s: ComplexArray, B: ComplexArray) -> ComplexArray:
+    """(1 + s² L ∘ B)⁻¹ (nf, nr, nr): what sensors of mass L leave of motion, B the receptance between their channels.
+
+    A channel's own sensor alone is on the robot while it records: the force −m s² u at its node (D. J. Ewins, Modal
+    Testing, 2nd ed., 2000, section 3.3).
+    """
+    return np.asarray(np.linalg.inv(np.eye(len(seen.load)) + s[:, None, None] ** 2 * seen.load * B))
+
+
+def _loaded_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> tuple[ComplexArray, ComplexArray]:
+    """:func:`frf_slopes` with loads: ∂(T H) = T (∂H − s² (∂L ∘ B + L ∘ ∂B) T H)."""
+    every, slope = frf_slopes(_bare(seen, seen), _bare(rate, seen), s, 0)
+    (H, B), (dH, dB) = _split(every, len(seen.J_e)), _split(slope, len(seen.J_e))
+    T, record = _loaded(seen, s, B), _record(seen, s, power)
+    moved = T @ H
+    change = s[:, None, None] ** 2 * (rate.load[:, None] * B + seen.load * dB)
+    out = record * (T @ (dH - change @ moved))
+    for p in np.flatnonzero(rate.gain.any(axis=1) | rate.delay.any(axis=1)):
+        out[p] += record * moved * (rate.gain[p] / seen.gain - s[:, None] * rate.delay[p])[:, :, None]
+    return record * moved, out
+
+
+def _bare(some: Observed, seen: Observed) -> Observed:
+    """A model, or its derivatives, also driven at the response channels, and as ideal channels would see it."""
+    unit = np.ones_like(some.gain) if some is seen else np.zeros_like(some.gain)
+    J_e = np.concatenate([some.J_e, some.J_r], axis=-2)
+    return replace(some, J_e=J_e, gain=unit, delay=0 * some.delay, load=0 * some.load, sag=None)
+
+
+def _split(every: ComplexArray, ne: int) -> tuple[ComplexArray, ComplexArray]:
+    return every[..., :ne], every[..., ne:]
 
 
 def _dynamic(seen: Observed, s: ComplexArray) -> ComplexArray:

@@ -73,15 +73,13 @@ def _unstepped(linear: LinearModel) -> bool:
 def _unstepped_share(
     linear: LinearModel, posture: PostureFRF, mechanism: Mechanism, responses: list[str], excitations: list[str]
 ) -> np.ndarray | float:
-    """What complex stiffnesses and servos' integral action make of the FRFs that MuJoCo steps."""
-    if not _unstepped(linear):
+    """What complex stiffnesses, servos' integral action and roving sensors make of the FRFs that MuJoCo steps."""
+    chain = measurement_chain(linear, mechanism.robot, responses, excitations)
+    if not (_unstepped(linear) or chain.response_load.any()):
         return 1.0
     frequency, rate = np.maximum(posture.frequency, posture.frequency[1] / 2), posture.exponential_window_rate
     both = [
-        frf(
-            model, frequency, measurement_chain(model, mechanism.robot, responses, excitations),
-            exponential_window_rate=rate,
-        )
-        for model in (linear, linear.stepped)
-    ]  # fmt: skip
+        frf(model, frequency, seen, exponential_window_rate=rate)
+        for model, seen in ((linear, chain), (linear.stepped, replace(chain, response_load=0 * chain.response_load)))
+    ]
     return both[0] / both[1]

@@ -34,6 +34,7 @@ from twin.physics.payload import Payload
 from twin.physics.presliding import Presliding
 from twin.physics.rotor_inertia import RotorInertia
 from twin.physics.sensor_gain import SensorGain
+from twin.physics.sensor_mass import SensorMass
 from twin.physics.sensor_misalignment import SensorMisalignment
 from twin.physics.servo_compliance import ServoCompliance
 from twin.physics.statements import Part
@@ -74,6 +75,7 @@ CATALOGUE: dict[str, Effect] = {
         RotorInertia(),
         SensorGain(),
         SensorMisalignment(),
+        SensorMass(),
         HammerMisalignment(),
         TimeDelay(),
         TorqueConstant(),

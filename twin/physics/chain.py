@@ -16,6 +16,8 @@ class MeasurementChain:
         excitation_direction: (ne, 3) unit vectors in the body's frame.
         response_gain: (nr,) recorded = gain × true.
         response_delay: (nr,) s, channel late by.
+        response_load: (nr, nr) kg, of the sensor that a channel and another share: on the robot only where and while
+            they record; 0 between nodes.
         torque_gain: (n,) recorded = gain × true, of a cold motor.
         torque_warming: axis → share by which the gain grows as the motor warms, and its time constant s.
         torque_delay: s, torque late against position.
@@ -28,6 +30,7 @@ class MeasurementChain:
     excitation_direction: np.ndarray
     response_gain: np.ndarray = field(default_factory=lambda: np.ones(0))
     response_delay: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    response_load: np.ndarray = field(default_factory=lambda: np.zeros(0))
     torque_gain: np.ndarray = field(default_factory=lambda: np.ones(0))
     torque_warming: dict[int, tuple[float, float]] = field(default_factory=dict)
     torque_delay: float = 0.0
@@ -40,6 +43,8 @@ class MeasurementChain:
             self.response_gain = np.ones(len(self.response_labels))
         if not self.response_delay.size:
             self.response_delay = np.zeros(len(self.response_labels))
+        if not self.response_load.size:
+            self.response_load = np.zeros((len(self.response_labels),) * 2)
 
     def gain_at(self, time: np.ndarray) -> np.ndarray:
         """Gain of the torques at times of the campaign's clock, s: (n,), or (nt, n) where motors warm."""
@@ -57,6 +62,13 @@ class MeasurementChain:
     def node_responses(self, site: str) -> list[int]:
         """Indices of all response channels on the node that ``sensor:NODE`` names."""
         return [k for k, label in enumerate(self.response_labels) if site == f"sensor:{node_of(label)}"]
+
+    def nodes(self) -> dict[str, list[int]]:
+        """Node → indices of its response channels."""
+        found: dict[str, list[int]] = {}
+        for k, label in enumerate(self.response_labels):
+            found.setdefault(node_of(label), []).append(k)
+        return found
 
     def excitations(self, site: str) -> list[int]:
         """Indices of the excitation that ``hammer:LABEL`` names."""

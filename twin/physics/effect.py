@@ -112,6 +112,7 @@ class Effect:
             (``joint1.x.stiffness``).
         adds_mode: it brings a mode of its own, which a modal table may leave out.
         sizes: prior deviations of the first scale from which a search far from the truth starts, towards null.
+        nodes: fewest nodes with sensors at which it can be told from what is always there.
         ridged: there are ridges between its sizes: near the truth too, first order from none finds no way to them.
 
     Of motion logs:
@@ -150,6 +151,7 @@ class Effect:
     lever: ClassVar[str] = ""
     adds_mode: ClassVar[bool] = False
     sizes: ClassVar[tuple[float, ...]] = (-2.5, -1.0, 1.0)
+    nodes: ClassVar[int] = 1
     ridged: ClassVar[bool] = False
 
     # motion logs
