@@ -143,6 +143,60 @@ def test_a_clamped_tool_is_coupled_as_receptances_are() -> None:
         assert unit @ modes.receptance(at)[k] @ unit == pytest.approx(free * base / (free + base), rel=1e-9)
 
 
+def rubbing(cut: Cut, n_per_m: float, friction: float = 0.0) -> Cut:
+    """The cut with process damping."""
+    more = {"process_damping_n_per_m": n_per_m, "process_friction": friction}
+    return cut.model_copy(update={"coefficients": cut.coefficients.model_copy(update=more)})
+
+
+@pytest.mark.parametrize("rpm", [400.0, 1000.0, 3000.0])
+def test_process_damping_is_that_of_the_closed_form(rpm: float) -> None:
+    """In a slot four teeth push evenly: m ẍ + (c + b C/v) ẋ + k x = −b kr (x − x(t − τ)), one equation at the limit."""
+    mass, w, zeta, C = 2.0, 2 * np.pi * 200, 0.02, 5e4
+    cut = rubbing(benchmark_cut(1.0, "up", 4), C, 0.3)
+    c, k, kr = 2 * zeta * w * mass, w**2 * mass, cut.coefficients.kr_n_per_m2
+    tau, speed = float(cut.tooth_period(rpm)), np.pi * cut.tool.diameter_m * rpm / 60
+
+    def depth(omega: np.ndarray) -> np.ndarray:
+        return -omega * c / (kr * np.sin(omega * tau) + omega * C / speed)
+
+    def rest(omega: np.ndarray) -> np.ndarray:
+        return k - mass * omega**2 + kr * depth(omega) * (1 - np.cos(omega * tau))
+
+    grid = np.linspace(0.9 * w, 3 * w, 200_000)
+    b, f = depth(grid), rest(grid)
+    at = np.flatnonzero((f[1:] * f[:-1] < 0) & (b[1:] > 0) & (b[:-1] > 0) & (np.abs(b[1:] / b[:-1] - 1) < 0.1))
+    expected = min(
+        (float(depth(np.array(brentq(lambda x: float(rest(np.array(x))), grid[i], grid[i + 1])))) for i in at),
+        default=np.inf,  # so slow that it damps more than regeneration can feed
+    )
+    modes = real_modes([200.0], [2.0], [[mass**-0.5, 0.0, 0.0]])
+    found = limits(modes, cut, np.array([rpm]), 0.05).first()[0]
+    assert found == pytest.approx(expected, rel=1e-4)
+    sharp = limits(modes, benchmark_cut(1.0, "up", 4), np.array([rpm]), 0.05).first()[0]
+    assert found > 1.05 * sharp
+
+
+def test_process_damping_of_a_robot_with_a_helix_counts_multipliers_as_limits_do() -> None:
+    modes, cut = kr90_point()
+    cut = rubbing(cut, 1e6, 0.3)
+    speeds, depths = np.array([1200.0, 4000.0]), np.geomspace(2e-4, 9e-3, 8)
+    counted = [[int((np.abs(multipliers(modes, cut, rpm, b, 10)) > 1).sum()) for b in depths] for rpm in speeds]
+    assert (limits(modes, cut, speeds, 0.01).unstable(depths) == counted).all()
+
+
+def test_the_stepped_cut_feels_process_damping_as_its_lobes_do() -> None:
+    cut = rubbing(read_cut({"tool": {"overhang_m": 0.25, "mass_kg": 12}, "coefficients": "benchmark"}), 2e6, 0.3)
+    robot = load_robot("kr90")
+    point = tool_point(robot, Q, "on", cut)
+    modes = point.modes.turned(cut.frame(point.axis))
+    first = limits(modes, cut, np.array([2500.0]), 0.05).first()[0]
+    assert first > 1.3 * limits(modes, cut.without_process_damping(), np.array([2500.0]), 0.05).first()[0]
+    stepper = CutStepper(robot, Q, "on", cut, 2500.0)
+    assert not stepper.run(0.9 * first, 4.0).chatter
+    assert stepper.run(1.1 * first, 4.0).chatter
+
+
 def test_forced_motion_of_a_soft_slow_tool_is_its_static_deflection() -> None:
     cut = benchmark_cut(0.5, "down")
     modes = real_modes([5000.0], [5.0], [[0.0, 1.0, 0.0]])
@@ -276,6 +330,8 @@ def test_lobes_say_how_sure_they_are_only_where_it_is_known(tmp_path: Path) -> N
         ({"depth_max_m": -0.001}, "depth_max_m: input should be greater than 0"),
         ({"coefficients": {"kt_n_per_m2": 600}}, "kt_n_per_m2: expected N/m².*multiply it by 1e6"),
         ({"coefficients": {"kt_n_per_m2": 6e8, "kte_n_per_m": 12}}, "kte_n_per_m: expected N/m, .*multiply it by 1e3"),
+        ({"coefficients": {"kt_n_per_m2": 6e8, "process_damping_n_per_m": 600}}, "g_n_per_m: expected N/m, .*1e3"),
+        ({"coefficients": {"kt_n_per_m2": 6e8, "process_damping_n_per_m": -1}}, "g_n_per_m: input should"),
         ({"coefficients": "unobtainium"}, "no published coefficients 'unobtainium'"),
         ({"tool": {"diameter_m": 16}}, "diameter_m: expected metres, found 16; is it in mm"),
         ({"tool": {"overhang_m": 1.9, "direction": [0, -1, 0]}}, "below the table"),

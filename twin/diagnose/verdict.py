@@ -475,10 +475,19 @@ def strained(fit: Fitted) -> list[str]:
     answered = dict(fit.hypothesis.scale)
     base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
     for p, value in base:
-        if p.kind == "sag" or p.quantity == "damping" or p.name in answered:
+        if p.kind == "sag" or p.quantity == "damping" or (p.name in answered and p.kind != "posture"):
             continue
         change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
-        off = abs(change) / p.deviation
+        off = abs(change) / p.deviation * answered.get(p.name, 1.0)
+        if off > STRAINED and p.kind == "posture":  # which of all angles is wrong, where they are the answer, too
+            posture, _, axis = p.name.removeprefix("posture.").rpartition(".")
+            wrong = f"{np.rad2deg(change):+.2g}°" if p.unit == "rad" else f"{change:+.2g} {p.unit}"
+            text = (
+                f"{posture}: {axis} comes out {wrong} from what the file says, {off:.1f} standard deviations off: "
+                "is that the posture that was hit?"
+            )
+            found.append(Note(text, "posture", "fail" if p.name in answered else "warning"))
+            continue
         if off > STRAINED:
             told = (
                 f"comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard deviations off"
@@ -489,5 +498,5 @@ def strained(fit: Fitted) -> list[str]:
                 )
             else:
                 text = f"{p.name} {told}: it may be wrong there, or the description's tolerance too narrow"
-            found.append(Note(text, "posture" if p.kind == "posture" else "description"))
+            found.append(Note(text, "description"))
     return found

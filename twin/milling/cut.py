@@ -18,6 +18,7 @@ from twin.yamlfile import read_yaml
 # Plausible magnitudes: from plastic foam to nickel alloys. The same numbers in N/mm² or N/mm lie below them.
 SHEAR_RANGE = (5e6, 2e10)  # N/m²
 EDGE_RANGE = (200.0, 1e6)  # N/m
+FLANK_RANGE = (5e3, 1e8)  # N/m, of process damping
 
 
 class ToolMode(Data):
@@ -111,6 +112,8 @@ class Coefficients(Data):
     Attributes:
         kt_n_per_m2, kr_n_per_m2, ka_n_per_m2: tangential, radial (away from the work), axial (tip → spindle), N/m².
         kte_n_per_m, kre_n_per_m, kae_n_per_m: the same of the edge, N/m.
+        process_damping_n_per_m: force of the flank against motion into the work, per depth and per ratio of that
+            motion's speed to the cutting speed, N/m; ``process_friction``: tangential over radial part of it.
         deviation_percent: standard deviation of each shear coefficient; ``edge_deviation_percent`` of each edge one.
         source: where they come from.
     """
@@ -121,6 +124,8 @@ class Coefficients(Data):
     kte_n_per_m: Number = 0.0
     kre_n_per_m: Number = 0.0
     kae_n_per_m: Number = 0.0
+    process_damping_n_per_m: NonNegative = 0.0
+    process_friction: Annotated[Number, Field(ge=0, le=1)] = 0.0
     deviation_percent: Annotated[Number, Field(ge=0, le=100)] = 0.0
     edge_deviation_percent: Annotated[Number, Field(ge=0, le=100)] = 0.0
     source: str = ""
@@ -131,11 +136,12 @@ class Coefficients(Data):
             raise ValueError(f"kt_n_per_m2: expected a positive number, found {self.kt_n_per_m2:g}")
         for kind, (low, high), unit, wrong, factor in (
             ("_n_per_m2", SHEAR_RANGE, "N/m²", "N/mm²", "1e6"),
-            ("_n_per_m", EDGE_RANGE, "N/m", "N/mm", "1e3"),
+            ("e_n_per_m", EDGE_RANGE, "N/m", "N/mm", "1e3"),
+            ("damping_n_per_m", FLANK_RANGE, "N/m", "N/mm", "1e3"),
         ):
             for name in (field for field in type(self).model_fields if field.endswith(kind)):
                 value = abs(getattr(self, name))
-                floor = low if name.startswith("kt") else low / 10
+                floor = low / 10 if name[:2] in ("kr", "ka") else low
                 if value and not floor <= value <= high:
                     hint = f"; if it is in {wrong}, multiply it by {factor}" if value < floor else ""
                     raise ValueError(f"{name}: expected {unit}, plausibly {floor:g} to {high:g}, found {value:g}{hint}")
@@ -150,6 +156,11 @@ class Coefficients(Data):
     def edge(self) -> np.ndarray:
         """(kte, kre, kae), N/m."""
         return np.array([self.kte_n_per_m, self.kre_n_per_m, self.kae_n_per_m])
+
+    @property
+    def flank(self) -> np.ndarray:
+        """Process damping (tangential, radial, axial), N/m."""
+        return self.process_damping_n_per_m * np.array([self.process_friction, 1.0, 0.0])
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Shear coefficients (count, 3) N/m², each log-normal about its value with the stated deviation."""
@@ -233,6 +244,17 @@ class Cut(Data):
     def tooth_period(self, spindle_rpm: Any) -> Any:
         """Time between two teeth, s."""
         return 60.0 / (np.asarray(spindle_rpm, float) * self.tool.teeth)
+
+    def flank(self, tooth_period: Any) -> np.ndarray:
+        """Process damping (…, 3) tangential, radial, axial, N·s/m² at tooth periods (…) s: over the cutting speed."""
+        speed = np.pi * self.tool.diameter_m / (np.asarray(tooth_period, float) * self.tool.teeth)
+        return self.coefficients.flank / speed[..., None]
+
+    def without_process_damping(self) -> "Cut":
+        """The same cut with sharp teeth."""
+        return self.model_copy(
+            update={"coefficients": self.coefficients.model_copy(update={"process_damping_n_per_m": 0.0})}
+        )
 
     def frame(self, axis: np.ndarray, feed: np.ndarray | None = None) -> np.ndarray:
         """The cut frame in the base frame for tool axes (…, 3) flange → tip, see :func:`cut_frame`.

@@ -2,7 +2,8 @@
 
 Teeth that are all alike force the tip with the period of the teeth. That motion repeats from tooth to tooth, so that
 the chip does not feel it and the tip answers as the bare structure does. Runout ρ makes chips differ once a turn,
-ρ (1 − e^{−2πi/N}) for tooth after tooth; this part the chip feels, at the multiplier e^{2πi/N}.
+ρ (1 − e^{−2πi/N}) for tooth after tooth; this part the chip feels, at the multiplier e^{2πi/N}. Process damping is left
+out.
 """
 
 from collections.abc import Callable
@@ -93,7 +94,7 @@ def _of_runout(
     modes: ToolModes, cut: Cut, tau: float, depth_m: float, time: np.ndarray, order: np.ndarray
 ) -> np.ndarray:
     """Motion (nt, 3) m that runout adds, at times in tooth periods."""
-    shear = cut.coefficients.shear
+    cut, shear = cut.without_process_damping(), cut.coefficients.shear
     nodes = collocate(cut, float(fastest(modes, shear, depth_m) * tau), depth_m)
     op = operator(modes, cut, np.array([tau]), shear, nodes)
     theta = 2 * np.pi / cut.tool.teeth

@@ -97,7 +97,7 @@ class CutStepper:
         rest = data.qpos.copy()
         if kick_n_s:
             data.qvel[:] = np.linalg.solve(mass_matrix(model, data), self.jacobian[0] * kick_n_s)
-        teeth = _Teeth(cut, steps, depth_m)
+        teeth = _Teeth(cut, steps, depth_m, steps * model.opt.timestep)
         motion, force = np.empty((turns * turn_steps, 3)), np.empty((turns * turn_steps, 3))
         half, J = 0.5 * model.opt.timestep, self.jacobian
         farthest = 0.1 * cut.tool.diameter_m  # from its place: no chatter need be followed beyond
@@ -105,7 +105,7 @@ class CutStepper:
             motion[k] = J @ (data.qpos - rest + half * data.qvel)
             if not np.abs(motion[k]).max() < farthest:
                 return self._judged(depth_m, motion[:k], force[:k], turn_steps, away=True, out=teeth.out)
-            force[k] = teeth.push(k, motion[k])
+            force[k] = teeth.push(k, motion[k], J @ data.qvel)
             data.qfrc_applied[:] = force[k] @ J
             mujoco.mj_step(model, data)
         return self._judged(depth_m, motion, force, turn_steps, away=False, out=teeth.out)
@@ -151,7 +151,7 @@ class _Teeth:
         out: last step at which a tooth that should cut was out of the work.
     """
 
-    def __init__(self, cut: Cut, steps: int, depth_m: float) -> None:
+    def __init__(self, cut: Cut, steps: int, depth_m: float, period_s: float) -> None:
         width, self.teeth, self.steps = forces.lag(cut, depth_m), cut.tool.teeth, steps
         slices = 1 if width < 1e-9 else SLICES
         phase = (np.arange(steps) + 0.5) / steps
@@ -165,6 +165,7 @@ class _Teeth:
         direction, chip = forces.directions(angle)
         piece = depth_m / slices * share[..., None, None] * direction
         self.shear, self.edge = piece @ cut.coefficients.shear, piece @ cut.coefficients.edge
+        self.flank = piece @ cut.flank(period_s)
         self.chip = chip[..., :2]
         self.feed = cut.feed_per_tooth_m * np.sin(angle)
         self.inside = np.asarray(share > 0)
@@ -172,8 +173,8 @@ class _Teeth:
         self.offset = cut.tool.runout_m * np.cos(2 * np.pi * np.arange(self.teeth) / self.teeth)
         self.out = -1
 
-    def push(self, k: int, motion: np.ndarray) -> np.ndarray:
-        """Force (3,) N at step k for a tip at ``motion`` (3,) m, cut frame."""
+    def push(self, k: int, motion: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Force (3,) N at step k for a tip at ``motion`` (3,) m with ``velocity`` (3,) m/s, cut frame."""
         number, i = divmod(k, self.steps)
         if not self.inside[i].any():
             return np.zeros(3)
@@ -185,4 +186,5 @@ class _Teeth:
             self.out = k
         self.surface[i] = np.where(cuts, reach, self.surface[i] - self.feed[i])
         weight = np.where(cuts, thick, 0.0)[..., None] * self.shear[i] + cuts[..., None] * self.edge[i]
+        weight += (cuts * (self.chip[i] @ velocity[:2]))[..., None] * self.flank[i]
         return np.asarray(weight.sum(axis=(0, 1)))

@@ -14,6 +14,8 @@ A multiplier μ (growth of the vibration from tooth to tooth) is a solution of d
 
     W(μ) = (1 − 1/μ) [L + Σ_k α_k β_k/(μ − e^{λ_k τ})].
 
+Process damping adds the force −b D(s) ṙ(s), and ṙ where a tooth cuts to what is collocated; it has no delay.
+
 At the limit |μ| = 1: the eigenvalues 1/b of W(e^{iθ}) that are real and positive, 0 < θ ≤ π, are *all* limits in depth
 at a speed, whatever lies below them. No depth is stepped through, so no island is missed.
 """
@@ -83,14 +85,15 @@ def collocate(cut: Cut, phase_advance: float, depth_m: float = 0.0, digits: floa
 
 @dataclass(frozen=True)
 class Operator:
-    """The parts of W for a batch of S cuts (speeds, draws): nm poles, size m·p.
+    """The parts of W for a batch of S cuts (speeds, draws): nm poles, size m·p; p twice with process damping.
 
     Attributes:
         turn: (S, nm) e^{λτ}.
         alpha: (S, mp, nm), beta: (S, nm, mp); conjugate pairs are held once.
         volterra: (S, mp, mp) real, L.
         nodes: the collocation.
-        force: (S, m, 3, p).
+        force: (S, m, 3, p), of chips, then of their speeds times τ.
+        delayed: (mp,) whether what a tooth period before was counts too: 1 for chips, 0 for speeds.
     """
 
     turn: np.ndarray
@@ -99,13 +102,14 @@ class Operator:
     volterra: np.ndarray
     nodes: Nodes
     force: np.ndarray
+    delayed: np.ndarray
 
     def at(self, rows: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """W(e^{iθ}) (n, mp, mp) for batch rows (n,) at angles (n,)."""
         mu = np.exp(1j * theta)[:, None]
         turn, alpha, beta = self.turn[rows], self.alpha[rows], self.beta[rows]
         W = (alpha / (mu - turn)[:, None, :]) @ beta + (alpha / (mu.conj() - turn)[:, None, :] @ beta).conj()
-        return (1 - mu.conj())[:, :, None] * (W + self.volterra[rows])
+        return (1 - mu.conj() * self.delayed)[:, :, None] * (W + self.volterra[rows])
 
     def monodromy(self, row: int, depth_m: float) -> np.ndarray:
         """Monodromy matrix over a tooth period on (modal states and conjugates, chips of the period before)."""
@@ -114,8 +118,8 @@ class Operator:
         turn = np.concatenate([self.turn[row], self.turn[row].conj()])
         L = depth_m * self.volterra[row]
         inverse = np.linalg.inv(np.eye(len(L)) - L)
-        now = np.hstack([inverse @ alpha, -inverse @ L])  # chips from (states, chips before)
-        before = np.hstack([np.zeros_like(alpha), np.eye(len(L))])
+        now = np.hstack([inverse @ alpha, -inverse @ L * self.delayed])  # chips from (states, chips before)
+        before = np.hstack([np.zeros_like(alpha), np.diag(self.delayed)])
         later = np.hstack([np.diag(turn), np.zeros_like(beta)]) + depth_m * beta @ (now - before)
         return np.vstack([later, now])
 
@@ -134,12 +138,16 @@ def operator(modes: ToolModes, cut: Cut, tau: np.ndarray, shear: np.ndarray, nod
     u = np.broadcast_to(modes.shape, (S, *modes.shape.shape[-2:]))
     force = np.einsum("mfkp,sk->smfp", nodes.force, np.broadcast_to(shear, (S, 3)))
     z = pole * tau[:, None]
-    m, p = nodes.chip.shape[:2]
     t = nodes.phase
     felt = np.einsum("mpf,skf->smpk", nodes.chip, u)
+    damped = bool(cut.coefficients.process_damping_n_per_m)
+    if damped:
+        rub = np.einsum("mfkp,sk->smfp", nodes.force, cut.flank(tau) / tau[:, None])
+        felt, force = np.concatenate([felt, felt * z[:, None, None]], 2), np.concatenate([force, rub], 3)
     pushed = np.einsum("smfp,skf->skmp", force, u) * tau[:, None, None, None]
     alpha = felt * np.exp(z[:, None, :] * t[:, None])[:, :, None, :]
     beta = pushed * (nodes.weight * np.exp(z[:, :, None] * (1 - t)))[..., None]
+    m, p = felt.shape[1:3]
     volterra = np.zeros((S, m, p, m, p))
     for number in range(len(nodes.start)):
         here = np.flatnonzero(nodes.element == number)
@@ -158,11 +166,11 @@ def operator(modes: ToolModes, cut: Cut, tau: np.ndarray, shear: np.ndarray, nod
         volterra[:, here[:, None], :, here[None, :]] = 2 * block.real
     if modes.residual is not None:
         residual = np.broadcast_to(modes.residual, (S, 3, 3))
-        own = np.einsum("mpf,sfg,smgq->smpq", nodes.chip, residual, force)
-        volterra[:, np.arange(m), :, np.arange(m)] += own.transpose(1, 0, 2, 3)
+        own = np.einsum("mpf,sfg,smgq->smpq", nodes.chip, residual, force)  # its speed is left out
+        volterra[:, np.arange(m), : nodes.chip.shape[1], np.arange(m)] += own.transpose(1, 0, 2, 3)
     return Operator(
         np.exp(z), alpha.reshape(S, m * p, -1), beta.reshape(S, -1, m * p),
-        volterra.reshape(S, m * p, m * p), nodes, force,
+        volterra.reshape(S, m * p, m * p), nodes, force, np.tile(np.arange(p) < nodes.chip.shape[1], m).astype(float),
     )  # fmt: skip
 
 
@@ -458,7 +466,7 @@ def _frequency(
         return np.zeros(0)
     every, vectors = np.linalg.eig(op.at(row, angle))
     chips = np.take_along_axis(vectors, np.argmin(np.abs(every - value[:, None]), axis=1)[:, None, None], axis=2)
-    m, p = op.nodes.chip.shape[:2]
+    m, _, p = op.force.shape[1:]
     push = np.einsum("smfp,smp->smf", op.force[row], chips.reshape(-1, m, p)) * op.nodes.weight[:, None]
     fastest = np.broadcast_to(np.abs(modes.pole).max(axis=-1), tau.shape) * tau
     order = np.arange(-(n := int(np.ceil(fastest.max() / (2 * np.pi))) + 1), n + 1)
