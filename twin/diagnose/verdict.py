@@ -420,6 +420,7 @@ def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]
             continue
         same = "*" not in site  # of one node, its sensor or a blow
         key = site.rpartition(".")[2] if same else parameter.site
+        key = parameter.site.removeprefix("posture.") if parameter.kind == "posture" else key
         many = found.setdefault(key, {"value": [], "unit": one["unit"], "interval90": []})
         many["value"].append(one["value"])
         many["interval90"].append(one["interval90"])
