@@ -100,7 +100,8 @@ def _order(phase: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
     recorded, described = linear_sum_assignment(-np.abs(phase))
     order[described] = recorded
     moved = np.flatnonzero(order != np.arange(n))
-    if any(abs(phase[order[k], k]) < IN_PHASE or abs(phase[k, k]) > 0.5 * abs(phase[order[k], k]) for k in moved):
+    there, here = (float(np.abs(phase[of, moved]).mean()) if moved.size else 0.0 for of in (order[moved], moved))
+    if there < IN_PHASE or here > 0.5 * there:  # one channel alone may be out of phase: its modes are elsewhere
         order = np.arange(n)
     sign[[k for k in range(n) if phase[order[k], k] < -IN_PHASE]] = -1.0
     return order, sign
