@@ -77,6 +77,7 @@ def test_every_number_of_a_description_is_a_suspect(setup: Setup) -> None:
     free = free_parameters(robot, ["here"], setup.response.label)
     sites = {h.site for h in described(free)}
     assert {"joint1.z.stiffness", "joint3.y.damping", "link2.mass", "link2.com", "link2.inertia", "posture"} <= sites
+    assert {"link*.mass", "link*.com", "link*.inertia", "joint*.stiffness", "joint*.damping"} <= sites
     freed = {variants[0].site: variants for variants in geometry(robot, setup.response, setup.excitation)}
     assert {"axis2.a", "axis3.d", "axis3.alpha", "node:2.position", "node:21.position", "node:*.position"} <= set(freed)
     assert len(freed["node:2.position"]) == 1

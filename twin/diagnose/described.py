@@ -20,6 +20,8 @@ DOUBT = 10.0  # times its tolerance: as far off as a description is thought to b
 def described(free: Parameters) -> list[Hypothesis]:
     """Numbers that every fit has free: springs, dampers, mass, centre and inertia of every link, angles of postures.
 
+    Then the groups of them that one tolerance speaks for, all links or all joints at once: ``link*.inertia``.
+
     Args:
         free: the base model's parameters.
     """
@@ -31,6 +33,13 @@ def described(free: Parameters) -> list[Hypothesis]:
             blocks.setdefault(".".join(parameter.name.split(".")[:2]), []).append(parameter)
         elif parameter.kind == "posture":
             blocks.setdefault("posture", []).append(parameter)
+    groups: dict[str, list[Parameter]] = {}
+    for own in blocks.values():
+        for parameter in own if own[0].kind in ("spring", "link") else ():
+            body, *what = parameter.name.split(".")
+            kind = what[-1] if parameter.kind == "spring" else what[0]
+            groups.setdefault(f"{body.rstrip('0123456789')}*.{kind}", []).append(parameter)
+    blocks |= {site: own for site, own in groups.items() if len({p.name.partition(".")[0] for p in own}) > 1}
     return [Hypothesis("parameter", site, scale=tuple((p.name, DOUBT) for p in own)) for site, own in blocks.items()]
 
 

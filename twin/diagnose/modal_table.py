@@ -114,7 +114,7 @@ def diagnose_table(
     used = {name: p for name, p in postures.items() if name not in kept}
     if not used:
         raise InputError(source, "postures", "no posture with modes is left to fit to")
-    springs = [h for h in described(free) if h.site.endswith("stiffness")]
+    springs = [h for h in described(free) if h.site.endswith("stiffness") and "*" not in h.site]
     looked_at = [*mechanical_suspects(base), *springs, *heavier(free)]
     tick = progress("modal table", len(looked_at)) if progress else (lambda count: None)
     before = fitted(base, NONE, free, used, seed)

@@ -151,7 +151,7 @@ class Effect:
     lever: ClassVar[str] = ""
     adds_mode: ClassVar[bool] = False
     sizes: ClassVar[tuple[float, ...]] = (-2.5, -1.0, 1.0)
-    nodes: ClassVar[int] = 1
+    nodes: ClassVar[int] = 0
     ridged: ClassVar[bool] = False
 
     # motion logs
