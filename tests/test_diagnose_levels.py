@@ -446,7 +446,7 @@ def test_a_law_is_hit_where_it_was_found_last(kr90: Robot) -> None:
 
 def test_a_law_that_is_described_is_no_answer_and_what_is_missing_beside_it_is(kr90: Robot, tmp_path: Path) -> None:
     """The robot that a diagnosis has written lacks nothing; another law than the robot has is said to go."""
-    options = ("--nominal", "--no-sag", "--postures", "2", "--spacing-hz", "0.25", "--lines", "90")
+    options = ("--nominal", "--no-sag", "--postures", "2", "--spacing-hz", "0.5", "--lines", "45")
     campaign = recorded(tmp_path, "hardening_stiffness@joint2.z:cubic=1e13", *options)
 
     def told(effect: str, site: str, **values: float) -> Finding:
