@@ -111,7 +111,10 @@ def recorded_posture(robot: Robot, q_deg: FloatArray, source: str, field: str) -
         )
     q = np.asarray(robot.angles(q_deg))
     near = within_limits(robot, q)
-    robot.check_posture(np.where(np.abs(q - near) <= LIMIT_SLACK, near, q), source, field)
+    try:
+        robot.check_posture(np.where(np.abs(q - near) <= LIMIT_SLACK, near, q), source, field)
+    except InputError as error:
+        raise InputError(source, error.field, f"{error.expected}: a wrong posture, another sign, unit or robot?") from None
     return q
 
 
