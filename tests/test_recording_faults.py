@@ -54,6 +54,15 @@ def test_postures_of_two_robots_are_told_apart(way: str, told: list[str], tmp_pa
     assert all("posture4, posture5, posture6; rigid, upright" in note for note in notes)
 
 
+def test_a_run_of_another_robot_is_told(tmp_path: Path) -> None:
+    """The run kept aside is of another robot: what was used lacks nothing, and yet the log is not explained."""
+    verdict = _diagnosed("other_robot", "log", "arm", 931, tmp_path)
+    (note,) = (note for note in verdict.data()["triage"] if note["severity"] == "fail")
+    assert note["kind"] == "other_robot"
+    assert note["runs"]
+    assert verdict.word == "unexplained"
+
+
 def test_a_slab_under_the_robot_is_named(tmp_path: Path) -> None:
     verdict = _diagnosed("floor_mode", "hammer", "column", 920, tmp_path)
     assert [missing.first.key for missing in verdict.missing] == ["floor_mode@base"]

@@ -188,7 +188,8 @@ def _group(file: h5py.File, name: str, rng: random.Random) -> str:
         holder.create_dataset(base, data=1.0)
     else:
         for k in range(rng.choice((1, 30))):
-            holder[f"{base}{k}"] = file[name]
+            if f"{base}{k}" not in holder:
+                holder[f"{base}{k}"] = file[name]
     return f"{name} group change {kind}"
 
 

@@ -113,7 +113,9 @@ def _without(finding: Finding) -> Finding:
         return finding
     before = finding.error["before"]
     floor, error = finding.error["noise_floor"], before["train"]
-    missed = floor is not None and error > calibration()["held_out_misfit"] * floor
+    numbers = calibration()
+    missed = floor is not None and error > numbers["held_out_misfit"] * floor
+    missed = missed or finding.foretold > numbers["held_out_adequate"]
     records: list[Any] = [*finding.records]
     records = [replace(r, predicted={**r.predicted, "after": r.predicted["before"]}) for r in records]
     return replace(

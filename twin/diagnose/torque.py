@@ -47,6 +47,7 @@ from twin.diagnose.torque_search import (
     smallest_visible,
 )
 from twin.diagnose.torque_signal import Prepared, Run, prepare
+from twin.diagnose.torque_states import run_states
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands, in_joints
@@ -106,6 +107,7 @@ def diagnose_log(
         missing.append(missing_play(play, robot_after))
         word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
     restless = disturbances(log, search, source, processes)
+    mixed = word == "unexplained" or search.foretold > calibration()["held_out_adequate"]
     where = spots(records, source, prepared.bands.fit[1]) + restless
     sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
     finding = Finding(
@@ -113,10 +115,11 @@ def diagnose_log(
         list(prepared.held_out), records, where, sites,
         [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
+            *(run_states(prepared, suspects, processes) if mixed else ()),
             *prepared.notes, *faults, *not_sought(robot), *map(_restless, restless), *_told_apart(search),
             *_narrow(search), *_bodies(prepared, search, errors),
         ],
-        fit=after, finalists=_finalists(search, found_plays),
+        fit=after, finalists=_finalists(search, found_plays), foretold=search.foretold,
         written=with_presliding(search.system, after.z, robot_after),
         following=partial(_following, search.system, after, gaps),
     )  # fmt: skip
@@ -349,6 +352,8 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         return "located", [*missing, _with_formula(found, fit)], 0.0, other
     if other > 0.5:
         return "unexplained", missing, 0.0, other
+    if not missing and search.foretold > calibration()["held_out_adequate"]:
+        return "unexplained", [], 0.0, 1.0
     if not missing:
         return "adequate" if first.none >= 0.5 else word_of(first), [], first.none, first.other
     word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"

@@ -157,6 +157,7 @@ class Search:
         other: the joint where something without a name is likeliest, and the probability that it is there.
         law: what was discovered there, with the joint it is at.
         aside: the base model's columns on the rows kept aside, where there are any.
+        foretold: χ² per datum of the rows kept aside under all that was found, doubt of its numbers beside their noise.
         narrow: times as wide as described the tolerances of the description were taken in the end.
     """
 
@@ -170,6 +171,7 @@ class Search:
     other: tuple[int, float] = (0, 0.0)
     law: tuple[int, Trial, Fitted] | None = None
     aside: Base | None = None
+    foretold: float = 0.0
     narrow: float = 1.0
 
     @property
@@ -239,6 +241,7 @@ def explain(
     system = with_doubts(_all_grown(steps, system, judge))
     left = free_gains(system, processes)
     search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
+    search.foretold = judge.misfit(system, search.after) if judge else 0.0
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:
@@ -768,6 +771,15 @@ class Judge:
 
         Without what is common to all models.
         """
+        residual, _, density = self._foretold(system, fit)
+        return residual, density
+
+    def misfit(self, system: System, fit: Fitted) -> float:
+        """χ² per datum of the rows kept aside, what the fit does not know of its numbers beside their noise."""
+        return self._foretold(system, fit)[1] / (self.system.count * float(self.system.level.sum()))
+
+    def _foretold(self, system: System, fit: Fitted) -> tuple[FloatArray, float, float]:
+        """Residual as in :meth:`rest`, χ² under the posterior predictive, and its ln density."""
         self._align(system)
         shared, width = self.base.lasting, len(self.base.parameters)
         own = len(fit.z) - len(system.base.parameters)
@@ -794,7 +806,7 @@ class Judge:
         offsets = np.arange(shared, width)
         moved = np.zeros(len(z))
         moved[offsets] = np.linalg.solve(posterior[np.ix_(offsets, offsets)], pull[offsets])
-        return residual - here.A.times(moved), float(density)
+        return residual - here.A.times(moved), energy, float(density)
 
     def gain(self, system: System, fit: Fitted, trial: Trial | None) -> tuple[float, bool]:
         """Rise of the ln predictive density over Birge's ratio, and whether it is enough to believe the fit."""

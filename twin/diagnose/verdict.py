@@ -117,6 +117,7 @@ class Finding:
         warnings: of the triage, one line each.
         fit: of ``robot``, where another recording can build on it.
         finalists: what the answer was chosen from, as :func:`twin.diagnose.decide.finalists` has it.
+        foretold: χ² per datum of what was held out, doubt of the model's numbers beside its noise; 0 where not known.
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
     """
 
@@ -139,6 +140,7 @@ class Finding:
     warnings: list[str] = field(default_factory=list)
     fit: Fitted | None = None
     finalists: tuple[dict[str, Any], ...] = ()
+    foretold: float = 0.0
     fits: tuple[Fitted, ...] = ()
     apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None

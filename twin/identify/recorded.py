@@ -114,7 +114,9 @@ def recorded_posture(robot: Robot, q_deg: FloatArray, source: str, field: str) -
     try:
         robot.check_posture(np.where(np.abs(q - near) <= LIMIT_SLACK, near, q), source, field)
     except InputError as error:
-        raise InputError(source, error.field, f"{error.expected}: a wrong posture, another sign, unit or robot?") from None
+        raise InputError(
+            source, error.field, f"{error.expected}: a wrong posture, another sign, unit or robot?"
+        ) from None
     return q
 
 
