@@ -237,8 +237,9 @@ def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.nd
     if chain.torque_lag:
         from scipy.signal import lfilter  # a third of what there is to import, for few
 
-        keep = np.exp(-float(time[1] - time[0]) / chain.torque_lag)
-        torque = lfilter([1 - keep], [1, -keep], torque, axis=0, zi=keep * torque[:1])[0]
+        step = float(time[1] - time[0]) / chain.torque_lag
+        keep, mean = np.exp(-step), -np.expm1(-step) / step  # of torque that goes straight from sample to sample
+        torque = lfilter([1 - mean, mean - keep], [1, -keep], torque, axis=0, zi=mean * torque[:1])[0]
     if chain.torque_delay:
         torque = np.column_stack([np.interp(time - chain.torque_delay, time, column) for column in torque.T])
     return torque * chain.gain_at(time)
