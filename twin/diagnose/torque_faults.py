@@ -20,6 +20,10 @@ from twin.model.regressor import Regressor
 
 ALIKE = 0.9  # correlation of a recorded torque with a described one that is taken for the same
 UNLIKE = 0.5  # less is not
+EXCHANGED = (
+    1.0  # fall of ln variance per channel from which channels are exchanged; of 107 logs none came to 0 by chance
+)
+TURNING = 0.02  # of its largest speed, over which a joint's dry friction turns round
 BLOCKS = 8  # of a run, in which its lateness is measured
 DRIFTING = 6.0  # deviations of a slope of lateness over time
 REPEATED = 3  # measurements of lateness
@@ -77,18 +81,40 @@ def _channels(runs: Sequence[Run], described: Sequence[FloatArray]) -> tuple[NDA
     )
     size = np.maximum(np.linalg.norm(recorded, axis=0)[:, None] * np.linalg.norm(model, axis=0), 1e-300)
     alike = (recorded.T @ model) / size  # (recorded, described)
-    n = len(alike)
-    taken, of = linear_sum_assignment(-np.abs(alike))
-    order, sign = np.arange(n), np.ones(n)
+    left = _left(runs, described, recorded)
+    order, sign = np.arange(len(left)), np.ones(len(left))
+    taken, of = linear_sum_assignment(left)
     order[of] = taken
-    moved = order != np.arange(n)
-    plain = np.abs(np.diag(alike))
-    if not all(abs(alike[order[j], j]) > ALIKE and plain[j] < UNLIKE for j in np.flatnonzero(moved)):
-        order = np.arange(n)
-    for j in range(n):
+    moved = np.flatnonzero(order != np.arange(len(order)))
+    if left[moved, moved].sum() - left[order[moved], moved].sum() < EXCHANGED * len(moved):
+        order = np.arange(len(order))
+    for j in range(len(order)):
         if alike[order[j], j] < -ALIKE:
             sign[j] = -1.0
     return order, sign
+
+
+def _left(runs: Sequence[Run], described: Sequence[FloatArray], recorded: FloatArray) -> FloatArray:
+    """ln share (n, n) of a recorded torque's variance that each joint's own motion leaves: (recorded, joint).
+
+    By its described torque, dry and viscous friction and inertia, each of any size: a description may be far off.
+    """
+    out = np.empty((recorded.shape[1],) * 2)
+    for j in range(len(out)):
+        rows = []
+        for run, torque in zip(runs, described, strict=True):
+            speed = run.motion.velocity[:, j]
+            turned = np.tanh(speed / max(TURNING * float(np.abs(speed).max()), 1e-300))
+            columns = [torque[:, j], turned, speed, run.motion.acceleration[:, j]]
+            rows.append(np.stack(columns, axis=1)[run.valid])
+        X = np.concatenate(rows)
+        X = X - X.mean(axis=0)
+        X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+        rest = recorded - X @ np.linalg.lstsq(X, recorded, rcond=None)[0]
+        out[:, j] = np.log(
+            np.maximum(np.sum(rest**2, axis=0), 1e-300) / np.maximum(np.sum(recorded**2, axis=0), 1e-300)
+        )
+    return out
 
 
 def _told(order: NDArray[np.intp], sign: FloatArray) -> list[tuple[str, str]]:
