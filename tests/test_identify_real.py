@@ -156,3 +156,10 @@ def test_friction_of_the_kr300() -> None:
     assert (found["low-speed"] <= [20, 44.5, 33]).all()
     assert (found["low-speed"] < found["plain"]).all()
     assert (found["memory"] <= [10.5, 24, 23.5]).all()
+
+
+@needs("tx40")
+def test_a_description_without_friction_is_told() -> None:
+    found = identify(tx40(), load_robot(RECORDINGS / "tx40" / "tx40.urdf"))
+    (note,) = (note for note in found.notes if "has no friction" in note)
+    assert note.startswith("joint1, joint3, joint4, joint5, joint6:")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tools.coverage_rigid import study
+from twin.commands.example import EXAMPLES
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
 from twin.identify.rigid import (
@@ -425,3 +426,11 @@ def test_the_nearest_robot_that_can_exist(kr90: Robot) -> None:
     for share in (0.5, 1.0, 2.0):
         other = np.linalg.solve(step, share * regressor.described - x)
         assert d @ H @ (other - d) > -1e-5 * float(d @ H @ d)
+
+
+def test_a_description_without_friction_is_told(kr90: Robot) -> None:
+    log = read_motion_log(EXAMPLES / "cell" / "log.h5")
+    bare = kr90.without(["coulomb_friction", "viscous_friction", "presliding", "hysteresis"])
+    (note,) = (note for note in identify(log, bare).notes if "has no friction" in note)
+    assert note.startswith("joint1, joint2, joint3:")
+    assert not any("has no friction" in note for note in identify(log, kr90).notes)

@@ -115,6 +115,7 @@ def diagnose_log(
         list(prepared.held_out), records, where, sites,
         [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
+            *_still_off(records),
             *(run_states(prepared, suspects, processes) if mixed else ()),
             *prepared.notes, *faults, *not_sought(robot), *map(_restless, restless), *_told_apart(search),
             *_narrow(search), *_bodies(prepared, search, errors),
@@ -547,6 +548,20 @@ def _settled(run: Run, about_s: float = 0.15) -> np.ndarray:
         for sample in stops_of(run, joint):
             out &= np.abs(run.time - run.dense.time[min(sample, len(run.dense.time) - 1)]) > about_s
     return out
+
+
+def _still_off(records: Sequence[LogRecord]) -> list[str]:
+    """Joints whose torque the model misses in the end by clearly more than its noise, and by how much."""
+    judged = [r for r in records if r.held_out] or list(records)
+    rest = np.concatenate([(r.measured - r.predicted["after"])[r.valid] for r in judged])
+    torque = np.concatenate([r.measured[r.valid] for r in judged])
+    size = np.sqrt(np.maximum(np.mean(torque**2, axis=0), 1e-300))
+    error, floor = np.sqrt(np.mean(rest**2, axis=0)) / size, judged[0].noise / size
+    far = np.flatnonzero(error > np.sqrt(calibration()["held_out_adequate"]) * floor)
+    if not far.size:
+        return []
+    told = ", ".join(f"joint{j + 1} by {error[j]:.1%} (noise {floor[j]:.1%})" for j in far)
+    return [f"the torque that the model still misses: {told}"]
 
 
 def _pooled(records: Sequence[LogRecord], stage: Stage) -> float | None:

@@ -573,6 +573,7 @@ def identify(
             message = "tell too little of the robot's parameters: record a longer motion of all axes (`twin excite`)"
             raise InputError(log.source, "runs", message) from None
     notes += _lost_terms(robot, log.runs[rows[0].name], bands)
+    notes += _without_friction(robot, parts, parameters)
     return Identification(
         regressor, estimate, parameters, regressor.robot_with(parameters), parts, bands, notes
     )  # fmt: skip
@@ -617,6 +618,30 @@ def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list
     if not rows:
         raise InputError(log.source, "runs", TOO_SHORT.format(max(np.ptp(run.time) for run in log.runs.values())))
     return rows
+
+
+def _without_friction(robot: Robot, parts: Split, parameters: FloatArray, most: float = 0.5) -> list[str]:
+    """Where friction that the description lacks would take ``most`` of the residual's power, of runs held out."""
+    rubbing = {e.site.partition(".")[0] for e in robot.physics if CATALOGUE[e.effect].role == "friction"}
+    lacking, shares = [], []
+    for j in range(robot.axis_count):
+        columns, rest = [], []
+        for rows in (parts.train, parts.held_out):
+            speed = np.concatenate([r.velocity[r.valid, j] for r in rows])
+            columns.append(np.column_stack([np.tanh(speed / max(0.02 * np.abs(speed).max(), 1e-300)), speed]))
+            rest.append(np.concatenate([(r.torque - r.matrix @ parameters)[r.valid, j] for r in rows]))
+        left = rest[1] - columns[1] @ np.linalg.lstsq(columns[0], rest[0], rcond=None)[0]
+        share = 1 - float(left @ left) / max(float(rest[1] @ rest[1]), 1e-300)
+        if share > most and f"joint{j + 1}" not in rubbing:
+            lacking.append(f"joint{j + 1}")
+            shares.append(share)
+    if not lacking:
+        return []
+    return [
+        f"{', '.join(lacking)}: the description has no friction; it would take {min(shares):.0%} to {max(shares):.0%} "
+        "of the error's power on what was held out. `twin describe` writes it into a description, `twin diagnose` "
+        "finds it"
+    ]
 
 
 def _lost_terms(robot: Robot, run: MotionRun, bands: Bands) -> list[str]:
