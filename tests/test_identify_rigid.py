@@ -248,13 +248,23 @@ def test_jitter_is_resampled_or_refused(saved: Path, log: MotionLog, fourier: li
 
 
 def test_repeated_stamps_are_dropped(saved: Path, log: MotionLog) -> None:
-    """Rows written twice are dropped with a note; a clock that mostly repeats is refused."""
+    """Rows written twice are dropped with a note; five samples to a stamp are put on an even clock; rows written five
+    times are refused."""
     for key in ("time", "position", "torque"):
         change(saved, key, lambda x: np.insert(x, 300, x[300], axis=0))
     repaired = read_motion_log(saved)
     assert repaired.notes == ("runs/run1: 1 repeated time stamps dropped, the first at 1.200 s",)
     np.testing.assert_array_equal(repaired.runs["run1"].position, log.runs["run1"].position)
-    change(saved, "time", lambda x: np.floor(x * 50) / 50)
+    change(saved, "time", lambda x: np.delete(x, 300))
+    for key in ("position", "torque"):
+        change(saved, key, lambda x: np.delete(x, 300, axis=0))
+    change(saved, "time", lambda x: np.floor(x * 50 + 1e-6) / 50)
+    repaired = read_motion_log(saved)
+    assert "no sample is missing, and they were put on an even clock" in repaired.notes[0]
+    np.testing.assert_array_equal(repaired.runs["run1"].position, log.runs["run1"].position)
+    assert repaired.runs["run1"].sample_rate_hz == pytest.approx(RATE, rel=1e-4)
+    for key in ("position", "torque"):
+        change(saved, key, lambda x: np.repeat(x[::5], 5, axis=0)[: len(x)])
     with pytest.raises(InputError, match="time stamps are repeated"):
         read_motion_log(saved)
 

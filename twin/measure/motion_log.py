@@ -189,6 +189,9 @@ def _even(
     """The record on an even clock, and what that took."""
     notes = []
     fresh = np.concatenate([[True], np.diff(time) > 0])
+    if told := _in_batches(time, series, rate, fresh):
+        even = _line(time)
+        return even, series, 1 / float(even[1] - even[0]), [f"{where}: {told}"]
     if repeated := int(np.sum(~fresh)):
         if repeated > 0.05 * len(time):
             raise InputError(path, f"{where}/time", f"{repeated} of {len(time)} time stamps are repeated")
@@ -234,6 +237,35 @@ def _even(
         notes.append(f"{where}: time stamps jitter by {1e3 * jitter:.2g} ms RMS; resampled to an even clock")
     rate = (count - 1) / float(time[-1] - time[0])
     return even, {key: resample(time, values, even) for key, values in series.items()}, rate, notes
+
+
+def _in_batches(
+    time: FloatArray, series: dict[str, FloatArray], rate: float, fresh: np.ndarray, off: float = 0.02
+) -> str | None:
+    """What to say of samples that are all there, but were stamped when several had come; ``None`` of any other record.
+
+    Samples of one stamp then differ, as many come as the rate says, to ``off``, and stamps stay near an even clock.
+    """
+    period = float(np.median(np.diff(time[fresh]))) if fresh.sum() > 1 else 0.0
+    if fresh.mean() > 0.95 and abs(period * rate - 1) < off:
+        return None
+    span = float(time[-1] - time[0])
+    again = ~fresh & np.all([np.all(np.diff(v, axis=0, prepend=np.nan) == 0, axis=1) for v in series.values()], axis=0)
+    if again.sum() > 0.05 * len(time) or not span > 0 or abs((len(time) - 1) / (span * rate) - 1) > off:
+        return None
+    early = float(np.abs(time - _line(time)).max())
+    if early > LONGEST_GAP_S:
+        return None
+    return (
+        f"{int((~fresh).sum())} of {len(time)} time stamps are repeated, and stamps are off by up to "
+        f"{1e3 * early:.2g} ms; no sample is missing, and they were put on an even clock"
+    )
+
+
+def _line(time: FloatArray) -> FloatArray:
+    """The even clock (nt,) nearest to stamps."""
+    index = np.arange(len(time))
+    return np.asarray(np.polyval(np.polyfit(index, time, 1), index))
 
 
 def _slots(time: FloatArray, period: float) -> np.ndarray:
