@@ -51,6 +51,7 @@ from twin.measure.campaign import FloatArray
 from twin.parallel import Progress, spread
 from twin.physics import effect_named, effect_of
 from twin.physics.effect import Effect, axis_of
+from twin.ranges import implausible
 from twin.robot.description import Entry
 
 REFITTED = 3  # steps of all numbers beside what is judged or left out: all were refined before
@@ -844,10 +845,12 @@ def smallest_visible(system: System, suspects: Sequence[Suspect], processes: int
     """The size of each suspect from which it would be named: its evidence then outweighs that nothing is missing.
 
     Other numbers of the entry are free beside it; a list's are taken in proportion. A slip element is given by the
-    torque it yields at. The work is spread over ``processes``.
+    torque it yields at. One that no size a robot can have would show is left out. The work is spread over
+    ``processes``.
     """
     suspects = [s for s in suspects if s.effect.part != "law"]
-    return list(spread(lambda number: _visible_size(system, suspects, number), len(suspects), processes))
+    sizes = spread(lambda number: _visible_size(system, suspects, number), len(suspects), processes)
+    return [size for size in sizes if implausible(size["value"], size["unit"], False) is None]
 
 
 def _visible_size(system: System, suspects: Sequence[Suspect], number: int) -> dict[str, Any]:
