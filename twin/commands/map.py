@@ -278,8 +278,8 @@ def _check_asked(
         raise InputError("--posture-grid", text, f"expected {robot.axis_count} numbers above 0, one for each axis")
     if lobes < 0 or draws < 0:
         raise InputError("--lobes" if lobes < 0 else "--draws", str(min(lobes, draws)), "expected 0 or more")
-    if spindle_rpm is not None and not 0 < spindle_rpm <= FASTEST_RPM:
-        raise InputError("--spindle-rpm", f"{spindle_rpm:g}", f"expected a speed above 0, up to {FASTEST_RPM:g}")
+    if spindle_rpm is not None and not 1 <= spindle_rpm <= FASTEST_RPM:
+        raise InputError("--spindle-rpm", f"{spindle_rpm:g}", f"expected a speed from 1 to {FASTEST_RPM:g}")
     if spindle_rpm is not None and lobes:
         raise InputError(
             "--spindle-rpm", "", "full lobes take the speeds of the cut's spindle_rpm; give one or the other"

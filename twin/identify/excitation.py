@@ -212,6 +212,10 @@ class Problem:
         )
         base = structural_base(Regressor(bare))
         self.kept = base.kept[base.kept < 10 * n]
+        if not len(self.kept):
+            raise InputError(
+                robot.name, "links", "no torque tells of them; are drives and couplings as they should be?"
+            )
         period = 1 / base_hz
         instants, guards = self.settings.rows, self.settings.guards
         self.bases = _bases(np.arange(instants) * period / instants, harmonics, base_hz)

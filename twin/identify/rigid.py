@@ -385,6 +385,8 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
 def _inverse_root(covariance: FloatArray, least: float = 1e-12) -> FloatArray:
     """R (n, n) with RᵀR = Σ⁻¹; correlations' eigenvalues are kept above ``least``, where rounding leaves less."""
     deviation = np.sqrt(np.diag(covariance))
+    if not len(covariance):
+        raise np.linalg.LinAlgError("no parameter is identifiable")
     value, vectors = np.linalg.eigh(covariance / np.outer(deviation, deviation))
     return (vectors / np.sqrt(np.maximum(value, least * value[-1]))).T / deviation
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.model.regressor import flange_path, inertial_vector, link_regressor
 from twin.physics import effect_of
 from twin.physics.motion import Motion
@@ -19,6 +20,7 @@ from twin.robot.reduce import Reduced
 from twin.robot.scaling import Estimate, estimate
 from twin.robot.tree import ball_inertia
 
+SHORTEST_M = 0.01  # reach below which no law of scale holds
 POSTURES = 2000  # at random, in which the largest static torque and the reach are looked for
 TURN = np.pi  # rad: range either way of an axis whose limits nobody states
 TRAVEL_M = 1.0  # the same of a linear axis
@@ -109,9 +111,15 @@ def _size(filler: Filler) -> tuple[float, float]:
     sheet, robot = filler.sheet, filler.robot()
     reach, payload = sheet.reach, sheet.payload
     if reach is None:
-        tip = flange_path(robot, _postures(robot))
-        foot = np.array(robot.base.position)
-        reach = float(np.linalg.norm((tip - foot)[:, :2], axis=1).max())
+        foot, last = np.array(robot.base.position), robot.links[-1].com
+        body = robot.model_copy(update={"flange": robot.flange.model_copy(update={"position": last})})
+        ends = (flange_path(one, _postures(one)) - foot for one in (robot, body))  # a chain may end in a joint's origin
+        reach = max(float(np.linalg.norm(tip[:, :2], axis=1).max()) for tip in ends)
+        if reach < SHORTEST_M:
+            raise InputError(
+                filler.data["name"], "reach", "the flange stays above the foot in every posture: expected a reach in the "
+                "sheet (`reach:`, m), from which masses and drives are scaled",
+            )  # fmt: skip
     if payload is None:
         found = estimate("robot_payload", reach)
         payload = filler.say("payload", found.value, "kg", found, "data sheet")
@@ -158,7 +166,7 @@ def _speeds(filler: Filler, reach: float) -> None:
         limits, unit = axis["limits"], np.deg2rad(1.0) if turning else 1.0
         if (speed := speeds[i]) is not None:
             limits["velocity"] = float(speed * unit)
-        elif limits["velocity"] is None:
+        elif limits["velocity"] is None or not 0 < limits["velocity"] < np.inf:
             found = estimate("joint_speed", reach)
             limits["velocity"] = filler.say(f"axes[{i}].limits.velocity", found.value, "rad/s", found, "data sheet")
         if (acceleration := accelerations[i]) is not None:
