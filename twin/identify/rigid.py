@@ -34,7 +34,7 @@ from twin.model.regressor import (
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
-from twin.ranges import check_band
+from twin.ranges import check_band, implausible
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
@@ -52,8 +52,8 @@ class Bands:
 
     def __post_init__(self) -> None:
         check_band("--low-pass", self.fit)
-        if not self.fit[0] > 0:
-            raise InputError("--low-pass", "", f"expected 0 < pass < stop, found {self.fit[0]:g} {self.fit[1]:g}")
+        if not self.fit[0] > 0 or implausible(self.fit[0], "Hz", True):
+            raise InputError("--low-pass", "", f"expected 1e-6 Hz ≤ pass < stop, found {self.fit[0]:g} {self.fit[1]:g}")
 
     def within(self, rate_hz: float) -> "Bands":
         """The same with the motion's band below half the sampling rate, and not below that of the fit."""

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin.errors import InputError
 from twin.files import replacing
 from twin.measure.hdf5 import Node, undamaged
-from twin.ranges import ill_named
+from twin.ranges import ill_named, implausible
 
 FORMAT, VERSION = "frf-campaign", 1
 
@@ -323,6 +323,8 @@ def _check_hits(source: str | Path, field: str, hits: Hits, nr: int, ne: int) ->
 def _check_rate(source: str | Path, field: str, rate: float) -> None:
     if not (np.isfinite(rate) and rate >= 0):
         raise InputError(source, f"{field}: exponential_window_rate", f"expected 1/s from 0 upwards, found {rate:g}")
+    if problem := implausible(rate, "1/s", True):
+        raise InputError(source, f"{field}: exponential_window_rate", problem)
 
 
 # --- HDF5 ---------------------------------------------------------------------------------------------------

@@ -117,8 +117,8 @@ def _size(filler: Filler) -> tuple[float, float]:
         reach = max(float(np.linalg.norm(tip[:, :2], axis=1).max()) for tip in ends)
         if reach < SHORTEST_M:
             raise InputError(
-                filler.data["name"], "reach", "the flange stays above the foot in every posture: expected a reach in the "
-                "sheet (`reach:`, m), from which masses and drives are scaled",
+                filler.data["name"], "reach", "the flange stays above the foot in every posture: expected a reach in "
+                "the sheet (`reach:`, m), from which masses and drives are scaled",
             )  # fmt: skip
     if payload is None:
         found = estimate("robot_payload", reach)
