@@ -20,8 +20,10 @@ from twin.identify.rigid import (
     joint_run,
     nearest_possible,
     relative_error,
+    rows_of,
 )
 from twin.identify.rigid_compare import compare_log
+from twin.measure import motion_log
 from twin.measure.motion_log import (
     MotionLog,
     MotionRun,
@@ -444,3 +446,30 @@ def test_a_description_without_friction_is_told(kr90: Robot) -> None:
     (note,) = (note for note in identify(log, bare).notes if "has no friction" in note)
     assert note.startswith("joint1, joint2, joint3:")
     assert not any("has no friction" in note for note in identify(log, kr90).notes)
+
+
+def test_a_long_log_is_read_in_parts(saved: Path, log: MotionLog, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One sample in four, without the noise beyond; below that nothing is changed."""
+    whole = log.runs["run1"]
+    for limit, count in (("LONG", 1000), ("COARSE_HZ", RATE / 4)):
+        monkeypatch.setattr(motion_log, limit, count)
+    found = read_motion_log(saved)
+    run = found.runs["run1"]
+    assert "as one in 4" in found.notes[0]
+    assert run.sample_rate_hz == pytest.approx(RATE / 4)
+    np.testing.assert_allclose(run.time, whole.time[::4])
+    np.testing.assert_allclose(run.position, whole.position[::4], atol=1e-4 * np.ptp(whole.position))
+    few = motion_log._in_parts  # blocks of any length give the same
+    monkeypatch.setattr(motion_log, "_in_parts", lambda *given: few(*given, block=37))
+    np.testing.assert_allclose(read_motion_log(saved).runs["run1"].torque, run.torque, rtol=1e-12, atol=1e-9)
+
+
+def test_rows_of_parts_are_those_of_the_whole(kr90: Robot, log: MotionLog) -> None:
+    run, regressor = log.runs["run1"], Regressor(kr90)
+    whole = rows_of(regressor, run, Bands())
+    parts = rows_of(regressor, run, Bands(), part=1700)
+    np.testing.assert_allclose(parts.time, whole.time)
+    for key in ("position", "torque", "matrix"):
+        one, other = (getattr(rows, key)[whole.valid] for rows in (whole, parts))
+        assert np.abs(one - other).max() < 2e-3 * np.abs(one).max()
+    np.testing.assert_array_equal(parts.valid, whole.valid)

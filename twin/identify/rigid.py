@@ -4,7 +4,8 @@ The same low-pass goes over the torque and over every column of the regressor, s
 (friction) stay exact; positions are differentiated in a wider band.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -149,17 +150,38 @@ def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1, still: float 
     return Motion(time, q, v, a, sign=lambda speed: np.where(np.abs(speed) > slow, np.sign(speed), 0.0))
 
 
-def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: float = 5.0) -> Rows:
+def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: float = 5.0, part: int = 100_000) -> Rows:
     """A run in joint coordinates as rows: torque and all columns through the same low-pass, then thinned out.
 
     ``rows_per_hz`` are kept per second and hertz of the low-pass. Links' columns are evaluated at eight times the
     motion's band. A log of 80 Hz and more holds samples of the torque; a slower one was filtered before it was thinned
-    out, and laws that step are evaluated at 200 Hz.
+    out, and laws that step are evaluated at 200 Hz. Longer runs are taken in parts of so many samples, which overlap
+    by the memory of the low-pass; ten times longer ones keep half the rows.
     """
+    rate, count = run.sample_rate_hz, len(run.time)
+    bands, rows_per_hz = bands.within(rate), rows_per_hz / (1 if count <= 10 * part else 2)
+    step = max(1, int(rate / (rows_per_hz * bands.fit[1])))
+    cut = run.time[saturated(run).any(axis=1)]
+    if count <= part:
+        return _rows_of(regressor, run, bands, step, cut)
+    block, overlap = part // step * step, int(np.ceil(10 * rate / (bands.fit[1] - bands.fit[0]) / step)) * step
+    rows: list[Rows] = []
+    for first in range(0, count, block):
+        low, high = max(first - overlap, 0), min(first + block + overlap, count)
+        some: dict[str, Any] = {f.name: getattr(run, f.name) for f in fields(run)}
+        some = {key: x[low:high] if isinstance(x, np.ndarray) else x for key, x in some.items()}
+        here = _rows_of(regressor, MotionRun(**some), bands, step, cut)
+        keep = slice((first - low) // step, (min(first + block, count) - low - 1) // step + 1)
+        series = ("time", "position", "velocity", "acceleration", "torque", "known", "matrix", "valid")
+        rows.append(replace(here, **{key: getattr(here, key)[keep].copy() for key in series}))
+    together: dict[str, Any] = {key: np.concatenate([getattr(r, key) for r in rows]) for key in series}
+    return replace(rows[0], **together, passed=np.mean([r.passed for r in rows], axis=0))
+
+
+def _rows_of(regressor: Regressor, run: MotionRun, bands: Bands, step: int, cut: FloatArray) -> Rows:
+    """Every ``step``-th sample as a row; none counts near where torque was ``cut`` off, s."""
     assert run.torque is not None
     rate = run.sample_rate_hz
-    bands = bands.within(rate)
-    step = max(1, int(rate / (rows_per_hz * bands.fit[1])))
 
     def thinned(values: FloatArray, upsample: int) -> FloatArray:
         flat = values.reshape(len(values), -1)
@@ -189,7 +211,7 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
     time = motion.time[at]
     trim = 6 / bands.motion[1]
     valid = (time > time[0] + trim) & (time < time[-1] - trim)
-    for instant in run.time[saturated(run).any(axis=1)]:
+    for instant in cut:
         valid &= np.abs(time - instant) > 1 / (bands.fit[1] - bands.fit[0])
     return Rows(
         run.name, time, motion.position[at], motion.velocity[at], motion.acceleration[at], torque - known, known,

@@ -146,13 +146,13 @@ class Node:
     def has(self, name: str) -> bool:
         return name in self.item
 
-    def real(self, name: str, *unit: str) -> NDArray[np.float64]:
+    def real(self, name: str, *unit: str, part: slice = slice(None)) -> NDArray[np.float64]:
         node = self.dataset(name)
         if node.item.dtype.kind not in "iuf":
             raise self.fail(node.field, f"expected real numbers, found {node.item.dtype}")
         node.check_unit(*unit)
         try:
-            values = np.asarray(node.item[()], dtype=np.float64)
+            values = np.asarray(node.item[part] if node.item.shape else node.item[()], dtype=np.float64)
         except OSError as error:
             raise self.fail(node.field, "expected readable data, the file is damaged") from error
         check_array(

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from twin.robot.description import Robot
 
 VERSION = 1
+LONG = 1_500_000  # samples of a run, beyond which it is read in parts: 25 minutes at 1 kHz
+COARSE_HZ = 250.0  # rate it is then read at, at least: as the shipped recordings have
 LONGEST_GAP_S = 0.05  # longer ones are not bridged: a spline knows nothing of what a robot did in them
 FLAT_S = 0.02  # torque that stays at its largest value for so long while the axis moves was cut off
 LEAVES = 0.1  # of an axis's range, by which a log may leave it
@@ -102,12 +104,50 @@ def read_motion_log(path: str | Path) -> MotionLog:
             if (rate := group.number("sample_rate_hz")) is None:
                 raise InputError(path, f"{group.field}/sample_rate_hz", "missing attribute")
             time = group.real("time", "s")
-            series = {key: group.real(key, *unit) for key, unit in SERIES.items() if group.has(key)}
+            if (factor := _coarser(time, rate)) > 1:
+                series = {key: _in_parts(group, key, unit, factor) for key, unit in SERIES.items() if group.has(key)}
+                notes.append(
+                    f"{group.field}: {len(time)} samples are read in parts, as one in {factor}, "
+                    f"low-passed at {0.4 * rate / factor:.3g} Hz"
+                )
+                time, rate = time[::factor], rate / factor
+            else:
+                series = {key: group.real(key, *unit) for key, unit in SERIES.items() if group.has(key)}
             runs[name], repairs = even_run(path, group.field, name, time, series, rate)
             notes += repairs
             if kind == "motion-log" and runs[name].torque is None:
                 raise InputError(path, f"{group.field}/torque", "missing")
         return MotionLog(runs, root.text("robot"), str(path), tuple(notes))
+
+
+def _coarser(time: FloatArray, rate: float) -> int:
+    """As one in how many samples a run is read: one, unless it is long, fast and evenly sampled."""
+    factor = int(rate / COARSE_HZ) if rate > 0 and np.isfinite(rate) else 1
+    if factor < 2 or len(time) <= LONG or time.ndim != 1 or not np.isfinite(time).all():
+        return 1
+    even = time[0] + np.arange(len(time)) / rate
+    return factor if np.abs(time - even).max() < 0.1 / rate else 1
+
+
+def _in_parts(group: Node, key: str, unit: tuple[str, ...], factor: int, block: int = 1 << 14) -> FloatArray:
+    """Every ``factor``-th sample of a series after a low-pass of linear phase; at its ends it is point-symmetric."""
+    from scipy.signal import firwin, upfirdn  # a third of what there is to import, for few
+
+    taps = firwin(16 * factor + 1, 0.8 / factor)
+    count, half = len(group.dataset(key).item), 8 * factor
+    rows = -(-count // factor)
+    out: FloatArray | None = None
+    for first in range(0, rows, block):
+        last = min(first + block, rows)
+        low, high = first * factor - half, (last - 1) * factor + half + 1
+        values = group.real(key, *unit, part=slice(max(low, 0), min(high, count)))
+        ends = (max(-low, 0), max(high - count, 0))
+        values = np.pad(values, (ends, *((0, 0),) * (values.ndim - 1)), "reflect", reflect_type="odd")
+        if out is None:
+            out = np.empty((rows, *values.shape[1:]))
+        out[first:last] = upfirdn(taps, values, 1, factor, axis=0)[16 : 16 + last - first]
+    assert out is not None
+    return out
 
 
 def write_motion_log(path: str | Path, log: MotionLog) -> None:
