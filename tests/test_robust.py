@@ -17,6 +17,8 @@ import pytest
 
 from tools.fuzz import seeds
 from tools.fuzz.__main__ import main as fuzz
+from twin import effort
+from twin.commands.example import EXAMPLES
 from twin.commands.outputs import Outputs, exchange
 from twin.errors import InputError, NumericalError, numbers_of
 from twin.measure.modal_table import read_modal_table
@@ -306,3 +308,15 @@ def test_a_joint_from_a_link_to_itself_and_speeds_of_no_machine_are_refused(tmp_
     (tmp_path / "sheet.yaml").write_text("max_speed: [1.0e+12, 120]\n")
     with pytest.raises(InputError, match="max_speed"):
         read_sheet(tmp_path / "sheet.yaml")
+
+
+def test_a_long_wait_is_told_beforehand(
+    twin: Callable[..., SimpleNamespace], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = EXAMPLES / "cell" / "log.h5"
+    assert "minutes" not in twin("identify", log, "--json").err
+    monkeypatch.setitem(effort.SECONDS, ("identify", "motion-log"), 4e-3)
+    found = twin("identify", log, "--json")
+    assert found.code == 0
+    assert found.err.startswith("twin: about 3 minutes for a recording of this size")
+    assert effort.expected_s("identify", [tmp_path / "none.h5", Path(__file__)]) == 0

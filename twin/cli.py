@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import typer
 
 import twin
+from twin.effort import expected_s, told
 from twin.errors import InputError, NumericalError, numbers_of
 from twin.memory import keep_memory
 from twin.parallel import Progress, silent
@@ -67,7 +68,10 @@ def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable
         @wraps(function)
         def run(*, timeout: float | None, **given: Any) -> None:
             end_after(timeout)
-            with numbers_of(_files(given) or function.__name__.rstrip("_")):
+            name, files = function.__name__.rstrip("_"), _files(given)
+            if (wait := told(expected_s(name, files))) and not _asked("quiet"):
+                print(f"twin: {wait} for a recording of this size", file=sys.stderr)
+            with numbers_of(", ".join(files) or name):
                 function(**given)
 
         own = inspect.signature(function)
@@ -79,10 +83,10 @@ def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable
     return register
 
 
-def _files(given: dict[str, Any]) -> str:
+def _files(given: dict[str, Any]) -> list[str]:
     """The files that a command was given."""
     lists = [value if isinstance(value, list) else [value] for key, value in given.items() if key != "out"]
-    return ", ".join(str(item) for values in lists for item in values if isinstance(item, Path))
+    return [str(item) for values in lists for item in values if isinstance(item, Path)]
 
 
 _HOW: ContextVar[str] = ContextVar("how much is said", default="")

@@ -401,7 +401,8 @@ def mislabelled(world: World, rng: np.random.Generator) -> Cause:
         group.attrs["q_deg"] = q
 
     world.spoilt["hammer"].append(spoil)
-    return Cause((), ("posture", "label", "mislabelled_posture"), size=f"{name} q{i + 1} {step:+.0f}°")
+    fair = ("parameter@posture",)  # names what is wrong, where triage does not
+    return Cause((), ("posture", "label", "mislabelled_posture"), fair, size=f"{name} q{i + 1} {step:+.0f}°")
 
 
 def postures_off(world: World, rng: np.random.Generator) -> Cause:

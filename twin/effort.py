@@ -1,0 +1,38 @@
+"""How long a command takes on a large recording, by the recording's size: told before the work begins."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+TELL_S = 60.0  # less is not worth a line
+SECONDS = {  # per sample and axis, or per line and channel, on one core: `python -m tools.large`
+    ("compare", "motion-log"): 2.6e-6,
+    ("identify", "motion-log"): 2.8e-6,
+    ("compare", "frf-campaign"): 2.0e-6,
+}
+
+
+def expected_s(command: str, recordings: Iterable[str | Path]) -> float:
+    """Seconds a command is expected to take on recordings; what cannot be read counts nothing, it is refused later."""
+    return sum(SECONDS.get((command, kind), 0.0) * values for kind, values in map(_size, recordings))
+
+
+def told(seconds: float) -> str:
+    """``about 2 minutes``, or nothing where the wait is short."""
+    if seconds < TELL_S:
+        return ""
+    minutes = seconds / 60
+    return f"about {minutes:.0f} minutes" if minutes < 90 else f"about {minutes / 60:.0f} hours"
+
+
+def _size(path: str | Path) -> tuple[str, int]:
+    """Kind of a recording, and how many values it holds."""
+    import h5py  # --version and --help need none
+
+    try:
+        with h5py.File(path) as file:
+            kind = str(file.attrs.get("format", ""))
+            group, name = ("runs", "position") if kind == "motion-log" else ("postures", "frf")
+            sets = [part[name] for part in file.get(group, {}).values() if name in part]
+            return kind, sum(int(item.size) for item in sets if isinstance(item, h5py.Dataset) and item.shape)
+    except (OSError, AttributeError, TypeError, KeyError, ValueError, RuntimeError):
+        return "", 0
