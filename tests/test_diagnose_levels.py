@@ -208,7 +208,9 @@ def test_a_blow_longer_than_any_hammers_is_not_stepped() -> None:
 def oscillator(omega: float, zeta: float) -> Observed:
     """One kilogram on a spring."""
     one = np.ones((1, 1))
-    return Observed(one, 2 * zeta * omega * one, omega**2 * one, 0 * one, 0 * one, one, one, np.ones(1), np.zeros(1))
+    return Observed(
+        one, 2 * zeta * omega * one, omega**2 * one, 0 * one, 0 * one, one, one, np.ones(1), np.zeros(1), 0 * one
+    )
 
 
 def test_duffings_frequency_rises_with_the_square_of_amplitude() -> None:

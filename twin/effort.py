@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from twin.ranges import MOST_VALUES
+
 TELL_S = 60.0  # less is not worth a line
 SECONDS = {  # per sample and axis, or per line and channel, on one core: `python -m tools.large`
     ("compare", "motion-log"): 2.6e-6,
@@ -33,6 +35,7 @@ def _size(path: str | Path) -> tuple[str, int]:
             kind = str(file.attrs.get("format", ""))
             group, name = ("runs", "position") if kind == "motion-log" else ("postures", "frf")
             sets = [part[name] for part in file.get(group, {}).values() if name in part]
-            return kind, sum(int(item.size) for item in sets if isinstance(item, h5py.Dataset) and item.shape)
+            sizes = [int(item.size) for item in sets if isinstance(item, h5py.Dataset) and item.shape]
+            return kind, sum(size for size in sizes if size <= MOST_VALUES)  # others are refused
     except (OSError, AttributeError, TypeError, KeyError, ValueError, RuntimeError):
         return "", 0
