@@ -772,32 +772,35 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
     """
     if seen.load.any() or rate.load.any():
         return _loaded_slopes(seen, rate, s, power)
-    nf, nr, nv, ne, n = len(s), len(seen.J_r), seen.M.shape[0], len(seen.J_e), len(rate.M)
+    nf, nv, ne = len(s), seen.M.shape[0], len(seen.J_e)
     inverse = np.linalg.inv(_dynamic(seen, s))
     X_r, X_e = seen.J_r @ inverse, (inverse.reshape(-1, nv) @ seen.J_e.T).reshape(nf, nv, ne)
     record = _record(seen, s, power)
     H, pull = record * (X_r @ seen.J_e.T), -record * X_r
-    parts = [
-        (m.transpose(1, 0, 2).reshape(nv, -1), factor)
-        for m, factor in zip(_matrices(rate), _factors(s), strict=True)
-        if m.any()
-    ]
-    left = np.zeros((nf, nr, n, nv), complex)
-    moved = bool(parts) or rate.J_r.any()
-    if parts:
-        flat = np.concatenate([factor[:, None, None] * pull for _, factor in parts], axis=2)
-        left = (flat.reshape(nf * nr, -1) @ np.concatenate([m for m, _ in parts])).reshape(left.shape)
+    slope = _stiffness_slopes(rate, s, pull, X_e)
     for p in np.flatnonzero(rate.J_r.any(axis=(1, 2))):
-        left[:, :, p] += record * rate.J_r[p]
-    slope = left.reshape(nf, nr * n, nv) @ X_e if moved else np.zeros((nf, nr * n, ne), complex)
-    slope = slope.reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
-    some = np.flatnonzero(rate.J_e.any(axis=(1, 2)))
-    if some.size:
-        turned = pull.reshape(nf * nr, nv) @ rate.J_e[some].transpose(2, 0, 1).reshape(nv, -1)
-        slope[some] -= turned.reshape(nf, nr, some.size, ne).transpose(2, 0, 1, 3)
+        slope[p] += record * (rate.J_r[p] @ X_e)
+    for p in np.flatnonzero(rate.J_e.any(axis=(1, 2))):
+        slope[p] -= pull @ rate.J_e[p].T
     for p in np.flatnonzero(rate.gain.any(axis=1) | rate.delay.any(axis=1)):
         slope[p] += H * (rate.gain[p] / seen.gain - s[:, None] * rate.delay[p])[:, :, None]
     return H, slope
+
+
+def _stiffness_slopes(rate: Observed, s: ComplexArray, pull: ComplexArray, X_e: ComplexArray) -> ComplexArray:
+    """pull ∂Z X_e (n, nf, nr, ne), pull (nf, nr, nv), X_e (nf, nv, ne): ∂Z first meets the side with fewer channels."""
+    (nf, nr, nv), ne, n = pull.shape, X_e.shape[2], len(rate.M)
+    parts = [(m, factor[:, None, None]) for m, factor in zip(_matrices(rate), _factors(s), strict=True) if m.any()]
+    if not parts:
+        return np.zeros((n, nf, nr, ne), complex)
+    if nr <= ne:
+        flat = np.concatenate([factor * pull for _, factor in parts], axis=2).reshape(nf * nr, -1)
+        left = flat @ np.concatenate([m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts])
+        return (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
+    flat = np.concatenate([factor * X_e for _, factor in parts], axis=1).transpose(1, 0, 2).reshape(-1, nf * ne)
+    right = np.concatenate([m for m, _ in parts], axis=2).reshape(n * nv, -1) @ flat.view(float)
+    right = right.view(complex).reshape(n, nv, nf, ne).transpose(2, 1, 0, 3).reshape(nf, nv, n * ne)
+    return (pull @ right).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
 
 
 def _loaded(seen: Observed, s: ComplexArray, B: ComplexArray) -> ComplexArray:
