@@ -194,16 +194,7 @@ def explain_levels(
     told = seen.telling(best, BLOWS)[0]
     data = _tempered(told, temper)
     objectives = [replace(t[0], sample=data, rate_hz=RATE_HZ, processes=processes) for t in trials]
-    racers = [(o, *trial[1:]) for o, trial in zip(objectives, trials, strict=True)]
-    fits = _fitted_roughly(racers[:1], processes)
-    fits += _fitted_roughly(racers[1:], processes, LAW_REACH * fits[0].cost)
-    least = min(fit.cost for fit in fits)
-    fits = [
-        fit_law(objective, fit.hypothesis, fit.z)
-        if fit.cost == least or (fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF)
-        else fit
-        for objective, fit in zip(objectives, fits, strict=True)
-    ]
+    fits = _fitted_closely([(o, *trial[1:]) for o, trial in zip(objectives, trials, strict=True)], processes)
     least = min(fit.cost for fit in fits)
     order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
     nameless = []
@@ -213,6 +204,7 @@ def explain_levels(
         nameless = [
             fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF else fit
             for trial, fit in zip(rivals, _fitted_roughly(rivals, processes, LAW_REACH * least), strict=True)
+            if np.isfinite(fit.cost)  # one that cannot be stepped is no rival
         ]
     tempered, begun = (15, starts[:2]) if window else (0, starts[:1])  # an optimum on all lines nearly is on some
     again = min(
@@ -482,6 +474,19 @@ def _fitted_roughly(trials: Sequence[Trial], processes: int, hopeless: float = n
         return _fitted(objective, hypothesis, *minimise(replace(objective, rate_hz=RATE_HZ), z, 0, 0))
 
     return list(spread(run, len(trials), processes))
+
+
+def _fitted_closely(trials: Sequence[Trial], processes: int) -> list[Fitted]:
+    """Laws, the most promising first: roughly, then the best and those near it closely."""
+    fits = _fitted_roughly(trials[:1], processes)
+    fits += _fitted_roughly(trials[1:], processes, LAW_REACH * fits[0].cost)
+    least = min(fit.cost for fit in fits)
+    return [
+        fit_law(trial[0], fit.hypothesis, fit.z)
+        if fit.cost == least or (fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF)
+        else fit
+        for trial, fit in zip(trials, fits, strict=True)
+    ]
 
 
 def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray) -> Fitted:

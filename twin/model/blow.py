@@ -109,36 +109,20 @@ def torques(
 
 def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) -> list[tuple[FloatArray, FloatArray]]:
     slopes = [strike.tangent(law) for strike in strikes]
-    parts = _modal(strikes, slopes, rate_hz)
     blows = [strike.seen.J_e.shape[0] for strike in strikes]
-    modes = max(len(part.fade) for part in parts)
-    total = sum(blows)
-    # two rows beside the modes: what φ is at rest, and what it has less a step after g
-    fade, kick, moved, z = (np.zeros((modes + 2, total), complex) for _ in range(4))
-    early, late = (np.zeros((modes, total), complex) for _ in range(2))
-    own, k, load, tangent = (np.empty(total) for _ in range(4))
-    sizes = np.empty((len(law.names), total))
-    driven = max(int(np.ceil(strike.pulse_s * rate_hz)) for strike in strikes)
-    push = np.zeros((driven, modes, total), complex)
-    at = 0
-    for strike, part, slope, count in zip(strikes, parts, slopes, blows, strict=True):
-        span, m = slice(at, at + count), len(part.fade)
-        fade[:m, span] = part.fade[:, None]  # every mode in units of what it adds to φ
-        early[:m, span], late[:m, span] = (part.read * part.early_g)[:, None], (part.read * part.late_g)[:, None]
-        kick[:m, span] = (part.read * part.next_g)[:, None]
-        kick[-1, span] = -float((part.read * part.once_g).sum().real)
-        drive = strike.peak_n * _drive(part.pole, strike.pulse_s, driven, rate_hz)
-        push[:, :m, span] = drive[:, :, None] * (part.read[:, None] * part.into)
-        own[span] = float((part.read * part.now_g).sum().real)
-        k[span], load[span], tangent[span], sizes[:, span] = strike.k, strike.load, slope, strike.sizes[:, None]
-        at += count
+    fade, kick, early, late, own, push = _columns(strikes, _modal(strikes, slopes, rate_hz), blows, rate_hz)
+    driven, modes, total = push.shape
+    k, load = (np.repeat([getattr(strike, name) for strike in strikes], blows) for name in ("k", "load"))
+    tangent = np.repeat(slopes, blows)
+    sizes = np.repeat(np.array([strike.sizes for strike in strikes]).T, blows, axis=1)
+    z, moved = np.zeros_like(fade), np.empty_like(fade)
     rest = law.rest(k, load, sizes)
     state = law.state(total)
     if len(state):
         state[-1] = rest
     torque, state = law.torque(rest, k, sizes, state)
     offset, bends = torque - tangent * rest, bool(tangent.any())
-    fade[-2], z[-2] = 1.0, rest
+    z[-2] = rest
     most, least = rest + FARTHEST, rest - FARTHEST  # a size far off must not let a trial overflow
     x, g, free = rest, np.zeros(total), np.empty(total)
     highest, lowest = rest.copy(), rest.copy()
@@ -180,6 +164,32 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
     largest = np.maximum(highest - rest, rest - lowest)
     edges = np.cumsum(blows)[:-1]
     return list(zip(np.split(out, edges, axis=1), np.split(largest, edges), strict=True))
+
+
+def _columns(
+    strikes: Sequence[Strike], parts: "Sequence[_Modal]", blows: Sequence[int], rate_hz: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, FloatArray, ComplexArray]:
+    """Propagation of every blow's modes over a step (modes, c), each in units of what it adds to φ: their decay, what g
+    adds to them a step later, and at the start and end of its line; what g adds to φ at once (c,); the blows' push
+    (steps, modes, c). The first two have two rows more: what φ is at rest, and what it has less a step after g."""
+    modes, total = max(len(part.fade) for part in parts), sum(blows)
+    fade, kick = (np.zeros((modes + 2, total), complex) for _ in range(2))
+    early, late = (np.zeros((modes, total), complex) for _ in range(2))
+    driven = max(int(np.ceil(strike.pulse_s * rate_hz)) for strike in strikes)
+    push = np.zeros((driven, modes, total), complex)
+    at = 0
+    for strike, part, count in zip(strikes, parts, blows, strict=True):
+        span, m = slice(at, at + count), len(part.fade)
+        fade[:m, span] = part.fade[:, None]
+        early[:m, span], late[:m, span] = (part.read * part.early_g)[:, None], (part.read * part.late_g)[:, None]
+        kick[:m, span] = (part.read * part.next_g)[:, None]
+        kick[-1, span] = -float((part.read * part.once_g).sum().real)
+        drive = strike.peak_n * _drive(part.pole, strike.pulse_s, driven, rate_hz)
+        push[:, :m, span] = drive[:, :, None] * (part.read[:, None] * part.into)
+        at += count
+    fade[-2] = 1.0
+    own = np.repeat([float((part.read * part.now_g).sum().real) for part in parts], blows)
+    return fade, kick, early, late, own, push
 
 
 @dataclass(frozen=True)
