@@ -32,7 +32,6 @@ from twin.milling.stability import Limits, limits, multipliers
 from twin.milling.tool_point import (
     ToolModes,
     coupled,
-    matrix_modes,
     measured_point,
     real_modes,
     tool_point,
@@ -40,6 +39,7 @@ from twin.milling.tool_point import (
 from twin.milling.zeroth_order import limiting_depth, low_frequency_depth
 from twin.model.frf import frf
 from twin.model.linear import linearise
+from twin.model.modes import residues
 from twin.robot.description import load_robot
 from twin.robot.mechanism import assemble
 
@@ -130,7 +130,7 @@ def test_a_clamped_tool_is_coupled_as_receptances_are() -> None:
     M = np.diag([300.0, 200.0, 150.0])
     K, C, J = M * 5e3, M * 2.0, rng.standard_normal((3, 3))
     w, zeta, shape = np.array([400.0]), np.array([0.02]), np.array([[0.6, 0.8, 0.0]]) / np.sqrt(2.0)  # 2 kg
-    modes = matrix_modes(*coupled(M, C, K, J, w, zeta, shape))
+    modes = ToolModes(*residues(*coupled(M, C, K, J, w, zeta, shape)))
     at = np.array([60.0, 390.0, 420.0])
     s, mass = 1j * at, 1 / np.sum(shape**2)
     unit = shape[0] * np.sqrt(mass)

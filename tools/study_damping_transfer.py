@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from twin.commands.fit import misses_left_out
 from twin.identify.damping_transfer import Miss, transfer
 from twin.identify.elastic_modal import ModalPosture, fit_modes, modal_postures
+from twin.identify.fitting import misses_left_out
 from twin.measure.modal_table import read_modal_table
 from twin.robot.description import Robot, load_robot
 

@@ -1,24 +1,14 @@
 """What every command returns: a result that prints itself, shows as tables in a notebook and draws its own figures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from twin.table import Table
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of cells under a header; ``numbers`` are the columns set flush right, ``dim`` the rows set pale."""
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    numbers: Sequence[int] = ()
-    dim: Sequence[int] = ()
-    title: str = ""
 
 
 NAMED = 4  # of the files written, how many a summary names

@@ -12,8 +12,9 @@ from twin.identify.rigid_compare import LogComparison, compare_log
 from twin.measure.recordings import Given, Recording, read_recordings, traced
 from twin.parallel import Progress
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.description import Robot
+from twin.table import Table
 
 
 @dataclass

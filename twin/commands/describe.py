@@ -11,7 +11,7 @@ import numpy as np
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.complete import complete
 from twin.robot.datasheet import fit_tools, read_sheet, read_tools, stand_on
 from twin.robot.description import Assumed, Robot, load_robot, save_robot
@@ -19,6 +19,7 @@ from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, save_mjcf
 from twin.robot.reduce import reduce_tree
 from twin.robot.tree import Chain, Shape, Tree, robot_data
+from twin.table import Table
 
 SETTLED_BY = {
     "hammer test": "a hammer test: twin fit",

@@ -7,8 +7,9 @@ from typing import Any
 
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
-from twin.result import Result, Table
+from twin.result import Result
 from twin.robot.description import SHIPPED
+from twin.table import Table
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 WHAT = {

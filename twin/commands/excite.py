@@ -17,8 +17,9 @@ from twin.measure.recordings import traced
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import MOST_SAMPLES, check_count
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.description import SHIPPED, Robot, load_robot
+from twin.table import Table
 
 SPLINE_POINTS = 100  # of a KRL spline block, per period
 

@@ -14,8 +14,9 @@ from twin.importing.tables import read_tables
 from twin.measure.campaign import Campaign, write_campaign
 from twin.measure.motion_log import MotionLog, write_motion_log
 from twin.measure.recordings import UFF
-from twin.result import Result, Table
+from twin.result import Result
 from twin.robot.description import load_robot
+from twin.table import Table
 
 
 @dataclass

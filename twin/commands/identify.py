@@ -13,10 +13,11 @@ from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Given, read_one, traced
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
+from twin.table import Table
 
 
 @dataclass

@@ -22,8 +22,9 @@ from twin.milling.zeroth_order import limiting_depth
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import check_count
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.description import Robot, load_robot
+from twin.table import Table
 from twin.yamlfile import read_yaml
 
 Given = str | Path | Robot | Campaign | Mapping[str, Any] | Sequence[float] | np.ndarray

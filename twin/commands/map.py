@@ -23,10 +23,11 @@ from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
 from twin.ranges import FASTEST_RPM, LONGEST_SPACING_M, check_count
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
 from twin.robot.inverse_kinematics import inverse_kinematics
+from twin.table import Table
 
 UNITS = {"_m": "m", "_hz": "Hz", "_percent": "%", "_m_per_n": "m/N", "_rad": "rad"}
 
@@ -394,11 +395,9 @@ def _plain(task: work.Task) -> Any:
 
 
 def _write(found: Map, name: Outputs) -> None:
-    from twin.report import map_figures
-
     write_map(name("map.h5"), found)
     name.report(found)
-    map_figures.write_scene(name("map.rrd"), found)
+    name.scene(found, "map.rrd")
     page = name("map.json")
     write_json(page, found.data())
 

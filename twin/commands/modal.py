@@ -18,9 +18,10 @@ from twin.model.expansion import on_robot
 from twin.model.modes import Modes
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.description import Robot
 from twin.robot.mechanism import Mechanism
+from twin.table import Table
 
 
 @dataclass

@@ -100,6 +100,10 @@ class Outputs:
         footer = " · ".join([f"twin {result.origin['version']}", *inputs])
         write_html(self(page), told.title(result), told.lead(result), told.sections(result, images), footer)
 
+    def scene(self, result: Result, name: str) -> None:
+        """Write what ``twin view`` shows of a result."""
+        import_module(result.drawn_by).write_scene(self(name), result)
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:

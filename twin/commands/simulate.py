@@ -19,10 +19,11 @@ from twin.model.replay import Replay, inverse_dynamics, motion_of, recorded_torq
 from twin.model.simulated_test import simulated_test
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
+from twin.table import Table
 
 
 @dataclass

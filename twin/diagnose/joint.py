@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.diagnose.calibration import calibration
-from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word
 from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import MotionLog
 from twin.model.parameters import Parameters, entry_parameter, independent, join
 from twin.physics import CATALOGUE, effect_named
 from twin.robot.description import Robot
@@ -151,48 +149,3 @@ def followed(missing: Missing, before: Robot, after: Robot) -> Missing:
         ends = np.array(item["interval90"]) + (end - start)[..., None]
         parameters[name] = {**item, "value": end.tolist(), "interval90": ends.tolist()}
     return replace(missing, first=replace(first, parameters=parameters))
-
-
-def pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None]:
-    """Error of a log at a stage, on what was used and on what was not: RMS over joints, runs together."""
-    found: dict[str, float | None] = {}
-    for part, held in (("train", False), ("held_out", True)):
-        of = [r for r in records if r.held_out is held]
-        rest = [(r.measured - r.predicted[stage])[r.valid] for r in of]
-        power = [r.measured[r.valid] for r in of]
-        ratio = np.mean(np.concatenate(rest) ** 2, axis=0) / np.mean(np.concatenate(power) ** 2, axis=0) if of else None
-        found[part] = None if ratio is None else float(np.sqrt(np.mean(ratio)))
-    return found
-
-
-def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None) -> list[LogRecord]:
-    """A log's records with ``after`` the torque of a description as it is, beside what the log's fit held for ordinary.
-
-    Ordinary ripple stays as it was fitted; what was found of the recording acts on the torque, which is compared as it
-    was recorded. Only offsets are re-estimated.
-    """
-    from twin.diagnose.torque import predicted_torque
-    from twin.diagnose.torque_fit import base_of
-    from twin.diagnose.torque_signal import prepare
-
-    new = [e for e in finding.robot.physics if e not in finding.given.physics]
-    found_there = {
-        (e.effect, e.site) for e in new if CATALOGUE[e.effect].records_torque
-    }  # the numbers may have moved since
-    recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
-    robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
-    prepared = prepare(log, robot, finding.recording, hold_out)
-    fit, found = finding.fit, []
-    fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
-    records = {(r.name, r.held_out): r for r in finding.records if isinstance(r, LogRecord)}
-    for held, runs in ((False, prepared.used), (True, prepared.kept)):
-        if not runs:
-            continue
-        base = base_of(prepared.regressor, runs)
-        ripple = [fitted.get(p.name, 0.0) * p.name.startswith("ordinary_ripple@") for p in base.parameters]
-        z = np.array(ripple) / [p.deviation for p in base.parameters]
-        for k, run in enumerate(runs):
-            record = records[run.name, held]
-            torque = predicted_torque(base, k, z, recording, record.valid)
-            found.append(replace(record, predicted={**record.predicted, "after": torque}))
-    return found

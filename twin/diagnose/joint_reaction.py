@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from twin.diagnose.held_law import Receptances, UnderLaw, receptances
 from twin.identify.objective import Changes, Cost, rates
 from twin.identify.recorded import Recorded
-from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
-from twin.model.blow import RATE_HZ, Strike, pulse_transform, torques, transform
+from twin.measure.campaign import Campaign, Channels, ComplexArray, FloatArray, PostureFRF
+from twin.model.blow import COLUMNS, RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.model.parameters import Parameters
-from twin.model.sensitivity import Observed, contract, moving, observe
+from twin.model.sensitivity import Observed, Setup, Structure, contract, moving, observe, observe_all
 from twin.parallel import spread
 from twin.physics.joint_law import NO_LOAD, Law
 from twin.robot.description import Robot
@@ -92,27 +92,42 @@ class _Joint:
 
 
 class _Postures:
-    """Joint models by posture: levels of one posture share them."""
+    """Joint models by posture at one place: levels of a posture share them, and all are observed in one go.
 
-    def __init__(self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, slopes: bool) -> None:
+    Args:
+        z: (n,) of ``parameters``, where the robot is.
+        recordings: those that will be asked for.
+    """
+
+    def __init__(
+        self, robot: Robot, parameters: Parameters, site: str, z: FloatArray, recordings: Sequence[Recorded]
+    ) -> None:
         self.z, self.values = z, parameters.values(z)
         self.robot = parameters.apply(robot, self.values)
-        self.parameters, self.site, self.slopes = parameters, site, slopes
-        self.known: dict[tuple[str, bytes, int], _Joint] = {}
+        self.parameters, self.site = parameters, site
+        self.setups = _sharing({r.setup.name: r.setup for r in recordings})
+        self.seen: dict[str, tuple[Observed, Structure]] = {}
+        self.known: dict[tuple[str, bytes, int, bool], _Joint] = {}
         self.changes: Changes = {}
         self.loads: dict[str, tuple[list[int], FloatArray]] = {}
         self.apart: dict[int, dict[int, _Joint]] = {}
 
-    def of(self, r: Recorded) -> _Joint:
+    def of(self, r: Recorded, slopes: bool = False) -> _Joint:
+        """The model of a recording's posture, seen along its lines; with ``slopes`` its derivatives, too."""
         key = r.setup.name, r.s.tobytes(), r.power
-        if key not in self.known:
-            self.known[key] = self._joint(r)
-        return self.known[key]
+        if (*key, True) in self.known:
+            return self.known[*key, True]
+        if (*key, slopes) not in self.known:
+            self.known[*key, slopes] = self._joint(r, slopes)
+        return self.known[*key, slopes]
 
-    def _joint(self, r: Recorded) -> _Joint:
-        seen, model = observe(self.robot, r.setup, self.parameters, self.values)
+    def _joint(self, r: Recorded, slopes: bool) -> _Joint:
+        if not self.seen:
+            models = observe_all(self.robot, list(self.setups.values()), self.parameters, self.values)
+            self.seen = dict(zip(self.setups, models, strict=True))
+        seen, model = self.seen[r.setup.name]
         index, rate = model.coordinates.index(self.site), None
-        if self.slopes:
+        if slopes:
             rate = rates(self.robot, r.setup, self.parameters, self.values, seen, model, self.changes)
             rate = contract(rate, self.parameters.transform(self.values))
         view = receptances(seen, index, r.s, r.power, rate)
@@ -120,7 +135,7 @@ class _Postures:
 
     def moved(self, r: Recorded, step: float) -> dict[int, _Joint]:
         """The joint's model with every parameter that acts on its motion moved in turn, to first order."""
-        joint = self.of(r)
+        joint = self.of(r, True)
         if id(joint) in self.apart:
             return self.apart[id(joint)]
         rates = joint.view.rates
@@ -164,6 +179,20 @@ class _Postures:
         return self.loads[r.setup.name]
 
 
+def _sharing(setups: dict[str, Setup]) -> dict[str, Setup]:
+    """Postures hit at the same points share one object of channels: those are observed together."""
+    known: dict[tuple[tuple[str, ...], bytes, bytes], Channels] = {}
+
+    def one(channels: Channels) -> Channels:
+        key = channels.label, channels.position.tobytes(), channels.direction.tobytes()
+        return known.setdefault(key, channels)
+
+    return {
+        name: replace(setup, response=one(setup.response), excitation=one(setup.excitation))
+        for name, setup in setups.items()
+    }
+
+
 @dataclass
 class BlowByBlow(Cost):
     """Cost of a base model in which every blow has its own complex stiffness at one joint, settled inside.
@@ -179,11 +208,12 @@ class BlowByBlow(Cost):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.models: _Postures | None = None
         self.own = [np.zeros((2, r.frf.shape[2])) for r in self.sample.recordings]
         self.certainty = list(self.own)
 
     def cost(self, z: FloatArray) -> float:
-        postures = _Postures(self.robot, self.parameters, self.site, z, False)
+        postures = self._postures(z)
         own, cost = list(self.own), 0.5 * float(z @ z)
         for k, r in enumerate(self.sample.recordings):
             own[k], part, _, _, _ = self._settle(postures.of(r), r, k)
@@ -191,10 +221,10 @@ class BlowByBlow(Cost):
         return cost
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        postures = _Postures(self.robot, self.parameters, self.site, z, True)
+        postures = self._postures(z)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         for k, r in enumerate(self.sample.recordings):
-            joint = postures.of(r)
+            joint = postures.of(r, True)
             self.own[k], part, e, rate, matrix = self._settle(joint, r, k)
             self.certainty[k] = matrix
             cost += part
@@ -210,6 +240,12 @@ class BlowByBlow(Cost):
             taken = np.einsum("npe,pqe->nqe", cross, inverse2(matrix))
             information -= np.einsum("nqe,mqe->nm", taken, cross)
         return cost, gradient, information
+
+    def _postures(self, z: FloatArray) -> _Postures:
+        """The models at z; those of the last call where it is the same."""
+        if self.models is None or not np.array_equal(self.models.z, z):
+            self.models = _Postures(self.robot, self.parameters, self.site, z, self.sample.recordings)
+        return self.models
 
     def _settle(
         self, joint: _Joint, r: Recorded, k: int
@@ -280,7 +316,7 @@ class Stepped(Cost):
     itself by differences of stepped blows. With respect to the rest of the robot the law is held
     (:mod:`twin.diagnose.held_law`), which is off by a tenth: ``closely``, that too is stepped, by some ``processes``.
     ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording; ``latest``:
-    reactions where they were stepped last.
+    reactions where they were stepped last, and beside it; ``models``: of where they were observed last.
     """
 
     law: Law = field(kw_only=True)
@@ -292,7 +328,8 @@ class Stepped(Cost):
     processes: int = 1
     rows: list[tuple[FloatArray, FloatArray]] = field(default_factory=list, init=False)
     beside: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
-    latest: tuple[FloatArray, list[ComplexArray]] | None = field(default=None, init=False)
+    latest: tuple[FloatArray, list[ComplexArray], list[list[ComplexArray]]] | None = field(default=None, init=False)
+    models: _Postures | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -300,6 +337,13 @@ class Stepped(Cost):
         if self.fixed is None:
             own = len(self.law.names) + self._struck
         self.base = self.parameters.select(range(len(self.parameters) - own))
+
+    def _postures(self, z: FloatArray) -> _Postures:
+        """The models at z; those of the last call where only the law's own numbers differ."""
+        base = z[: len(self.base)]
+        if self.models is None or not np.array_equal(self.models.z, base):
+            self.models = _Postures(self.robot, self.base, self.site, base, self.sample.recordings)
+        return self.models
 
     @property
     def _struck(self) -> bool:
@@ -318,11 +362,11 @@ class Stepped(Cost):
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         n = len(self.base)
-        joints = _Postures(self.robot, self.base, self.site, z[:n], True)
+        joints = self._postures(z)
         cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
         self.rows.clear()
         for r, w, (R, dR) in zip(self.sample.recordings, self.weight, self._reactions(z, joints), strict=True):
-            view = joints.of(r).view
+            view = joints.of(r, True).view
             dH = np.zeros((len(z), *r.frf.shape), complex)
             dH[:n] = view.slopes(R, dR[:n])
             dH[n:] = -view.out[:, :, None] * dR[n:, :, None, :]
@@ -342,22 +386,13 @@ class Stepped(Cost):
         Blows a little and somewhat longer tell smooth decays from those whose end the least difference throws about.
         There a wide step along what acts on the law itself counts, and for everything else the law is held.
         """
-        n, recordings = len(self.base), self.sample.recordings
-        near = [k for k, p in enumerate(self.base) if p.site == self.site] + list(range(n, len(z)))
-        sizes, longer = self.own(z)
-        here = [(joints.of(r), r, sizes, longer) for r in recordings]
+        n, recordings, near = len(self.base), self.sample.recordings, self._near
         every = range(len(recordings))
-        step = FINE_DIFFERENCE if self.closely else ROUGH_DIFFERENCE
-        known = self.latest is not None and np.array_equal(self.latest[0], z)
-        asked = self._moved(z, step, near, joints, every)
-        if self.closely:
-            asked += [[(joint, r, sizes, longer * (1 + h)) for joint, r, *_ in here] for h in (FINE_DIFFERENCE, WIDE)]
-        *found, last = self._react_each([*asked, [] if known else here])
-        at = self.latest[1] if self.latest and known else last
-        small, longer_ones = self._slopes(found[: len(near)], at, step, every), found[len(near) :]
+        at, found = self._looked(z, slopes=True)
+        small, longer_ones = self._slopes(found[: len(near)], at, self._step, every), found[len(near) :]
         slopes: list[ComplexArray] = []
         for r, R, stepped in zip(recordings, at, small, strict=True):
-            view = joints.of(r).view
+            view = joints.of(r, True).view
             dR = np.zeros((len(z), *R.shape), complex)
             dR[:n] = view.reaction_slopes(_held(view, r.s, R)[0], R)
             dR[near] = np.where(np.isfinite(stepped), stepped, dR[near])
@@ -376,6 +411,37 @@ class Stepped(Cost):
             dR[:n] += lag
         return list(zip(at, slopes, strict=True))
 
+    @property
+    def _near(self) -> list[int]:
+        """The parameters that act on the law itself."""
+        beside = [k for k, p in enumerate(self.base) if p.site == self.site]
+        return beside + list(range(len(self.base), len(self.parameters)))
+
+    @property
+    def _step(self) -> float:
+        return FINE_DIFFERENCE if self.closely else ROUGH_DIFFERENCE
+
+    def _looked(self, z: FloatArray, slopes: bool) -> tuple[list[ComplexArray], list[list[ComplexArray]]]:
+        """Reactions per recording at z, and what derivatives are taken from: a step along each parameter near the law,
+        then, ``closely``, of blows a little and somewhat longer. Without ``slopes`` these are stepped where they fit
+        beside the others: stepping more blows at a time takes hardly longer, and a descent asks for them next."""
+        if self.latest is None or not np.array_equal(self.latest[0], z):
+            self.latest = z.copy(), [], []
+        _, at, found = self.latest
+        recordings, near = self.sample.recordings, self._near
+        more = len(near) + 2 * self.closely
+        fit = (1 + more) * sum(r.frf.shape[2] for r in recordings) <= COLUMNS
+        asked: list[list[Asked]] = []
+        joints, (sizes, longer) = self._postures(z), self.own(z)
+        here = [(joints.of(r), r, sizes, longer) for r in recordings]
+        if len(found) < more and (slopes or fit):
+            asked = self._moved(z, self._step, near, joints, range(len(recordings)))
+            lengths = [longer * (1 + h) for h in (FINE_DIFFERENCE, WIDE) if self.closely]
+            asked += [[(joint, r, sizes, length) for joint, r, *_ in here] for length in lengths]
+        *beside, last = self._react_each([*asked, [] if at else here])
+        self.latest = self.latest[0], at or last, found or beside
+        return self.latest[1:]
+
     def _moved(
         self, z: FloatArray, step: float, near: Sequence[int], joints: _Postures, chosen: Sequence[int]
     ) -> list[list[Asked]]:
@@ -383,9 +449,9 @@ class Stepped(Cost):
         asked = []
         for k in near:
             moved = z + step * np.eye(len(z))[k]
+            recordings, base = [self.sample.recordings[i] for i in chosen], moved[: len(self.base)]
             own = k >= len(self.base)
-            there = joints if own else _Postures(self.robot, self.base, self.site, moved[: len(self.base)], False)
-            recordings = [self.sample.recordings[i] for i in chosen]
+            there = joints if own else _Postures(self.robot, self.base, self.site, base, recordings)
             asked.append([(there.of(r), r, *self.own(moved)) for r in recordings])
         return asked
 
@@ -466,7 +532,10 @@ class Stepped(Cost):
         ]
 
     def cost(self, z: FloatArray) -> float:
-        return self.costs([z])[0]
+        joints, (at, _) = self._postures(z), self._looked(z, slopes=False)
+        predicted = [joints.of(r).view.reacting(R) for r, R in zip(self.sample.recordings, at, strict=True)]
+        cost = 0.5 * float(z @ z) + self.loss(predicted)
+        return cost if np.isfinite(cost) else np.inf
 
     def costs(self, points: Sequence[FloatArray]) -> list[float]:
         """Costs at several z, stepped side by side; infinite where a trial diverges."""
@@ -478,7 +547,7 @@ class Stepped(Cost):
 
     def deflection(self, z: FloatArray) -> float:
         """A large deflection of the joint under these blows, rad (m): exceeded by one in ten; NaN if they diverge."""
-        postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+        postures = self._postures(z)
         none = np.full(len(self.law.names), 1e-9)
         strikes = [self._strike(postures.of(r), r, none) for r in self.sample.recordings]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -487,7 +556,7 @@ class Stepped(Cost):
 
     def equivalents(self, z: FloatArray, sizes: Sequence[FloatArray]) -> list[list[FloatArray]]:
         """For each of several sizes, per recording: the stiffness and damping (2, ne) the law was to every blow."""
-        postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+        postures = self._postures(z)
         joints = [(postures.of(r), r) for r in self.sample.recordings]
         found = iter(self._react([(joint, r, size, 1.0) for size in sizes for joint, r in joints]))
         return [[_equivalent(joint.view, r.s, next(found)) for joint, r in joints] for _ in sizes]
@@ -506,10 +575,9 @@ class Stepped(Cost):
         """Models and reactions, per recording, at several z, stepped side by side."""
         asked: list[list[Asked]] = []
         for z in points:
-            postures = _Postures(self.robot, self.base, self.site, z[: len(self.base)], False)
+            postures = self._postures(z)
             asked.append([(postures.of(r), r, *self.own(z)) for r in self.sample.recordings])
         found = self._react_each(asked)
-        self.latest = np.array(points[-1]), found[-1]
         return [[joint.view for joint, *_ in some] for some in asked], found
 
     def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray, rate_hz: float) -> ComplexArray:

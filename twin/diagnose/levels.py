@@ -182,7 +182,7 @@ def explain_levels(
         trials, temper = _rough_race(robot, base, places if temper == 1 else near, seen, starts[1:], tick, processes)
         few = View(0.0, sample.thin(RACE_LINES), blow).telling(_at(trials, places), BLOWS)[0]
         whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
-        whole, left = _race(whole, WHOLE_TEMPERS, tick, processes, LAST)
+        whole, left = _race(whole, WHOLE_TEMPERS, tick, processes, LAST, hopeful=True)
         if left <= HOLDS:  # a law that holds to the ends of the decays tells more there
             trials, temper, window, seen = whole, 0.0, 0.0, View(0.0, sample.thin(FINAL_LINES), blow)
     else:
@@ -194,14 +194,7 @@ def explain_levels(
     told = seen.telling(best, BLOWS)[0]
     data = _tempered(told, temper)
     objectives = [replace(t[0], sample=data, rate_hz=RATE_HZ, processes=processes) for t in trials]
-    fits = _fitted_roughly([(o, *trial[1:]) for o, trial in zip(objectives, trials, strict=True)], processes)
-    least = min(fit.cost for fit in fits)
-    fits = [
-        fit_law(objective, fit.hypothesis, fit.z)
-        if fit.cost == least or (fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF)
-        else fit
-        for objective, fit in zip(objectives, fits, strict=True)
-    ]
+    fits = _fitted_closely([(o, *trial[1:]) for o, trial in zip(objectives, trials, strict=True)], processes)
     least = min(fit.cost for fit in fits)
     order = sorted(range(len(fits)), key=lambda k: -fits[k].evidence())
     nameless = []
@@ -211,6 +204,7 @@ def explain_levels(
         nameless = [
             fit_law(trial[0], fit.hypothesis, fit.z) if fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF else fit
             for trial, fit in zip(rivals, _fitted_roughly(rivals, processes, LAW_REACH * least), strict=True)
+            if np.isfinite(fit.cost)  # one that cannot be stepped is no rival
         ]
     tempered, begun = (15, starts[:2]) if window else (0, starts[:1])  # an optimum on all lines nearly is on some
     again = min(
@@ -407,17 +401,19 @@ def _race(
     tick: Callable[[int], None],
     processes: int,
     iterations: int = RACING,
+    *,
+    hopeful: bool = False,
 ) -> tuple[list[Trial], float]:
     """The laws that stay in reach of the best while the model error allowed falls, best first; and the least error at
-    which one of them explains the recordings (1 where none does)."""
-    reached = 1.0
+    which one of them explains the recordings (1 where none does). Where only laws that do are of use (``hopeful``), one
+    that does not promise to is given up."""
+    reached, enough = 1.0, 0.5 * EXPLAINS * trials[0][0].data
     for temper in tempers:
 
         def run(number: int, temper: float = temper, trials: list[Trial] = trials) -> tuple[FloatArray, float]:
             objective, _, z = trials[number]
-            return minimise(replace(objective, sample=_tempered(objective.sample, temper)), z, iterations, ROUGH_GAIN)[
-                :2
-            ]
+            objective = replace(objective, sample=_tempered(objective.sample, temper))
+            return minimise(objective, z, iterations, ROUGH_GAIN, enough if hopeful else np.inf)[:2]
 
         ends: list[tuple[float, Trial]] = []
         for trial, (z, cost) in zip(trials, spread(run, len(trials), processes), strict=True):
@@ -427,7 +423,6 @@ def _race(
         if not ends:  # none can be stepped
             break
         ends.sort(key=lambda item: item[0])
-        enough = 0.5 * EXPLAINS * trials[0][0].data
         explained = ends[0][0] < enough
         if explained or reached == 1:  # all that explain as much as is asked stay: they may only have begun
             trials = [trial for cost, trial in ends if cost < max(enough, LAW_REACH * ends[0][0])]
@@ -479,6 +474,19 @@ def _fitted_roughly(trials: Sequence[Trial], processes: int, hopeless: float = n
         return _fitted(objective, hypothesis, *minimise(replace(objective, rate_hz=RATE_HZ), z, 0, 0))
 
     return list(spread(run, len(trials), processes))
+
+
+def _fitted_closely(trials: Sequence[Trial], processes: int) -> list[Fitted]:
+    """Laws, the most promising first: roughly, then the best and those near it closely."""
+    fits = _fitted_roughly(trials[:1], processes)
+    fits += _fitted_roughly(trials[1:], processes, LAW_REACH * fits[0].cost)
+    least = min(fit.cost for fit in fits)
+    return [
+        fit_law(trial[0], fit.hypothesis, fit.z)
+        if fit.cost == least or (fit.cost < NEAR_LAWS * least and fit.misfit < FAR_OFF)
+        else fit
+        for trial, fit in zip(trials, fits, strict=True)
+    ]
 
 
 def fit_law(objective: Stepped, hypothesis: Hypothesis, z: FloatArray) -> Fitted:

@@ -11,7 +11,7 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
 from twin.diagnose.edit import check_replayed
-from twin.diagnose.joint import followed, pooled, predicted_by, shared
+from twin.diagnose.joint import followed, shared
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
@@ -20,6 +20,7 @@ from twin.diagnose.torque_fit import (
     Base,
     System,
     base_fit,
+    base_of,
     own_prior,
     profiled,
     robot_of,
@@ -486,10 +487,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
             )  # fmt: skip
     errors: dict[str, Any] = {}
     for stage in STAGES:
-        errors[stage] = {
-            part: _pooled([r for r in records if r.held_out is held], stage)
-            for part, held in (("train", False), ("held_out", True))
-        }
+        errors[stage] = _pooled(records, stage)
     judged = [r for r in records if r.held_out] or records  # the floor is what the error on runs not used is held to
     power = np.mean(np.concatenate([r.measured[r.valid] for r in judged]) ** 2, axis=0)
     errors["noise_floor"] = float(np.sqrt(np.mean(noise**2 / np.maximum(power, 1e-300))))
@@ -564,14 +562,45 @@ def _still_off(records: Sequence[LogRecord]) -> list[str]:
     return [f"the torque that the model still misses: {told}"]
 
 
-def _pooled(records: Sequence[LogRecord], stage: Stage) -> float | None:
-    """RMS over joints of residual RMS over torque RMS, runs together."""
-    if not records:
-        return None
-    rest = np.concatenate([(r.measured - r.predicted[stage])[r.valid] for r in records])
-    torque = np.concatenate([r.measured[r.valid] for r in records])
-    ratio = np.mean(rest**2, axis=0) / np.maximum(np.mean(torque**2, axis=0), 1e-300)
-    return float(np.sqrt(np.mean(ratio)))
+def _pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None]:
+    """Error at a stage, on runs used and on those that were not: RMS over joints of residual RMS over torque RMS."""
+    found: dict[str, float | None] = {"train": None, "held_out": None}
+    for part, held in (("train", False), ("held_out", True)):
+        if of := [r for r in records if r.held_out is held]:
+            rest = np.concatenate([(r.measured - r.predicted[stage])[r.valid] for r in of])
+            torque = np.concatenate([r.measured[r.valid] for r in of])
+            ratio = np.mean(rest**2, axis=0) / np.maximum(np.mean(torque**2, axis=0), 1e-300)
+            found[part] = float(np.sqrt(np.mean(ratio)))
+    return found
+
+
+def _predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None) -> list[LogRecord]:
+    """A log's records with ``after`` the torque of a description as it is, beside what the log's fit held for ordinary.
+
+    Ordinary ripple stays as it was fitted; what was found of the recording acts on the torque, which is compared as it
+    was recorded. Only offsets are re-estimated.
+    """
+    new = [e for e in finding.robot.physics if e not in finding.given.physics]
+    found_there = {
+        (e.effect, e.site) for e in new if CATALOGUE[e.effect].records_torque
+    }  # the numbers may have moved since
+    recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
+    robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
+    prepared = prepare(log, robot, finding.recording, hold_out)
+    fit, found = finding.fit, []
+    fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
+    records = {(r.name, r.held_out): r for r in finding.records if isinstance(r, LogRecord)}
+    for held, runs in ((False, prepared.used), (True, prepared.kept)):
+        if not runs:
+            continue
+        base = base_of(prepared.regressor, runs)
+        ripple = [fitted.get(p.name, 0.0) * p.name.startswith("ordinary_ripple@") for p in base.parameters]
+        z = np.array(ripple) / [p.deviation for p in base.parameters]
+        for k, run in enumerate(runs):
+            record = records[run.name, held]
+            torque = predicted_torque(base, k, z, recording, record.valid)
+            found.append(replace(record, predicted={**record.predicted, "after": torque}))
+    return found
 
 
 @dataclass
@@ -593,8 +622,8 @@ class Log:
 
     def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
         """What the log said, with the errors of the model that all end with, and what the last recording adds to it."""
-        finding.records = predicted_by(robot, self.recording.content, finding, hold_out)
-        finding.error = {**finding.error, "after": pooled(finding.records, "after")}
+        finding.records = _predicted_by(robot, self.recording.content, finding, hold_out)
+        finding.error = {**finding.error, "after": _pooled(finding.records, "after")}
         finding.missing = [followed(m, finding.model, robot) for m in finding.missing]
         finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
 

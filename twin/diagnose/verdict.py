@@ -16,8 +16,9 @@ from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import ASTRAY, Fitted
 from twin.identify.uncertainty import NINETY
-from twin.result import Result, Table, written
+from twin.result import Result, written
 from twin.robot.description import Robot
+from twin.table import Table
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]

@@ -7,7 +7,7 @@ start goes through the robust residual of the complex logarithm first, then a li
 every eighth line; the best ends on all lines.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +80,17 @@ def coarse(recordings: Sequence[Recorded]) -> Sample:
     return Sample(tuple(r.every(max(1, min(EVERY_LINE, len(r.s) // COARSE_LINES))) for r in recordings))
 
 
+def drawn_starts(parameters: Parameters, starts: int, seed: int) -> Iterator[FloatArray]:
+    """Prior coordinates (n,) of each start: the description, then springs and dampers drawn from the prior."""
+    rng = np.random.default_rng(seed)
+    elastic = np.array([p.kind in ("spring", "entry") for p in parameters])
+    for number in range(max(1, starts)):
+        z = np.zeros(len(parameters))
+        if number:
+            z[elastic] = rng.normal(size=np.count_nonzero(elastic))
+        yield z
+
+
 def fit_frf(
     robot: Robot,
     recordings: Sequence[Recorded],
@@ -105,13 +116,8 @@ def fit_frf(
             robot, dict.fromkeys(r.setup.name for r in recordings), recordings[0].setup.response.label
         )
     few, bound = coarse(recordings), parameters.bound
-    rng = np.random.default_rng(seed)
-    elastic = np.array([p.kind in ("spring", "entry") for p in parameters])
     ends = []
-    for number in range(max(1, starts)):
-        z = np.zeros(len(parameters))
-        if number:
-            z[elastic] = rng.normal(size=np.count_nonzero(elastic))
+    for z in drawn_starts(parameters, starts, seed):
         z, *_ = minimise(Objective(robot, parameters, few, logarithmic=True), z, 25, 0.1, bound=bound)
         for temper in FIT_TEMPERS:
             z, *_ = minimise(Objective(robot, parameters, few, temper), z, 10, 0.1, bound=bound)

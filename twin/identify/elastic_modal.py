@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from twin.errors import InputError
 from twin.identify.descent import Descended, minimise
-from twin.identify.elastic import Fit, Start, agreement
+from twin.identify.elastic import Fit, Start, agreement, drawn_starts
 from twin.identify.recorded import recorded_posture, without_limits
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
@@ -133,14 +133,9 @@ def fit_modes(
     robot = without_limits(robot)
     if parameters is None:
         parameters = free_parameters(robot).only("spring", "entry", "link")
-    rng = np.random.default_rng(seed)
-    elastic = np.array([p.kind in ("spring", "entry") for p in parameters])
     ends = []
-    for number in range(max(1, starts)):
-        z = np.zeros(len(parameters))
-        if number:
-            z[elastic] = rng.normal(size=np.count_nonzero(elastic))
-        elif guess is not None:
+    for number, z in enumerate(drawn_starts(parameters, starts, seed)):
+        if guess is not None and not number:
             z = guess.copy()
         ends.append(_descend(robot, postures, parameters, objective, z))
     ends.sort(key=lambda end: end[1])

@@ -4,7 +4,7 @@ Matrices come in closed form from :mod:`twin.model.sensitivity` (MuJoCo's within
 solved side by side.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,8 @@ import numpy as np
 from twin.identify.recorded import without_limits
 from twin.milling.cut import Cut
 from twin.milling.tool_point import ToolModes, clamped_modes, coupled, with_tool
-from twin.model.sensitivity import structures
+from twin.model.modes import residues
+from twin.model.sensitivity import point_jacobians, structures
 from twin.robot.description import Robot
 from twin.robot.inverse_kinematics import ToolPlace
 from twin.robot.mechanism import assemble_all
@@ -46,36 +47,22 @@ def tips(robot: Robot, q: np.ndarray, cut: Cut, brakes: str | None = "on") -> Ti
     """Modes of the robot with its tool in postures q (N, n), rad (m); a postures' limits are not looked at."""
     equipped = without_limits(with_tool(robot, cut))
     parts = [_block(equipped, q[k : k + BLOCK], cut, brakes) for k in range(0, len(q), BLOCK)]
-    most = max(part.modes.pole.shape[1] for part in parts)
-    modes = [_padded(part.modes, most) for part in parts]
-    return Tips(
-        ToolModes(np.concatenate([m.pole for m in modes]), np.concatenate([m.shape for m in modes])),
-        np.concatenate([part.position for part in parts]),
-        np.concatenate([part.axis for part in parts]),
-        np.concatenate([part.compliance for part in parts]),
-    )
+    return _joined(parts, np.concatenate)
 
 
 def _block(robot: Robot, q: np.ndarray, cut: Cut, brakes: str | None) -> Tips:
     mechanisms = assemble_all(robot, list(q), brakes="off" if brakes == "off" else "on")
     models = structures(mechanisms)
-    first, tip = models[0], cut.tool.tip(robot)
-    link = f"link{robot.axis_count}"
-    carrier = first.mechanism.carrier(link, tip)
-    body, own = first.bodies[carrier], first.bodies[link]
-    turn = np.array([m.rotation[body] for m in models])
-    place = np.array([m.origin[body] for m in models]) + turn @ (tip - first.mechanism.offset(carrier))
-    axis = np.array([m.rotation[own] for m in models]) @ cut.tool.axis(robot)
-    screw = np.array([m.screw for m in models])
-    moved = screw[..., 3:] + np.cross(screw[..., :3], place[:, None, :])
-    jacobian = (moved * first.path[body][:, None]).swapaxes(1, 2)
+    first, link = models[0], f"link{robot.axis_count}"
+    place, jacobian = point_jacobians(models, link, cut.tool.tip(robot))
+    axis = np.array([m.rotation[first.bodies[link]] for m in models]) @ cut.tool.axis(robot)
     M, K = (np.array([getattr(m, name) for m in models]) for name in ("M", "K"))
     C, loss, integral = first.C, first.loss, first.integral
     if cut.tool.modes or cut.tool.frf:
         M, C, K, jacobian = _with_own_modes(M, C, K, jacobian, axis, cut)
         pad = ((0, M.shape[-1] - len(loss)),) * 2
         loss, integral = np.pad(loss, pad), np.pad(integral, pad)
-    modes = batched_modes(M, C, K, jacobian, loss, integral)
+    modes = ToolModes(*residues(M, C, K, jacobian, loss, integral))
     compliance = jacobian @ np.linalg.solve(K, jacobian.swapaxes(1, 2))
     return Tips(modes, place, axis, compliance)
 
@@ -92,47 +79,16 @@ def _with_own_modes(
     return tuple(np.array(part) for part in zip(*found, strict=True))
 
 
-def batched_modes(
-    M: np.ndarray, C: np.ndarray, K: np.ndarray, jacobian: np.ndarray, loss: np.ndarray, integral: np.ndarray
-) -> ToolModes:
-    """All poles and shapes at a point of N systems, :func:`twin.milling.tool_point.matrix_modes` of each.
-
-    Args:
-        M, K: (N, nv, nv); C (nv, nv) or (N, nv, nv); ``jacobian`` (N, 3, nv); ``loss`` and ``integral`` (nv, nv).
-    """
-    nv, count = M.shape[-1], len(M)
-    kept = np.flatnonzero(integral.any(axis=0))
-    forces = [K + 1j * loss if loss.any() else K, np.broadcast_to(C, M.shape)]
-    forces.append(np.broadcast_to(integral[:, kept], (count, nv, len(kept))))
-    drift = -np.linalg.solve(M, np.concatenate(forces, axis=2))
-    A = np.zeros((count, 2 * nv + len(kept), 2 * nv + len(kept)), drift.dtype)
-    A[:, :nv, nv : 2 * nv] = np.eye(nv)
-    A[:, nv : 2 * nv] = drift
-    A[:, 2 * nv + np.arange(len(kept)), kept] = 1.0
-    pole, vector = np.linalg.eig(A)
-    pole, vector = pole.astype(complex), vector.astype(complex)
-    size = np.abs(pole)
-    real = np.abs(pole.imag) <= 1e-9 * size
-    used = (pole.imag > 0) | real
-    most = int(used.sum(axis=1).max())
-    order = np.argsort(np.where(used, size, np.inf), axis=1, kind="stable")[:, :most]
-    pole, real, used = (np.take_along_axis(array, order, axis=1) for array in (pole, real, used))
-    v = np.take_along_axis(vector[:, :nv], order[:, None, :], axis=2)
-    slope = (v * (2 * pole[:, None, :] * (M @ v) + C @ v)).sum(axis=1)
-    if len(kept):
-        slope = slope - (v * (integral @ v)).sum(axis=1) / pole**2
-    scale = np.where(used, 1 / np.sqrt(slope * np.where(real, 2, 1)), 0)
-    shape = (jacobian @ v * scale[:, None, :]).swapaxes(1, 2)
-    return ToolModes(np.where(used, np.where(real, pole.real, pole), -1.0), shape)
-
-
-def _padded(modes: ToolModes, count: int) -> ToolModes:
-    """With modes that do nothing up to ``count`` of them."""
-    lack = count - modes.pole.shape[1]
-    if not lack:
-        return modes
-    pole = np.pad(modes.pole, ((0, 0), (0, lack)), constant_values=-1.0)
-    return ToolModes(pole, np.pad(modes.shape, ((0, 0), (0, lack), (0, 0))))
+def _joined(parts: Sequence[Tips], join: Callable[[list[np.ndarray]], np.ndarray]) -> Tips:
+    """Several as one, with modes that do nothing where one has fewer than another."""
+    most = max(part.modes.pole.shape[1] for part in parts)
+    lack = [((0, 0), (0, most - part.modes.pole.shape[1])) for part in parts]
+    poles = [np.pad(part.modes.pole, pad, constant_values=-1.0) for part, pad in zip(parts, lack, strict=True)]
+    shapes = [np.pad(part.modes.shape, (*pad, (0, 0))) for part, pad in zip(parts, lack, strict=True)]
+    return Tips(
+        ToolModes(join(poles), join(shapes)),
+        *(join([getattr(part, name) for part in parts]) for name in ("position", "axis", "compliance")),
+    )
 
 
 def without_fast(modes: ToolModes, fastest_rad_s: float = FASTEST_RAD_S) -> ToolModes:
@@ -153,11 +109,4 @@ def without_fast(modes: ToolModes, fastest_rad_s: float = FASTEST_RAD_S) -> Tool
 
 def stacked(parts: Sequence[Tips]) -> Tips:
     """Several robots' tips in the same postures, robots on a new first axis."""
-    most = max(part.modes.pole.shape[1] for part in parts)
-    modes = [_padded(part.modes, most) for part in parts]
-    return Tips(
-        ToolModes(np.array([m.pole for m in modes]), np.array([m.shape for m in modes])),
-        np.array([part.position for part in parts]),
-        np.array([part.axis for part in parts]),
-        np.array([part.compliance for part in parts]),
-    )
+    return _joined(parts, np.stack)

@@ -15,7 +15,8 @@ from twin.measure.campaign import Campaign, Channels, as_quantity, laplace
 from twin.measure.modal import identify_modes
 from twin.measure.recordings import read_campaign
 from twin.milling.cut import Cut, ToolMode
-from twin.model.linear import LinearModel, linearise, state_matrix
+from twin.model.linear import LinearModel, linearise
+from twin.model.modes import Poles, residues
 from twin.robot.description import Robot, TestPoint
 from twin.robot.frames import axis_placement, matrix_of
 from twin.robot.mechanism import assemble
@@ -24,7 +25,7 @@ LABELS = ("toolX+", "toolY+", "toolZ+")
 
 
 @dataclass(frozen=True)
-class ToolModes:
+class ToolModes(Poles):
     """Receptance at the tool's tip as poles and shapes; leading axes, if any, are postures or draws.
 
         G(s) = Σ_k [u_k u_kᵀ/(s − λ_k) + conj(u_k u_kᵀ)/(s − λ_k*)] + residual
@@ -38,16 +39,6 @@ class ToolModes:
     pole: np.ndarray
     shape: np.ndarray
     residual: np.ndarray | None = None
-
-    @property
-    def frequency_hz(self) -> np.ndarray:
-        """|λ|/2π, Hz."""
-        return np.abs(self.pole) / (2 * np.pi)
-
-    @property
-    def damping_percent(self) -> np.ndarray:
-        """−Re λ/|λ|, percent of critical."""
-        return -100 * self.pole.real / np.abs(self.pole)
 
     def receptance(self, frequency_rad_s: np.ndarray) -> np.ndarray:
         """G(iω), (…, nf, 3, 3) m/N, at frequencies (…, nf) rad/s."""
@@ -89,33 +80,6 @@ def real_modes(frequency_hz: Any, damping_percent: Any, shape: Any) -> ToolModes
     zeta = np.asarray(damping_percent, float) / 100
     damped = w * np.sqrt(1 - zeta**2)
     return ToolModes(-zeta * w + 1j * damped, np.asarray(shape) / np.sqrt(2j * damped)[..., None])
-
-
-def matrix_modes(
-    M: np.ndarray,
-    C: np.ndarray,
-    K: np.ndarray,
-    jacobian: np.ndarray,
-    loss: np.ndarray | None = None,
-    integral: np.ndarray | None = None,
-) -> ToolModes:
-    """All poles of M ẍ + C ẋ + (K + i·loss) x + integral ∫x dt = Jᵀf at a point, its Jacobian (3, nv).
-
-    With Z(s) symmetric the residue of a pole is u uᵀ, u = J v/√(vᵀ Z′(λ) v).
-    """
-    none = np.zeros_like(M)
-    loss, integral = none if loss is None else loss, none if integral is None else integral
-    nv = len(M)
-    pole, vector = np.linalg.eig(state_matrix(M, C, K, loss, integral))
-    real = np.abs(pole.imag) <= 1e-9 * np.abs(pole)
-    keep = np.flatnonzero((pole.imag > 0) | real)
-    keep = keep[np.argsort(np.abs(pole[keep]), kind="stable")]
-    pole, real, v = pole[keep], real[keep], vector[:nv, keep]
-    slope = 2 * pole * np.einsum("ik,ij,jk->k", v, M, v) + np.einsum("ik,ij,jk->k", v, C, v)
-    if integral.any():
-        slope = slope - np.einsum("ik,ij,jk->k", v, integral, v) / pole**2
-    shape = (jacobian @ v / np.sqrt(slope * np.where(real, 2, 1) + 0j)).T
-    return ToolModes(np.where(real, pole.real, pole), shape)
 
 
 def with_tool(robot: Robot, cut: Cut) -> Robot:
@@ -189,7 +153,7 @@ def tool_point(robot: Robot, q: np.ndarray, brakes: str, cut: Cut) -> ToolPoint:
         M, C, K, jacobian = coupled(M, C, K, jacobian, *own, source=cut.source)
         pad = ((0, len(M) - len(loss)),) * 2
         loss, integral = np.pad(loss, pad), np.pad(integral, pad)
-    modes = matrix_modes(M, C, K, jacobian, loss, integral)
+    modes = ToolModes(*residues(M, C, K, jacobian, loss, integral))
     if modes.pole.real.max(initial=-1.0) > 1e-6 * np.abs(modes.pole).max():
         raise InputError(robot.name, "posture", "is not a stable equilibrium: a stiffness is too low")
     return ToolPoint(modes, position, axis, linear)

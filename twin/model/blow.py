@@ -109,63 +109,87 @@ def torques(
 
 def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) -> list[tuple[FloatArray, FloatArray]]:
     slopes = [strike.tangent(law) for strike in strikes]
-    parts = _modal(strikes, slopes, rate_hz)
     blows = [strike.seen.J_e.shape[0] for strike in strikes]
-    modes = max(len(part.fade) for part in parts)
-    total = sum(blows)
-    fade, kick, early, late, moved = (np.zeros((modes, total), complex) for _ in range(5))
-    own, once, k, load, tangent = (np.empty(total) for _ in range(5))
-    sizes = np.empty((len(law.names), total))
-    driven = max(int(np.ceil(strike.pulse_s * rate_hz)) for strike in strikes)
-    push = np.zeros((driven, modes, total), complex)
-    at = 0
-    for strike, part, slope, count in zip(strikes, parts, slopes, blows, strict=True):
-        span, m = slice(at, at + count), len(part.fade)
-        fade[:m, span] = part.fade[:, None]  # every mode in units of what it adds to φ
-        early[:m, span], late[:m, span] = (part.read * part.early_g)[:, None], (part.read * part.late_g)[:, None]
-        kick[:m, span] = (part.read * part.next_g)[:, None]
-        drive = strike.peak_n * _drive(part.pole, strike.pulse_s, driven, rate_hz)
-        push[:, :m, span] = drive[:, :, None] * (part.read[:, None] * part.into)
-        own[span] = float((part.read * part.now_g).sum().real)
-        once[span] = float((part.read * part.once_g).sum().real)
-        k[span], load[span], tangent[span], sizes[:, span] = strike.k, strike.load, slope, strike.sizes[:, None]
-        at += count
+    fade, kick, early, late, own, push = _columns(strikes, _modal(strikes, slopes, rate_hz), blows, rate_hz)
+    driven, modes, total = push.shape
+    k, load = (np.repeat([getattr(strike, name) for strike in strikes], blows) for name in ("k", "load"))
+    tangent = np.repeat(slopes, blows)
+    sizes = np.repeat(np.array([strike.sizes for strike in strikes]).T, blows, axis=1)
+    z, moved = np.zeros_like(fade), np.empty_like(fade)
     rest = law.rest(k, load, sizes)
     state = law.state(total)
     if len(state):
         state[-1] = rest
-    offset, state = law.torque(rest, k, sizes, state)
-    z, x, g = np.zeros((modes, total), complex), np.zeros(total), np.zeros(total)
-    out, largest = np.zeros((samples, total)), np.zeros(total)
+    torque, state = law.torque(rest, k, sizes, state)
+    offset, bends = torque - tangent * rest, bool(tangent.any())
+    z[-2] = rest
+    most, least = rest + FARTHEST, rest - FARTHEST  # a size far off must not let a trial overflow
+    x, g, free = rest, np.zeros(total), np.empty(total)
+    highest, lowest = rest.copy(), rest.copy()
+    out, kinks = np.zeros((samples, total)), []
+
+    def beside(torque: FloatArray, x: FloatArray) -> FloatArray:
+        """What the law adds about its value and tangent at rest."""
+        g = torque - offset
+        if bends:
+            g -= tangent * x
+        return g
+
     for step in range(1, samples):
         z *= fade
         np.multiply(kick, g, out=moved)
         z += moved
         if step <= driven:
-            z += push[step - 1]
-        free = np.add.reduce(z.real, axis=0)
-        free -= once * g
-        left, was = x, g
+            z[:modes] += push[step - 1]
+        np.add.reduce(z.real, axis=0, out=free)
+        left, was = x, torque
         x = free + own * g
-        g = law.torque(rest + x, k, sizes, state)[0] - offset - tangent * x
-        x = _bounded(free + own * g)
-        torque, state = law.torque(rest + x, k, sizes, state)
-        g = torque - offset - tangent * x
-        out[step] += g
-        bent = law.line((rest + left, rest + x), (was + offset, torque), k, sizes)
+        x = free + own * beside(law.torque(x, k, sizes, state)[0], x)
+        np.minimum(x, most, out=x)
+        np.maximum(x, least, out=x)
+        torque, state = law.torque(x, k, sizes, state)
+        g = beside(torque, x)
+        out[step] = g
+        bent = law.line((left, x), (was, torque), k, sizes)
         if bent is not None:
             across, start, end = bent
-            z[:, across] += early[:, across] * start + late[:, across] * end
-            out[step - 1, across] += start / 3 + end / 6
-            out[step, across] += start / 6 + end / 3
-        np.maximum(largest, np.abs(x), out=largest)
+            z[:modes, across] += early.take(across, 1) * start + late.take(across, 1) * end
+            kinks.append((np.full(len(across), step), across, start, end))
+        np.maximum(highest, x, out=highest)
+        np.minimum(lowest, x, out=lowest)
+    if kinks:
+        at_step, across, start, end = (np.concatenate(part) for part in zip(*kinks, strict=True))
+        out[at_step - 1, across] += start / 3 + end / 6
+        out[at_step, across] += start / 6 + end / 3
+    largest = np.maximum(highest - rest, rest - lowest)
     edges = np.cumsum(blows)[:-1]
     return list(zip(np.split(out, edges, axis=1), np.split(largest, edges), strict=True))
 
 
-def _bounded(x: FloatArray) -> FloatArray:
-    """A size far off must not let a trial overflow."""
-    return np.minimum(np.maximum(x, -FARTHEST), FARTHEST)
+def _columns(
+    strikes: Sequence[Strike], parts: "Sequence[_Modal]", blows: Sequence[int], rate_hz: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, FloatArray, ComplexArray]:
+    """Propagation of every blow's modes over a step (modes, c), each in units of what it adds to φ: their decay, what g
+    adds to them a step later, and at the start and end of its line; what g adds to φ at once (c,); the blows' push
+    (steps, modes, c). The first two have two rows more: what φ is at rest, and what it has less a step after g."""
+    modes, total = max(len(part.fade) for part in parts), sum(blows)
+    fade, kick = (np.zeros((modes + 2, total), complex) for _ in range(2))
+    early, late = (np.zeros((modes, total), complex) for _ in range(2))
+    driven = max(int(np.ceil(strike.pulse_s * rate_hz)) for strike in strikes)
+    push = np.zeros((driven, modes, total), complex)
+    at = 0
+    for strike, part, count in zip(strikes, parts, blows, strict=True):
+        span, m = slice(at, at + count), len(part.fade)
+        fade[:m, span] = part.fade[:, None]
+        early[:m, span], late[:m, span] = (part.read * part.early_g)[:, None], (part.read * part.late_g)[:, None]
+        kick[:m, span] = (part.read * part.next_g)[:, None]
+        kick[-1, span] = -float((part.read * part.once_g).sum().real)
+        drive = strike.peak_n * _drive(part.pole, strike.pulse_s, driven, rate_hz)
+        push[:, :m, span] = drive[:, :, None] * (part.read[:, None] * part.into)
+        at += count
+    fade[-2] = 1.0
+    own = np.repeat([float((part.read * part.now_g).sum().real) for part in parts], blows)
+    return fade, kick, early, late, own, push
 
 
 @dataclass(frozen=True)

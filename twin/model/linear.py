@@ -75,14 +75,20 @@ class LinearModel:
 
 
 def state_matrix(M: np.ndarray, C: np.ndarray, K: np.ndarray, loss: np.ndarray, integral: np.ndarray) -> np.ndarray:
-    """A of ẏ = A y with y = (x, ẋ, ∫x dt of the coordinates under integral action), from matrices (nv, nv)."""
-    nv = len(M)
+    """A of ẏ = A y with y = (x, ẋ, ∫x dt of the coordinates under integral action), from matrices (nv, nv).
+
+    M and K, and with them A, may have further axes in front; the others may have them, too, but for ``integral``.
+    """
+    nv, front = M.shape[-1], M.shape[:-2]
     K = K + 1j * loss if loss.any() else K
     kept = np.flatnonzero(integral.any(axis=0))
-    A = np.zeros((2 * nv + len(kept),) * 2, K.dtype)
-    A[:nv, nv : 2 * nv] = np.eye(nv)
-    A[nv : 2 * nv] = -np.linalg.solve(M, np.hstack([K, C, integral[:, kept]]))
-    A[2 * nv + np.arange(len(kept)), kept] = 1.0
+    forces = [K, C, integral[:, kept]]
+    if front:
+        forces = [np.broadcast_to(part, (*front, *part.shape[-2:])) for part in forces]
+    A = np.zeros((*front, 2 * nv + len(kept), 2 * nv + len(kept)), K.dtype)
+    A[..., :nv, nv : 2 * nv] = np.eye(nv)
+    A[..., nv : 2 * nv, :] = -np.linalg.solve(M, np.concatenate(forces, axis=-1))
+    A[..., 2 * nv + np.arange(len(kept)), kept] = 1.0
     return A
 
 

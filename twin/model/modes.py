@@ -8,8 +8,24 @@ import numpy as np
 from twin.model.linear import LinearModel, state_matrix
 
 
+class Poles:
+    """What poles λ in rad/s say, ``pole`` (…, nm)."""
+
+    pole: np.ndarray
+
+    @property
+    def frequency_hz(self) -> np.ndarray:
+        """Natural frequencies |λ|/2π (paper, Eq. 21), Hz."""
+        return np.abs(self.pole) / (2 * np.pi)
+
+    @property
+    def damping_percent(self) -> np.ndarray:
+        """Damping ratios −Re λ/|λ|, percent of critical."""
+        return -100 * self.pole.real / np.abs(self.pole)
+
+
 @dataclass(frozen=True)
-class Modes:
+class Modes(Poles):
     """Oscillating modes in the order of frequency; overdamped (real) poles are left out.
 
     Attributes:
@@ -28,16 +44,6 @@ class Modes:
 
     def __len__(self) -> int:
         return len(self.pole)
-
-    @property
-    def frequency_hz(self) -> np.ndarray:
-        """Natural frequencies |λ|/2π (paper, Eq. 21), Hz."""
-        return np.abs(self.pole) / (2 * np.pi)
-
-    @property
-    def damping_percent(self) -> np.ndarray:
-        """Damping ratios −Re λ/|λ|, percent of critical."""
-        return -100 * self.pole.real / np.abs(self.pole)
 
     def at(self, labels: Iterable[str]) -> np.ndarray:
         """Shapes at test points along their directions, (n, nm) complex."""
@@ -71,3 +77,41 @@ def modes(linear: LinearModel) -> Modes:
         shape = shape / shape[largest, np.arange(len(keep))]
     energy = linear.spring[:, None] * np.abs(shape) ** 2
     return Modes(pole, shape, energy / np.maximum(energy.sum(axis=0), np.finfo(float).tiny), linear, growth)
+
+
+def residues(
+    M: np.ndarray,
+    C: np.ndarray,
+    K: np.ndarray,
+    jacobian: np.ndarray,
+    loss: np.ndarray | None = None,
+    integral: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """All poles of M ẍ + C ẋ + (K + i·loss) x + integral ∫x dt = Jᵀf, and their shapes at n points.
+
+    With Z(s) symmetric the residue of a pole is u uᵀ, u = J v/√(vᵀ Z′(λ) v); a real pole is held with half of it.
+
+    Args:
+        M, K: (…, nv, nv); C (nv, nv) or (…, nv, nv); ``jacobian`` (…, n, nv); ``loss`` and ``integral`` (nv, nv).
+
+    Returns:
+        Poles (…, nm) in rad/s in the order of their size, imaginary part not negative, and shapes (…, nm, n), m/√(N·s).
+        A system with fewer poles than another has more at −1 with a shape of zero.
+    """
+    nv = M.shape[-1]
+    loss, integral = (np.zeros((nv, nv)) if part is None else part for part in (loss, integral))
+    pole, vector = np.linalg.eig(state_matrix(M, C, K, loss, integral))
+    pole, vector = pole.astype(complex), vector.astype(complex)
+    size = np.abs(pole)
+    real = np.abs(pole.imag) <= 1e-9 * size
+    used = (pole.imag > 0) | real
+    most = int(used.sum(axis=-1).max())
+    order = np.argsort(np.where(used, size, np.inf), axis=-1, kind="stable")[..., :most]
+    pole, real, used = (np.take_along_axis(array, order, axis=-1) for array in (pole, real, used))
+    v = np.take_along_axis(vector[..., :nv, :], order[..., None, :], axis=-1)
+    slope = (v * (2 * pole[..., None, :] * (M @ v) + C @ v)).sum(axis=-2)
+    if integral.any():
+        slope = slope - (v * (integral @ v)).sum(axis=-2) / pole**2
+    scale = np.where(used, 1 / np.sqrt(slope * np.where(real, 2, 1)), 0)
+    shape = (jacobian @ v * scale[..., None, :]).swapaxes(-1, -2)
+    return np.where(used, np.where(real, pole.real, pole), -1.0), shape

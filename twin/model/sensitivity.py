@@ -487,6 +487,17 @@ def _rows(models: Sequence[Structure], channels: Channels, direction: FloatArray
     return _wrench(turn[:, body], origin[:, body], local, direction) @ screw.swapaxes(-1, -2) * first.path[body]
 
 
+def point_jacobians(models: Sequence[Structure], body: str, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where a point of a link (3,) lies, (p, 3) in the world, and its Jacobian (p, 3, nv); models alike but for q."""
+    first = models[0]
+    carrier = first.mechanism.carrier(body, position)
+    index = first.bodies[carrier]
+    turn, origin, screw = (np.stack([getattr(m, name) for m in models]) for name in ("rotation", "origin", "screw"))
+    place = origin[:, index] + turn[:, index] @ (position - first.mechanism.offset(carrier))
+    moved = screw[..., 3:] + _cross(screw[..., :3], place[:, None, :])
+    return place, np.asarray((moved * first.path[index][:, None]).swapaxes(1, 2))
+
+
 def _wrench(turn: FloatArray, origin: FloatArray, local: FloatArray, direction: FloatArray) -> FloatArray:
     """Unit forces at points of bodies as wrenches (moment about the world's origin, force) (…, n, 6)."""
     point = origin + (turn @ local[:, :, None])[..., 0]

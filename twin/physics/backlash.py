@@ -39,9 +39,10 @@ class Gap(Law):
         k, ends = k[across], np.array([x[0][across], x[1][across]])
         V, W = _primitives(ends, half[across])
         way = ends[1] - ends[0]
-        mean = k * (V[1] - V[0]) / way
-        moment = (k * V[1] - k * (W[1] - W[0]) / way) / way
-        return across, 6 * moment - 4 * mean - g[0][across], 2 * mean - 6 * moment - g[1][across]
+        per = k / way
+        mean = per * (V[1] - V[0])
+        moment = 6 * per * (V[1] - (W[1] - W[0]) / way)
+        return across, moment - 4 * mean - g[0][across], 2 * mean - moment - g[1][across]
 
     def usual(self, k: float) -> FloatArray:
         return np.array([USUAL_DEFLECTION])

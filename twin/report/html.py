@@ -12,7 +12,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader
 
 from twin.files import writing
-from twin.result import Table
+from twin.table import Table
 
 
 @dataclass(frozen=True)
