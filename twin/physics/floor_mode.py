@@ -18,7 +18,7 @@ SEARCHED = ("z", "rx", "ry")
 
 
 TYPICAL_HZ = {"z": 20.0, "rx": 15.0, "ry": 15.0}
-PER_BAND = 7  # frequencies from which a search starts, in each direction
+PER_BAND, APART = 7, 0.3  # frequencies from which a search starts, in each direction, and how near in logarithm
 
 
 class FloorMode(Effect):
@@ -75,7 +75,8 @@ class FloorMode(Effect):
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
         """The typical slab; springs with which it rocks and bounces at every choice of ``PER_BAND`` frequencies."""
         typical = self.typical(robot, site) or {}
-        tuned = [1.0 / TYPICAL_HZ[d] ** 2 * np.geomspace(*band_hz, PER_BAND) ** 2 for d in SEARCHED]
+        count = min(PER_BAND, int(np.ceil(np.log(band_hz[1] / band_hz[0]) / APART)) + 1)
+        tuned = [(np.geomspace(*band_hz, count) / TYPICAL_HZ[d]) ** 2 for d in SEARCHED]
         return [
             typical,
             *({**typical, **{d: typical[d] * float(s) for d, s in zip(SEARCHED, scale, strict=True)}}
