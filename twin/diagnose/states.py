@@ -48,7 +48,7 @@ def sorted_out(robot: Robot, campaign: Campaign, sample: Sample) -> tuple[Campai
         r, joint, step = _relabelled(fit.robot, few[k])
         if abs(step) < STRAINED * np.deg2rad(robot.tolerances.posture_deg):
             continue
-        again = _explained(robot, free, Sample(tuple([*(few[m] for m in members), r])), fit.z)
+        again = _explained(robot, free, Sample(tuple([*(few[m] for m in members), r]), sample.repeat), fit.z)
         if again is None:
             continue
         members, fit = [*members, k], again
