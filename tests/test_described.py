@@ -1,5 +1,6 @@
 """Numbers of a description that are wrong: found, with their values, where nothing else is the matter."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import twin
 from tools.trials.wrong import case
+from tools.truth.effects import Effect
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
 from twin.diagnose.described import described, geometry
@@ -100,3 +102,45 @@ def test_a_wrong_number_is_named_with_its_value(way: str, robot: str, seed: int,
         assert len(true) == len(values)
         off = np.abs(values - true) / np.maximum((ranges[:, 1] - ranges[:, 0]) / 3.29, 1e-12)
         assert (off < 4).all(), (name, values, true)
+
+
+@pytest.mark.parametrize(
+    ("way", "recording", "robot", "seed", "key"),
+    [
+        ("joint_zero", "hammer", "arm", 961, "joint_offset@joint"),
+        ("gravity_tilt", "log", "arm", 962, "gravity_direction@base"),
+    ],
+)
+def test_a_zero_and_a_leaning_foot_are_entries(
+    way: str, recording: str, robot: str, seed: int, key: str, tmp_path: Path
+) -> None:
+    """Named as effects and as nothing else, written as entries, and gone without them."""
+    world, _, _, cause = case(way, recording, robot, seed, False)
+    record(world, tmp_path, np.random.default_rng(seed))
+    write_description(machines()[robot], tmp_path / "robot.yaml")
+    verdict = twin.diagnose(next(tmp_path.glob("*.h5")), robot=tmp_path / "robot.yaml")
+    (missing,) = verdict.missing
+    assert missing.first.key.startswith(key)
+    assert missing.first.key in cause.names
+    assert not any(rival.effect == "parameter" and "offset" in rival.site for rival, _ in missing.rivals)
+    (entry,) = (e for e in verdict.robot.physics if e.effect == missing.first.effect)
+    assert len(verdict.robot.without([entry.effect]).physics) == len(verdict.robot.physics) - 1
+    if world.log:
+        felt = world.log.chain.gravity
+        np.testing.assert_allclose(verdict.robot.felt_gravity, felt, atol=9.81 * 3 * np.deg2rad(0.1))
+    else:
+        assert entry.values["angle"] == pytest.approx(cause.values["angle"], abs=2 * np.deg2rad(0.1))
+
+
+def test_a_bearing_that_couples_its_tilts_is_named(tmp_path: Path) -> None:
+    """Concealed as a bearing with oblique principal axes."""
+    world, *_ = case("nothing", "hammer", "kr90", 951, False)
+    assert world.hammer is not None
+    concealed = Effect("cross_stiffness", "joint2", {"stiffness": 1.5e6})
+    world.hammer = replace(world.hammer, effects=(concealed,))
+    record(world, tmp_path, np.random.default_rng(951))
+    verdict = twin.diagnose(tmp_path / "frf.h5", robot="kr90")
+    (missing,) = verdict.missing
+    assert missing.first.key == "cross_stiffness@joint2"
+    assert missing.first.parameters["stiffness"]["value"] == pytest.approx(1.5e6, rel=0.02)
+    assert verdict.error["after"]["held_out"] < 1.2 * verdict.error["noise_floor"]

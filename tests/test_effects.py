@@ -10,8 +10,11 @@ from twin.measure.motion_log import MotionRun
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise, posture_state
 from twin.model.modes import modes
+from twin.model.regressor import Regressor
 from twin.model.replay import inverse_dynamics, motion_of, replay
+from twin.model.sensitivity import structure
 from twin.physics import CATALOGUE
+from twin.physics.motion import Motion
 from twin.robot.description import Robot
 from twin.robot.mechanism import assemble, cut
 from twin.robot.mjcf import build_spec, compile_model
@@ -28,6 +31,8 @@ STRUCTURE = {
         {"mass": 15, "frequency_hz": 14, "damping_ratio": 0.03, "axis": "y", "position": [0.9, 0.1, 0.2]},
     ),
     "structural_damping": ("joint2.z", {"loss_factor": 0.05}),
+    "cross_stiffness": ("joint1", {"stiffness": 1.5e6}),
+    "joint_offset": ("joint3", {"angle": 0.05}),
 }
 
 
@@ -59,6 +64,8 @@ def test_structural_effects_change_the_modes_and_vanish_when_removed(
         ("payload", {"mass": 0, "com": [0, 0, 0]}),
         ("attached_resonator", STRUCTURE["attached_resonator"][1] | {"mass": 1e-7}),
         ("structural_damping", {"loss_factor": 0}),
+        ("cross_stiffness", {"stiffness": 0}),
+        ("joint_offset", {"angle": 0}),
     ],
 )
 def test_towards_the_null_value_the_model_is_the_one_without(
@@ -250,8 +257,47 @@ def test_sensor_delay_is_native(with_entry: Callable[..., Robot], milling: np.nd
     spec.compile()
 
 
+@pytest.mark.parametrize("stiffness", [1.5e6, -3e6])
+def test_a_bearing_couples_its_tilts_in_mujoco_as_in_closed_form(
+    with_entry: Callable[..., Robot], kr90: Robot, milling: np.ndarray, stiffness: float
+) -> None:
+    """The tendon and what the hinges' own springs give up leave k_xy off the diagonal, and nothing on it."""
+    plain, robot = linear_of(kr90, milling), with_entry("cross_stiffness", "joint2", stiffness=stiffness)
+    x, y = (plain.coordinates.index(f"joint2.{axis}") for axis in "xy")
+    added = linear_of(robot, milling).K - plain.K
+    expected = np.zeros_like(added)
+    expected[x, y] = expected[y, x] = stiffness
+    np.testing.assert_allclose(added, expected, atol=1e-6 * abs(stiffness))
+    closed = structure(assemble(robot, milling))
+    order = [closed.coordinates.index(name) for name in plain.coordinates]
+    np.testing.assert_allclose(closed.K[np.ix_(order, order)] - plain.K, expected, atol=1e-5 * abs(stiffness))
+
+
+def test_an_axis_stands_off_its_encoder(kr90: Robot, with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    """The robot with an offset is the one commanded to where its axis stands; torques and laws of position follow."""
+    robot, there = with_entry("joint_offset", "joint2", angle=0.02), milling + np.array([0.0, 0.02, 0.0])
+    np.testing.assert_array_equal(linear_of(robot, milling).K, linear_of(kr90, there).K)
+    rng = np.random.default_rng(1)
+    v, a, t = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), np.arange(5.0)
+    recorded, true = Motion(t, milling + 0.1 * v, v, a), Motion(t, there + 0.1 * v, v, a)
+    np.testing.assert_allclose(inverse_dynamics(robot, recorded), inverse_dynamics(kr90, true), rtol=1e-12)
+    one, other = Regressor(robot), Regressor(kr90)
+    np.testing.assert_allclose(one.evaluate(recorded), other.evaluate(true), rtol=1e-12)
+    np.testing.assert_allclose(one.known_torque(recorded), other.known_torque(true), rtol=1e-12)
+
+
+def test_a_leaning_foot_turns_the_weight(kr90: Robot, with_entry: Callable[..., Robot], milling: np.ndarray) -> None:
+    """Tilted about x by a, the foot's y leans down: gravity there has the part -g sin a along it."""
+    robot = with_entry("gravity_direction", "base", angles=[0.03, 0.0])
+    np.testing.assert_allclose(robot.felt_gravity, 9.81 * np.array([0.0, -np.sin(0.03), -np.cos(0.03)]), rtol=1e-12)
+    still = Motion(np.zeros(1), milling[None], np.zeros((1, 3)), np.zeros((1, 3)))
+    leans = kr90.model_copy(update={"gravity": tuple(robot.felt_gravity)})
+    np.testing.assert_allclose(inverse_dynamics(robot, still), inverse_dynamics(leans, still), rtol=1e-12)
+    assert abs(inverse_dynamics(robot, still) - inverse_dynamics(kr90, still)).max() > 10.0
+
+
 def test_the_catalogue_has_the_vocabulary_s_identifiers() -> None:
-    assert len(CATALOGUE) == 31  # 29 of the vocabulary, how its dry friction turns round, and laws found in data
+    assert len(CATALOGUE) == 34  # 32 of the vocabulary, how its dry friction turns round, and laws found in data
     for effect in CATALOGUE.values():
         assert effect.__doc__
         assert effect.seen_in <= {"hammer", "levels", "log"}

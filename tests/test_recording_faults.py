@@ -1,5 +1,6 @@
 """Faults of a recording that are put right before the diagnosis, and told: units, signs, order, clocks."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -10,13 +11,12 @@ import twin
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose.states import states
+from twin.diagnose.states import sorted_out
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Verdict
 from twin.identify.objective import Sample
 from twin.identify.recorded import without_limits
 from twin.measure.campaign import read_campaign
-from twin.model.parameters import free_parameters
 from twin.robot.description import load_robot
 
 
@@ -47,11 +47,27 @@ def test_postures_of_two_robots_are_told_apart(way: str, told: list[str], tmp_pa
     world, *_ = case(way, "hammer", "kr90", 941, False)
     record(world, tmp_path, np.random.default_rng(941))
     campaign, robot = read_campaign(tmp_path / "frf.h5"), without_limits(load_robot("kr90"))
-    used = triage(campaign, robot, "frf.h5", None).used
-    free = free_parameters(robot, dict.fromkeys(r.setup.name for r in used), campaign.response.label)
-    notes = states(robot, free, Sample(tuple(used)))
+    every = triage(campaign, robot, "frf.h5", None).recordings.values()
+    sound, notes = sorted_out(robot, campaign, Sample(tuple(every)))
     assert [note.kind for note in notes] == told
-    assert all("posture4, posture5, posture6; rigid, upright" in note for note in notes)
+    assert all("milling, rigid, upright; posture4, posture5, posture6" in note for note in notes)
+    assert set(sound.postures) == ({"milling", "rigid", "upright"} if told else set(campaign.postures))
+
+
+@pytest.mark.parametrize("step_deg", [-6.0, 17.0])
+def test_an_angle_that_is_written_down_wrongly_is_put_right(step_deg: float, tmp_path: Path) -> None:
+    world, *_ = case("nothing", "hammer", "arm", 942, False)
+    record(world, tmp_path, np.random.default_rng(942))
+    write_description(machines()["arm"], tmp_path / "robot.yaml")
+    campaign, robot = read_campaign(tmp_path / "frf.h5"), without_limits(load_robot(str(tmp_path / "robot.yaml")))
+    name, posture = list(campaign.postures.items())[-1]
+    wrong = replace(posture, q_deg=posture.q_deg + step_deg * np.eye(3)[2])
+    spoilt = replace(campaign, postures={**campaign.postures, name: wrong})
+    every = triage(spoilt, robot, "frf.h5", None).recordings.values()
+    right, (note,) = sorted_out(robot, spoilt, Sample(tuple(every)))
+    assert (note.kind, note.severity) == ("posture", "fail")
+    assert list(right.postures) == list(campaign.postures)
+    np.testing.assert_allclose(right.postures[name].q_deg, posture.q_deg, atol=4 * robot.tolerances.posture_deg)
 
 
 def test_a_run_of_another_robot_is_told(tmp_path: Path) -> None:

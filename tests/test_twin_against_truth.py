@@ -74,6 +74,8 @@ HAMMER = [
         1e-5,
     ),
     ("structural_damping", "joint2.z", {"loss_factor": 0.05}, 1e-6),
+    ("cross_stiffness", "joint2", {"stiffness": -2e6}, 3e-3),
+    ("joint_offset", "joint3", {"angle": 0.015}, 1e-6),
     ("sensor_gain", "sensor:21Z+", {"gain": 1.08}, 1e-6),
     ("sensor_misalignment", "sensor:21", {"angles": [0.05, -0.08, 0.1]}, 1e-6),
     ("hammer_misalignment", "hammer:21Y+", {"angles": [0.05, -0.1]}, 1e-6),
@@ -137,6 +139,8 @@ LOG = [
     ("cable_stiffness", "joint2", {"stiffness": 300.0, "rest": 0.5}),
     ("torque_ripple", "joint1", {"amplitude": 60.0, "order": 12.0, "phase": 0.4}),
     ("rotor_inertia", "joint1", {"inertia": 300.0}),
+    ("joint_offset", "joint2", {"angle": 0.1}),
+    ("gravity_direction", "base", {"angles": [0.1, -0.1]}),
     ("joint_coupling", "joint2", {"from": 3, "ratio": 0.5, "inertia": 200.0, "friction": 100.0, "coulomb": 20.0}),
 ]
 

@@ -215,7 +215,9 @@ def _rounded(value: Any) -> Any:
 
 def _drawn(effect: Effect) -> list[str]:
     """The pictures that show an effect."""
-    drives = effect.has_torque or effect.records_torque or "mass" in {p.name for p in effect.parameters}
+    drives = (
+        effect.has_torque or effect.records_torque or "mass" in {p.name for p in effect.parameters} or _leans(effect)
+    )
     shown = {"frf": "hammer" in effect.seen_in, "loop": "levels" in effect.seen_in}
     return [kind for kind, told in {**shown, "torque": "log" in effect.seen_in and drives}.items() if told]
 
@@ -267,10 +269,18 @@ def _of_amplitude(robot: Robot, effect: Effect, swing: Swing) -> Example | None:
     return _added(robot, effect, f"joint{CARRIES + 1}.z", law.entry(np.asarray(law.usual(k))))
 
 
+def _leans(effect: Effect) -> bool:
+    """Whether it turns the weight."""
+    return type(effect).gravity is not Effect.gravity
+
+
 def _of_drive(robot: Robot, effect: Effect, swing: Swing) -> Example | None:
     """Of the size that a search in a motion log takes for usual, at joint 2 where it can be."""
     if described := _described(robot, effect):
         return described
+    if _leans(effect):
+        (site,), first = effect.fixed_sites(robot.axis_count), effect.parameters[0]
+        return _added(robot, effect, site, _of_either_sign(effect, {first.name: [first.null] * first.length}))
     sites = [site for site in effect.fixed_sites(robot.axis_count) if any(map(str.isdigit, site))] or ["log"]
     for site in sorted(sites, key=lambda site: str(CARRIES + 1) not in site):
         for suspected in effect.suspected(swing.of(effect, site)):

@@ -97,6 +97,9 @@ EFFECTS: dict[str, Kind] = {
         "frf",
         ("x", "y", "z", "rx", "ry", "rz"),
     ),
+    "cross_stiffness": Kind(JOINT, {"stiffness": (SIGNED, 3e6)}, "frf"),
+    "joint_offset": Kind(JOINT, {"angle": (SIGNED, 0.02)}, "both"),
+    "gravity_direction": Kind("base", {"angles": (SIGNED, 0.03)}, "log"),  # tilt of the foot about its x, then its y
     # Outside the catalogue: what a diagnosis must locate and must not misname.
     "eddy_current_damper": Kind(JOINT_Z, {"coefficient": (3e5, 1e7)}, "levels"),
     "posture_stiffness": Kind(JOINT_Z, {"amplitude": (0.1, 0.4), "phase": (SIGNED, 3.1)}, "frf"),
@@ -113,6 +116,7 @@ LENGTHS = {  # parameters that are lists
     ("gravity_compensator", "coefficients"): 3,
     ("sensor_misalignment", "angles"): 3,
     ("hammer_misalignment", "angles"): 2,
+    ("gravity_direction", "angles"): 2,
     ("payload", "com"): 3,
     ("floor_mode", "inertia"): 3,
     ("attached_resonator", "position"): 3,

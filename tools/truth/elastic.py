@@ -113,6 +113,7 @@ class _Builder:
         self.springs: list[tuple[float, float, float]] = []  # stiffness, damping, armature
         self.bodies: list[tuple[Link, Frame]] = []
         self.dynamic: dict[int, list[Callable[[Complex], Complex]]] = {}
+        self.drag: dict[tuple[int, int], float] = {}
 
     def hinge(
         self,
@@ -164,6 +165,8 @@ class _Builder:
         upper = np.triu(-np.einsum("bk,bijk->ij", weight, swing))
         gravity = upper + np.triu(upper, 1).T
         k, c, armature = (np.diag(column) for column in springs.T)
+        for (i, j), drag in self.drag.items():
+            c[[i, j], [j, i]] = drag
         return screws, mass + armature, c, k + gravity, np.einsum("bk,bjk->j", weight, jv)
 
 
@@ -206,13 +209,17 @@ def _assemble(
     zones: list[list[Zone]] = []
     for i in range(chain.n):
         placement, offset = constant_transform(*chain.dh[i])
-        turn = frame.turn @ placement @ rotation_about(AXES["z"], q[i])
+        zero = sum(e["angle"] for e in effects if e.kind == "joint_offset" and e.joint == i)
+        turn = frame.turn @ placement @ rotation_about(AXES["z"], q[i] + zero)
         frame = Frame(turn, frame.origin + frame.turn @ offset, frame.path)
         if not brakes_on:
             frame = _servo(builder, frame, chain, i, effects)
+        cross = sum(e["stiffness"] for e in effects if e.kind == "cross_stiffness" and e.joint == i)
         for a, axis in enumerate("zxy"):
-            if np.isfinite(stiffness[i, a]):
+            if np.isfinite(stiffness[i, a]) and not (a and cross):
                 frame = builder.hinge(frame, f"joint{i + 1}.{axis}", AXES[axis], stiffness[i, a], damping[i, a])
+        if cross:
+            frame = _oblique(builder, frame, i, stiffness[i, 1:], damping[i, 1:], cross)
         zones.append(_link(builder, frame, chain, i, effects))
         frame = zones[i][-1].frame
         _resonators(builder, zones[i], i, effects)
@@ -257,6 +264,18 @@ def _floor(builder: _Builder, frame: Frame, e: Effect) -> Frame:
             joint = builder.slide if len(name) == 1 else builder.hinge
             frame = joint(frame, f"floor.{name}", AXES[name[-1]], e[name], c)
     builder.bodies.append((Link(e["mass"], np.zeros(3), np.diag(e.array("inertia"))), frame))
+    return frame
+
+
+def _oblique(builder: _Builder, frame: Frame, i: int, k: Array, c: Array, cross: float) -> Frame:
+    """A bearing that tilts about two principal axes, oblique to the link's x and y: k (2,), c (2,) about those."""
+    own, axes = np.linalg.eigh(np.diag(k) + cross * np.array([[0.0, 1.0], [1.0, 0.0]]))
+    if not own[0] > 0:
+        raise TruthError(f"cross_stiffness@joint{i + 1}: expected less than what both springs hold, {cross:g}")
+    drag = axes.T @ np.diag(c) @ axes
+    for name, value, axis, d in zip("xy", own, axes.T, np.diag(drag), strict=True):
+        frame = builder.hinge(frame, f"joint{i + 1}.{name}", np.append(axis, 0.0), value, d)
+    builder.drag[frame.path[-2], frame.path[-1]] = drag[0, 1]
     return frame
 
 

@@ -156,8 +156,12 @@ def _torque(truth: Truth, log: Log, run: Run, q: Array, v: Array, a: Array) -> t
     chain, clock = truth.chain, run.start + run.time
     of = {kind: [e for e in truth.effects if e.kind == kind] for kind in {e.kind for e in truth.effects}}
     carried = tuple(loaded(link, i, chain, of.get("payload", [])) for i, link in enumerate(chain.links))
+    gravity = chain.gravity
+    for e in of.get("gravity_direction", []):  # what a plumb line shows on a foot that leans
+        (sa, sb), (ca, cb) = np.sin(e.array("angles")), np.cos(e.array("angles"))
+        gravity = np.linalg.norm(gravity) * np.array([sb, -cb * sa, -cb * ca])
     parts = {
-        "links": inverse_dynamics(replace(chain, links=carried), q, v, a, chain.gravity),
+        "links": inverse_dynamics(replace(chain, links=carried), q, v, a, gravity),
         "compensator": compensator(chain, q, log.compensator),
     }
     for e in of.get("gravity_compensator", []):
@@ -300,6 +304,9 @@ def gas_spring(q: Array) -> Array:
 def record(truth: Truth, run: Run, log: Log, rng: np.random.Generator) -> Record:
     """What the controller's trace holds of one run."""
     link, motor, parts = motor_torque(truth, run, log)
+    for e in truth.effects:
+        if e.kind == "joint_offset":  # the axis goes its way, its encoder says less
+            link, motor = (x - e["angle"] * np.eye(truth.chain.n)[e.joint] for x in (link, motor))
     count = 2 * np.pi / (truth.chain.gear_ratio * log.counts)
     keep = np.exp(-1 / (log.colour_s * log.rate_hz))
     colour = lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.normal(size=link.shape), axis=0)

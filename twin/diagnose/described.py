@@ -59,9 +59,7 @@ def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[lis
     for node, some in variants.items():
         freed = [_freed(f"{node}.position", own) for own in some.values()]
         nodes.append(freed[1:] if len(freed) == 2 else freed)  # one channel group at the node: the two are the same
-    axes = [
-        [_freed(p.name if p.quantity != "theta" else f"joint{p.site[4:]}.offset", [p])] for p in axis_parameters(robot)
-    ]
+    axes = [[_freed(p.name, [p])] for p in axis_parameters(robot) if p.quantity != "theta"]  # a zero is an effect
     return [*axes, *nodes, [_freed("node:*.position", [*sensors, *blows])]]
 
 

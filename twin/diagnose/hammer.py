@@ -20,11 +20,11 @@ from twin.diagnose.locate import mismatch
 from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.physical import as_written, physical
 from twin.diagnose.records import FrfRecord, frf_records
-from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor
+from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor, recorded_error
 from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
 from twin.diagnose.sentences import sentence
-from twin.diagnose.states import states
+from twin.diagnose.states import sorted_out
 from twin.diagnose.struck import without_laws
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import (
@@ -138,6 +138,9 @@ def _diagnosed(
         return told
     if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
+    far = not found.nonlinear and not told_by and _misses(search, found)
+    if far and (sorted_ := _sorted_out(campaign, given, source, hold_out, seed, progress, processes, found)):
+        return sorted_
     looked_at = _suspects(campaign, base, free, found)
     explain(base, search, sample, looked_at, progress)
     best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
@@ -157,9 +160,40 @@ def _diagnosed(
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
     finding.next_test = _next_test(given, answer, few, seed)
     if answer.word == "unexplained":
-        plain = without_limits(given)
-        mixed = states(base, search.base.parameters, sample)
-        finding.warnings = [*(mixed or cut_short(plain, found.used)), *finding.warnings]
+        if not (far or found.nonlinear or told_by):
+            sorted_ = _sorted_out(campaign, given, source, hold_out, seed, progress, processes, found)
+            if sorted_:
+                return sorted_
+        finding.warnings = [*cut_short(without_limits(given), found.used), *finding.warnings]
+    return finding
+
+
+def _misses(search: Search, found: Triage) -> bool:
+    """Whether the base model misses by much more than noise, in what it was fitted to or what was kept aside, or has
+    its postures elsewhere than the file says.
+    """
+    if search.error > FAR or any(note.kind == "posture" for note in strained(search.base)):
+        return True
+    if not found.kept:
+        return False
+    missed = recorded_error(search.base.robot, found.kept) ** 2 - noise_floor(found.kept) ** 2
+    return missed > FAR**2
+
+
+def _sorted_out(
+    campaign: Campaign, given: Robot, source: str, hold_out: list[str] | None, seed: int, progress: Progress | None,
+    processes: int, found: Triage,
+) -> Finding | None:  # fmt: skip
+    """What the postures of one robot say, wrong angles put right; ``None`` where all are of one and stand as stated."""
+    sample = Sample(tuple(found.recordings.values()), 1 / found.shared)
+    if len({r.setup.name for r in sample.recordings}) < max(len(sample.recordings), 3):
+        return None
+    some, notes = sorted_out(without_limits(given), campaign, sample)
+    if not notes:
+        return None
+    held = hold_out and [name for name in hold_out if name in some.postures]
+    finding = _diagnosed(some, given, source, held, seed, progress, None, processes)
+    finding.warnings = [*notes, *finding.warnings]
     return finding
 
 

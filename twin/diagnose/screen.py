@@ -44,6 +44,7 @@ SLIGHT = 3.0  # ln likelihood that a refit must promise
 ROOM = 1.01  # of the least cost that is left then
 BEYOND = 6  # iterations after which such an entry near the truth promises what it has gained
 SCANNED = 12  # more variants than this are scanned by their secant alone first
+FOLLOWED = 25  # iterations from the description where the current model is far off
 SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
 SCANNED_MASSES = (1.0, 0.01)  # of the usual one: a heavy one loads the robot, a light one shows at its own frequency
@@ -190,7 +191,7 @@ def screen(
     missing = [
         some for some in suspects if some[0].key not in present and freed.isdisjoint(p.name for p in some[0].own)
     ]
-    scan = _Scan(setting) if any(len(variants) > SCANNED for variants in missing) else None
+    scan = _Scan(setting) if any(_hangs(variants) for variants in missing) else None
     if not setting.logarithmic:
         setting.linear  # noqa: B018 – once, before the work is spread
     if not setting.error and any(v[0].law and v[0].law.ridged for v in missing):
@@ -198,8 +199,12 @@ def screen(
 
     def best(number: int) -> list[Promise]:
         variants = missing[number]
-        if scan and len(variants) > SCANNED:
+        if len(variants) > SCANNED and setting.logarithmic and not _hangs(variants):
+            return [max((_followed(setting, h, before) for h in _nearest(setting, variants)), key=lambda p: p.gain)]
+        if scan and _hangs(variants):
             variants = scan.best(variants)
+        elif len(variants) > SCANNED:  # near the truth first order reaches the others from the first
+            variants = variants[:1]
         found = [max(_promises(setting, h, before), key=lambda promise: promise.gain) for h in variants]
         if not present:  # beside what was found, it would rather let masses in that swing in the noise
             found = [_of_any_size(promise) for promise in found]
@@ -212,6 +217,36 @@ def screen(
         if progress:
             progress(1)
     return sorted(found, key=lambda promise: -promise.gain)
+
+
+def _hangs(variants: Sequence[Hypothesis]) -> bool:
+    """Whether a suspect has many variants that differ in where and how a mass hangs."""
+    return len(variants) > SCANNED and bool(variants[0].law and variants[0].law.lever)
+
+
+def _nearest(setting: Setting, variants: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
+    """Of many variants those with the least robust cost on a few lines, the base model as described."""
+
+    def cost(variant: Hypothesis) -> float:
+        objective = setting.objective(together(setting.current, variant), setting.few)
+        return float(objective.cost(_as_described(setting, objective)))
+
+    return sorted(variants, key=cost)[:SCANNED_KEPT]
+
+
+def _as_described(setting: Setting, objective: Objective) -> FloatArray:
+    """z of a hypothesis with the base model as described, what was found as it is, what is new of its usual size."""
+    z = np.zeros(len(objective.parameters))
+    z[len(setting.free) : len(setting.z)] = setting.z[len(setting.free) :]
+    return z
+
+
+def _followed(setting: Setting, suspect: Hypothesis, before: float) -> Promise:
+    """What a suspect promises whose robust cost is followed down from the description: fits without it lead astray."""
+    hypothesis = together(setting.current, suspect)
+    objective = setting.objective(hypothesis)
+    z, cost, *_ = minimise(objective, _as_described(setting, objective), FOLLOWED, 0.5)
+    return Promise(hypothesis, suspect, objective.parameters, before - cost, z, z)
 
 
 def _of_any_size(promise: Promise) -> Promise:

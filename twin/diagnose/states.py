@@ -1,43 +1,128 @@
-"""Whether the postures of a hammer test are of one robot in one state: asked where no one model explains them all."""
+"""Whether the postures of a hammer test are of one robot in one state, and stand where the file says.
+
+Asked where no one model explains them all. Postures that one model explains together are a group. The largest is
+believed where its model is as described: what every posture lacks would strain that, or leave it unexplained.
+"""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.search import SCREEN_LINES
-from twin.identify.objective import Sample
-from twin.measure.campaign import FloatArray
-from twin.model.parameters import Parameters
+from twin.diagnose.verdict import STRAINED, strained
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded
+from twin.measure.campaign import Campaign, FloatArray
+from twin.model.parameters import Parameters, free_parameters, independent
 from twin.robot.description import Robot
 
 Fit = TypeVar("Fit")
+STEP_DEG, FURTHEST_DEG = 1.5, 20.0
+"""How near to the right angle a posture's robust cost points at it, and how far off it may be written down."""
+MEANS = "They may be of different robots, of one robot in different states, or have angles written down wrongly"
 
 
-def states(robot: Robot, parameters: Parameters, sample: Sample) -> list[Note]:
-    """A note on groups of postures that one model explains each, where it does not explain them together.
+def sorted_out(robot: Robot, campaign: Campaign, sample: Sample) -> tuple[Campaign, list[Note]]:
+    """A campaign with the postures that are of one robot, wrong angles put right, and a note on each fault.
 
     Args:
-        robot: the description without limits; ``parameters`` what is free of it.
-        sample: the recordings used.
+        robot: the description without limits.
+        sample: all postures of the campaign, each at one force.
     """
-    few, most = sample.thin(SCREEN_LINES), calibration()["held_out_adequate"]
+    few = list(sample.thin(SCREEN_LINES).recordings)
+    free = free_parameters(robot, [r.setup.name for r in few], few[0].setup.response.label)
+    groups, lone = _groups(robot, free, few, sample.repeat)
+    sound = [group for group in groups if len(group[0]) > 1 and not strained(group[1])]
+    if not sound:
+        return campaign, []
+    members, fit = max(sound, key=lambda group: (len(group[0]), -group[1].cost))
+    notes, postures = [], {few[k].group: campaign.postures[few[k].group] for k in members}
+    apart = [k for k in range(len(few)) if k not in members]
+    for k in apart if 2 * len(members) > len(few) else ():
+        r, joint, step = _relabelled(fit.robot, few[k])
+        if abs(step) < STRAINED * np.deg2rad(robot.tolerances.posture_deg):
+            continue
+        again = _explained(robot, free, Sample(tuple([*(few[m] for m in members), r]), sample.repeat), fit.z)
+        if again is None:
+            continue
+        members, fit = [*members, k], again
+        found = step + float(again.parameters.posture_error(r.setup.name, again.values, len(r.setup.q))[joint])
+        revolute = robot.axes[joint].type == "revolute"
+        q_deg = campaign.postures[r.group].q_deg.copy()
+        q_deg[joint] += np.rad2deg(found) if revolute else found
+        postures[r.group] = replace(campaign.postures[r.group], q_deg=q_deg)
+        told = f"{np.rad2deg(found):+.2g}°" if revolute else f"{found:+.2g} m"
+        text = (
+            f"{r.group}: joint{joint + 1} stands {told} from what the file says, by the model that explains the others"
+        )
+        notes.append(Note(f"{text}: the angle is written down wrongly, and was put right", "posture", "fail"))
+    if len(members) < len(few):
+        others = [group for group, _ in groups if not set(group) & set(members)]
+        others += [[k] for k in lone if k not in members]
+        told = _told([r.group for r in few], [sorted(members), *others])
+        text = f"no one model explains all postures, but one each of these groups or the first of them: {told}. {MEANS}"
+        notes.append(Note(f"{text}; what follows is of the first group alone", "other_robot", "fail"))
+    ordered = {name: postures[name] for name in campaign.postures if name in postures}
+    return (replace(campaign, postures=ordered), notes) if notes else (campaign, [])
 
-    def fitted(members: Sequence[int], z: FloatArray) -> Fitted | None:
-        some = Sample(tuple(few.recordings[k] for k in members), few.repeat)
-        rough = 0 if z.any() else 25
-        fit = descend(robot, NONE, parameters, some, z, logarithmic=rough, tempered=8, linear=15)
-        return fit if fit.misfit <= most else None
 
-    return grouped(
-        [r.group for r in few.recordings],
-        "postures",
-        lambda number: fitted([number], np.zeros(len(parameters))),
-        lambda members, known, number: fitted([*members, number], known.z),
-    )
+def _groups(
+    robot: Robot, free: Parameters, few: Sequence[Recorded], repeat: float
+) -> tuple[list[tuple[list[int], Fitted]], list[int]]:
+    """Postures that one model explains together, with its fit, and those that none explains.
+
+    None at all where two are not explained each by itself: something else is missing.
+    """
+    alone: dict[int, Fitted] = {}
+    for k, r in enumerate(few):
+        if (fit := _explained(robot, free, Sample((r,), repeat), np.zeros(len(free)))) is not None:
+            alone[k] = fit
+        if k + 1 - len(alone) > 1:
+            return [], []
+    if all(strained(fit) for fit in alone.values()):
+        return [], []
+    groups: list[tuple[list[int], Fitted]] = []
+    for k, own in alone.items():
+        for number, (members, known) in enumerate(groups):
+            some = Sample(tuple(few[m] for m in (*members, k)), repeat)
+            fit = _explained(robot, free, some, known.z)
+            if fit is not None and not any(note.kind == "posture" for note in strained(fit)):
+                groups[number] = ([*members, k], fit)
+                break
+        else:
+            groups.append(([k], own))
+    return groups, [k for k in range(len(few)) if k not in alone]
+
+
+def _explained(robot: Robot, free: Parameters, sample: Sample, z: FloatArray) -> Fitted | None:
+    """The base model fitted to postures from z, ``None`` where it does not explain them."""
+    fit = descend(robot, NONE, free, sample, z, logarithmic=0 if z.any() else 25, tempered=8, linear=15)
+    return fit if fit.misfit <= calibration()["held_out_adequate"] else None
+
+
+def _relabelled(robot: Robot, r: Recorded) -> tuple[Recorded, int, float]:
+    """A posture with the one angle elsewhere that explains it best, which that is, and by how much, rad (m)."""
+
+    def at(joint: int, step: float) -> Recorded:
+        q = r.setup.q + step * np.eye(len(r.setup.q))[joint]
+        return replace(r, setup=replace(r.setup, q=q))
+
+    def cost(step: float, joint: int) -> float:
+        some = Sample((at(joint, step),))
+        return Objective(robot, independent([]), some, logarithmic=True).cost(np.zeros(0))
+
+    width = np.deg2rad(STEP_DEG)
+    steps = np.arange(-FURTHEST_DEG, FURTHEST_DEG + STEP_DEG, STEP_DEG)
+    tried = [(cost(step, j), j, step) for j in range(len(r.setup.q)) for step in np.deg2rad(steps)]
+    _, joint, step = min(tried)
+    near = minimize_scalar(cost, bounds=(step - width, step + width), args=(joint,), options={"xatol": 1e-4})
+    return at(joint, float(near.x)), joint, float(near.x)
 
 
 def grouped(
@@ -66,9 +151,10 @@ def grouped(
             groups.append(([number], own))
     if not 1 < len(groups) < len(names):
         return []
-    told = "; ".join(", ".join(names[k] for k in members) for members, _ in groups)
-    text = (
-        f"one model explains each of these groups of {what}, none explains them together: {told}. They may be of "
-        "different robots, of one robot in different states, or have angles that are written down wrongly"
-    )
+    told = _told(names, [members for members, _ in groups])
+    text = f"one model explains each of these groups of {what}, none explains them together: {told}. {MEANS}"
     return [Note(text, "other_robot", "fail", runs=tuple(names) if what == "runs" else ())]
+
+
+def _told(names: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
+    return "; ".join(", ".join(names[k] for k in members) for members in groups)

@@ -854,7 +854,8 @@ def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Ro
     floor = [column.nonnegative and column.group != "link" for column in columns]
     fitted = base.regressor.robot_with(np.where(floor, np.maximum(values, 0.0), values))
     numbers = numbers_of(base.regressor.robot)
-    fitted = corrected(fitted, numbers, [p.mean + x for p, x in zip(numbers, changes, strict=True)])
+    told = {system.parameters.names[k] for k in system.widened}
+    fitted = corrected(fitted, numbers, [p.mean + x for p, x in zip(numbers, changes, strict=True)], told)
     added = [_rounded(entry, fitted) for entry in (*system.entries(z), *entries)]
     return fitted.model_copy(update={"physics": [*fitted.physics, *added]})
 

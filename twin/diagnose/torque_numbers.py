@@ -4,7 +4,7 @@ Lengths and twists of axes, the zeros of joints, the direction of gravity, gear 
 all joints shares. Each is as far off as the description's tolerances say; torque is linear in so small a change.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,11 +14,13 @@ from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, axis_parameters, independent
 from twin.model.regressor import Regressor
 from twin.physics import CATALOGUE
+from twin.physics.gravity_direction import GravityDirection
+from twin.physics.joint_offset import JointOffset
 from twin.physics.motion import Motion
-from twin.robot.description import Robot
+from twin.robot.description import Entry, Robot
 
 GAIN = "torque_gain"
-LEANING = ("gravity.x", "gravity.y")
+LEANING = ("gravity.x", "gravity.y")  # rad, the foot's tilt
 PLACEMENT = ("a", "alpha_deg", "d", "theta_deg")  # of an axis
 
 
@@ -35,6 +37,14 @@ def numbers_of(robot: Robot) -> list[Parameter]:
     if tolerance.torque_gain:
         found.append(Parameter(GAIN, "1", "gain", False, 1.0, tolerance.torque_gain, "tolerance"))
     return found
+
+
+def effect_of_number(name: str) -> tuple[str, str] | None:
+    """Effect and site that a number of the description is told as; ``None`` where it is a number to people, too."""
+    if name in LEANING:
+        return GravityDirection.name, "base"
+    owner, _, quantity = name.partition(".")
+    return (JointOffset.name, f"joint{owner[4:]}") if quantity == "theta" else None
 
 
 def number_columns(regressor: Regressor, run: Run, numbers: Sequence[Parameter]) -> FloatArray:
@@ -102,9 +112,19 @@ def _elsewhere(motion: Motion, parameter: Parameter, step: float) -> Motion:
     )
 
 
-def corrected(robot: Robot, numbers: Sequence[Parameter], values: Sequence[float]) -> Robot:
-    """The description with numbers changed; a gain of the record is none of the robot's."""
+def corrected(robot: Robot, numbers: Sequence[Parameter], values: Sequence[float], told: Collection[str] = ()) -> Robot:
+    """The description with numbers changed; a gain of the record is none of the robot's.
+
+    Args:
+        told: numbers that are answers: what is told as an effect becomes its entry.
+    """
     known = dict(zip((p.name for p in numbers), map(float, values), strict=True))
+    for p in numbers:
+        if p.name in told and p.quantity == "theta":
+            angle, known[p.name] = known[p.name] - p.mean, p.mean
+            robot = _added(robot, JointOffset.name, f"joint{p.site[4:]}", "angle", angle)
+    if set(LEANING) <= set(told):
+        robot = _added(robot, GravityDirection.name, "base", "angles", [known.pop(name, 0.0) for name in LEANING])
     axes = independent(p for p in numbers if p.name.startswith("axis"))
     robot = axes.apply(robot, np.array([known[name] for name in axes.names])) if len(axes) else robot
     drives = [
@@ -116,6 +136,14 @@ def corrected(robot: Robot, numbers: Sequence[Parameter], values: Sequence[float
     if not lean.any():
         return robot
     gravity = np.array(robot.gravity)
-    turned = gravity + np.cross(lean, gravity)
+    turned = gravity - np.cross(lean, gravity)
     turned *= np.linalg.norm(gravity) / np.linalg.norm(turned)
     return robot.model_copy(update={"gravity": tuple(map(float, turned))})
+
+
+def _added(robot: Robot, effect: str, site: str, name: str, value: float | list[float]) -> Robot:
+    """A robot with an entry of one number or list, or with that added to the one that it has."""
+    here = [e for e in robot.physics if (e.effect, e.site) == (effect, site)]
+    total = np.add(value, here[0].values[name]).tolist() if here else value
+    rest = [e for e in robot.physics if e not in here]
+    return robot.model_copy(update={"physics": [*rest, Entry(effect=effect, site=site, **{name: total})]})

@@ -45,7 +45,7 @@ from twin.diagnose.torque_fit import (
     worth,
 )
 from twin.diagnose.torque_laws import USUAL_SHARE, Suspect, smooth_columns
-from twin.diagnose.torque_numbers import GAIN, LEANING
+from twin.diagnose.torque_numbers import GAIN, effect_of_number
 from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress, spread
@@ -723,23 +723,23 @@ def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
     turning = {s.hypothesis.site[5:] for s in suspects if s.effect.part == "inertia"}
     drives = system.base.regressor.robot.drives
     turning = {number for number in turning if not drives[int(number) - 1].coupling}
-    groups: dict[str, list[int]] = {}
+    groups: dict[tuple[str, str], list[int]] = {}
     for k, name in enumerate(names):
         owner, _, quantity = name.partition(".")
         link, rotor = owner.startswith("link"), owner.removeprefix("drive")
         drive = owner.startswith("drive") and (rotor not in turning or quantity == "gear_ratio")
-        if drive or owner.startswith("axis") or name == GAIN:
-            groups[name if quantity != "theta" else f"joint{owner[4:]}.offset"] = [k]
+        if (key := effect_of_number(name)) is not None:
+            groups.setdefault(key, []).append(k)
+        elif drive or owner.startswith("axis") or name == GAIN:
+            groups["parameter", name] = [k]
         elif link:
-            groups.setdefault(f"{owner}.{quantity.partition('.')[0]}", []).append(k)
-        elif name in LEANING:
-            groups.setdefault("gravity", []).append(k)
+            groups.setdefault(("parameter", f"{owner}.{quantity.partition('.')[0]}"), []).append(k)
         elif "@" in name and effect_named(name.partition("@")[0]).doubted:
-            groups.setdefault(name.partition("[")[0], []).append(k)
+            groups.setdefault(("parameter", name.partition("[")[0]), []).append(k)
     found = []
-    for name, members in groups.items():
+    for (effect, site), members in groups.items():
         if not any(k in system.widened for k in members):
-            hypothesis = Hypothesis("parameter", name, scale=tuple((names[k], calibration()["far"]) for k in members))
+            hypothesis = Hypothesis(effect, site, scale=tuple((names[k], calibration()["far"]) for k in members))
             found.append(base_fit(with_wider(system, hypothesis), hypothesis))
     return found
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
+from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import ASTRAY, Fitted
@@ -403,9 +404,26 @@ def estimates(fit: Fitted, part: tuple[str, str]) -> dict[str, Any]:
     for piece in fit.hypothesis.pieces:
         if (piece.effect, piece.site) == part:
             indices = [fit.parameters.names.index(name) for name, _ in piece.scale] or range(at, at + len(piece.own))
+            if piece.law and piece.scale:  # a number that is told as an effect: how far off it is
+                return _off(fit, piece, indices)
             return estimates_of(fit, indices) if piece.law else _described(fit, piece.site, indices)
         at += len(piece.own)
     return {}
+
+
+def _off(fit: Fitted, piece: Hypothesis, indices: Iterable[int]) -> dict[str, Any]:
+    """The same of numbers that are told as an effect of one parameter: by how much they are not as described."""
+    assert piece.law is not None
+    (parameter,) = piece.law.parameters
+    some = []
+    for k in indices:
+        ((_, one),) = estimates_of(fit, [k]).items()
+        mean = fit.parameters[k].mean
+        some.append({**one, "value": one["value"] - mean, "interval90": [end - mean for end in one["interval90"]]})
+    if not parameter.length:
+        return {parameter.name: some[0]}
+    many = {key: [one[key] for one in some] for key in ("value", "interval90")}
+    return {parameter.name: {**many, "unit": parameter.unit}}
 
 
 def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]:
@@ -414,10 +432,6 @@ def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]
     for k in indices:
         parameter = fit.parameters[k]
         (one,) = estimates_of(fit, [k]).values()
-        if site.endswith(".offset"):  # of a joint's zero: how far it is from where it is described
-            ends = [end - parameter.mean for end in one["interval90"]]
-            found["offset"] = {**one, "value": one["value"] - parameter.mean, "interval90": ends}
-            continue
         if parameter.name == site:
             found[parameter.quantity] = one
             continue
@@ -466,12 +480,12 @@ def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
     ]
 
 
-def strained(fit: Fitted) -> list[str]:
+def strained(fit: Fitted) -> list[Note]:
     """Described numbers that a fit takes much further than their description allows, a sentence each.
 
     What is in series with such a spring, about its axis, may be all that is wrong with it.
     """
-    found: list[str] = []
+    found: list[Note] = []
     if fit.misfit > ASTRAY:
         times = fit.misfit**0.5
         text = f"the fit still misses the recording by {times:.0f} times its noise: none of its numbers can be believed"

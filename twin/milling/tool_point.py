@@ -172,7 +172,7 @@ def require_above_table(robot: Robot, cut: Cut, position: np.ndarray) -> None:
 def _link_pose(robot: Robot, q: np.ndarray, cut: Cut) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) of the last link and place (3,) m of the tip, base frame, no deflection."""
     turn, place = matrix_of(np.array(robot.base.quaternion)), np.array(robot.base.position)
-    for axis, value in zip(robot.axes, q, strict=True):
+    for axis, value in zip(robot.axes, q + robot.encoder_zeros, strict=True):
         offset, quaternion = axis_placement(axis, float(value))
         place = place + turn @ offset
         turn = turn @ matrix_of(quaternion)
@@ -300,7 +300,7 @@ def _body_turn(robot: Robot, q: np.ndarray, body: str) -> np.ndarray:
     """Rotation (3, 3) of a body (``base``, ``link1`` …) in the base frame."""
     number = int(body.removeprefix("link")) if body.startswith("link") else 0
     turn = matrix_of(np.array(robot.base.quaternion))
-    for axis, value in zip(robot.axes[:number], q[:number], strict=True):
+    for axis, value in zip(robot.axes[:number], (q + robot.encoder_zeros)[:number], strict=True):
         turn = turn @ matrix_of(axis_placement(axis, float(value))[1])
     return turn
 

@@ -114,6 +114,7 @@ def rotor_body_regressor(robot: Robot, motion: Motion) -> np.ndarray:
     A rotor sits on the link before its axis, turns ``gear_ratio`` times as fast and has its mass on the axis. Besides
     N²J of the armature this holds gyroscopic terms, and terms in sin 2Nq of unequal transverse inertias.
     """
+    motion = motion.of_axes(robot.encoder_zeros)
     nt, n = motion.position.shape
     Y = np.zeros((nt, n, 4 * n))
     frames = [_ground(robot, nt), *_frames(robot, motion)]
@@ -131,6 +132,7 @@ def rotor_body_regressor(robot: Robot, motion: Motion) -> np.ndarray:
 
 def flange_path(robot: Robot, position: np.ndarray) -> np.ndarray:
     """Flange point (nt, 3) in the base frame, m, for joint positions (nt, n)."""
+    position = position + robot.encoder_zeros
     R = np.broadcast_to(matrix_of(np.array(robot.base.quaternion)), (len(position), 3, 3))
     x = np.broadcast_to(np.array(robot.base.position), (len(position), 3))
     for i in range(robot.axis_count):
@@ -155,7 +157,7 @@ def _placement(robot: Robot, i: int, q: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _ground(robot: Robot, nt: int) -> _Frame:
     still = np.zeros((nt, 3))
-    up = -matrix_of(np.array(robot.base.quaternion)).T @ np.array(robot.gravity)
+    up = -matrix_of(np.array(robot.base.quaternion)).T @ robot.felt_gravity
     return _Frame(still, still, np.broadcast_to(up, (nt, 3)), [], [])
 
 
@@ -308,6 +310,7 @@ class Regressor:
 
     def bodies(self, motion: Motion) -> np.ndarray:
         """The columns of links and rotors (nt, n, 11 n), smooth functions of the motion."""
+        motion = motion.of_axes(self.robot.encoder_zeros)
         rotors = rotor_regressor(self.robot, motion)
         for j, drive in enumerate(self.robot.drives):
             for axis, torque in self._carried(motion, f"joint{j + 1}", "inertia", drive.gear_ratio**2).items():
@@ -316,6 +319,7 @@ class Regressor:
 
     def carried_torque(self, motion: Motion) -> np.ndarray:
         """Torque (nt, n) of links, rotor masses and loads as described, through the gears: inverse dynamics."""
+        motion = motion.of_axes(self.robot.encoder_zeros)
         vectors = np.array([inertial_vector(*link.inertial) for link in self.robot.links])
         vectors[:, 0] += [drive.rotor_mass for drive in self.robot.drives]
         for entry in self.robot.physics:
@@ -340,6 +344,7 @@ class Regressor:
 
     def laws(self, motion: Motion) -> list[tuple[int, int, np.ndarray]]:
         """Columns of entries and offsets, which step where an axis turns back: (column, axis, torque (nt,)) each."""
+        motion = motion.of_axes(self.robot.encoder_zeros)
         out = []
         k = 11 * self.robot.axis_count
         for entry in self.entries:
@@ -377,11 +382,12 @@ class Regressor:
                 payload[10 * link : 10 * link + 10] += vector
             elif not effect.linear_in:
                 fixed.append((effect, entry))
+        recorded, motion = motion, motion.of_axes(self.robot.encoder_zeros)
         total = np.zeros_like(motion.position)
         if payload.any():
             total += link_regressor(self.robot, motion) @ payload
         if any(effect.role != "drive" for effect, _ in fixed):  # such laws act on load and friction as described
-            Y = self.evaluate(motion)
+            Y = self.evaluate(recorded)
             load = self.select("link")
             sliding = np.zeros(len(self.columns), bool)
             k = 11 * n

@@ -78,6 +78,7 @@ def rigid_torque(robot: Robot, motion: Motion) -> np.ndarray:
             "axes": [axis.model_copy(update={"stiffness": None, "limits": None}) for axis in robot.axes],
             "drives": [drive.model_copy(update=dict(rotor_inertia=0.0, coupling={})) for drive in robot.drives],
             "physics": bodies,
+            "gravity": tuple(map(float, robot.felt_gravity)),
         }
     )
     model = compile_model(assemble(rigid, motion.position[0], drives="free"), visual=False, instruments=False)
@@ -95,12 +96,13 @@ def inverse_dynamics(robot: Robot, motion: Motion) -> np.ndarray:
 
     ``motion.load`` and ``motion.friction`` are filled on the way, for laws that depend on them.
     """
-    motion.load = rigid_torque(robot, motion)
+    motion.load = rigid_torque(robot, motion.of_axes(robot.encoder_zeros))
     motion.friction = np.zeros_like(motion.load)
     total = motion.load + _rotor_torque(robot, motion)
+    there = motion.of_axes(robot.encoder_zeros)  # load and friction are one with the motion's: they fill as laws add
     entries = [(CATALOGUE[entry.effect], entry) for entry in robot.physics]
     for effect, entry in sorted(entries, key=lambda pair: (_ROLES[pair[0].role], pair[0].order)):
-        for axis, torque in effect.torque(motion, entry.site, robot.values(entry)).items():
+        for axis, torque in effect.torque(there, entry.site, robot.values(entry)).items():
             total[:, axis] += torque
             if effect.role == "load":
                 motion.load[:, axis] += torque
@@ -143,18 +145,20 @@ def replay(
     feedforward = inverse_dynamics(robot, motion)
     mechanism = assemble(robot, motion.position[0], brakes="off", drives="servo")
     model, substeps = _stepped_model(robot, mechanism, run.sample_rate_hz)
-    torque, qpos = _track(model, mechanism, motion, feedforward, substeps, progress)
+    zeros = robot.encoder_zeros
+    torque, qpos = _track(model, mechanism, motion.of_axes(zeros), feedforward, substeps, progress)
     if not (np.isfinite(torque).all() and np.isfinite(qpos).all()):
         message = "the simulation diverges: stiffness, inertia or motion is beyond reason"
         raise InputError(robot.name, f"replay of {run.name}", message)
     motor = [model.joint(f"motor{i + 1}").qposadr[0] for i in range(robot.axis_count)]
     elastic = [joint.name for joint in mechanism.joints if joint.elastic]
     deflections = {name: qpos[:, model.joint(name).qposadr[0]] for name in elastic}
-    link_position = qpos[:, motor]
+    recorded_position = qpos[:, motor] - zeros
+    link_position = recorded_position.copy()
     for i in range(robot.axis_count):
         link_position[:, i] += deflections.get(f"joint{i + 1}.z", 0.0)
     recorded = recorded_torque(robot, run.time, torque)
-    return Replay(run.time, qpos[:, motor], link_position, recorded, deflections)
+    return Replay(run.time, recorded_position, link_position, recorded, deflections)
 
 
 def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) -> tuple[mujoco.MjModel, int]:
@@ -169,7 +173,7 @@ def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) ->
         if axis.stiffness is not None and rotor <= 0 and not robot.drives[i].coupling:
             where = f"drives[{i}].rotor_inertia"
             raise InputError(robot.name, where, "an elastic axis needs its rotor's inertia in a replay")
-    free = linearise(assemble(robot, mechanism.q, drives="free"))
+    free = linearise(assemble(robot, mechanism.q - robot.encoder_zeros, drives="free"))
     fastest = np.abs(state_matrix_poles(free)).max(initial=0.0)
     if not fastest < FASTEST:
         message = f"a pole of {fastest:.1e} rad/s: stiffness over inertia is beyond reason"

@@ -169,7 +169,7 @@ def structures(
     mass = np.array([body.mass for body in mechanism.bodies.values()])
     com = np.array([body.com for body in mechanism.bodies.values()])
     spatial = X.swapaxes(-1, -2) @ spatial_inertia(mass, com, inertia) @ X
-    gravity = np.array(mechanism.robot.gravity)
+    gravity = mechanism.robot.felt_gravity
     S = screw[:, None] * layout.path[:, :, None]
     inertial = spatial @ S.swapaxes(-1, -2)
     momentum = inertial[..., 3:, :].sum(axis=1)
@@ -188,9 +188,12 @@ def structures(
         M = M + tendon.armature * np.outer(pull, pull)
         C = C + tendon.damping * np.outer(pull, pull)
         K = K + tendon.stiffness * np.outer(pull, pull)
+    names = tuple(joint.name for joint in layout.joints)
+    for (one, other), stiffness in mechanism.crossed.items():
+        i, j = names.index(one), names.index(other)
+        K[:, [i, j], [j, i]] += stiffness
     loss = _diagonal(joint.loss_factor * joint.stiffness[0] for joint in layout.joints)
     integral = _diagonal(joint.stiffness[0] / joint.integral_time for joint in layout.joints)
-    names = tuple(joint.name for joint in layout.joints)
     return [
         Structure(
             names, layout.bodies, screw[p], layout.inboard, layout.path, rotation[p], origin[p], spatial[p], command[p],
@@ -667,7 +670,7 @@ def _change(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArr
     step = parameters[p].step(values[p])
     sides = [parameters.apply_one(robot, p, values[p] + sign * step) for sign in (-1.0, 1.0)]
     low, high = (assemble(side, setup.q, brakes=setup.brakes or "off") for side in sides)
-    if list(low.bodies) != list(high.bodies) or low.tendons != high.tendons:
+    if list(low.bodies) != list(high.bodies) or low.tendons != high.tendons or low.crossed != high.crossed:
         return None
     inertial, joints = {}, {}
     parents = {body.parent for body in low.bodies.values()}

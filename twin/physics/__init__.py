@@ -18,16 +18,19 @@ from twin.physics.backlash import Backlash
 from twin.physics.base_compliance import BaseCompliance
 from twin.physics.cable_stiffness import CableStiffness
 from twin.physics.coulomb_friction import CoulombFriction
+from twin.physics.cross_stiffness import CrossStiffness
 from twin.physics.discovered import Discovered
 from twin.physics.effect import Effect
 from twin.physics.floor_mode import FloorMode
 from twin.physics.friction_drift import FrictionDrift
 from twin.physics.gravity_compensator import GravityCompensator
+from twin.physics.gravity_direction import GravityDirection
 from twin.physics.hammer_misalignment import HammerMisalignment
 from twin.physics.hardening_stiffness import HardeningStiffness
 from twin.physics.hysteresis import Hysteresis
 from twin.physics.joint_coupling import JointCoupling
 from twin.physics.joint_law import Law
+from twin.physics.joint_offset import JointOffset
 from twin.physics.link_flexibility import LinkFlexibility
 from twin.physics.load_dependent_friction import LoadDependentFriction
 from twin.physics.payload import Payload
@@ -51,6 +54,7 @@ CATALOGUE: dict[str, Effect] = {
     effect.name: effect
     for effect in (
         TransverseCompliance(),
+        CrossStiffness(),
         BaseCompliance(),
         FloorMode(),
         LinkFlexibility(),
@@ -73,6 +77,8 @@ CATALOGUE: dict[str, Effect] = {
         TorqueRipple(),
         JointCoupling(),
         RotorInertia(),
+        JointOffset(),
+        GravityDirection(),
         SensorGain(),
         SensorMisalignment(),
         SensorMass(),

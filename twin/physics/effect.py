@@ -220,6 +220,14 @@ class Effect:
     def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
         """Change how the motion is recorded (gains, delays, directions). The default changes nothing."""
 
+    def encoder_zero(self, site: str, values: Values) -> dict[int, float]:
+        """Zero-based axis → how far it is from where its encoder says, rad (m). Empty by default."""
+        return {}
+
+    def gravity(self, gravity: np.ndarray, site: str, values: Values) -> np.ndarray:
+        """Gravity (3,) in the frame of the base with the entry, m/s²; the same by default."""
+        return gravity
+
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """What the entry would ordinarily be, in the centre of its prior; ``None`` where it is not looked for.
 
@@ -262,8 +270,8 @@ class Effect:
             return "expected at least one site and one parameter"
         if not self.seen_in <= {"hammer", "levels", "log"}:
             return f"seen_in: expected hammer, levels or log, found {', '.join(sorted(self.seen_in))}"
-        recorded = own.record is not base.record
-        if "hammer" in self.seen_in and own.write is base.write and not recorded:
+        written = own.write is not base.write or own.encoder_zero is not base.encoder_zero
+        if "hammer" in self.seen_in and not written and own.record is base.record:
             return "seen_in hammer: expected a method write (into the mechanism) or record (of the measurement)"
         if "hammer" in self.seen_in and own.typical is base.typical and own.variants is base.variants:
             return "seen_in hammer: expected a method typical, from which a search starts"

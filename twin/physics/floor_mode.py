@@ -1,5 +1,6 @@
 """A foundation that is a body of its own: a slab under the robot's foot, on springs along and about the base's axes."""
 
+from itertools import product
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 SEARCHED = ("z", "rx", "ry")
 """Directions that a search frees: a slab on soil bounces and rocks; it neither slides nor turns freely."""
+
+
+TYPICAL_HZ = {"z": 20.0, "rx": 15.0, "ry": 15.0}
+PER_BAND, APART = 7, 0.3  # frequencies from which a search starts, in each direction, and how near in logarithm
 
 
 class FloorMode(Effect):
@@ -57,15 +62,26 @@ class FloorMode(Effect):
         return [Companion("base_compliance", f"base.{d}") for d in SEARCHED]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
-        """Three times the robot's mass, as a block of its cube root; rocks with the robot at 15 Hz, bounces at 20."""
+        """Three times the robot's mass, as a block of its cube root; rocks and bounces with it at ``TYPICAL_HZ``."""
         own, slab = sum(link.inertial[0] for link in robot.links), 3 * sum(link.inertial[0] for link in robot.links)
         reach = sum(float(np.hypot(axis.a, axis.d)) for axis in robot.axes) / 2
         turn = slab * reach**2 / 3
-        rocks = (turn + own * reach**2) * (2 * np.pi * 15.0) ** 2
+        rocks = (turn + own * reach**2) * (2 * np.pi * TYPICAL_HZ["rx"]) ** 2
         return {
-            "mass": slab, "inertia": [turn, turn, 2 * turn], "z": (slab + own) * (2 * np.pi * 20.0) ** 2,
+            "mass": slab, "inertia": [turn, turn, 2 * turn], "z": (slab + own) * (2 * np.pi * TYPICAL_HZ["z"]) ** 2,
             "rx": rocks, "ry": rocks, "damping_ratio": 0.03,
         }  # fmt: skip
+
+    def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
+        """The typical slab; springs with which it rocks and bounces at every choice of ``PER_BAND`` frequencies."""
+        typical = self.typical(robot, site) or {}
+        count = min(PER_BAND, int(np.ceil(np.log(band_hz[1] / band_hz[0]) / APART)) + 1)
+        tuned = [(np.geomspace(*band_hz, count) / TYPICAL_HZ[d]) ** 2 for d in SEARCHED]
+        return [
+            typical,
+            *({**typical, **{d: typical[d] * float(s) for d, s in zip(SEARCHED, scale, strict=True)}}
+              for scale in product(*tuned)),
+        ]  # fmt: skip
 
 
 def _of_a_body(inertia: np.ndarray, values: Values) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The motion of all axes over time, as the torque laws of the effects read it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ class Motion:
 
     Attributes:
         time: (nt,) s, the campaign's clock.
-        position: (nt, n) rad (m).
+        position: (nt, n) rad (m), as encoders say it, or of the axes themselves: :meth:`of_axes`.
         velocity: (nt, n) rad/s (m/s).
         acceleration: (nt, n) rad/s² (m/s²).
         load: (nt, n) N·m (N), torque through the gears: rigid body and compensator.
@@ -33,3 +33,7 @@ class Motion:
             self.load = np.zeros_like(self.position)
         if not self.friction.size:
             self.friction = np.zeros_like(self.position)
+
+    def of_axes(self, zeros: np.ndarray) -> "Motion":
+        """The motion of axes whose encoders' zeros (n,) are off: what bodies and laws of position feel."""
+        return replace(self, position=self.position + zeros) if zeros.any() else self

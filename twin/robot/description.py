@@ -409,6 +409,23 @@ class Robot(Data):
                     )  # fmt: skip
         return q
 
+    @property
+    def encoder_zeros(self) -> np.ndarray:
+        """How far (n,) the axes are from where their encoders say, rad (m)."""
+        zeros = np.zeros(len(self.axes))
+        for entry in self.physics:
+            for axis, value in CATALOGUE[entry.effect].encoder_zero(entry.site, entry.values).items():
+                zeros[axis] += value
+        return zeros
+
+    @property
+    def felt_gravity(self) -> np.ndarray:
+        """Gravity (3,) in the frame of the base as it stands, m/s²."""
+        gravity = np.array(self.gravity, float)
+        for entry in self.physics:
+            gravity = CATALOGUE[entry.effect].gravity(gravity, entry.site, entry.values)
+        return gravity
+
     def values(self, entry: Entry) -> dict[str, Any]:
         """The parameters of an entry: as given, completed from the rest of the description, null where left out."""
         given = {name: value for name, value in (entry.model_extra or {}).items() if value is not None}

@@ -45,7 +45,7 @@ def tool_frames(robot: Robot, q: np.ndarray, tool: ToolPlace) -> tuple[np.ndarra
     Args:
         q: (…, n) joint positions, rad (m).
     """
-    q = np.asarray(q, float)
+    q = np.asarray(q, float) + robot.encoder_zeros
     lead = q.shape[:-1]
     base = matrix_of(np.array(robot.base.quaternion))
     turn = np.broadcast_to(base, (*lead, 3, 3))

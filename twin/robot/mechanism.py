@@ -129,13 +129,14 @@ class Mechanism:
 
     Attributes:
         robot: the description it was made from.
-        q: (n,) commanded joint positions, rad (m).
+        q: (n,) where the axes are commanded to be, rad (m): what their encoders say plus the offset of their zeros.
         drives: ``held`` rotors (brakes on, or a perfect servo), ``free`` rotors, or rotors driven by a ``servo``.
         bodies: name → body, parents before children.
         splits: link number (1-based) → (origin, normal) of the plane that divides it, in the link's frame.
         accelerometers: labels of the response channels.
         sensor_delay: s, per accelerometer label.
         servo_gains: zero-based axis → position gain N·m/rad and velocity gain N·m·s/rad, where the description says so.
+        crossed: two joints of a body → off-diagonal stiffness N·m/rad between them.
     """
 
     robot: Robot
@@ -151,6 +152,7 @@ class Mechanism:
     accelerometers: tuple[str, ...] = ()
     sensor_delay: dict[str, float] = field(default_factory=dict)
     servo_gains: dict[int, tuple[float, float]] = field(default_factory=dict)
+    crossed: dict[tuple[str, str], float] = field(default_factory=dict)
 
     def joint(self, name: str) -> Joint | None:
         """The joint of that name, or ``None`` where the model is rigid (or the rotor held)."""
@@ -324,11 +326,11 @@ def assemble(
 
     Args:
         robot: validated description.
-        q: (n,) joint positions, rad (m).
+        q: (n,) joint positions as encoders say them, rad (m).
         brakes: with ``"off"`` a ``servo_compliance`` frees the rotor it acts on; with ``"on"`` it cannot.
         drives: ``"held"`` for modes and hammer tests, ``"servo"`` for replay, ``"free"`` for unheld rotors.
     """
-    q = robot.check_posture(q)
+    q = robot.check_posture(q) + robot.encoder_zeros
     mechanism = Mechanism(robot, q, brakes, drives, accelerometers=tuple(robot.accelerometers))
     base = robot.base
     mechanism.bodies["base"] = Body(
@@ -393,7 +395,7 @@ def assemble_all(
     first = assemble(robot, postures[0], brakes=brakes)
     found = [first]
     for q in postures[1:]:
-        q, bodies = robot.check_posture(q), dict(first.bodies)
+        q, bodies = robot.check_posture(q) + robot.encoder_zeros, dict(first.bodies)
         for i, axis in enumerate(robot.axes):
             quaternion = axis_placement(axis, q[i])[1]
             if i == 0:

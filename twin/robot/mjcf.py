@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -13,7 +14,7 @@ import numpy as np
 
 from twin.files import writing
 from twin.robot.frames import inertia_six, quaternion_of
-from twin.robot.mechanism import Body, Joint, Mechanism
+from twin.robot.mechanism import Body, Joint, Mechanism, Tendon
 
 TIMESTEP_S = 0.001
 EQUIVALENT_HZ = 15.0
@@ -56,12 +57,13 @@ def build_spec(
     Raises:
         ValueError: MuJoCo refuses the model.
     """
+    mechanism = _with_tendons(mechanism)
     spec = mujoco.MjSpec()
     spec.modelname = mechanism.robot.name
     spec.compiler.degree = False
     spec.compiler.balanceinertia = False
     spec.option.timestep = TIMESTEP_S
-    spec.option.gravity = mechanism.robot.gravity
+    spec.option.gravity = mechanism.robot.felt_gravity
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # the sparse Cholesky of mujoco-core 4.0.0 is wrong
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
@@ -250,6 +252,28 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
             mesh.file = body.mesh
         item.add_geom(spec.find_default(body.kind), meshname=body.name)
     return item
+
+
+def _with_tendons(mechanism: Mechanism) -> Mechanism:
+    """A mechanism whose crossed stiffnesses are tendons, k (a x ± y/a)², with a⁴ the ratio of the two springs.
+
+    The springs give up k a² and k/a², which is less than they have wherever the two together hold.
+    """
+    if not mechanism.crossed:
+        return mechanism
+    bodies, tendons = dict(mechanism.bodies), list(mechanism.tendons)
+    for (one, other), stiffness in mechanism.crossed.items():
+        name, body = next((n, b) for n, b in bodies.items() if any(joint.name == one for joint in b.joints))
+        own = {joint.name: joint for joint in body.joints}
+        ratio = (own[one].stiffness[0] / own[other].stiffness[0]) ** 0.5
+        for joint, share in ((one, ratio), (other, 1 / ratio)):
+            given, (k, *higher), (d, *drag) = abs(stiffness) * share, own[joint].stiffness, own[joint].damping
+            d += own[joint].loss_factor * given / (2 * np.pi * EQUIVALENT_HZ)
+            own[joint] = replace(own[joint], stiffness=[k - given, *higher], damping=[d, *drag])
+        bodies[name] = replace(body, joints=list(own.values()))
+        pull = {one: ratio**0.5, other: float(np.sign(stiffness)) / ratio**0.5}
+        tendons.append(Tendon(f"{one}{other[-1]}", pull, stiffness=abs(stiffness)))
+    return replace(mechanism, bodies=bodies, tendons=tendons)
 
 
 def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
