@@ -94,6 +94,7 @@ def diagnose_log(
         prepared = prepare(log, robot, source, hold_out, bands)
     suspects = log_suspects(robot, prepared.used)
     system = system_of(prepared, suspects, processes=processes)
+    suspects = log_suspects(base_fit(system).robot, prepared.used)  # what drives have, as the log shows it
     search = explain(system, prepared.kept, suspects, progress, processes)
     word, missing, none, other = _answer(search)
     base = search.first.base

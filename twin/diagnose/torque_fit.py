@@ -284,12 +284,19 @@ def _wave_sizes(robot: Robot, scale: FloatArray, ripple: float = 1e-3) -> FloatA
 
 
 def _deviation(robot: Robot, columns: Sequence[Column], k: int) -> float:
+    """Of a rotor or a number of an entry as described; of one that was assumed, as far as what it is from scatters."""
     column = columns[k]
     if column.group == "rotor":
-        return effect_of("inertia").described_deviation(robot.drives[k - 10 * robot.axis_count].rotor_inertia, 0.0)
-    key = column.name.rpartition(".")[0]
-    largest = max(abs(c.value) for c in columns if c.name.startswith(key))
-    return CATALOGUE[column.name.partition("@")[0]].described_deviation(column.value, largest)
+        number = k - 10 * robot.axis_count
+        described = effect_of("inertia").described_deviation(robot.drives[number].rotor_inertia, 0.0)
+        drive = f"drives[{number}]"  # torque holds the inertia times the square of the ratio
+        assumed = np.hypot(robot.scatter(f"{drive}.rotor_inertia"), 2 * robot.scatter(f"{drive}.gear_ratio"))
+    else:
+        key = column.name.rpartition(".")[0]
+        largest = max(abs(c.value) for c in columns if c.name.startswith(key))
+        described = CATALOGUE[column.name.partition("@")[0]].described_deviation(column.value, largest)
+        assumed = robot.scatter(column.name)
+    return max(described, float(np.expm1(assumed)) * abs(column.value))
 
 
 def _link_spread(robot: Robot, items: Sequence[Parameter]) -> FloatArray:
@@ -1316,6 +1323,22 @@ def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
     bounded = zip(own, suspect.nonnegative, strict=True)
     least = [-FARTHEST_SHAPE if p.log else -p.mean / p.deviation if bound else -np.inf for p, bound in bounded]
     return np.clip(u, least, [FARTHEST_SHAPE if p.log else np.inf for p in own])
+
+
+def reach(system: System, trial: Trial, iterations: int = 2, usual: float = 0.3) -> Trial:
+    """A started trial after a few steps of all its own numbers: of a law that is not linear in them, its promise.
+
+    A mass where the search starts says little of what it explains elsewhere on its link. From a size of nothing no
+    other number can be told: a ``usual`` one, in prior deviations, is tried there.
+    """
+    suspect, u = trial.suspect, trial.u
+    if not suspect.sizes or len(suspect.sizes) == len(u):
+        return trial
+    if not trial.column.rows.any():
+        u = u.copy()
+        u[list(suspect.sizes)] += usual
+    reached = refine(system, evaluate(system, suspect, u), iterations)
+    return max(trial, reached, key=lambda t: t.gain)
 
 
 def settle(system: System, trial: Trial) -> Trial:

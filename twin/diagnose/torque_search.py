@@ -32,6 +32,7 @@ from twin.diagnose.torque_fit import (
     linearised,
     own_prior,
     own_values,
+    reach,
     refer,
     refine,
     relinearised,
@@ -561,7 +562,7 @@ def possible(system: System, step: Step) -> bool:
 def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
     """Take names off a joint that they do not explain, and look for a law there."""
     for step in search.found:
-        if joint in step.joints:
+        if step.joints == (joint,):  # what acts on others too is no law of this joint
             step.accepted = False
     system = with_doubts(accepted(search.plain, *search.found))
     search.system, search.after = system, base_fit(system)
@@ -599,6 +600,7 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
             system.screened[trial.suspect.name] = columns
         started.append(trial)
         tick(1)
+    started = list(spread(lambda number: reach(system, started[number]), len(started), processes))
     started.sort(key=lambda trial: -trial.gain)
     trials: dict[str, Trial] = {}
     best_of: dict[str, Fitted] = {}
