@@ -600,7 +600,7 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
         return
     trial, _ = discovered
     fit = fitted(system, trial)
-    if judge is not None and not judge.gain(system, fit, trial)[1]:
+    if judge is not None and not (judge.gain(system, fit, trial)[1] and judge.moves(system, fit, trial, joint)):
         return
     beside = relinearised(extended(system, trial), REFITTED)
     needless = [
@@ -883,6 +883,13 @@ class Judge:
         if trained < numbers["mostly"] * (fit.evidence() - base.evidence()):
             return rise / scale, bool(rise > -numbers["tie"] * scale - 0.01 * power)
         return rise / scale, bool(rise > max(numbers["foretold"] * expected, numbers["least_foretold"] * power))
+
+    def moves(self, system: System, fit: Fitted, trial: Trial, joint: int) -> bool:
+        """Whether a joint's residual on the rows kept aside falls as anybody can see, with a law fitted beside all."""
+        rows = self.system.rows(joint)
+        before = float(np.sum(self.rest(system, base_fit(system))[0][rows] ** 2))
+        after = float(np.sum(self.rest(extended(system, trial), fit)[0][rows] ** 2))
+        return after < (1 - calibration()["moves"]) ** 2 * before
 
     def density(self, system: System, fit: Fitted) -> float:
         """ln predictive density of a fit of all numbers of a system."""
