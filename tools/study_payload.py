@@ -2,7 +2,8 @@
 
 A payload of random mass (0.5 to 5 % of the links) and centre of mass is added: to the torque that was recorded of a
 real arm (TX40, six axes, from its URDF through ``twin describe``; KR300, six axes, 10 Hz), or to the robot of the
-truth code (six and seven axes, numbers within the tolerances of their description). ``twin diagnose`` is asked each time.
+truth code (six and seven axes, numbers within the tolerances of their description). ``twin diagnose`` is asked each
+time.
 
 Printed: how many were found, how many 90 % intervals hold the mass, and CPU seconds; ``TWIN_RECORDINGS`` is the folder
 of real recordings.
