@@ -49,8 +49,8 @@ def drawn(robot: Robot, rng: np.random.Generator) -> Load:
     """A body on the flange, up to a tenth of a reach of one metre further out."""
     mass = sum(link.inertial[0] for link in robot.links) * np.exp(rng.uniform(*np.log(SHARES)))
     reach = sum(np.hypot(axis.a, axis.d) for axis in robot.axes)
-    place = np.array(robot.flange.position) + reach * np.array([*rng.uniform(-0.03, 0.03, 2), rng.uniform(0.0, 0.1)])
-    return Load(float(mass), tuple(float(x) for x in place))
+    x, y, z = np.array(robot.flange.position) + reach * np.array([*rng.uniform(-0.03, 0.03, 2), rng.uniform(0.0, 0.1)])
+    return Load(float(mass), (float(x), float(y), float(z)))
 
 
 def with_load(robot: Robot, run: MotionRun, load: Load, stop_hz: float = 20.0) -> MotionRun:

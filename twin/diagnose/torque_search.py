@@ -265,7 +265,8 @@ def _whole_kinds(system: System, suspects: Sequence[Suspect], judge: "Judge | No
     for part in ("viscous", "dry"):
         kind = [s for s in suspects if s.effect.part == part]
         lacking += kind if len(kind) > 1 else []
-    steps, here = [], system
+    steps: list[Step] = []
+    here = system
     for suspect in lacking:
         trial = settle(here, start(here, suspect))
         step = _decided(here, {suspect.hypothesis.key: trial}, [fitted(here, trial)], suspects)
