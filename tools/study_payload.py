@@ -73,7 +73,7 @@ def tx40(room: Path, _: np.random.Generator) -> tuple[Robot, MotionLog]:
     """Motor to joint as its makers state it: motor 6 also turns with joint 5, and loads it."""
     room.mkdir(exist_ok=True)
     if not (room / "robot.yaml").exists():
-        twin.save_robot(twin.describe(RECORDINGS / "tx40" / "tx40.urdf").robot, room / "robot.yaml")
+        twin.save_robot(room / "robot.yaml", twin.describe(RECORDINGS / "tx40" / "tx40.urdf").robot)
     motor, current = (
         np.loadtxt(RECORDINGS / "tx40" / name, delimiter=",", skiprows=1)
         for name in ("pos_read_data.csv", "curr_data.csv")
