@@ -110,7 +110,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("recordings", nargs="?", type=Path, help="list of measured recordings, for `real`")
     parser.add_argument("--out", type=Path, help="folder of the splits (default out/trials), file of `real`")
     parser.add_argument("--split", default="development", help="development, or any name for a sealed one")
-    parser.add_argument("--world", choices=("described", "wrong", "regression"), default="described", help="for `make`")
+    parser.add_argument(
+        "--world", choices=("described", "wrong", "regression", "arms"), default="described", help="for `make`"
+    )
     parser.add_argument("--cases", type=_positive(int), default=240)
     parser.add_argument(
         "--each", type=_positive(int), help="every effect so often alone, others in proportion, instead of --cases"

@@ -32,6 +32,7 @@ SHARES = {"hammer": 0.59, "log": 0.39, "both": 0.02}
 ATTEMPTS = 20
 NUDGE = 1e-5  # share of the way to a wrong robot, for derivatives
 OWN, POSTURE = "own_simulation", ROOT / "mjcf" / "postures" / "milling.yaml"
+ARMS = ("six", "light", "seven")
 NOT_IN_TIME = ("servo_compliance", "structural_damping")
 TOP: dict[str, dict[str, tuple[str, ...]]] = {
     "hammer": {
@@ -82,7 +83,9 @@ def prepare(split: Path, count: int, seed: int | None, world: str = "wrong") -> 
     path = split / "answers" / "plan.json"
     if not path.exists():
         secret = secrets.randbits(60) if seed is None else seed
-        drawn = regressions() if world == "regression" else plan(count, secret)
+        drawn = (
+            regressions() if world == "regression" else arms(count, secret) if world == "arms" else plan(count, secret)
+        )
         write(path, {"seed": secret, "world": world, "cases": drawn, "salt": secrets.token_hex(16)})
     content = read(path)
     return [
@@ -96,6 +99,16 @@ def regressions() -> list[dict[str, Any]]:
         {"way": way, "recording": recording, "robot": robot, "seed": seed, "on_top": False}
         for way, recording, robot, seed in REGRESSIONS
     ]
+
+
+def arms(count: int, seed: int) -> list[dict[str, Any]]:
+    """`count` cases of whole arms as described, a quarter with nothing concealed; robots come round in turn."""
+    rng, recordings = np.random.default_rng(seed), ("log", "hammer")
+    return [
+        {"way": "nothing", "recording": recordings[k // len(ARMS) % 2], "robot": ARMS[k % len(ARMS)],
+         "seed": int(rng.integers(1, 2**31)), "on_top": bool(k % 4)}
+        for k in range(count)
+    ]  # fmt: skip
 
 
 def plan(count: int, seed: int) -> list[dict[str, Any]]:
@@ -276,7 +289,10 @@ def _concealed(way: str, recording: str, machine: Machine, seed: int) -> list[Ef
         if kind not in spec.clash and not (spec.time and kind in NOT_IN_TIME)
     }
     kind = str(hidden.choice(list(fits)))
-    return [draw(Effect(kind, str(hidden.choice(fits[kind]))), machine.chain, hidden, log=recording == "log")]
+    sites = [*fits[kind]]
+    for i in range(4, machine.chain.n + 1):  # the wrist's, too
+        sites += [s.replace("joint3", f"joint{i}") for s in fits[kind] if s.startswith("joint3")]
+    return [draw(Effect(kind, str(hidden.choice(sites))), machine.chain, hidden, log=recording == "log")]
 
 
 def _sized(world: World, effect: Effect, machine: Machine) -> Effect:

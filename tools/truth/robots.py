@@ -60,9 +60,10 @@ class Machine:
 def machines() -> dict[str, Machine]:
     """The KR90, an arm half its size with its axes the other way round, a column whose second axis is vertical, too.
 
-    Then whole arms: one of six axes with a spherical wrist, one of seven as collaborative robots are.
+    Then whole arms: one of six axes with a spherical wrist, one of seven as collaborative robots are, and a light one
+    of six whose second to fourth axes are parallel.
     """
-    arm, column, six, seven = _arm(), _column(), _six(), _seven()
+    arm, column, six, seven, light = _arm(), _column(), _six(), _seven(), _light()
     return {
         "kr90": Machine("kr90", kr90()),
         "arm": Machine(
@@ -80,6 +81,10 @@ def machines() -> dict[str, Machine]:
         "seven": Machine(
             "seven", seven, *_points(seven, 0.3), 0.3, 0.02, start_hz=5.0, spacing_hz=0.5,
             tolerances=Tolerances(com=0.004, poor_damping=0.0),
+        ),
+        "light": Machine(
+            "light", light, *_points(light, 0.3), 0.3, 0.02, start_hz=5.0, spacing_hz=0.5,
+            tolerances=Tolerances(com=0.005, poor_damping=0.0),
         ),
     }  # fmt: skip
 
@@ -200,6 +205,40 @@ def _seven() -> Chain:
         speed=np.array([1.7, 1.7, 1.7, 2.3, 2.4, 3.1, 3.1]),
         acceleration=np.array([7.0, 7.0, 7.0, 9.0, 10.0, 13.0, 13.0]),
         workspace=np.array([[-0.9, 0.9], [-0.9, 0.9], [0.0, 1.3]]),
+    )  # fmt: skip
+
+
+def _light() -> Chain:
+    """An arm for 5 kg with 0.9 m reach: no spherical wrist, axes 2 to 4 parallel."""
+    n = 6
+    return Chain(
+        dh=np.array([
+            [0.0, 0.0, 0.16], [0.0, -pi / 2, 0.0], [0.42, 0.0, 0.0], [0.39, 0.0, 0.13], [0.0, -pi / 2, 0.10],
+            [0.0, pi / 2, 0.10],
+        ]),
+        links=tuple(
+            Link(mass, np.array(com), symmetric(*inertia))
+            for mass, com, inertia in (
+                (3.8, (0.0, -0.03, -0.01), (0.013, 0.011, 0.012, 0.0, 0.0, 0.001)),
+                (8.4, (0.21, 0.0, 0.12), (0.022, 0.16, 0.155, 0.0, 0.01, 0.0)),
+                (2.4, (0.19, 0.0, 0.02), (0.005, 0.048, 0.047, 0.0, 0.001, 0.0)),
+                (1.3, (0.0, -0.01, 0.0), (0.0022, 0.0020, 0.0021, 0.0, 0.0, 0.0)),
+                (1.3, (0.0, 0.01, 0.0), (0.0022, 0.0020, 0.0021, 0.0, 0.0, 0.0)),
+                (0.4, (0.0, 0.0, 0.03), (0.0003, 0.0003, 0.0002, 0.0, 0.0, 0.0)),
+            )
+        ),
+        flange=np.array([0.0, 0.0, 0.08]),
+        gear_ratio=np.full(n, 101.0),
+        rotor_inertia=np.array([5e-5, 5e-5, 3e-5, 1e-5, 1e-5, 1e-5]),
+        stiffness=np.array([2.6e4, 2.6e4, 1.8e4, 6e3, 6e3, 5e3])[:, None] * [1.0, 3.4, 4.0],
+        damping=np.array([9.0, 9.0, 5.0, 1.2, 1.2, 1.0])[:, None] * [1.0, 2.2, 2.6],
+        viscous=np.array([11.0, 11.0, 8.0, 2.4, 2.2, 2.0]),
+        coulomb=np.array([7.0, 7.5, 5.0, 2.0, 1.8, 1.6]),
+        compensator=np.zeros((n, 3)),
+        range_=np.array([3.0, 2.8, 2.6, 3.0, 3.0, 3.0])[:, None] * [-1.0, 1.0],
+        speed=np.full(n, 2.6),
+        acceleration=np.array([9.0, 9.0, 10.0, 14.0, 14.0, 16.0]),
+        workspace=np.array([[-1.0, 1.0], [-1.0, 1.0], [-0.2, 1.2]]),
     )  # fmt: skip
 
 

@@ -105,6 +105,10 @@ class LogRecord:
         rest = np.mean((self.measured - self.predicted[stage])[self.valid] ** 2, axis=0)
         return float(np.sqrt(np.mean(rest / np.maximum(np.mean(self.measured[self.valid] ** 2, axis=0), 1e-300))))
 
+    def energy(self, stage: Stage) -> float:
+        """Sum over rows and joints of |residual|²/σ²."""
+        return float(np.sum(((self.measured - self.predicted[stage])[self.valid] / self.noise) ** 2))
+
     @property
     def floor(self) -> float:
         """The same for a residual that is all noise."""

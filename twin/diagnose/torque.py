@@ -95,6 +95,7 @@ def diagnose_log(
         prepared = prepare(log, robot, source, hold_out, bands)
     suspects = log_suspects(robot, prepared.used)
     system = system_of(prepared, suspects, processes=processes)
+    suspects = log_suspects(base_fit(system).robot, prepared.used)  # what drives have, as the log shows it
     search = explain(system, prepared.kept, suspects, progress, processes)
     word, missing, none, other = _answer(search)
     base = search.first.base
@@ -443,11 +444,18 @@ def _inflated(system: System) -> Fitted:
 
     That is Birge's ratio where the misfit is like the noise. What a model lacks lasts longer: the density of the
     whitened residual at low frequency (Newey, West, Econometrica 55, 1987) says how much less such rows tell.
+    The gain of each joint's torque is in doubt beside: a mass is known no better than what it is weighed by.
     """
     scale = _inflation(system)
     fit = base_fit(system)
     eye = np.eye(len(fit.z))
-    return replace(fit, information=(fit.information - eye) / scale + eye, misfit=min(fit.misfit, 1.0))
+    information = (fit.information - eye) / scale + eye
+    tolerance = system.base.regressor.robot.tolerances.torque_gain
+    for joint in range(len(system.whitening) * bool(tolerance)):
+        rows = tolerance * system.whitened(joint, [state.torque[:, joint] for state in system.state])
+        across = system.A.across((joint,), rows)[0] / scale
+        information = information - np.outer(across, across) / (1 + float(np.sum(rows**2)) / scale)
+    return replace(fit, information=information, misfit=min(fit.misfit, 1.0))
 
 
 def _inflation(system: System, lasting: int = 2) -> float:

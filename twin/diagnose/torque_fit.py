@@ -50,6 +50,7 @@ from twin.robot.frames import inertia_matrix, inertia_six
 FARTHEST_SHAPE = 3.0  # prior deviations of a shape (a speed, an order, a travel)
 NOISE_ORDER = 30  # of the autoregression, less where runs are short
 RIPPLE_ORDERS = 14  # up to which any gear and motor adds waves of the joint's angle
+MUCH_TAKEN = 0.2  # share of the rows of a log that the richest model fits by itself
 CONVERGED = 0.02  # of ½ χ²: less is no gain
 DIFFERENCES = (1e-3, 0.02)  # of a prior deviation, for differences: as far as the rows tell a number, within
 RINGING = 16  # rows that the low-pass rings before and after a step
@@ -284,12 +285,19 @@ def _wave_sizes(robot: Robot, scale: FloatArray, ripple: float = 1e-3) -> FloatA
 
 
 def _deviation(robot: Robot, columns: Sequence[Column], k: int) -> float:
+    """Of a rotor or a number of an entry as described; of one that was assumed, as far as what it is from scatters."""
     column = columns[k]
     if column.group == "rotor":
-        return effect_of("inertia").described_deviation(robot.drives[k - 10 * robot.axis_count].rotor_inertia, 0.0)
-    key = column.name.rpartition(".")[0]
-    largest = max(abs(c.value) for c in columns if c.name.startswith(key))
-    return CATALOGUE[column.name.partition("@")[0]].described_deviation(column.value, largest)
+        number = k - 10 * robot.axis_count
+        described = effect_of("inertia").described_deviation(robot.drives[number].rotor_inertia, 0.0)
+        drive = f"drives[{number}]"  # torque holds the inertia times the square of the ratio
+        assumed = np.hypot(robot.scatter(f"{drive}.rotor_inertia"), 2 * robot.scatter(f"{drive}.gear_ratio"))
+    else:
+        key = column.name.rpartition(".")[0]
+        largest = max(abs(c.value) for c in columns if c.name.startswith(key))
+        described = CATALOGUE[column.name.partition("@")[0]].described_deviation(column.value, largest)
+        assumed = robot.scatter(column.name)
+    return max(described, float(np.expm1(assumed)) * abs(column.value))
 
 
 def _link_spread(robot: Robot, items: Sequence[Parameter]) -> FloatArray:
@@ -1093,7 +1101,7 @@ def _noise(
     recorded = np.concatenate([r.torque for r in base.runs])[:, j]
     usual = USUAL_SHARE * np.sqrt(np.mean(data[valid] ** 2) + np.mean(recorded**2))
     B = np.column_stack([free, *extra, *stops]) * valid[:, None]
-    scale = np.sqrt(np.mean(B**2, axis=0))
+    scale, extras = np.sqrt(np.mean(B**2, axis=0)), B.shape[1]
     B = np.column_stack([_rows(base, j) * valid[:, None], usual * (B / np.where(scale > 0, scale, 1))])
     size, turn = np.linalg.eigh(B.T @ B)
     keep = size > 1e-9 * size[-1]
@@ -1109,8 +1117,65 @@ def _noise(
     correlation = _correlation(np.split(e, ends), np.split(Q, ends), np.split(valid, ends), order)
     whitening = prediction_filter(correlation)
     white = np.concatenate([lfilter(whitening, [1.0], part)[order:] for part in np.split(e, ends)])
-    left = max(valid.sum() - float(np.sum(Q**2)), 0.1 * valid.sum())
-    return whitening, float(white @ white) / left, float(np.sqrt(correlation[0]))
+    taken = float(np.sum(Q**2)) / valid.sum()
+    found = whitening, float(white @ white) / max(1 - taken, 0.1) / valid.sum(), float(np.sqrt(correlation[0]))
+    if taken < MUCH_TAKEN:
+        return found
+    other = _likeliest_noise(base, B[:, :-extras], B[:, -extras:], y, valid, order)  # either comes out too low
+    return max(found, other, key=lambda noise: noise[2])
+
+
+def _likeliest_noise(
+    base: Base, B: FloatArray, C: FloatArray, y: FloatArray, valid: np.ndarray, order: int, most: int = 400
+) -> tuple[FloatArray, float, float]:
+    """As :func:`_noise`, of a short log: the noise that makes the data likeliest, all columns under their prior.
+
+    Columns of a rich model span whatever is slow in a short log: what they took of the noise cannot be put back by its
+    share. So noise is white and one that fades (an autoregression of first order), as the low-pass leaves them. Their
+    sizes, and that of what may be missing, are those of the largest marginal likelihood (Patterson, Thompson,
+    Biometrika 58, 1971): all of it of usual size, or one thing of it.
+
+    Args:
+        base: of the runs.
+        B, C: (m, k) columns of the base and of what may be missing, per prior deviation, zero where a row does not
+            count, as the data y (m,) are.
+        valid: (m,) rows that count; ``most`` of them are enough.
+        order: of the filter.
+    """
+    rows = np.flatnonzero(valid)[:most]
+    run = np.repeat(np.arange(len(base.runs)), [len(r.time) for r in base.runs])[rows]
+    apart, together = np.abs(rows[:, None] - rows), run[:, None] == run
+    y, own, more = y[rows], B[rows] @ B[rows].T, C[rows] @ C[rows].T
+    best, found, power = -np.inf, np.zeros(1), np.geomspace(1e-8, 1.0, 90) * float(np.mean(y**2))
+    models = [own + share * more for share in np.geomspace(1 / C.shape[1], 1.0, 4)]
+    for correlation in _noises(base.runs[0], int(apart.max()) + 1):
+        L = np.linalg.cholesky(together * correlation[apart] + 1e-4 * np.eye(len(rows)))
+        inverse = scipy.linalg.solve_triangular(L, np.eye(len(rows)), lower=True)
+        white, rest = inverse @ y, np.sum(np.log(np.diag(L)))
+        for model in models:
+            held, U = np.linalg.eigh(inverse @ model @ inverse.T)
+            variance = np.maximum(held, 0.0) + power[:, None]
+            likely = -0.5 * np.sum(np.log(variance) + (U.T @ white) ** 2 / variance, axis=1) - rest
+            k = int(np.argmax(likely))
+            if likely[k] > best:
+                best, found = float(likely[k]), power[k] * correlation
+    whitening = prediction_filter(found[: order + 1])
+    level = float(whitening @ scipy.linalg.toeplitz(found[: order + 1]) @ whitening)
+    return whitening, level, float(np.sqrt(found[0]))
+
+
+def _noises(run: Run, lags: int) -> Iterator[FloatArray]:
+    """Autocorrelations (lags,) at the rows of noise that is white and of such that fades, through the low-pass."""
+    size = scipy.fft.next_fast_len(2 * lags, real=True)
+    f = np.fft.rfftfreq(size, 1 / run.rate_hz)
+    low, high = run.bands.fit
+    gain = 0.5 * (1 + np.cos(np.pi * np.clip((f - low) / (high - low), 0, 1)))
+    for fades_s in (0.05, 0.2, 0.8):
+        fading = 1 / (1 + (2 * np.pi * f * fades_s) ** 2)
+        fading *= np.sum(gain**2) / np.sum(gain**2 * fading)
+        for share in (0.0, 0.3, 0.7, 0.95) if fades_s == 0.05 else (0.3, 0.7, 0.95):
+            correlation = scipy.fft.irfft(gain**2 * (1 - share + share * fading), size)[:lags]
+            yield correlation / correlation[0]
 
 
 def _ridge(size: FloatArray, most: float) -> float:
@@ -1317,6 +1382,22 @@ def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
     bounded = zip(own, suspect.nonnegative, strict=True)
     least = [-FARTHEST_SHAPE if p.log else -p.mean / p.deviation if bound else -np.inf for p, bound in bounded]
     return np.clip(u, least, [FARTHEST_SHAPE if p.log else np.inf for p in own])
+
+
+def reach(system: System, trial: Trial, iterations: int = 2, usual: float = 0.3) -> Trial:
+    """A started trial after a few steps of all its own numbers: of a law that is not linear in them, its promise.
+
+    A mass where the search starts says little of what it explains elsewhere on its link. From a size of nothing no
+    other number can be told: a ``usual`` one, in prior deviations, is tried there.
+    """
+    suspect, u = trial.suspect, trial.u
+    if not suspect.sizes or len(suspect.sizes) == len(u):
+        return trial
+    if not trial.column.rows.any():
+        u = u.copy()
+        u[list(suspect.sizes)] += usual
+    reached = refine(system, evaluate(system, suspect, u), iterations)
+    return max(trial, reached, key=lambda t: t.gain)
 
 
 def settle(system: System, trial: Trial) -> Trial:

@@ -32,6 +32,7 @@ from twin.diagnose.torque_fit import (
     linearised,
     own_prior,
     own_values,
+    reach,
     refer,
     refine,
     relinearised,
@@ -51,6 +52,7 @@ from twin.measure.campaign import FloatArray
 from twin.parallel import Progress, spread
 from twin.physics import effect_named, effect_of
 from twin.physics.effect import Effect, axis_of
+from twin.physics.payload import Payload
 from twin.ranges import implausible
 from twin.robot.description import Entry
 
@@ -222,7 +224,7 @@ def explain(
     progress = progress or (lambda description, total: lambda count: None)
     judge = Judge(system, kept) if kept else None
     free = free_gains(system, processes)
-    steps: list[Step] = []
+    steps, system = _whole_kinds(system, suspects, judge)
     for number in range(rounds):
         known = {s.name for s in system.found}
         open_ = [s for s in suspects if s.name not in known]
@@ -237,11 +239,10 @@ def explain(
                 steps.append(beside)
                 system = accepted(system, beside)
         system = with_doubts(_all_grown(steps, _pruned(steps, system), judge))
-    first = steps[0]
     system = _pruned(steps, _revised(steps, system, suspects, judge))
     system = with_doubts(_all_grown(steps, system, judge))
     left = free_gains(system, processes)
-    search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
+    search = Search(plain, steps[0], steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     search.foretold = judge.misfit(system, search.after) if judge else 0.0
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
@@ -252,6 +253,36 @@ def explain(
         search.system = _pruned(steps, wide)
         search.after, search.narrow = base_fit(search.system), strained.scale[0][1]
     return search
+
+
+def _whole_kinds(system: System, suspects: Sequence[Suspect], judge: "Judge | None") -> tuple[list[Step], System]:
+    """Friction of all joints at once where the description has none of a kind at several, and the model with it.
+
+    While most of it is missing no joint's friction alone foretells a run: what the other joints lack goes into links
+    and rotors. What turns out needless is taken out again.
+    """
+    lacking: list[Suspect] = []
+    for part in ("viscous", "dry"):
+        kind = [s for s in suspects if s.effect.part == part]
+        lacking += kind if len(kind) > 1 else []
+    steps: list[Step] = []
+    here = system
+    for suspect in lacking:
+        trial = settle(here, start(here, suspect))
+        step = _decided(here, {suspect.hypothesis.key: trial}, [fitted(here, trial)], suspects)
+        if not trial.u.any():
+            continue
+        step.trials[step.key], step.accepted = unshrunk(trial), True
+        steps.append(step)
+        here = _with(here, step)
+    if not steps:
+        return [], system
+    here = relinearised(here)
+    before, after = base_fit(system), base_fit(here)
+    foretold = judge is None or judge.density(here, after) > judge.density(system, before)
+    if not foretold or after.evidence() - before.evidence() < calibration()["further"] * len(steps):
+        return [], system
+    return steps, with_doubts(_pruned(steps, here))
 
 
 def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
@@ -561,7 +592,7 @@ def possible(system: System, step: Step) -> bool:
 def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
     """Take names off a joint that they do not explain, and look for a law there."""
     for step in search.found:
-        if joint in step.joints:
+        if step.joints == (joint,):  # what acts on others too is no law of this joint
             step.accepted = False
     system = with_doubts(accepted(search.plain, *search.found))
     search.system, search.after = system, base_fit(system)
@@ -570,7 +601,7 @@ def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
         return
     trial, _ = discovered
     fit = fitted(system, trial)
-    if judge is not None and not judge.gain(system, fit, trial)[1]:
+    if judge is not None and not (judge.gain(system, fit, trial)[1] and judge.moves(system, fit, trial, joint)):
         return
     beside = relinearised(extended(system, trial), REFITTED)
     needless = [
@@ -599,6 +630,7 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
             system.screened[trial.suspect.name] = columns
         started.append(trial)
         tick(1)
+    started = list(spread(lambda number: reach(system, started[number]), len(started), processes))
     started.sort(key=lambda trial: -trial.gain)
     trials: dict[str, Trial] = {}
     best_of: dict[str, Fitted] = {}
@@ -614,6 +646,7 @@ def _look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], Non
 def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], suspects: Sequence[Suspect]) -> Step:
     """Probabilities of fits to one system, simpler ones preferred within reach."""
     base = base_fit(system)
+    fits = _outermost(system, fits)
     gains = np.array([fit.evidence() for fit in fits]) - base.evidence()
     later = {k: first for k, first in [*_ladder(system, fits, gains), *_composed(fits, gains, trials)]}
     best = max((gain for k, gain in enumerate(gains) if k not in later), default=0.0)
@@ -627,6 +660,22 @@ def _decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], s
         handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + further)
     hypotheses, other = [[s.hypothesis] for s in suspects], calibration()["least_other"]
     return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=other, scale=1.0), trials)
+
+
+def _outermost(system: System, fits: Sequence[Fitted]) -> list[Fitted]:
+    """The fits without masses that the rows cannot tell from the same mass further out: one site has one name."""
+    robot = system.base.regressor.robot
+
+    def outward(fit: Fitted) -> tuple[int, bool]:
+        site = fit.hypothesis.site
+        return Payload().carrier(robot, site), not site.startswith("link")
+
+    masses = [fit for fit in fits if effect_named(fit.hypothesis.effect).part == "mass"]
+    gone = {
+        id(inner) for inner in masses for outer in masses
+        if outward(outer) > outward(inner) and outer.evidence() > inner.evidence() - calibration()["tie"]
+    }  # fmt: skip
+    return [fit for fit in fits if id(fit) not in gone]
 
 
 def _numbers(hypothesis: Hypothesis) -> int:
@@ -835,6 +884,13 @@ class Judge:
         if trained < numbers["mostly"] * (fit.evidence() - base.evidence()):
             return rise / scale, bool(rise > -numbers["tie"] * scale - 0.01 * power)
         return rise / scale, bool(rise > max(numbers["foretold"] * expected, numbers["least_foretold"] * power))
+
+    def moves(self, system: System, fit: Fitted, trial: Trial, joint: int) -> bool:
+        """Whether a joint's residual on the rows kept aside falls as anybody can see, with a law fitted beside all."""
+        rows = self.system.rows(joint)
+        before = float(np.sum(self.rest(system, base_fit(system))[0][rows] ** 2))
+        after = float(np.sum(self.rest(extended(system, trial), fit)[0][rows] ** 2))
+        return after < (1 - calibration()["moves"]) ** 2 * before
 
     def density(self, system: System, fit: Fitted) -> float:
         """ln predictive density of a fit of all numbers of a system."""

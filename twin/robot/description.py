@@ -432,6 +432,10 @@ class Robot(Data):
         completed = CATALOGUE[entry.effect].complete(self, entry.site, given)
         return Entry(effect=entry.effect, site=entry.site, **completed).values
 
+    def scatter(self, field: str) -> float:
+        """Standard deviation of the logarithm of a number that was assumed, from its tolerance; zero of any other."""
+        return max((float(np.log(item.tolerance or 1.0)) for item in self.assumed if item.field == field), default=0.0)
+
     def without(self, removals: Iterable[str]) -> "Robot":
         """A copy without the entries named ``EFFECT`` or ``EFFECT@SITE``.
 
