@@ -21,7 +21,7 @@ from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import prepare
 from twin.measure.campaign import Campaign, Channels, PostureFRF, write_campaign
 from twin.model.parameters import free_parameters, independent
-from twin.robot.description import Entry, load_robot
+from twin.robot.description import Entry, Robot, load_robot
 
 RATE_HZ, HOURS = 1000.0, 2.0
 POSTURES, LINES, SENSORS, BLOWS = 200, 800, 3, 23
@@ -62,30 +62,39 @@ def write_log(path: Path, hours: float) -> None:
         sets["position"].attrs["unit"], sets["torque"].attrs["unit"] = "rad", "N·m"
 
 
-def write_hammer(path: Path, postures: int) -> None:
-    """FRFs of the KR90 on a base that tilts, its springs a little off, and 0.3 % of noise: posture by posture."""
-    rng = np.random.default_rng(1)
+def tilting() -> Robot:
+    """The KR90 on a base that tilts, its springs a little off."""
     described = load_robot("kr90_six")
     free = free_parameters(described, tolerances=False)
-    robot = free.apply(described, free.values(rng.normal(0, SPRINGS, len(free))))
-    robot = robot.model_copy(update={"physics": [*robot.physics, Entry.model_validate(TILT)]})
-    labels = tuple(f"{n}Z+" for n in range(1, BLOWS + 1))
-    place, up = rng.uniform(-0.2, 0.2, (BLOWS, 3)), np.tile([0.0, 0.0, 1.0], (BLOWS, 1))
-    bodies = tuple(f"link{1 + n % 3}" for n in range(BLOWS))
+    robot = free.apply(described, free.values(np.random.default_rng(1).normal(0, SPRINGS, len(free))))
+    return robot.model_copy(update={"physics": [*robot.physics, Entry.model_validate(TILT)]})
+
+
+def hammer_test(postures: int, lines: int = LINES, blows: int = BLOWS) -> Campaign:
+    """FRFs of that robot with 0.3 % of noise."""
+    rng, robot = np.random.default_rng(2), tilting()
+    labels = tuple(f"{n}Z+" for n in range(1, blows + 1))
+    place, up = rng.uniform(-0.2, 0.2, (blows, 3)), np.tile([0.0, 0.0, 1.0], (blows, 1))
+    bodies = tuple(f"link{1 + n % 3}" for n in range(blows))
     sensors = Channels(("1X+", "1Y+", "1Z+"), ("link1",) * 3, np.repeat(place[:1], 3, 0), np.eye(3))
-    blows, frequency = Channels(labels, bodies, place, up), 0.25 * np.arange(8, 8 + LINES)
-    empty, found = np.zeros((LINES, SENSORS, BLOWS), complex), {}
+    struck, frequency = Channels(labels, bodies, place, up), 200 / lines * np.arange(8, 8 + lines)
+    empty, found = np.zeros((lines, SENSORS, blows), complex), {}
     for k in range(postures):
         q = np.array([rng.uniform(-90, 90), rng.uniform(60, 120), rng.uniform(-120, -80), 0, rng.uniform(20, 60), 0])
         name = f"p{k:03d}"
         posture = PostureFRF(name, q, "off", frequency, empty, "accelerance", None, 5, 300.0, 0.0)
-        one = tuple(prepare(Campaign(sensors, blows, {name: posture}), robot).values())
+        one = tuple(prepare(Campaign(sensors, struck, {name: posture}), robot).values())
         (exact,) = Objective(robot, independent([]), Sample(one)).predicted(np.zeros(0))
         noise = NOISE * np.sqrt(np.mean(np.abs(exact) ** 2, axis=0))
         frf = exact + noise * (rng.normal(size=exact.shape) + 1j * rng.normal(size=exact.shape)) / np.sqrt(2)
         coherence = 1 / (1 + 5 * noise**2 / np.abs(exact) ** 2)
         found[name] = replace(posture, frf=frf, coherence=coherence)
-    write_campaign(path, Campaign(sensors, blows, found, robot="kr90_six"))
+    return Campaign(sensors, struck, found, robot="kr90_six")
+
+
+def write_hammer(path: Path, postures: int) -> None:
+    """A hammer test of the full size."""
+    write_campaign(path, hammer_test(postures))
 
 
 def held(session: int) -> int:

@@ -72,13 +72,12 @@ def judged(finding: Finding, rest: Campaign, source: str, searched: int) -> Note
         row[:] = [judge(robot, [few]).error for robot in models]
     worst = int(np.argmax(errors[:, -1]))
     as_given, before, after = np.median(errors, axis=0)
-    return Note(
-        f"{text}; in the {len(errors)} others, that nothing was fitted to, the median error is {as_given:.2%} as given, "
+    text += (
+        f"; in the {len(errors)} others, that nothing was fitted to, the median error is {as_given:.2%} as given, "
         f"{before:.2%} before and {after:.2%} after (about {JUDGED_LINES} lines of each FRF); the largest after is "
-        f"{errors[worst, -1]:.2%}, in {list(rest.postures)[worst]}",
-        "postures_chosen",
-        "note",
+        f"{errors[worst, -1]:.2%}, in {list(rest.postures)[worst]}"
     )
+    return Note(text, "postures_chosen", "note")
 
 
 def _of(campaign: Campaign, few: set[str], names: dict[str, str]) -> Campaign:
