@@ -34,6 +34,8 @@ LABEL = re.compile(r"(\d+)([XYZ])([+-])")
 
 VARIANCE_FLOOR_QUANTILE = 0.3
 SENSOR_FLOOR = 1e-4  # of the median RMS accelerance of all channels: amplitude a sensor cannot resolve
+ACCELERANCE = (1e-10, 1e6)  # m/s² per newton at the highest peak: a thousandth of a building, and a gram that rings
+MOST_AVERAGES = 100_000  # blows, or records of a shaker
 DEAD_CHANNEL = 1e-6  # of the same: a channel below it carries no signal
 
 
@@ -295,8 +297,24 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         low, high = posture.coherence.min(), posture.coherence.max()
         if high > 1 + 1e-6 or low < -1e-6:
             raise InputError(source, f"{field}/coherence", f"expected values from 0 to 1, found {low:g} to {high:g}")
-    if posture.averages is not None and posture.averages < 1:
-        raise InputError(source, f"{field}/coherence: averages", f"expected 1 or more, found {posture.averages}")
+        if high <= 0:
+            raise InputError(
+                source, f"{field}/coherence", "expected values above 0: of noise alone nothing can be said"
+            )
+    loudest = float(np.nanmax(np.abs(_accelerance(posture))))
+    if loudest == 0:
+        raise InputError(source, f"{field}/frf", "expected a response, every channel is zero")
+    least, most = ACCELERANCE
+    if not least <= loudest <= most:
+        raise InputError(
+            source, f"{field}/frf", f"expected a peak from {least:g} to {most:g} m/s² per newton, found {loudest:.3g}"
+        )
+    if posture.averages is not None and not 1 <= posture.averages <= MOST_AVERAGES:
+        raise InputError(
+            source,
+            f"{field}/coherence: averages",
+            f"expected 1 or more, up to {MOST_AVERAGES}, found {posture.averages}",
+        )
     if posture.peak_force_n is not None and not posture.peak_force_n > 0:
         raise InputError(source, f"{field}: peak_force_n", f"expected newtons above 0, found {posture.peak_force_n:g}")
     for name, length in (("pulse_s", posture.pulse_s), ("record_s", posture.record_s)):
