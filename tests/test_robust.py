@@ -17,12 +17,15 @@ import pytest
 
 from tools.fuzz import seeds
 from tools.fuzz.__main__ import main as fuzz
+from tools.large import hammer_test
 from twin import effort
 from twin.commands.example import EXAMPLES
 from twin.commands.outputs import Outputs, exchange
 from twin.errors import InputError, NumericalError, numbers_of
+from twin.measure.campaign import write_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.physics import CATALOGUE
+from twin.ranges import ill_named
 from twin.robot.datasheet import read_sheet
 from twin.robot.description import Robot
 from twin.robot.urdf import read_urdf
@@ -32,6 +35,13 @@ from twin.yamlfile import read_yaml
 SLICE = 40  # cases; `python -m tools.fuzz` runs thousands
 
 Twin = Callable[..., SimpleNamespace]
+
+
+@pytest.fixture(scope="module")
+def frf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("frf") / "frf.h5"
+    write_campaign(path, hammer_test(1, lines=40, blows=1))
+    return path
 
 
 def test_a_slice_of_mutated_inputs_breaks_nothing(tmp_path: Path) -> None:
@@ -144,6 +154,31 @@ def test_arguments_that_make_no_sense_get_one_line(twin: Twin) -> None:
     assert found.code == 2
     assert found.err.startswith("twin: --seed: ")
     assert len(found.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (("modal", "frf.h5", "--fmin", "nan"), "--fmin: nan: expected Hz from 0 to 1e+08"),
+        (("modal", "frf.h5", "--fmax", "-1"), "--fmax: -1: expected Hz"),
+        (("modal", "frf.h5", "--max-order", "1"), "--max-order: 1: expected 2 to 500"),
+        (("view", "gone.yaml", "--out", "gone.rrd"), "gone.yaml: no such file"),
+        (("excite", "--robot", "."), ".: is a folder; expected a robot.yaml"),
+    ],
+)
+def test_a_wrong_option_is_named_with_what_was_given(
+    twin: Twin, frf: Path, line: tuple[str, ...], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(frf.parent)
+    found = twin(*line)
+    assert found.code == 2
+    assert found.err.startswith(f"twin: {said}")
+    assert len(found.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["\u202egnillim", "a\u200bb", "milling\n", "\x85"])
+def test_names_that_do_not_show_as_they_are_are_refused(name: str) -> None:
+    assert "expected names of 1 to 100 characters" in str(ill_named(name))
 
 
 def test_numbers_that_break_a_calculation_name_their_source() -> None:

@@ -47,6 +47,7 @@ COUNTS = {  # smallest and largest of what is asked for
     "periods": (1, 10_000),
     "base_hz": (1e-4, 100.0),
     "sample_rate_hz": (1.0, 1e5),
+    "max_order": (2, 500),
     "starts": (1, 1000),
     "draws": (0, 100_000),
     "in_time": (0, 1000),
@@ -54,7 +55,8 @@ COUNTS = {  # smallest and largest of what is asked for
     "random": (1, 10_000_000),
 }
 
-NAME = r"^[^/\\$\x00-\x1f\x7f]*[^/\\$\x00-\x1f\x7f.\s][^/\\$\x00-\x1f\x7f]*$"
+UNSEEN = r"\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"  # control, direction of writing, no width
+NAME = rf"^[^/\\${UNSEEN}]*[^/\\${UNSEEN}.\s][^/\\${UNSEEN}]*\Z"
 """Of a posture or run: it becomes a file's name and a figure's title, where \\ and $ would be TeX."""
 LONGEST_NAME = 100
 
@@ -72,7 +74,7 @@ def ill_named(name: str) -> str | None:
     """What was expected, where a posture or run cannot be called so."""
     if len(name) <= LONGEST_NAME and re.match(NAME, name):
         return None
-    return f"expected names of 1 to {LONGEST_NAME} characters without / \\ $, found {reprlib.repr(name)}"
+    return f"expected names of 1 to {LONGEST_NAME} characters without / \\ $ or hidden ones, found {reprlib.repr(name)}"
 
 
 def check_array(source: object, field: str, values: np.ndarray, unit: str = "") -> None:
