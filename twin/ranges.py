@@ -56,7 +56,7 @@ COUNTS = {  # smallest and largest of what is asked for
 }
 
 UNSEEN = r"\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"  # control, direction of writing, no width
-NAME = rf"^[^/\\${UNSEEN}]*[^/\\${UNSEEN}.\s][^/\\${UNSEEN}]*\Z"
+NAME = rf"^[^/\\${UNSEEN}]*[^/\\${UNSEEN}.\s][^/\\${UNSEEN}]*$"
 """Of a posture or run: it becomes a file's name and a figure's title, where \\ and $ would be TeX."""
 LONGEST_NAME = 100
 
@@ -72,7 +72,7 @@ def implausible(value: float, unit: str = "", scale: bool = False) -> str | None
 
 def ill_named(name: str) -> str | None:
     """What was expected, where a posture or run cannot be called so."""
-    if len(name) <= LONGEST_NAME and re.match(NAME, name):
+    if len(name) <= LONGEST_NAME and re.fullmatch(NAME, name):
         return None
     return f"expected names of 1 to {LONGEST_NAME} characters without / \\ $ or hidden ones, found {reprlib.repr(name)}"
 
@@ -103,4 +103,5 @@ def check_count(name: str, value: float) -> None:
     """Raise :class:`InputError` for an option out of its range in ``COUNTS``."""
     low, high = COUNTS[name]
     if not low <= value <= high:
-        raise InputError(f"--{name.replace('_', '-')}", f"{value:g}", f"expected {low:g} to {high:g}")
+        found = f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
+        raise InputError(f"--{name.replace('_', '-')}", found, f"expected {low:g} to {high:g}")

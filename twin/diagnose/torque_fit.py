@@ -934,12 +934,12 @@ def that_can_exist(system: System, z: FloatArray) -> FloatArray:
         d = described
     for share in (0.0, *INWARDS, 1.0):  # the solver's last digits may leave a link just outside
         inside = (1 - share) * d + share * described
-        links = (values + step @ inside)[: links.size].reshape(links.shape)
+        out = z.copy()
+        out[:size] += covariance @ (H @ inside)
+        out[:shared] = z[:shared] + inside  # what the inverse of an inverse is nearly
+        links = base.values(system.plain(out))[: links.size].reshape(links.shape)
         if all(_possible(link) for link in links):
             break
-    d = inside
-    out = z.copy()
-    out[:size] += covariance @ (H @ d)
     return out
 
 
