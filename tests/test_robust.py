@@ -9,11 +9,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from tools.fuzz import seeds
 from tools.fuzz.__main__ import main as fuzz
@@ -21,15 +22,21 @@ from tools.large import hammer_test
 from twin import effort
 from twin.commands.example import EXAMPLES
 from twin.commands.outputs import Outputs, exchange
+from twin.diagnose.joint import Knowledge
+from twin.diagnose.refit import Fitted
 from twin.errors import InputError, NumericalError, numbers_of
 from twin.measure.campaign import write_campaign
 from twin.measure.modal_table import read_modal_table
+from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
+from twin.milling.cut import read_cut
+from twin.milling.stability import collocate
+from twin.model.parameters import free_parameters
 from twin.physics import CATALOGUE
 from twin.ranges import ill_named
 from twin.robot.datasheet import read_sheet
 from twin.robot.description import Robot
 from twin.robot.urdf import read_urdf
-from twin.stopping import hold, stoppable
+from twin.stopping import TIMED_OUT, Stopped, hold, stoppable
 from twin.yamlfile import read_yaml
 
 SLICE = 40  # cases; `python -m tools.fuzz` runs thousands
@@ -179,6 +186,59 @@ def test_a_wrong_option_is_named_with_what_was_given(
 @pytest.mark.parametrize("name", ["\u202egnillim", "a\u200bb", "milling\n", "\x85"])
 def test_names_that_do_not_show_as_they_are_are_refused(name: str) -> None:
     assert "expected names of 1 to 100 characters" in str(ill_named(name))
+
+
+def test_pipes_are_refused_before_they_are_waited_for(tmp_path: Path, twin: Twin) -> None:
+    os.mkfifo(tmp_path / "log.h5")
+    found = twin("compare", tmp_path / "log.h5")
+    assert (found.code, found.err) == (2, f"twin: {tmp_path / 'log.h5'}: is a pipe or a device; expected a file\n")
+
+
+def test_counts_of_hundreds_of_digits_are_refused(twin: Twin) -> None:
+    found = twin("excite", "--count", "9" * 400)
+    assert found.code == 2
+    assert found.err.startswith("twin: --count: 9999")
+    assert len(found.err) < 200
+
+
+@pytest.mark.parametrize("kind", ["cut off", "next to nothing"])
+def test_torque_that_tells_nothing_is_said_so(tmp_path: Path, twin: Twin, kind: str) -> None:
+    time = np.arange(0, 12, 0.01)
+    q = 0.3 * np.sin(2 * np.pi * np.outer(time, [0.2, 0.3, 0.25]))
+    torque = 1e-300 * q if kind == "next to nothing" else np.sign(q)
+    run = MotionRun("a", time, np.deg2rad([0, 70, -100]) + q, 100.0, torque=torque)
+    write_motion_log(tmp_path / "log.h5", MotionLog({"a": run}, "kr90"))
+    found = twin("compare", tmp_path / "log.h5", "--as-is")
+    assert found.code == 2
+    said = "saturated for 100%" if kind == "cut off" else "expected a plausible number [N·m], at least 1e-12, found 3"
+    assert f"log.h5: runs/a/torque: {said}" in found.err
+
+
+def test_a_signal_during_a_deletion_is_not_shown_as_a_fault(capfd: pytest.CaptureFixture[str]) -> None:
+    class Deleted:
+        def __del__(self) -> None:
+            raise Stopped(TIMED_OUT)
+
+    with stoppable():
+        gone = Deleted()
+        del gone
+    assert capfd.readouterr().err == ""
+
+
+def test_a_mode_that_swings_a_thousand_times_in_a_cut_is_refused() -> None:
+    cut = read_cut(YAML(typ="safe").load(seeds.CUT))
+    with pytest.raises(InputError, match=r"a mode swings \d+ times while a tooth cuts; expected a faster spindle"):
+        collocate(cut, 1e5)
+
+
+def test_a_log_that_its_model_misses_still_tells_something_of_links(kr90: Robot) -> None:
+    """Of what it does not hold, as much of the prior is taken out again as was put in."""
+    free = free_parameters(kr90)
+    for misfit in (1.0, 4.0):
+        values = free.values(np.zeros(len(free)))
+        log = SimpleNamespace(parameters=free, values=values, covariance=misfit * free.covariance, misfit=misfit)
+        known = Knowledge.of(cast(Fitted, log)).on(free, kr90)
+        np.testing.assert_allclose(known.covariance, free.covariance, rtol=1e-6, atol=1e-12)
 
 
 def test_numbers_that_break_a_calculation_name_their_source() -> None:

@@ -275,6 +275,8 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         raise InputError(source, f"{field}/frequency", f"expected at least two lines, found {nf}")
     if frequency[0] < 0:
         raise InputError(source, f"{field}/frequency", f"expected Hz from 0 upwards, found {frequency[0]:g}")
+    if problem := implausible(float(frequency[-1]), "Hz", True):
+        raise InputError(source, f"{field}/frequency", problem)
     step = np.diff(frequency)
     if (step <= 0).any():
         raise InputError(source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted")
