@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -25,7 +26,7 @@ from twin.commands.outputs import Outputs, exchange
 from twin.diagnose.joint import Knowledge
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError, NumericalError, numbers_of
-from twin.measure.campaign import write_campaign
+from twin.measure.campaign import read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
 from twin.milling.cut import read_cut
@@ -33,7 +34,7 @@ from twin.milling.stability import collocate
 from twin.model.parameters import free_parameters
 from twin.physics import CATALOGUE
 from twin.ranges import ill_named
-from twin.robot.datasheet import read_sheet
+from twin.robot.datasheet import read_sheet, read_tools
 from twin.robot.description import Robot
 from twin.robot.urdf import read_urdf
 from twin.stopping import TIMED_OUT, Stopped, hold, stoppable
@@ -192,6 +193,19 @@ def test_pipes_are_refused_before_they_are_waited_for(tmp_path: Path, twin: Twin
     os.mkfifo(tmp_path / "log.h5")
     found = twin("compare", tmp_path / "log.h5")
     assert (found.code, found.err) == (2, f"twin: {tmp_path / 'log.h5'}: is a pipe or a device; expected a file\n")
+
+
+def test_millimetres_taken_for_metres_are_told(tmp_path: Path, frf: Path, twin: Twin) -> None:
+    campaign = read_campaign(frf)
+    far = replace(campaign.excitation, position=1e3 * campaign.excitation.position)
+    write_campaign(tmp_path / "mm.h5", replace(campaign, excitation=far))
+    found = twin("compare", tmp_path / "mm.h5", "--as-is")
+    assert found.code == 2
+    assert "mm.h5: excitation/position: 1Z+ is " in found.err
+    assert "expected metres, up to 50" in found.err
+    (tmp_path / "tool.yaml").write_text("name: spindle\nmass: 3\ncom: [0, 0, 120]\n")
+    with pytest.raises(InputError, match="com: expected metres in the flange's frame"):
+        read_tools(tmp_path / "tool.yaml")
 
 
 def test_counts_of_hundreds_of_digits_are_refused(twin: Twin) -> None:

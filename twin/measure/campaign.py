@@ -35,6 +35,7 @@ LABEL = re.compile(r"(\d+)([XYZ])([+-])")
 VARIANCE_FLOOR_QUANTILE = 0.3
 SENSOR_FLOOR = 1e-4  # of the median RMS accelerance of all channels: amplitude a sensor cannot resolve
 ACCELERANCE = (1e-10, 1e6)  # m/s² per newton at the highest peak: a thousandth of a building, and a gram that rings
+LEAST_COHERENCE = 1e-6  # less is none
 MOST_AVERAGES = 100_000  # blows, or records of a shaker
 DEAD_CHANNEL = 1e-6  # of the same: a channel below it carries no signal
 
@@ -185,7 +186,7 @@ def frf_variance(posture: PostureFRF) -> FloatArray | None:
     if posture.coherence is None or posture.averages is None or posture.averages < 2:
         return None
     accelerance = _accelerance(posture)
-    coherence = np.clip(posture.coherence, 1e-6, 1.0)
+    coherence = np.clip(posture.coherence, LEAST_COHERENCE, 1.0)
     variance = np.abs(accelerance) ** 2 * (1 - coherence) / (2 * posture.averages * coherence)
     dead = dead_channels(posture)
     rms = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=0))
@@ -299,7 +300,7 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         low, high = posture.coherence.min(), posture.coherence.max()
         if high > 1 + 1e-6 or low < -1e-6:
             raise InputError(source, f"{field}/coherence", f"expected values from 0 to 1, found {low:g} to {high:g}")
-        if high <= 0:
+        if high < LEAST_COHERENCE:
             raise InputError(
                 source, f"{field}/coherence", "expected values above 0: of noise alone nothing can be said"
             )
@@ -327,6 +328,8 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
 
 def _check_hits(source: str | Path, field: str, hits: Hits, nr: int, ne: int) -> None:
     _check_array(source, f"{field}/hits/force", hits.force, (ne, None, None), "excitation, hit, sample")
+    if not hits.force.any(axis=(1, 2)).all():
+        raise InputError(source, f"{field}/hits/force", "expected blows at every point, some have no force at all")
     shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
     _check_array(source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample")
     if not (np.isfinite(hits.sample_rate_hz) and hits.sample_rate_hz > 0):
