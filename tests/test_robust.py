@@ -26,6 +26,7 @@ from twin.commands.outputs import Outputs, exchange
 from twin.diagnose.joint import Knowledge
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError, NumericalError, numbers_of
+from twin.importing import matlab
 from twin.measure.campaign import read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
@@ -206,6 +207,12 @@ def test_millimetres_taken_for_metres_are_told(tmp_path: Path, frf: Path, twin: 
     (tmp_path / "tool.yaml").write_text("name: spindle\nmass: 3\ncom: [0, 0, 120]\n")
     with pytest.raises(InputError, match="com: expected metres in the flange's frame"):
         read_tools(tmp_path / "tool.yaml")
+
+
+def test_a_file_that_ends_its_reader_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matlab, "_loaded", lambda path: os.kill(os.getpid(), signal.SIGKILL))
+    with pytest.raises(InputError, match=r"a\.mat: cannot be read: the file is damaged"):
+        matlab._variables(tmp_path / "a.mat")
 
 
 def test_counts_of_hundreds_of_digits_are_refused(twin: Twin) -> None:

@@ -32,6 +32,7 @@ RANGES = {  # unit → least of what is a scale (a mass, a spring), largest magn
 ANY = (1e-30, 1e18)  # of a unit that is not listed
 
 MOST_VALUES = 2**28  # of one data set: 2 GiB
+SEARCHED = 3 << 18  # lines of all FRFs that a diagnosis searches: 14 postures of 69 FRFs × 800 lines
 MOST_NODES = 1_000_000  # values in a text file, counted as often as anchors repeat them
 MOST_NESTED = 60  # levels of a text file
 MOST_PARTS = 400  # links or joints of a drawing

@@ -13,9 +13,9 @@ from twin.diagnose.verdict import Finding
 from twin.identify.elastic_compare import judge
 from twin.identify.recorded import base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
+from twin.ranges import SEARCHED
 from twin.robot.description import Robot
 
-SEARCHED = 1 << 20  # lines of all FRFs that a search works on: 18 postures of 69 FRFs × 800 lines
 FEWEST = 6  # postures that it works on, however large
 JUDGED_LINES = 50  # of every FRF of the other postures
 
