@@ -160,6 +160,12 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "q_deg of another robot": (_set(M, "q_deg", [0.0, 1.0]), "q_deg must have one length"),
     "brakes true": (_set(M, "brakes", True), 'brakes: expected "on" or "off"'),
     "averages 0": (_set(f"{M}/coherence", "averages", 0), "averages: expected 1 or more"),
+    "averages beyond count": (_set(f"{M}/coherence", "averages", 10**12), "averages: expected 1 or more, up to"),
+    "no coherence anywhere": (_data(f"{M}/coherence", lambda a: 0 * a), "coherence: expected values above 0"),
+    "blows without force": (_data(f"{M}/hits/force", lambda a: 0 * a), "hits/force: expected blows"),
+    "silent": (_data(f"{M}/frf", lambda a: 0 * a), "frf: expected a response, every channel is zero"),
+    "frf of no machine": (_data(f"{M}/frf", lambda a: 1e-12 * a), "frf: expected a peak from"),
+    "frf a million times": (_data(f"{M}/frf", lambda a: 1e9 * a), "frf: expected a peak from"),
     "negative window rate": (_set(M, "exponential_window_rate", -1.0), "exponential_window_rate: expected"),
     "window rate in words": (
         _set(M, "exponential_window_rate", "none"),

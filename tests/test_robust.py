@@ -7,31 +7,50 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from tools.fuzz import seeds
 from tools.fuzz.__main__ import main as fuzz
+from tools.large import hammer_test
 from twin import effort
 from twin.commands.example import EXAMPLES
 from twin.commands.outputs import Outputs, exchange
+from twin.diagnose.joint import Knowledge
+from twin.diagnose.refit import Fitted
 from twin.errors import InputError, NumericalError, numbers_of
+from twin.importing import matlab
+from twin.measure.campaign import read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
+from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
+from twin.milling.cut import read_cut
+from twin.milling.stability import collocate
+from twin.model.parameters import free_parameters
 from twin.physics import CATALOGUE
-from twin.robot.datasheet import read_sheet
+from twin.ranges import ill_named
+from twin.robot.datasheet import read_sheet, read_tools
 from twin.robot.description import Robot
 from twin.robot.urdf import read_urdf
-from twin.stopping import hold, stoppable
+from twin.stopping import TIMED_OUT, Stopped, hold, stoppable
 from twin.yamlfile import read_yaml
 
 SLICE = 40  # cases; `python -m tools.fuzz` runs thousands
 
 Twin = Callable[..., SimpleNamespace]
+
+
+@pytest.fixture(scope="module")
+def frf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("frf") / "frf.h5"
+    write_campaign(path, hammer_test(1, lines=40, blows=1))
+    return path
 
 
 def test_a_slice_of_mutated_inputs_breaks_nothing(tmp_path: Path) -> None:
@@ -144,6 +163,103 @@ def test_arguments_that_make_no_sense_get_one_line(twin: Twin) -> None:
     assert found.code == 2
     assert found.err.startswith("twin: --seed: ")
     assert len(found.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (("modal", "frf.h5", "--fmin", "nan"), "--fmin: nan: expected Hz from 0 to 1e+08"),
+        (("modal", "frf.h5", "--fmax", "-1"), "--fmax: -1: expected Hz"),
+        (("modal", "frf.h5", "--max-order", "1"), "--max-order: 1: expected 2 to 500"),
+        (("view", "gone.yaml", "--out", "gone.rrd"), "gone.yaml: no such file"),
+        (("excite", "--robot", "."), ".: is a folder; expected a robot.yaml"),
+    ],
+)
+def test_a_wrong_option_is_named_with_what_was_given(
+    twin: Twin, frf: Path, line: tuple[str, ...], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(frf.parent)
+    found = twin(*line)
+    assert found.code == 2
+    assert found.err.startswith(f"twin: {said}")
+    assert len(found.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["\u202egnillim", "a\u200bb", "milling\n", "\x85"])
+def test_names_that_do_not_show_as_they_are_are_refused(name: str) -> None:
+    assert "expected names of 1 to 100 characters" in str(ill_named(name))
+
+
+def test_pipes_are_refused_before_they_are_waited_for(tmp_path: Path, twin: Twin) -> None:
+    os.mkfifo(tmp_path / "log.h5")
+    found = twin("compare", tmp_path / "log.h5")
+    assert (found.code, found.err) == (2, f"twin: {tmp_path / 'log.h5'}: is a pipe or a device; expected a file\n")
+
+
+def test_millimetres_taken_for_metres_are_told(tmp_path: Path, frf: Path, twin: Twin) -> None:
+    campaign = read_campaign(frf)
+    far = replace(campaign.excitation, position=1e3 * campaign.excitation.position)
+    write_campaign(tmp_path / "mm.h5", replace(campaign, excitation=far))
+    found = twin("compare", tmp_path / "mm.h5", "--as-is")
+    assert found.code == 2
+    assert "mm.h5: excitation/position: 1Z+ is " in found.err
+    assert "expected metres, up to 50" in found.err
+    (tmp_path / "tool.yaml").write_text("name: spindle\nmass: 3\ncom: [0, 0, 120]\n")
+    with pytest.raises(InputError, match="com: expected metres in the flange's frame"):
+        read_tools(tmp_path / "tool.yaml")
+
+
+def test_a_file_that_ends_its_reader_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matlab, "_loaded", lambda path: os.kill(os.getpid(), signal.SIGKILL))
+    with pytest.raises(InputError, match=r"a\.mat: cannot be read: the file is damaged"):
+        matlab._variables(tmp_path / "a.mat")
+
+
+def test_counts_of_hundreds_of_digits_are_refused(twin: Twin) -> None:
+    found = twin("excite", "--count", "9" * 400)
+    assert found.code == 2
+    assert found.err.startswith("twin: --count: 9999")
+    assert len(found.err) < 200
+
+
+@pytest.mark.parametrize("kind", ["cut off", "next to nothing"])
+def test_torque_that_tells_nothing_is_said_so(tmp_path: Path, twin: Twin, kind: str) -> None:
+    time = np.arange(0, 12, 0.01)
+    q = 0.3 * np.sin(2 * np.pi * np.outer(time, [0.2, 0.3, 0.25]))
+    torque = 1e-300 * q if kind == "next to nothing" else np.sign(q)
+    run = MotionRun("a", time, np.deg2rad([0, 70, -100]) + q, 100.0, torque=torque)
+    write_motion_log(tmp_path / "log.h5", MotionLog({"a": run}, "kr90"))
+    found = twin("compare", tmp_path / "log.h5", "--as-is")
+    assert found.code == 2
+    said = "saturated for 100%" if kind == "cut off" else "expected a plausible number [N·m], at least 1e-12, found 3"
+    assert f"log.h5: runs/a/torque: {said}" in found.err
+
+
+def test_a_signal_during_a_deletion_is_not_shown_as_a_fault(capfd: pytest.CaptureFixture[str]) -> None:
+    class Deleted:
+        def __del__(self) -> None:
+            raise Stopped(TIMED_OUT)
+
+    with stoppable():
+        gone = Deleted()
+        del gone
+    assert capfd.readouterr().err == ""
+
+
+def test_a_mode_that_swings_a_thousand_times_in_a_cut_is_refused() -> None:
+    cut = read_cut(YAML(typ="safe").load(seeds.CUT))
+    with pytest.raises(InputError, match=r"a mode swings \d+ times while a tooth cuts; expected a faster spindle"):
+        collocate(cut, 1e5)
+
+
+def test_a_log_that_its_model_misses_still_tells_something_of_links(kr90: Robot) -> None:
+    """Of what it does not hold, as much of the prior is taken out again as was put in."""
+    free = free_parameters(kr90)
+    for misfit in (1.0, 4.0):
+        values = free.values(np.zeros(len(free)))
+        log = SimpleNamespace(parameters=free, values=values, covariance=misfit * free.covariance, misfit=misfit)
+        known = Knowledge.of(cast(Fitted, log)).on(free, kr90)
+        np.testing.assert_allclose(known.covariance, free.covariance, rtol=1e-6, atol=1e-12)
 
 
 def test_numbers_that_break_a_calculation_name_their_source() -> None:

@@ -1,7 +1,7 @@
 """`python -m tools.large --out out/large`: peak memory and time of commands on large recordings of the six-axis KR90.
 
-Two hours of six axes at 1 kHz, and a hammer test of 200 postures × 69 FRFs × 800 lines. The numbers in them are made
-up; sizes are what is measured. A command that exceeds its memory limit, or ``--timeout``, is told as such.
+Two hours of six axes at 1 kHz, of a pendulum's torques, and a hammer test of 200 postures × 69 FRFs × 800 lines, of a
+KR90 on a base that tilts. A command that exceeds its memory limit, or ``--timeout``, is told as such.
 """
 
 import argparse
@@ -9,21 +9,31 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import prepare
 from twin.measure.campaign import Campaign, Channels, PostureFRF, write_campaign
+from twin.model.parameters import free_parameters, independent
+from twin.robot.description import Entry, Robot, load_robot
 
 RATE_HZ, HOURS = 1000.0, 2.0
 POSTURES, LINES, SENSORS, BLOWS = 200, 800, 3, 23
+NOISE = 3e-3  # of the RMS of an FRF
+SPRINGS = 0.3  # prior deviations that springs and dampers are off
+TILT = {"effect": "base_compliance", "site": "base.ry", "stiffness": 3e7, "damping": 1e4}
 GIB = 1 << 30
 JOBS = (  # command, recording, options, limit in GiB
     ("compare", "log.h5", ("--as-is",), 4),
     ("identify", "log.h5", (), 4),
     ("compare", "campaign.h5", ("--as-is",), 4),
+    ("compare", "campaign.h5", (), 4),
     ("fit", "campaign.h5", ("--starts", "1"), 4),
     ("diagnose", "campaign.h5", (), 8),
     ("diagnose", "log.h5", (), 8),
@@ -52,41 +62,77 @@ def write_log(path: Path, hours: float) -> None:
         sets["position"].attrs["unit"], sets["torque"].attrs["unit"] = "rad", "N·m"
 
 
-def write_hammer(path: Path, postures: int) -> None:
-    """Three modes everywhere, a little noise."""
-    rng = np.random.default_rng(1)
-    frequency = 0.25 * np.arange(8, 8 + LINES)
-    found = {}
-    for k in range(postures):
-        frf = np.zeros((LINES, SENSORS, BLOWS), dtype=complex)
-        for f in (10.0, 15.0, 40.0):
-            line = -(frequency**2) / (f**2 - frequency**2 + 0.04j * f * frequency)
-            frf += 1e-3 * line[:, None, None] * rng.normal(size=(1, SENSORS, 1)) * rng.normal(size=(1, 1, BLOWS))
-        frf += 1e-5 * (rng.normal(size=frf.shape) + 1j * rng.normal(size=frf.shape))
-        q = np.array([rng.uniform(-90, 90), rng.uniform(60, 120), rng.uniform(-120, -80), 0, rng.uniform(20, 60), 0])
-        coherence = np.full(frf.shape, 0.98)
-        found[f"p{k:03d}"] = PostureFRF(f"p{k:03d}", q, "off", frequency, frf, "accelerance", coherence, 5, 300.0, 0.0)
-    labels = tuple(f"{n}Z+" for n in range(1, BLOWS + 1))
-    place, up = rng.uniform(-0.2, 0.2, (BLOWS, 3)), np.tile([0.0, 0.0, 1.0], (BLOWS, 1))
-    bodies = tuple(f"link{1 + n % 3}" for n in range(BLOWS))
+def tilting() -> Robot:
+    """The KR90 on a base that tilts, its springs a little off."""
+    described = load_robot("kr90_six")
+    free = free_parameters(described, tolerances=False)
+    robot = free.apply(described, free.values(np.random.default_rng(1).normal(0, SPRINGS, len(free))))
+    return robot.model_copy(update={"physics": [*robot.physics, Entry.model_validate(TILT)]})
+
+
+def hammer_test(postures: int, lines: int = LINES, blows: int = BLOWS) -> Campaign:
+    """FRFs of that robot with 0.3 % of noise."""
+    rng, robot = np.random.default_rng(2), tilting()
+    labels = tuple(f"{n}Z+" for n in range(1, blows + 1))
+    place, up = rng.uniform(-0.2, 0.2, (blows, 3)), np.tile([0.0, 0.0, 1.0], (blows, 1))
+    bodies = tuple(f"link{1 + n % 3}" for n in range(blows))
     sensors = Channels(("1X+", "1Y+", "1Z+"), ("link1",) * 3, np.repeat(place[:1], 3, 0), np.eye(3))
-    write_campaign(path, Campaign(sensors, Channels(labels, bodies, place, up), found, robot="kr90_six"))
+    struck, frequency = Channels(labels, bodies, place, up), 200 / lines * np.arange(8, 8 + lines)
+    empty, found = np.zeros((lines, SENSORS, blows), complex), {}
+    for k in range(postures):
+        q = np.array([rng.uniform(-90, 90), rng.uniform(60, 120), rng.uniform(-120, -80), 0, rng.uniform(20, 60), 0])
+        name = f"p{k:03d}"
+        posture = PostureFRF(name, q, "off", frequency, empty, "accelerance", None, 5, 300.0, 0.0)
+        one = tuple(prepare(Campaign(sensors, struck, {name: posture}), robot).values())
+        (exact,) = Objective(robot, independent([]), Sample(one)).predicted(np.zeros(0))
+        noise = NOISE * np.sqrt(np.mean(np.abs(exact) ** 2, axis=0))
+        frf = exact + noise * (rng.normal(size=exact.shape) + 1j * rng.normal(size=exact.shape)) / np.sqrt(2)
+        coherence = 1 / (1 + 5 * noise**2 / np.abs(exact) ** 2)
+        found[name] = replace(posture, frf=frf, coherence=coherence)
+    return Campaign(sensors, struck, found, robot="kr90_six")
+
+
+def write_hammer(path: Path, postures: int) -> None:
+    """A hammer test of the full size."""
+    write_campaign(path, hammer_test(postures))
+
+
+def held(session: int) -> int:
+    """Bytes that the processes of a session hold together: what they share is counted once."""
+    total = 0
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if os.getsid(int(folder.name)) == session:
+                line = next(line for line in (folder / "smaps_rollup").read_text().splitlines() if line[:4] == "Pss:")
+                total += 1024 * int(line.split()[1])
+        except (OSError, StopIteration):  # ended meanwhile
+            continue
+    return total
 
 
 def measure(command: str, path: Path, options: tuple[str, ...], limit: float, timeout: float) -> str:
-    """One row: exit code, seconds, peak memory and the last line said."""
+    """One row: exit code, seconds, peak memory of all its processes together and what was said."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    before = used.ru_utime + used.ru_stime
 
     def bounded() -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (int(limit * GIB), int(limit * GIB)))
 
     line = [sys.executable, "-m", "twin", command, str(path), *options, "--json", "--timeout", str(timeout)]
-    begin = time.monotonic()
-    child = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=bounded)
-    assert child.stderr is not None
-    said = child.stderr.read().strip().splitlines()
-    _, status, used = os.wait4(child.pid, 0)
-    row = f"{command:9s} {path.name:12s} exit {os.waitstatus_to_exitcode(status):4d} {time.monotonic() - begin:7.1f} s"
-    return f"{row}  {used.ru_maxrss / (1 << 20):5.2f} GiB of {limit:g}  {said[-1][:150] if said else ''}"
+    begin, peak = time.monotonic(), 0
+    with tempfile.TemporaryFile("w+") as errors:
+        child = subprocess.Popen(
+            line, stdout=subprocess.DEVNULL, stderr=errors, preexec_fn=bounded, start_new_session=True
+        )
+        while child.poll() is None:
+            peak = max(peak, held(child.pid))
+            time.sleep(0.2)
+        errors.seek(0)
+        said = errors.read().strip().splitlines()
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    row = f"{command:9s} {path.name:12s} exit {child.returncode:4d} {time.monotonic() - begin:7.1f} s"
+    cpu = used.ru_utime + used.ru_stime - before
+    return f"{row} ({cpu:.0f} s CPU)  {peak / GIB:5.2f} GiB of {limit:g}  {' | '.join(one[:150] for one in said)}"
 
 
 def main() -> None:

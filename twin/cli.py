@@ -69,6 +69,9 @@ def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable
         def run(*, timeout: float | None, **given: Any) -> None:
             end_after(timeout)
             name, files = function.__name__.rstrip("_"), _files(given)
+            for file in files:
+                if os.path.exists(file) and not os.path.isfile(file) and not os.path.isdir(file):
+                    raise InputError(file, "", "is a pipe or a device; expected a file")
             if (wait := told(expected_s(name, files))) and not _asked("quiet"):
                 print(f"twin: {wait} for a recording of this size", file=sys.stderr)
             with numbers_of(", ".join(files) or name):

@@ -3,19 +3,24 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from twin.ranges import MOST_VALUES
+from twin.ranges import MOST_VALUES, SEARCHED
 
 TELL_S = 60.0  # less is not worth a line
 SECONDS = {  # per sample and axis, or per line and channel, on one core: `python -m tools.large`
     ("compare", "motion-log"): 2.6e-6,
     ("identify", "motion-log"): 2.8e-6,
     ("compare", "frf-campaign"): 2.0e-6,
+    ("diagnose", "motion-log"): 1e-5,  # at least: it was not run to its end
+    ("fit", "frf-campaign"): 1.5e-4,  # of 20 postures, taken to hold for more
+    ("diagnose", "frf-campaign"): 3.4e-4,  # of 8 postures
 }
+MOST = {("diagnose", "frf-campaign"): SEARCHED}  # values after which there is no more to do but to judge
 
 
 def expected_s(command: str, recordings: Iterable[str | Path]) -> float:
     """Seconds a command is expected to take on recordings; what cannot be read counts nothing, it is refused later."""
-    return sum(SECONDS.get((command, kind), 0.0) * values for kind, values in map(_size, recordings))
+    sizes = [((command, kind), values) for kind, values in map(_size, recordings)]
+    return sum(SECONDS.get(work, 0.0) * min(values, MOST.get(work, values)) for work, values in sizes)
 
 
 def told(seconds: float) -> str:

@@ -32,12 +32,14 @@ RANGES = {  # unit → least of what is a scale (a mass, a spring), largest magn
 ANY = (1e-30, 1e18)  # of a unit that is not listed
 
 MOST_VALUES = 2**28  # of one data set: 2 GiB
+SEARCHED = 3 << 18  # lines of all FRFs that a diagnosis searches: 14 postures of 69 FRFs × 800 lines
 MOST_NODES = 1_000_000  # values in a text file, counted as often as anchors repeat them
 MOST_NESTED = 60  # levels of a text file
 MOST_PARTS = 400  # links or joints of a drawing
 MOST_AXES = 30
 MOST_CHARACTERS = 20_000  # of a text
 FASTEST_RPM = 3e5  # of a spindle
+FARTHEST_M = 50.0  # of a channel or a tool's centre of mass from the frame of its body: tells millimetres from metres
 LONGEST_SPACING_M = 100.0  # of points along a tool path
 MOST_SAMPLES = 20_000_000  # of a trajectory: two hours of six axes at 1 kHz, twice over
 
@@ -47,6 +49,7 @@ COUNTS = {  # smallest and largest of what is asked for
     "periods": (1, 10_000),
     "base_hz": (1e-4, 100.0),
     "sample_rate_hz": (1.0, 1e5),
+    "max_order": (2, 500),
     "starts": (1, 1000),
     "draws": (0, 100_000),
     "in_time": (0, 1000),
@@ -54,7 +57,8 @@ COUNTS = {  # smallest and largest of what is asked for
     "random": (1, 10_000_000),
 }
 
-NAME = r"^[^/\\$\x00-\x1f\x7f]*[^/\\$\x00-\x1f\x7f.\s][^/\\$\x00-\x1f\x7f]*$"
+UNSEEN = r"\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"  # control, direction of writing, no width
+NAME = rf"^[^/\\${UNSEEN}]*[^/\\${UNSEEN}.\s][^/\\${UNSEEN}]*$"
 """Of a posture or run: it becomes a file's name and a figure's title, where \\ and $ would be TeX."""
 LONGEST_NAME = 100
 
@@ -70,9 +74,9 @@ def implausible(value: float, unit: str = "", scale: bool = False) -> str | None
 
 def ill_named(name: str) -> str | None:
     """What was expected, where a posture or run cannot be called so."""
-    if len(name) <= LONGEST_NAME and re.match(NAME, name):
+    if len(name) <= LONGEST_NAME and re.fullmatch(NAME, name):
         return None
-    return f"expected names of 1 to {LONGEST_NAME} characters without / \\ $, found {reprlib.repr(name)}"
+    return f"expected names of 1 to {LONGEST_NAME} characters without / \\ $ or hidden ones, found {reprlib.repr(name)}"
 
 
 def check_array(source: object, field: str, values: np.ndarray, unit: str = "") -> None:
@@ -101,4 +105,5 @@ def check_count(name: str, value: float) -> None:
     """Raise :class:`InputError` for an option out of its range in ``COUNTS``."""
     low, high = COUNTS[name]
     if not low <= value <= high:
-        raise InputError(f"--{name.replace('_', '-')}", f"{value:g}", f"expected {low:g} to {high:g}")
+        found = f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
+        raise InputError(f"--{name.replace('_', '-')}", found, f"expected {low:g} to {high:g}")

@@ -82,6 +82,7 @@ def stoppable() -> Iterator[None]:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     before = {number: signal.signal(number, _stop) for number in asked}
+    hook, sys.unraisablehook = sys.unraisablehook, _unless_stopped
     woken = signal.set_wakeup_fd(writer)
     done = threading.Event()
     threading.Thread(target=_watch, args=(reader, done), daemon=True).start()
@@ -91,12 +92,19 @@ def stoppable() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, 0)
         done.set()
         signal.set_wakeup_fd(woken)
+        sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
         os.close(writer)
         for one in _held.values():
             one.close()
         _held = None
+
+
+def _unless_stopped(raised: "sys.UnraisableHookArgs") -> None:
+    """Where an object was being deleted Python drops what the signal raised and prints it: the thread ends it then."""
+    if not isinstance(raised.exc_value, Stopped):
+        sys.__unraisablehook__(raised)
 
 
 def _watch(reader: int, done: threading.Event) -> None:

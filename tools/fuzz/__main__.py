@@ -30,6 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", type=int)
+    parser.add_argument("--timeout", type=float, default=run.STOPPED_S, help="of every case; more on a busy machine")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"))
     asked = parser.parse_args(arguments)
     out = asked.out.absolute()
@@ -37,7 +38,11 @@ def main(arguments: list[str] | None = None) -> int:
     for name in WARM:
         import_module(name)
     if asked.only is not None:
-        print(json.dumps(run.case(asked.only, asked.seed, out / "seeds", out / "case").data(), indent=1))
+        print(
+            json.dumps(
+                run.case(asked.only, asked.seed, out / "seeds", out / "case", stopped=asked.timeout).data(), indent=1
+            )
+        )
         return 0
     corpus = out / f"corpus-{asked.seed}.jsonl"
     found = [json.loads(line) for line in corpus.read_text().splitlines()] if corpus.exists() else []
@@ -45,7 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
     with corpus.open("a") as stream:
         for number in range(asked.first, asked.first + asked.cases):
             if number not in known:
-                found.append(run.case(number, asked.seed, out / "seeds", out / f"case-{asked.first}").data())
+                one = run.case(number, asked.seed, out / "seeds", out / f"case-{asked.first}", stopped=asked.timeout)
+                found.append(one.data())
                 stream.write(json.dumps(found[-1]) + "\n")
                 stream.flush()
     return report(found)

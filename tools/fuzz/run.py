@@ -17,7 +17,7 @@ from tools.fuzz.seeds import TARGETS, Target
 from twin.commands.outputs import LISTED
 
 LIMIT_S = 60.0  # a hang
-STOPPED_S = 8  # --timeout given to every case
+STOPPED_S = 8.0  # --timeout given to every case
 MEMORY = 4 << 30  # bytes that a case may take
 OK = ("accepted", "refused", "stopped", "numerical")
 
@@ -44,7 +44,9 @@ class Outcome:
         return asdict(self)
 
 
-def case(number: int, seed: int, seeds: Path, folder: Path, memory: int = MEMORY) -> Outcome:
+def case(
+    number: int, seed: int, seeds: Path, folder: Path, memory: int = MEMORY, stopped: float = STOPPED_S
+) -> Outcome:
     """Make a case from its number, run it in a child and judge it; the folder is emptied before."""
     rng = random.Random(f"{seed}:{number}")
     target = rng.choices(TARGETS, [target.weight for target in TARGETS])[0]
@@ -58,7 +60,7 @@ def case(number: int, seed: int, seeds: Path, folder: Path, memory: int = MEMORY
     if "--guess" in arguments:
         where = ["--json"]
     arguments += where if written or target.command == "view" else ["--json"]
-    arguments += ["--timeout", str(STOPPED_S)]
+    arguments += ["--timeout", str(stopped)]
     before = set(_tree(folder))
     begin = time.monotonic()
     status = _child(arguments, folder, memory)

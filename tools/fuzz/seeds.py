@@ -186,6 +186,13 @@ TARGETS = (
     ),
     Target("import", "foreign.csv", (), ("--guess", "{}"), (), 1),
     Target("example", "tool.yaml", (), ("{}",), (), 1),
+    Target("fit", "hammer.unv", ("two.yaml",), ("--robot", "two.yaml", "--starts", "1"), ("--band",), 1),
+    Target("fit", "hits.h5", ("two.yaml",), ("--starts", "1"), (), 1),
+    Target("compare", "hits.h5", ("two.yaml",), ("--as-is",), (), 1),
+    Target("compare", "hammer.h5", ("two.yaml", "log.h5"), ("{}", "log.h5", "--as-is"), (), 1),
+    Target("diagnose", "hammer.h5", ("two.yaml",), (), ("--seed",), 2),
+    Target("diagnose", "two.yaml", ("hammer.h5",), ("hammer.h5", "--robot", "{}"), (), 1),
+    Target("diagnose", "hammer.h5", ("two.yaml", "log.h5"), ("{}", "log.h5"), (), 1),
     Target("diagnose", "modes.yaml", ("two.yaml",), (), ("--seed",), 1),
     Target("diagnose", "log.h5", ("two.yaml",), (), ("--seed",), 1),
 )  # fmt: skip

@@ -4,8 +4,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
 from twin.measure.campaign import Campaign
@@ -18,6 +16,7 @@ from twin.model.expansion import on_robot
 from twin.model.modes import Modes
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
+from twin.ranges import RANGES, check_count
 from twin.result import Result, written
 from twin.robot.description import Robot
 from twin.robot.mechanism import Mechanism
@@ -134,10 +133,10 @@ def modal(
     given = read_one(recording, "frf-campaign")
     campaign: Campaign = given.content
     check_out(out)
-    if not (fmin is None or 0 <= fmin < np.inf) or not (fmax is None or np.isfinite(fmax)) or not 2 <= max_order <= 500:
-        raise InputError(
-            "--fmin, --fmax, --max-order", "", "expected frequencies from 0 upwards and an order of 2 to 500"
-        )
+    for option, end in (("--fmin", fmin), ("--fmax", fmax)):
+        if end is not None and not 0 <= end <= RANGES["Hz"][1]:
+            raise InputError(option, f"{end:g}", f"expected Hz from 0 to {RANGES['Hz'][1]:g}")
+    check_count("max_order", max_order)
     if method not in ("plscf", "lsce"):
         raise InputError("--method", method, "expected plscf or lsce")
     described, unknown = _robot(given, robot, without)

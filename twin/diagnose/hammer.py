@@ -17,6 +17,7 @@ from twin.diagnose.joint_reaction import blows
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
+from twin.diagnose.many_postures import apart, judged
 from twin.diagnose.next_test import next_test, smallest_visible
 from twin.diagnose.physical import as_written, physical
 from twin.diagnose.records import FrfRecord, frf_records
@@ -108,8 +109,10 @@ def diagnose_campaign(
     if not free_parameters(given, tolerances=False).items:
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
     campaign, faults = put_right(campaign, without_limits(given), source)
-    finding = _diagnosed(campaign, given, source, hold_out, seed, progress, told_by, processes)
-    finding.warnings = [*faults, *finding.warnings]
+    few, rest = apart(campaign, given, hold_out or ())
+    finding = _diagnosed(few, given, source, hold_out, seed, progress, told_by, processes)
+    others = [judged(finding, rest, source, len(few.postures))] if rest else []
+    finding.warnings = [*faults, *others, *finding.warnings]
     return finding
 
 

@@ -50,9 +50,10 @@ class Knowledge:
         links = [k for k, p in enumerate(fit.parameters) if p.kind == "link"]
         keep = [*links, *own]
         covariance = fit.covariance
+        prior = fit.parameters.covariance * max(1.0, fit.misfit)  # scaled like it: no more is taken out than is in it
         return cls(
             tuple(names[k] for k in keep), len(links), fit.values[keep], covariance[np.ix_(keep, keep)],
-            fit.parameters.covariance[np.ix_(links, links)], np.array([fit.parameters[k].log for k in keep]),
+            prior[np.ix_(links, links)], np.array([fit.parameters[k].log for k in keep]),
         )  # fmt: skip
 
     def on(self, free: Parameters, robot: Robot) -> Parameters:

@@ -54,6 +54,7 @@ MUCH_TAKEN = 0.2  # share of the rows of a log that the richest model fits by it
 CONVERGED = 0.02  # of ½ χ²: less is no gain
 DIFFERENCES = (1e-3, 0.02)  # of a prior deviation, for differences: as far as the rows tell a number, within
 RINGING = 16  # rows that the low-pass rings before and after a step
+INWARDS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # shares of the way to the described robot, whose links are bodies
 PRESLIDING_TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
 PRESLIDING, UNLIKE = 0.5, 5e-4  # share of dry friction that does, per travel: common to all joints, and of one alone
@@ -935,12 +936,19 @@ def that_can_exist(system: System, z: FloatArray) -> FloatArray:
     step = base.spread[: len(values)] * system.plain(np.ones(len(z)))[:shared]
     covariance = np.linalg.inv(system.information[:size, :size])[:, :shared]
     H = np.linalg.inv(covariance[:shared])
+    described = -z[:shared]
     try:
         d = nearest_possible(regressor, 0.5 * (H + H.T), np.zeros(shared), values, step)
-    except ArithmeticError:  # the described robot exists
-        d = -z[:shared]
-    out = z.copy()
-    out[:size] += covariance @ (H @ d)
+    except ArithmeticError:
+        d = described
+    for share in (0.0, *INWARDS, 1.0):  # the solver's last digits may leave a link just outside
+        inside = (1 - share) * d + share * described
+        out = z.copy()
+        out[:size] += covariance @ (H @ inside)
+        out[:shared] = z[:shared] + inside  # what the inverse of an inverse is nearly
+        links = base.values(system.plain(out))[: links.size].reshape(links.shape)
+        if all(_possible(link) for link in links):
+            break
     return out
 
 

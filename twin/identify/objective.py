@@ -28,6 +28,7 @@ from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 from twin.robot.mechanism import Inertial, cut
 
+ROWS = 1 << 30  # bytes of derivatives that are kept for the bend of a valley; of more it is not known
 Changes = dict[tuple[Any, ...], Any]
 """What entries and links change in a mechanism, kept while the values are the same."""
 
@@ -108,7 +109,8 @@ class Objective(Cost):
         exact: derivatives include what sag adds, as of where the cost was evaluated first: to the optimum's last digit.
         sagging: whether springs give way under the weight, by 1e-3 rad; roughly right without, at half the work.
         held, among: with ``among``, z holds those coordinates alone and the others are as in ``held``.
-        rows: residual, its derivatives and by what, where a linear one was evaluated last; recording by recording.
+        rows: residual, its derivatives and by what, where a linear one was evaluated last; recording by recording, none
+            where that is more than ``ROWS``.
     """
 
     exact: bool = False
@@ -184,6 +186,7 @@ class Objective(Cost):
         """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
         cost, gradient, information = 0.5 * float(self.whole(z) @ self.whole(z)), z.copy(), np.eye(len(z))
         self.rows.clear()
+        held = 0
         for r, w, (H, dH, moves) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
             own, pulled, factor = self.pull(r, H, w)
             cost += own
@@ -191,8 +194,11 @@ class Objective(Cost):
             e = np.ascontiguousarray(pulled).reshape(-1).view(float)
             gradient[moves] += G @ e
             information[np.ix_(moves, moves)] += G @ G.T
-            if not self.logarithmic:
+            held += G.nbytes
+            if not self.logarithmic and held <= ROWS:
                 self.rows.append((e, G, moves))
+        if held > ROWS:
+            self.rows.clear()
         return cost, gradient, information
 
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:

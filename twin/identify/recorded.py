@@ -17,6 +17,7 @@ from twin.measure.campaign import (
     laplace,
 )
 from twin.model.sensitivity import Observed, Setup, Structure, frf, frf_slopes
+from twin.ranges import FARTHEST_M
 from twin.robot.description import Robot
 
 UNKNOWN_NOISE = 0.02  # of a channel's RMS: variance where the recording states none; the fit then scales it
@@ -149,6 +150,11 @@ def _check_bodies(campaign: Campaign, robot: Robot, source: str) -> None:
                     f"{side}/body",
                     f"{label} is on {body!r}; {robot.name} has base, link1 … {sorted(bodies)[-1]}",
                 )
+        far = np.abs(channels.position).max(axis=1)
+        if far.max() > FARTHEST_M:
+            label = channels.label[int(far.argmax())]
+            text = f"{label} is {far.max():.4g} m from its body's frame; expected metres, up to {FARTHEST_M:g}"
+            raise InputError(source, f"{side}/position", text)
 
 
 def within_limits(robot: Robot, q: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.identify.rigid import TOO_SHORT, Bands, Rows, in_joints, motion_of_run, rows_of
-from twin.measure.motion_log import MotionLog, MotionRun
+from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated
 from twin.measure.signals import advance, lowpass
 from twin.model.regressor import Regressor
 from twin.parallel import Progress
@@ -86,6 +86,7 @@ def compare_log(
     for name, run in joints.runs.items():
         if run.torque is None:
             raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory has nothing to compare")
+        refuse_saturated(run, log.source)
         r = rows_of(regressor, run, bands)
         if not r.valid.any():
             raise InputError(log.source, f"runs/{name}", TOO_SHORT.format(run.time[-1] - run.time[0]))

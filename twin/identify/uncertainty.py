@@ -20,6 +20,7 @@ from twin.robot.description import Robot
 
 HELD = 0.5  # posterior over prior deviation below which the data hold a parameter
 SHARP = 0.35  # and, of a scale, the largest deviation of its logarithm
+NOTHING = 1e-4  # share of a prior's deviation: what takes less off it tells nothing of the number
 LARGE_DRIFT = 3.0  # prior deviations
 NINETY = float(ndtri(0.95))
 
@@ -84,7 +85,8 @@ def _interval(parameter: Parameter, x: float, deviation: float, prior: float) ->
     A scale enters M, C or K linearly, so the data's likelihood is normal in the value, not in its logarithm: a damper
     of which the data only know that it is small has an interval that the prior closes from below.
     """
-    if not parameter.log or deviation < 0.02:
+    nothing = deviation > (1 - NOTHING) * prior  # where a misfit is scaled up no slopes cancel: the prior is left
+    if not parameter.log or deviation < 0.02 or nothing:
         ends = x - NINETY * deviation, x + NINETY * deviation
         return float(parameter.value(ends[0])), float(parameter.value(ends[1]))
     information = max(1 / deviation**2 - 1 / prior**2, 1e-12)  # of the data about x, at the optimum

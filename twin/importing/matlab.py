@@ -1,6 +1,9 @@
 """MATLAB .mat: up to v7 through SciPy, v7.3 (an HDF5 file) through h5py. Structures are flattened with dots."""
 
+import sys
 from collections.abc import Iterator
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +11,9 @@ import h5py
 import numpy as np
 import scipy.io
 
+from twin.errors import InputError
 from twin.importing.tables import Channel, Table, columns
+from twin.stopping import as_worker
 
 
 def read(path: Path) -> list[Table]:
@@ -19,7 +24,35 @@ def read(path: Path) -> list[Table]:
     return [Table(path.stem, channels)]
 
 
-def _variables(path: Path) -> Iterator[tuple[str, Any]]:
+def _variables(path: Path) -> list[tuple[str, Any]]:
+    """Read in a process of its own where there are such: some damaged files end the process that reads them."""
+    if sys.platform != "linux":
+        return list(_loaded(path))
+    reader, writer = get_context("fork").Pipe(duplex=False)
+    child = get_context("fork").Process(target=_send, args=(path, writer), daemon=True)
+    child.start()
+    writer.close()
+    try:
+        found = reader.recv()
+    except EOFError:
+        raise InputError(path, "", "cannot be read: the file is damaged") from None
+    finally:
+        child.kill()
+        child.join()
+    if isinstance(found, Exception):
+        raise found
+    return list(found)
+
+
+def _send(path: Path, writer: Connection) -> None:
+    as_worker()
+    try:
+        writer.send(list(_loaded(path)))
+    except Exception as error:
+        writer.send(error)
+
+
+def _loaded(path: Path) -> Iterator[tuple[str, Any]]:
     found = scipy.io.loadmat(path, struct_as_record=False, squeeze_me=True)
     for name, value in found.items():
         if not name.startswith("__"):

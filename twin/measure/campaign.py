@@ -34,6 +34,9 @@ LABEL = re.compile(r"(\d+)([XYZ])([+-])")
 
 VARIANCE_FLOOR_QUANTILE = 0.3
 SENSOR_FLOOR = 1e-4  # of the median RMS accelerance of all channels: amplitude a sensor cannot resolve
+ACCELERANCE = (1e-10, 1e6)  # m/s² per newton at the highest peak: a thousandth of a building, and a gram that rings
+LEAST_COHERENCE = 1e-6  # less is none
+MOST_AVERAGES = 100_000  # blows, or records of a shaker
 DEAD_CHANNEL = 1e-6  # of the same: a channel below it carries no signal
 
 
@@ -183,7 +186,7 @@ def frf_variance(posture: PostureFRF) -> FloatArray | None:
     if posture.coherence is None or posture.averages is None or posture.averages < 2:
         return None
     accelerance = _accelerance(posture)
-    coherence = np.clip(posture.coherence, 1e-6, 1.0)
+    coherence = np.clip(posture.coherence, LEAST_COHERENCE, 1.0)
     variance = np.abs(accelerance) ** 2 * (1 - coherence) / (2 * posture.averages * coherence)
     dead = dead_channels(posture)
     rms = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=0))
@@ -273,6 +276,8 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         raise InputError(source, f"{field}/frequency", f"expected at least two lines, found {nf}")
     if frequency[0] < 0:
         raise InputError(source, f"{field}/frequency", f"expected Hz from 0 upwards, found {frequency[0]:g}")
+    if problem := implausible(float(frequency[-1]), "Hz", True):
+        raise InputError(source, f"{field}/frequency", problem)
     step = np.diff(frequency)
     if (step <= 0).any():
         raise InputError(source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted")
@@ -295,8 +300,24 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         low, high = posture.coherence.min(), posture.coherence.max()
         if high > 1 + 1e-6 or low < -1e-6:
             raise InputError(source, f"{field}/coherence", f"expected values from 0 to 1, found {low:g} to {high:g}")
-    if posture.averages is not None and posture.averages < 1:
-        raise InputError(source, f"{field}/coherence: averages", f"expected 1 or more, found {posture.averages}")
+        if high < LEAST_COHERENCE:
+            raise InputError(
+                source, f"{field}/coherence", "expected values above 0: of noise alone nothing can be said"
+            )
+    loudest = float(np.nanmax(np.abs(_accelerance(posture))))
+    if loudest == 0:
+        raise InputError(source, f"{field}/frf", "expected a response, every channel is zero")
+    least, most = ACCELERANCE
+    if not least <= loudest <= most:
+        raise InputError(
+            source, f"{field}/frf", f"expected a peak from {least:g} to {most:g} m/s² per newton, found {loudest:.3g}"
+        )
+    if posture.averages is not None and not 1 <= posture.averages <= MOST_AVERAGES:
+        raise InputError(
+            source,
+            f"{field}/coherence: averages",
+            f"expected 1 or more, up to {MOST_AVERAGES}, found {posture.averages}",
+        )
     if posture.peak_force_n is not None and not posture.peak_force_n > 0:
         raise InputError(source, f"{field}: peak_force_n", f"expected newtons above 0, found {posture.peak_force_n:g}")
     for name, length in (("pulse_s", posture.pulse_s), ("record_s", posture.record_s)):
@@ -307,6 +328,8 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
 
 def _check_hits(source: str | Path, field: str, hits: Hits, nr: int, ne: int) -> None:
     _check_array(source, f"{field}/hits/force", hits.force, (ne, None, None), "excitation, hit, sample")
+    if not hits.force.any(axis=(1, 2)).all():
+        raise InputError(source, f"{field}/hits/force", "expected blows at every point, some have no force at all")
     shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
     _check_array(source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample")
     if not (np.isfinite(hits.sample_rate_hz) and hits.sample_rate_hz > 0):

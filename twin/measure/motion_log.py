@@ -16,7 +16,7 @@ from twin.files import replacing, writing
 from twin.measure.campaign import FloatArray
 from twin.measure.hdf5 import Node, undamaged
 from twin.measure.signals import resample
-from twin.ranges import check_array, ill_named
+from twin.ranges import check_array, ill_named, implausible
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -219,6 +219,8 @@ def even_run(
                 path, f"{where}/{key}", f"not finite at sample {int(np.argwhere(~np.isfinite(values))[0, 0])}"
             )
         check_array(path, f"{where}/{key}", values, SERIES[key][0])
+    if "torque" in series and (problem := implausible(float(np.abs(series["torque"]).max()), "N·m", scale=True)):
+        raise InputError(path, f"{where}/torque", problem)
     time, series, rate, notes = _even(path, where, time, series, rate)
     return MotionRun(name, time, sample_rate_hz=rate, **series), notes
 

@@ -100,9 +100,12 @@ def read_uff(
     for file in files:
         for number, dataset in enumerate(_datasets(file), 1):
             if dataset.get("type") in (15, 2411) and points is None:
+                columns = [dataset[k] for k in ("node_nums", "x", "y", "z")]
+                if len({len(column) for column in columns}) > 1:
+                    raise InputError(file, f"data set {number}", "expected x, y and z of every node, one is cut short")
                 nodes |= {
                     int(n): Point("base", np.array([x, y, z], dtype=np.float64))
-                    for n, x, y, z in zip(*(dataset[k] for k in ("node_nums", "x", "y", "z")), strict=True)
+                    for n, x, y, z in zip(*columns, strict=True)
                 }
             elif dataset.get("type") == 82:
                 lines += _polylines(dataset["nodes"])

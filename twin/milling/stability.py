@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.milling import forces
 from twin.milling.cut import Cut
 from twin.milling.tool_point import ToolModes
@@ -33,6 +34,7 @@ DIGITS = 5.0  # decimal digits asked of the collocation
 STEP = 0.5  # of θ, over the distance to the nearest pole of W
 WIDEST = 0.15  # rad, of θ
 ROUNDS = 12  # of bisection of θ at most
+MOST_SWINGS = 150  # of a mode while a tooth cuts: nodes, of which memory takes the cube
 POLISH = 8  # steps of regula falsi on a crossing
 CHUNK = 1_000_000  # elements of matrices whose eigenvalues are taken at a time
 
@@ -64,6 +66,11 @@ def collocate(cut: Cut, phase_advance: float, depth_m: float = 0.0, digits: floa
     phase, weight, element = [], [], []
     for number, (start, end) in enumerate(spans):
         turn = (end - start) * (phase_advance + 2 * pitch)  # of the fastest e^{iκt} inside the element
+        if turn > 2 * np.pi * MOST_SWINGS:
+            text = f"a mode swings {turn / 2 / np.pi:.0f} times while a tooth cuts"
+            raise InputError(
+                "spindle speed", "", f"{text}; expected a faster spindle, so that it is {MOST_SWINGS} or less"
+            )
         count = int(np.ceil(0.5 * turn + digits * NODES))
         x, w = np.polynomial.legendre.leggauss(count)
         phase.append(start + (end - start) * (x + 1) / 2)

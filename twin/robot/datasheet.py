@@ -9,6 +9,7 @@ import trimesh
 from pydantic import Field, ValidationError, model_validator
 
 from twin.errors import InputError
+from twin.ranges import FARTHEST_M
 from twin.robot.description import (
     Acceleration,
     Data,
@@ -96,6 +97,8 @@ class Tool(Placement):
 
     @model_validator(mode="after")
     def _complete(self) -> "Tool":
+        if self.com is not None and max(map(abs, self.com)) > FARTHEST_M:
+            raise ValueError(f"com: expected metres in the flange's frame, up to {FARTHEST_M:g}")
         if self.mesh is None and (self.mass is None or self.com is None):
             raise ValueError("give mass and com, or a mesh with a density or a mass")
         if self.mesh is not None and self.com is None and (self.mass is None) == (self.density is None):

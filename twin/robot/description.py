@@ -556,6 +556,8 @@ def load_robot(name: "str | Path | Robot", relative_to: str | Path | None = None
     candidates = [Path(name)] if relative_to is None else [Path(relative_to) / name, Path(name)]
     path = next((candidate for candidate in candidates if candidate.is_file()), None)
     if path is None:
+        if any(candidate.is_dir() for candidate in candidates):
+            raise InputError(name, "", "is a folder; expected a robot.yaml or a URDF")
         path = SHIPPED / f"{name}.yaml"
         if Path(name).suffix or len(Path(name).parts) > 1 or not path.is_file():
             shipped = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.yaml")))
