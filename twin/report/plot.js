@@ -12,7 +12,7 @@ for (const figure of document.querySelectorAll("figure.plot")) {
   };
   const ends = (v) => [v[0], v[v.length - 1]];
   let panel = plot.panels[0], x = panel.x, whole = ends(x), shown = whole, start = null, cell = null, H, LEFT, BOTTOM;
-  const digits = (v) => (v === 0 || (Math.abs(v) >= 0.01 && Math.abs(v) < 1e5) ? String(+v.toPrecision(4)) : v.toExponential(2));
+  const digits = (v) => (v === 0 || (Math.abs(v) >= 0.001 && Math.abs(v) < 1e5) ? String(+v.toPrecision(4)) : v.toExponential(2));
 
   function ticks(low, high) {
     const rough = (high - low) / (W > 500 ? 8 : 4), power = 10 ** Math.floor(Math.log10(rough));
@@ -98,7 +98,7 @@ for (const figure of document.querySelectorAll("figure.plot")) {
       make("text", svg, { x: LEFT - 6, y: TOP + (r + 0.5) * h + 4, "text-anchor": "end" }, panel.rows[r]);
       row.forEach((v, k) => {
         if (v === null || x[k + 1] <= shown[0] || x[k] >= shown[1]) return;
-        make("rect", inside, { x: px(x[k]), y: TOP + r * h, width: px(x[k + 1]) - px(x[k]) + 0.4, height: h - 0.6, fill: colour(v) });
+        make("rect", inside, { x: px(x[k]), y: TOP + r * h, width: px(x[k + 1]) - px(x[k]) + 0.4, height: h - 0.6, fill: colour(v), "shape-rendering": "crispEdges" });
       });
     });
     if (panel.columns) {
