@@ -462,9 +462,12 @@ def test_a_guessed_map_is_a_map_but_for_its_units(cell: Recorded, tmp_path: Path
     assert said.code == 0, said.err
     assert said.out.count("unit: ask") == 3
     path = tmp_path / "map.yaml"
-    path.write_text(said.out.replace("unit: ask", "unit: s", 1).replace("unit: ask", "unit: rad", 1)
-                    .replace("unit: ask\n  factor: 1.0", "unit: Nm\n  factor: [100, 200, 300]", 1)
-                    .replace("unit: ask", "unit: Nm"))  # fmt: skip
+    path.write_text(said.out)
+    out = tmp_path / "log.h5"
+    refused(twin("import", tmp_path / "data.csv", "--map", path, "-o", out), "state the robot", out)
+    path.write_text(said.out.replace("robot: ask", "robot: kr90")
+                    .replace("unit: ask", "unit: s", 1).replace("unit: ask", "unit: rad", 1)
+                    .replace("unit: ask\n  factor: 1.0", "unit: Nm\n  factor: [100, 200, 300]", 1))  # fmt: skip
     said = twin("import", tmp_path / "data.csv", "--map", path, "-o", tmp_path / "log.h5")
     assert said.code == 0, said.err
     assert "rate (Hz) 250" in said.out
