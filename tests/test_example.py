@@ -10,9 +10,10 @@ import h5py
 import numpy as np
 import pytest
 
-from tools import make_example, readme_example
+from tools import make_arm, make_example, readme_example
 from tools.truth.effects import parse
 from twin import progress
+from twin.commands.example import EXAMPLES
 from twin.result import written
 
 
@@ -37,7 +38,21 @@ def test_the_shipped_example_is_what_its_script_makes(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "answer.json").read_text()) == json.loads(
         (make_example.FOLDER / "answer.json").read_text()
     )
-    assert sum(file.stat().st_size for file in make_example.FOLDER.iterdir()) < 3e6
+
+
+def test_the_shipped_arm_is_what_its_script_makes(tmp_path: Path) -> None:
+    make_arm.write(tmp_path)
+    for made in tmp_path.iterdir():
+        shipped = make_arm.FOLDER / made.name
+        if made.suffix == ".csv":
+            one, other = (np.loadtxt(path, skiprows=1) for path in (made, shipped))
+            np.testing.assert_allclose(one, other, atol=2e-3)
+        else:
+            assert made.read_text() == shipped.read_text()
+
+
+def test_the_examples_keep_the_wheel_small() -> None:
+    assert sum(file.stat().st_size for file in EXAMPLES.rglob("*") if file.is_file()) < 3e6
 
 
 def test_the_first_screen_of_the_readme_is_what_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,6 +86,15 @@ def test_quiet_says_one_line_and_verbose_names_every_file(
 def test_a_summary_names_what_is_opened_first() -> None:
     files = [*(f"out/{i}.png" for i in range(40)), "out/report.html", "out/robot.xml", "out/robot.yaml", "out/frf.h5"]
     assert written(files) == "wrote into out: report.html, robot.yaml, robot.xml, frf.h5 and 40 figures"
+    files = [
+        "out/meshes/link1.stl",
+        "out/robot.yaml",
+        "out/report.html",
+        "out/robot.xml",
+        "out/describe.json",
+        "out/1.png",
+    ]
+    assert written(files) == "wrote into out: report.html, robot.yaml, robot.xml, describe.json and 2 more (1 figure)"
 
 
 def test_nothing_to_do_shows_no_bar_of_nothing() -> None:

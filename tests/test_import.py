@@ -26,6 +26,7 @@ from twin.commands.foreign import guess_map, import_files
 CELL = EXAMPLES / "cell"
 G, LBF = 9.80665, 4.4482216152605
 N = 1500  # samples of the log that are written out
+MOTOR = 100.0  # torque per unit of current
 POINTS = slice(6, 8)  # hammer points
 
 
@@ -41,9 +42,14 @@ class Recorded:
     coherence: np.ndarray
     force: np.ndarray
     response: np.ndarray
+    rate: float  # of the blows, Hz
     q_deg: list[float]
     nodes: list[dict[str, Any]]
     sensors: list[dict[str, Any]]
+
+    @property
+    def axes(self) -> int:
+        return self.q.shape[1]
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +65,7 @@ def cell() -> Recorded:
         return Recorded(
             run["time"][:N], run["position"][:N], run["torque"][:N],
             posture["frequency"][()], posture["frf"][:, :, POINTS], posture["coherence"][:, :, POINTS],
-            posture["hits/force"][POINTS], posture["hits/response"][POINTS], posture.attrs["q_deg"].tolist(),
+            posture["hits/force"][POINTS], posture["hits/response"][POINTS], 256.0, posture.attrs["q_deg"].tolist(),
             points("excitation", POINTS), points("response", slice(None)),
         )  # fmt: skip
 
@@ -74,7 +80,8 @@ def mapped(tmp_path: Path, **content: Any) -> Path:
 
 
 def german(path: Path, cell: Recorded) -> dict[str, Any]:
-    header = ["Zeit [ms]", *(f"Achse {i} [°]" for i in (1, 2, 3)), *(f"Moment {i} [kNm]" for i in (1, 2, 3))]
+    axes = range(1, cell.axes + 1)
+    header = ["Zeit [ms]", *(f"Achse {i} [°]" for i in axes), *(f"Moment {i} [kNm]" for i in axes)]
     rows = np.column_stack([1e3 * cell.time, np.rad2deg(cell.q), cell.tau / 1e3])
     lines = [";".join(header), *(";".join(f"{x:.9f}".replace(".", ",") for x in row) for row in rows)]
     path.write_text("\n".join(lines), encoding="cp1252")
@@ -89,7 +96,7 @@ def tsv(path: Path, cell: Recorded) -> dict[str, Any]:
     rows = np.column_stack([cell.time, cell.q, cell.tau / LBF / 0.0254])
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream, dialect="excel-tab")
-        writer.writerow(["t", "q1", "q2", "q3", "tau1", "tau2", "tau3"])
+        writer.writerow(["t", *(f"{what}{i + 1}" for what in ("q", "tau") for i in range(cell.axes))])
         writer.writerows(rows.tolist())
     return {
         "time": {"channels": "t", "unit": "s"},
@@ -100,15 +107,16 @@ def tsv(path: Path, cell: Recorded) -> dict[str, Any]:
 
 def rtde(path: Path, cell: Recorded) -> dict[str, Any]:
     """As the record script of UR's RTDE client writes it; current stands for torque, by a constant per axis."""
-    names = ["timestamp", *(f"actual_q_{i}" for i in range(3)), *(f"actual_current_{i}" for i in range(3))]
+    constants = [MOTOR * (i + 1) for i in range(cell.axes)]
+    names = ["timestamp", *(f"actual_{what}_{i}" for what in ("q", "current") for i in range(cell.axes))]
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream, delimiter=" ")
         writer.writerow(names)
-        writer.writerows(np.column_stack([cell.time, cell.q, cell.tau / [100, 200, 300]]).tolist())
+        writer.writerows(np.column_stack([cell.time, cell.q, cell.tau / constants]).tolist())
     return {
         "time": {"channels": "timestamp", "unit": "s"},
         "position": {"channels": "actual_q_*", "unit": "rad"},
-        "torque": {"channels": "actual_current_*", "unit": "Nm", "factor": [100, 200, 300]},
+        "torque": {"channels": "actual_current_*", "unit": "Nm", "factor": constants},
     }
 
 
@@ -116,13 +124,14 @@ def krc(path: Path, cell: Recorded) -> dict[str, Any]:
     """A DIAdem header in the layout that KRC4 traces have, numbers beside it."""
     block = np.column_stack([np.rad2deg(cell.q), cell.tau])
     block.astype("<f8").tofile(path.with_suffix(".r64"))
-    names = [f"{what}_A{i}" for what in ("Istposition", "Moment") for i in (1, 2, 3)]
+    names = [f"{what}_A{i + 1}" for what in ("Istposition", "Moment") for i in range(cell.axes)]
     head = ["DIAEXTENDED", "#BEGINGLOBALHEADER", "  1,DOS", "112,High -> Low", "#ENDGLOBALHEADER"]
-    head += ["#BEGINCHANNELHEADER", "200,Zeit", "202,sec", "210,IMPLIZIT  ", f"220,{N}", f"240,{cell.time[0]}",
+    count = f"220,{len(cell.time)}"
+    head += ["#BEGINCHANNELHEADER", "200,Zeit", "202,sec", "210,IMPLIZIT  ", count, f"240,{cell.time[0]}",
              f"241,{cell.time[1] - cell.time[0]!r}", "#ENDCHANNELHEADER"]  # fmt: skip
     for i, name in enumerate(names, 1):
-        head += ["#BEGINCHANNELHEADER", f"200,{name}", f"202,{'°' if i < 4 else 'Nm'}", "210,EXPLIZIT",
-                 f"211,{path.stem}.r64", "213,BLOCK", "214,REAL64", f"220,{N}", f"221,{i}", "240,0",
+        head += ["#BEGINCHANNELHEADER", f"200,{name}", f"202,{'°' if i <= cell.axes else 'Nm'}", "210,EXPLIZIT",
+                 f"211,{path.stem}.r64", "213,BLOCK", "214,REAL64", count, f"221,{i}", "240,0",
                  "241,1.000000e+00", "#ENDCHANNELHEADER"]  # fmt: skip
     path.write_text("\n".join(head).replace("np.float64(", "").replace(")", ""), encoding="cp1252")
     return {
@@ -136,8 +145,8 @@ def mat5(path: Path, cell: Recorded) -> dict[str, Any]:
     scipy.io.savemat(path, {"log": {"t": cell.time, "q": cell.q, "tau": cell.tau}, "who": "lab"})
     return {
         "time": {"channels": "log.t", "unit": "s"},
-        "position": {"channels": "log.q.*", "unit": "rad"},
-        "torque": {"channels": "log.tau.*", "unit": "Nm"},
+        "position": {"channels": "log.q*", "unit": "rad"},
+        "torque": {"channels": "log.tau*", "unit": "Nm"},
     }
 
 
@@ -146,8 +155,8 @@ def mat73_log(path: Path, cell: Recorded) -> dict[str, Any]:
         file["t"], file["q"], file["tau"] = cell.time[None], cell.q.T, cell.tau.T
     return {
         "time": {"channels": "t", "unit": "s"},
-        "position": {"channels": "q.*", "unit": "rad"},
-        "torque": {"channels": "tau.*", "unit": "Nm"},
+        "position": {"channels": "q*", "unit": "rad"},
+        "torque": {"channels": "tau*", "unit": "Nm"},
     }
 
 
@@ -176,7 +185,7 @@ def bag(path: Path, cell: Recorded, plugin: Any = rosbags.rosbag2.StoragePlugin.
         for t, q, tau in zip(cell.time, cell.q, cell.tau, strict=True):
             ns = round(t * 1e9)
             stamp = types["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
-            order = [2, 0, 1]  # joints come in any order
+            order = [*range(2, cell.axes), *range(min(2, cell.axes))]  # joints come in any order
             message = types["sensor_msgs/msg/JointState"](
                 types["std_msgs/msg/Header"](stamp, ""), [f"joint_a{i + 1}" for i in order], q[order], q[:0], tau[order]
             )
@@ -206,7 +215,12 @@ def mcap(path: Path, cell: Recorded) -> dict[str, Any]:
         for t, q, tau in zip(cell.time, cell.q, cell.tau, strict=True):
             ns = round(t * 1e9)
             header = {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": ""}
-            joints = {"name": ["a1", "a2", "a3"], "position": q.tolist(), "velocity": [], "effort": tau.tolist()}
+            joints = {
+                "name": [f"a{i + 1}" for i in range(cell.axes)],
+                "position": q.tolist(),
+                "velocity": [],
+                "effort": tau.tolist(),
+            }
             writer.write_message("/joint_states", schema, {"header": header, **joints}, log_time=ns, publish_time=ns)
         writer.finish()
     return JOINT_STATES
@@ -297,15 +311,31 @@ def check_campaign_file(path: Path, cell: Recorded, rtol: float = 1e-5) -> None:
         assert np.linalg.norm(difference) < rtol * np.linalg.norm(cell.frf)
 
 
-def test_matlab_7_3_holds_frfs(cell: Recorded, tmp_path: Path) -> None:
+def matlab_frfs(path: Path, cell: Recorded) -> dict[str, Any]:
+    """v7.3, in mm/s² per N, by a name that says so."""
     pairs = np.zeros(cell.frf.T.shape, dtype=[("real", "f8"), ("imag", "f8")])
     pairs["real"], pairs["imag"] = cell.frf.T.real * 1e3, cell.frf.T.imag * 1e3
-    with h5py.File(tmp_path / "frf.mat", "w", userblock_size=512) as file:
-        file["f"], file["H"] = cell.frequency[None], pairs
-    plan = mapped(
-        tmp_path, makes="frf-campaign", robot="kr90", postures=stance(cell), excitation=cell.nodes,
-        response=cell.sensors, frequency={"channels": "f", "unit": "Hz"}, frf={"channels": "H", "unit": "mm/s²/N"},
-    )  # fmt: skip
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["f"], file["H"], file["coh"] = cell.frequency[None], pairs, cell.coherence.T
+    return arrays(cell, unit="mm/s²/N")
+
+
+def matlab5_frfs(path: Path, cell: Recorded) -> dict[str, Any]:
+    """v5, in g per N."""
+    scipy.io.savemat(path, {"f": cell.frequency, "H": cell.frf / G, "coh": cell.coherence})
+    return arrays(cell, unit="g/N")
+
+
+def arrays(cell: Recorded, unit: str) -> dict[str, Any]:
+    return {
+        "postures": stance(cell), "excitation": cell.nodes, "response": cell.sensors, "coherence": "coh",
+        "averages": 3, "frequency": {"channels": "f", "unit": "Hz"}, "frf": {"channels": "H", "unit": unit},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("write", [matlab_frfs, matlab5_frfs])
+def test_matlab_holds_frfs(write: Callable[..., dict[str, Any]], cell: Recorded, tmp_path: Path) -> None:
+    plan = mapped(tmp_path, makes="frf-campaign", robot="kr90", **write(tmp_path / "frf.mat", cell))
     assert guess_map([tmp_path / "frf.mat"])["frf"]["unit"] == "ask"
     import_files([tmp_path / "frf.mat"], plan, tmp_path / "campaign.h5")
     check_campaign_file(tmp_path / "campaign.h5", cell)
@@ -317,30 +347,37 @@ def one_record(cell: Recorded, point: int) -> np.ndarray:
     return np.hstack(hits).T
 
 
-@pytest.mark.parametrize("kind", ["wav", "tdms"])
-def test_blows_are_found_in_a_running_record(kind: str, cell: Recorded, tmp_path: Path) -> None:
+def records(folder: Path, kind: str, cell: Recorded) -> tuple[list[Path], dict[str, Any]]:
+    """A file per hammer point, all its blows in one running record; a WAV holds shares of full scale."""
     files = []
     for i in range(len(cell.nodes)):
-        record, path = one_record(cell, i), tmp_path / f"point{i}.{kind}"
+        record, path = one_record(cell, i), folder / f"point{i}.{kind}"
         if kind == "wav":
-            scipy.io.wavfile.write(path, 256, (record / [1000, 10, 10, 10]).astype(np.float32))
+            scipy.io.wavfile.write(path, round(cell.rate), (record / [1000, 10, 10, 10]).astype(np.float32))
         else:
             with nptdms.TdmsWriter(path) as writer:
                 for name, column in zip(["Hammer", "X", "Y", "Z"], record.T, strict=True):
-                    said = {"wf_increment": 1 / 256, "unit_string": "N" if name == "Hammer" else "m/s^2"}
+                    said = {"wf_increment": 1 / cell.rate, "unit_string": "N" if name == "Hammer" else "m/s^2"}
                     writer.write_segment([nptdms.ChannelObject("hits", name, np.ascontiguousarray(column), said)])
         files.append(path)
     names = [f"channel.{i}" for i in range(1, 5)] if kind == "wav" else ["Hammer", "X", "Y", "Z"]
     scale = (1000, 10) if kind == "wav" else (1, 1)
-    plan = mapped(
-        tmp_path, makes="frf-campaign", robot="kr90", postures=stance(cell),
-        force={"channels": [names[0]], "unit": "N", "factor": scale[0]},
-        response=[{**s, "channel": n, "unit": "m/s²", "factor": scale[1]}
-                  for s, n in zip(cell.sensors, names[1:], strict=True)],
-        excitation=[{**p, "files": f"point{i}.{kind}"} for i, p in enumerate(cell.nodes)],
-        record_s=3.9, pretrigger_s=0.05, band_hz=[5, 45],
-    )  # fmt: skip
-    import_files(files, plan, tmp_path / "campaign.h5")
+    return files, {
+        "postures": stance(cell),
+        "force": {"channels": [names[0]], "unit": "N", "factor": scale[0]},
+        "response": [{**s, "channel": n, "unit": "m/s²", "factor": scale[1]}
+                     for s, n in zip(cell.sensors, names[1:], strict=True)],
+        "excitation": [{**p, "files": f"point{i}.{kind}"} for i, p in enumerate(cell.nodes)],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["wav", "tdms"])
+def test_blows_are_found_in_a_running_record(kind: str, cell: Recorded, tmp_path: Path) -> None:
+    files, plan = records(tmp_path, kind, cell)
+    path = mapped(
+        tmp_path, makes="frf-campaign", robot="kr90", record_s=3.9, pretrigger_s=0.05, band_hz=[5, 45], **plan
+    )
+    import_files(files, path, tmp_path / "campaign.h5")
     with h5py.File(tmp_path / "campaign.h5") as file:
         posture = file["postures/upright"]
         force = posture["hits/force"][()]
@@ -378,6 +415,8 @@ def test_a_slip_of_units_in_frfs_is_named(
         ({"position": {"channels": "q*", "unit": "rad", "factor": 57.3}}, "look like degrees"),
         ({"torque": {"channels": "tau*", "unit": "Nm", "factor": 1e3}}, "look like N·mm"),
         ({"torque": {"channels": "tau*", "unit": "Nm", "factor": 1e-4}}, "look like kN·m"),
+        ({"position": {"channels": "q*", "unit": "deg"}}, "look like rad, declared degrees"),
+        ({"torque": {"channels": "tau*", "unit": "Nm"}}, "look like lbf·in, declared N·m"),
         ({"torque": {"channels": "tau*", "unit": "ask"}}, "never guessed"),
         ({"torque": {"channels": "tau*", "unit": "rad"}}, "expected a unit of torque"),
         ({"torque": {"channels": "moment*", "unit": "Nm"}}, "fits no channel"),
@@ -390,6 +429,15 @@ def test_a_slip_of_units_in_a_log_is_named(
     plan = tsv(tmp_path / "l.tsv", cell) | change
     path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
     refused(twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5"), named, tmp_path / "l.h5")
+
+
+def test_places_in_mm_are_named(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
+    universal(tmp_path / "e.unv", cell, True)
+    in_mm = {n: node | {"position": [1e3 * x for x in node["position"]]} for n, node in nodes(cell).items()}
+    plan = mapped(tmp_path, makes="frf-campaign", robot="kr90", postures=stance(cell), nodes=in_mm, unit="(m/s²)/N")
+    refused(
+        twin("import", tmp_path / "e.unv", "--map", plan, "-o", tmp_path / "c.h5"), "look like mm", tmp_path / "c.h5"
+    )
 
 
 def test_a_unit_that_the_file_states_wins_over_a_wrong_map(
@@ -414,9 +462,12 @@ def test_a_guessed_map_is_a_map_but_for_its_units(cell: Recorded, tmp_path: Path
     assert said.code == 0, said.err
     assert said.out.count("unit: ask") == 3
     path = tmp_path / "map.yaml"
-    path.write_text(said.out.replace("unit: ask", "unit: s", 1).replace("unit: ask", "unit: rad", 1)
-                    .replace("unit: ask\n    factor: 1.0", "unit: Nm\n    factor: [100, 200, 300]", 1)
-                    .replace("unit: ask", "unit: Nm"))  # fmt: skip
+    path.write_text(said.out)
+    out = tmp_path / "log.h5"
+    refused(twin("import", tmp_path / "data.csv", "--map", path, "-o", out), "state the robot", out)
+    path.write_text(said.out.replace("robot: ask", "robot: kr90")
+                    .replace("unit: ask", "unit: s", 1).replace("unit: ask", "unit: rad", 1)
+                    .replace("unit: ask\n  factor: 1.0", "unit: Nm\n  factor: [100, 200, 300]", 1))  # fmt: skip
     said = twin("import", tmp_path / "data.csv", "--map", path, "-o", tmp_path / "log.h5")
     assert said.code == 0, said.err
     assert "rate (Hz) 250" in said.out

@@ -213,3 +213,20 @@ def test_the_mismatch_map_is_one_where_the_residual_is_noise() -> None:
     r = record(H, H, H + noise, excitation=blow, variance=np.full(H.shape, 1e-4))
     over = diagnosis._banded(r, "after", np.linspace(5, 30, 11))
     assert over == pytest.approx(np.ones(10), abs=0.08)
+
+
+def test_the_map_says_in_every_cell_how_far_the_model_misses_over_noise() -> None:
+    shifted = record(oscillators(11.9, 20.0), oscillators(11.0, 20.0), oscillators(11.0, 20.0))
+    drawn = diagnosis.mismatch_map([shifted])
+    before, after = (drawn.panels[f"upright, {diagnosis.NAMES[s]}"] for s in ("before", "after"))
+    assert before.rows == ["21Z+/4Y+"]
+    assert np.isfinite(before.values).all()
+    place = np.searchsorted(before.edges, 11.0) - 1
+    of = (shifted.frequency >= before.edges[place]) & (shifted.frequency < before.edges[place + 1])
+    wanted = np.sqrt(np.mean(np.abs(shifted.measured - shifted.predicted["before"])[of] ** 2 / 1e-4) / 2)
+    assert before.values[0, place] == pytest.approx(wanted)
+    assert drawn.range[1] == pytest.approx(before.values.max())
+    assert not after.values.any()
+    (pooled,) = drawn.panels["all postures, before: refitted"].values
+    np.testing.assert_allclose(pooled, before.values[0])
+    assert drawn.data()["panels"][2]["columns"] == ["4Y+"]

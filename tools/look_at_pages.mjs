@@ -1,7 +1,9 @@
 // Looks at pages as a person would: in a real browser, wide and narrow, on paper, dark, and with a test of accessibility.
 //
-//   npm install puppeteer-core @sparticuz/chromium axe-core      (in any folder, outside the repository)
-//   node /path/to/tools/look_at_pages.mjs PAGES OUT              (from that folder; PAGES: a folder or HTML files)
+//   npm install puppeteer-core axe-core                  (in any folder, outside the repository)
+//   node /path/to/tools/look_at_pages.mjs PAGES OUT      (from that folder; PAGES: a folder or HTML files)
+//
+// The browser is Chromium, as `chromium` of a Linux distribution; CHROMIUM names another place than /usr/bin/chromium.
 //
 // OUT gets a picture per page and width, and a PDF. Printed is what is wrong: requests that leave the disk, errors of
 // scripts, content wider than the window, findings of axe-core that are serious or critical. Exit code 1 if anything is.
@@ -11,7 +13,6 @@ import { basename, join, relative, resolve } from "node:path";
 import { pathToFileURL } from "node:url";
 
 const require = createRequire(join(process.cwd(), "package.json"));
-const chromium = (await import(pathToFileURL(require.resolve("@sparticuz/chromium")))).default;
 const puppeteer = (await import(pathToFileURL(require.resolve("puppeteer-core")))).default;
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
 
@@ -27,9 +28,8 @@ function inside(folder) {
 }
 
 const browser = await puppeteer.launch({
-  args: puppeteer.defaultArgs({ args: [...chromium.args, "--allow-file-access-from-files"], headless: "shell" }),
-  executablePath: await chromium.executablePath(),
-  headless: "shell",
+  args: ["--no-sandbox", "--allow-file-access-from-files"],
+  executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
 });
 let faults = 0;
 for (const path of pages) {

@@ -31,7 +31,11 @@ def commands() -> str:
     """What `twin COMMAND --help` says, in Markdown."""
     root = get_command(app)
     context = typer.Context(root, info_name="twin")
-    parts = ["# Commands", "`twin COMMAND --help` says the same. Bad input ends in one line and exit code 2."]
+    general = (
+        "`twin COMMAND --help` says the same. `twin -q COMMAND` prints one line, `twin -v COMMAND` every file it "
+        "wrote. `twin --install-completion` completes in your shell. Bad input ends in one line and exit code 2."
+    )
+    parts = ["# Commands", general]
     for name, command in root.commands.items():  # type: ignore[attr-defined]
         parts += [f"## twin {name}", inspect.cleandoc(command.help or "")]
         records = [record for p in command.params if (record := p.get_help_record(context))]

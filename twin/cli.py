@@ -691,15 +691,16 @@ def import_(
 
 @command()
 def example(
-    name: Annotated[str, typer.Argument(help="Which one: cell.")] = "cell",
+    name: Annotated[str, typer.Argument(help="Which one: cell or arm.")] = "cell",
     out: Out = None,
     json: Json = False,
     seed: NoSeed = 0,
 ) -> None:
-    """Recordings to try everything on: a robot cell with a concealed fault.
+    """Recordings to try everything on: a robot with a concealed fault.
 
-    Writes a hammer test with raw hits, a motion log and posture files into a folder of the example's name.
-    Another code simulated the robot; answer.json says what was concealed.
+    Writes a folder of the example's name. cell: a hammer test with raw hits, a motion log and posture files of the
+    KR90. arm: a URDF of a small arm and its controller's records. Another code played the robot; answer.json says
+    what was concealed.
     """
     from twin.commands.example import example as run
 

@@ -21,8 +21,10 @@ def written(files: Sequence[str | Path]) -> str:
     paths = sorted(map(Path, files), key=lambda path: order.get(path.suffix, len(order)))
     named, rest = [path.name for path in paths[:NAMED]], paths[NAMED:]
     figures = sum(path.suffix == ".png" for path in rest)
-    more = f"{figures} figures" if figures == len(rest) else f"{len(rest)} more ({figures} figures)"
-    return f"wrote into {Path(files[0]).parent}: {', '.join(named)}{f' and {more}' if rest else ''}"
+    drawn = f"{figures} figure{'s' * (figures != 1)}"
+    more = drawn if figures == len(rest) else f"{len(rest)} more" + (f" ({drawn})" if figures else "")
+    folder = min((path.parent for path in paths), key=lambda folder: len(folder.parts))
+    return f"wrote into {folder}: {', '.join(named)}{f' and {more}' if rest else ''}"
 
 
 class Result:

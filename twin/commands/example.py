@@ -13,13 +13,22 @@ from twin.table import Table
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 WHAT = {
-    "campaign.h5": "hammer test, five postures, raw hits included",
-    "log.h5": "motion log of the same robot, two runs",
-    "milling.yaml": "a posture, as twin simulate takes it",
-    "upright.yaml": "another",
-    "rigid.yaml": "another",
-    "answer.json": "what was concealed: look last",
+    "cell": {
+        "campaign.h5": "hammer test, five postures, raw hits included",
+        "log.h5": "motion log of the same robot, two runs",
+        "milling.yaml": "a posture, as twin simulate takes it",
+        "upright.yaml": "another",
+        "rigid.yaml": "another",
+        "answer.json": "what was concealed: look last",
+    },
+    "arm": {
+        "arm.urdf": "drawing of a six-axis arm: axes, masses, limits",
+        "run1.csv": "its controller's record, positions and currents",
+        "run2.csv": "another",
+        "answer.json": "what was concealed: look last",
+    },
 }
+NEXT = {"cell": "twin diagnose {0}/campaign.h5", "arm": "twin describe {0}/arm.urdf"}
 
 
 @dataclass
@@ -32,7 +41,7 @@ class Example(Result):
     @property
     def files(self) -> list[str]:
         """Paths of the files."""
-        return [str(self.folder / name) for name in WHAT]
+        return [str(self.folder / name) for name in WHAT[self.name]]
 
     def data(self) -> dict[str, Any]:
         """As printed with ``--json``."""
@@ -40,28 +49,28 @@ class Example(Result):
 
     def tables(self) -> list[Table]:
         """File and content."""
-        return [Table(["file", "holds"], [[name, what] for name, what in WHAT.items()])]
+        return [Table(["file", "holds"], [[name, what] for name, what in WHAT[self.name].items()])]
 
     def __str__(self) -> str:
-        width = max(map(len, WHAT))
-        lines = [f"  {name:<{width}}  {what}" for name, what in WHAT.items()]
-        return "\n".join([f"wrote {self.folder}/", *lines, f"next: twin diagnose {self.folder / 'campaign.h5'}"])
+        files = WHAT[self.name]
+        width = max(map(len, files))
+        lines = [f"  {name:<{width}}  {what}" for name, what in files.items()]
+        return "\n".join([f"wrote {self.folder}/", *lines, f"next: {NEXT[self.name].format(self.folder)}"])
 
 
 def example(name: str = "cell", out: str | Path | None = None) -> Example:
-    """Write an example's recordings and posture files into a folder, ``name`` by default.
+    """Write an example's files into a folder, ``name`` by default.
 
     Raises:
         InputError: no such example, or the folder cannot be written.
     """
-    names = sorted(folder.name for folder in EXAMPLES.iterdir() if folder.is_dir())
-    if name not in names:
-        raise InputError("NAME", name, f"no such example; expected {' or '.join(names)}")
+    if name not in WHAT:
+        raise InputError("NAME", name, f"no such example; expected {' or '.join(WHAT)}")
     folder = Path(out if out is not None else name)
     check_out(folder)
     with Outputs(folder, "example") as target:
         for path in (EXAMPLES / name, SHIPPED / "postures"):
             for file in sorted(path.iterdir()):
-                if file.name in WHAT:
+                if file.name in WHAT[name]:
                     shutil.copyfile(file, target(file.name))
     return Example(name, folder)

@@ -14,6 +14,7 @@ from twin.importing.tables import read_tables
 from twin.measure.campaign import Campaign, write_campaign
 from twin.measure.motion_log import MotionLog, write_motion_log
 from twin.measure.recordings import UFF
+from twin.measure.units import ASK
 from twin.result import Result
 from twin.robot.description import load_robot
 from twin.table import Table
@@ -80,6 +81,9 @@ def import_files(files: Sequence[str | Path], map_: str | Path, out: str | Path 
     if out is not None and Path(out).suffix.lower() != ".h5":
         raise InputError("--out", str(out), "expected the name of a file that ends in .h5")
     plan = read_map(Path(map_), universal)
+    if plan.robot == ASK:
+        expected = "state the robot: a shipped name or a path relative to the map; without the line less is checked"
+        raise InputError(map_, "robot", expected)
     robot = None if plan.robot is None else load_robot(plan.robot, relative_to=Path(map_).parent)
     content: Campaign | MotionLog
     if isinstance(plan, LogMap):

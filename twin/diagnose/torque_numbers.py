@@ -133,7 +133,7 @@ def corrected(robot: Robot, numbers: Sequence[Parameter], values: Sequence[float
     ]
     robot = robot.model_copy(update={"drives": drives})
     lean = np.array([*(known.get(name, 0.0) for name in LEANING), 0.0])
-    if not lean.any():
+    if not (lean.any() and np.any(robot.gravity)):
         return robot
     gravity = np.array(robot.gravity)
     turned = gravity - np.cross(lean, gravity)

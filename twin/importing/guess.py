@@ -45,7 +45,7 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
     if "position" not in series:
         raise InputError(first.name, "channels", f"no name tells a hammer or positions: {', '.join(names[:12])}")
     clock = next((name for name in names if CLOCK.match(name)), None)
-    found: dict[str, Any] = {"makes": "motion-log", "robot": "kr90"}
+    found: dict[str, Any] = {"makes": "motion-log", "robot": ASK}
     if clock:
         found["time"] = {"channels": [clock], "unit": first.channels[clock].unit or ASK}
     else:
@@ -73,7 +73,7 @@ def _hits(first: Table, tables: Sequence[Table], names: list[str], hammer: str) 
     ]
     return {
         "makes": "frf-campaign",
-        "robot": "kr90",
+        "robot": ASK,
         "postures": {"posture": {"q_deg": [], "files": "*"}},
         "sample_rate_hz": first.sample_rate_hz or ASK,
         "record_s": 2.0,
@@ -89,7 +89,7 @@ def _functions(first: Table, tables: Sequence[Table]) -> dict[str, Any]:
     _, responses, excitations = first.channels[name].values.shape
     return {
         "makes": "frf-campaign",
-        "robot": "kr90",
+        "robot": ASK,
         "postures": {table.name: {"q_deg": [], "files": table.name} for table in tables},
         "frequency": {"channels": lines, "unit": ASK},
         "frf": {"channels": name, "unit": ASK},
@@ -112,7 +112,7 @@ def guess_universal(paths: Sequence[Path]) -> dict[str, Any]:
              for label, at in zip(side.label, side.position, strict=True)}  # fmt: skip
     return {
         "makes": "frf-campaign",
-        "robot": "kr90",
+        "robot": ASK,
         "postures": {path.stem: {"q_deg": [], "files": path.name} for path in paths},
         "unit": stated_unit(paths[0]) or ASK,
         "nodes": {node: {"body": ASK, "position": at} for node, at in nodes.items()},

@@ -2,14 +2,17 @@
 
 FRFs are held against the described robot's: between its modes an accelerance follows the masses, which are known within
 some tens of per cent, while a slip is a factor of 4.4 or more. Torques are held against the robot's weight at arm's
-length.
+length, and against the torque that the described robot needs for the motion.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from twin.errors import InputError
-from twin.measure.campaign import Campaign
-from twin.measure.motion_log import MotionLog, check_against
+from twin.identify.rigid_compare import compare_log
+from twin.measure.campaign import Campaign, FloatArray
+from twin.measure.motion_log import MotionLog, MotionRun, check_against
 from twin.measure.units import INCH_M, POUND_FORCE_N, STANDARD_GRAVITY
 from twin.robot.description import Robot
 
@@ -24,6 +27,17 @@ SLIPS = {  # measured over predicted accelerance → what was declared, and what
     1 / POUND_FORCE_N: "the force looks like N, declared lbf",
     1 / INCH_M: "the response looks like inches (in/s²), declared m (m/s²)",
 }
+LOG_SLIPS = {  # factors of positions and of torques that undo a slip, and what it looks like
+    (180 / np.pi, 1.0): "the positions look like rad, declared degrees",
+    (np.pi / 180, 1.0): "the positions look like degrees, declared rad",
+    (1.0, POUND_FORCE_N * INCH_M): "the torques look like lbf·in, declared N·m",
+    (1.0, 1 / (POUND_FORCE_N * INCH_M)): "the torques look like N·m, declared lbf·in",
+    (1.0, STANDARD_GRAVITY): "the torques look like kgf·m, declared N·m",
+    (1.0, 1e-3): "the torques look like N·mm, declared N·m",
+    (1.0, 1e3): "the torques look like kN·m, declared N·m",
+}
+LOOKED_AT_S = 30.0  # of a log
+UNLIKE = 0.5  # error of the described torque from which a slip is looked for; undone, it is less than half of that
 LIKE_A_SLIP = 1.8  # ratios within this factor of a slip, and farther than that from 1, are one
 
 
@@ -42,28 +56,60 @@ def check_log(log: MotionLog, robot: Robot | None) -> None:
     if robot is None:
         return
     check_against(log, robot)
-    weight = _weight_moment(robot)
+    held = _held(robot)
+    if not held.all():
+        return
     for name, run in log.runs.items():
         if run.torque is None:
             continue
-        largest = float(np.abs(run.torque).max())
-        if largest > 30 * weight:
-            expected = f"the robot's weight at arm's length makes {weight:.3g}; these look like N·mm"
-        elif largest < weight / 1000:
-            expected = (
-                f"the robot's weight at arm's length makes {weight:.3g}; these look like kN·m, or like torque at "
-                "the motor (factor: the gear ratio)"
-            )
+        largest = np.abs(run.torque).max(axis=0)
+        worst = int(np.argmax(largest / held))
+        unit, arm = ("N·m", " at arm's length") if robot.axes[worst].type == "revolute" else ("N", "")
+        expected = f"the robot's weight{arm} makes {held[worst]:.3g}; these look like "
+        if largest[worst] > 30 * held[worst]:
+            expected += "N·mm" if arm else "mN"
+        elif largest[worst] < held[worst] / 1000:
+            expected += f"k{unit}, or like torque at the motor (factor: the gear ratio)"
         else:
             continue
-        raise InputError(log.source, f"{name}: torque", f"reaches {largest:.4g} N·m; {expected}")
+        raise InputError(log.source, f"{name}: torque", f"reaches {largest[worst]:.4g} {unit}; {expected}")
+    _check_slips(log, robot)
 
 
-def _weight_moment(robot: Robot) -> float:
-    """Moment, N·m, of the moving links' weight held out at half the sum of the links' lengths."""
-    mass = sum(link.mass or 0.0 for link in robot.links)
+def _check_slips(log: MotionLog, robot: Robot) -> None:
+    """Raise where another unit brings the torques far nearer to what the described robot needs for the motion."""
+    name, run = max(log.runs.items(), key=lambda item: len(item[1].time))
+    if run.torque is None:
+        return
+    some = slice(round(LOOKED_AT_S * run.sample_rate_hz))
+    time, position, torque = run.time[some], run.position[some], run.torque[some]
+
+    def error(turns: float, torques: float) -> float:
+        scaled = MotionRun(name, time, turns * position, run.sample_rate_hz, torques * torque)
+        try:
+            return compare_log(replace(log, runs={name: scaled}), robot).error
+        except InputError:  # too short to judge, or no motion of this robot
+            return np.inf
+
+    declared = error(1.0, 1.0)
+    if not UNLIKE < declared < np.inf:
+        return
+    found = {factors: error(*factors) for factors in LOG_SLIPS}
+    likely = min(found, key=lambda factors: found[factors])
+    if found[likely] < UNLIKE * min(declared, 1.0):
+        raise InputError(
+            log.source, f"{name}: unit",
+            f"torques miss those of {robot.name} as described by {declared:.0%}, otherwise by {found[likely]:.0%}: "
+            f"{LOG_SLIPS[likely]}",
+        )  # fmt: skip
+
+
+def _held(robot: Robot) -> FloatArray:
+    """What the moving links' weight would ask of each axis (n,): N on a slide; N·m on a hinge, at half the reach."""
+    weight = STANDARD_GRAVITY * sum(link.inertial[0] for link in robot.links)
     reach = sum(float(np.hypot(axis.a, axis.d)) for axis in robot.axes)
-    return max(mass * STANDARD_GRAVITY * reach / 2, 1e-6)
+    reach += float(np.linalg.norm(robot.flange.position))
+    return np.array([weight * (reach / 2 if axis.type == "revolute" else 1.0) for axis in robot.axes])
 
 
 def check_campaign_units(campaign: Campaign, robot: Robot | None) -> None:

@@ -28,7 +28,6 @@ from twin.measure.campaign import (
 )
 from twin.measure.hdf5 import check_unit
 from twin.measure.modal import ModalResult
-from twin.measure.modal_table import TableMode
 from twin.measure.units import frf_factor, same
 
 FRF_FUNCTION, COHERENCE_FUNCTION = 4, 6
@@ -40,9 +39,9 @@ ORDINATE: dict[int, tuple[Quantity, str]] = {
     11: ("mobility", "m/s"),
     12: ("accelerance", "m/s^2"),
 }
-BINARY_HEADER = re.compile(
-    rb"(?P<start>    58b.{24}).{12}(?P<rest>[^\n]*\n(?:[^\n]*\n){6}(?P<type> {9}\d)(?P<count>[ \d]{10}))"
-)
+STATE = {  # words that are fields of a posture
+    "averages": int, "peak_force_n": float, "exponential_window_rate": float, "pulse_s": float, "record_s": float,
+}  # fmt: skip
 NO_TEXT = ("", "NONE", "UNKNOWN")
 
 
@@ -309,36 +308,24 @@ def _posture(
         return np.stack([[functions[r, e]["data"] for e in excitation] for r in response]).transpose(2, 0, 1)
 
     words = group.words
-    if q_deg is None:
-        try:
-            q_deg = np.array([float(q) for q in words["q_deg"].split(",")] if words.get("q_deg") else [])
-        except ValueError:
-            raise InputError(source, f"{where}: q_deg", f"expected numbers, found {words['q_deg']}") from None
-    brakes: Any = words.get("brakes")
     try:
-        return PostureFRF(
-            name=name,
-            q_deg=np.asarray(q_deg, dtype=np.float64),
-            brakes=brakes,
-            frequency=frequency,
-            frf=np.asarray(stacked(group.frf), dtype=np.complex128),
-            quantity=ORDINATE[kinds.pop()][0],
-            coherence=np.asarray(stacked(group.coherence).real, dtype=np.float64) if group.coherence else None,
-            averages=int(words["averages"]) if "averages" in words else None,
-            peak_force_n=float(words["peak_force_n"]) if "peak_force_n" in words else None,
-            exponential_window_rate=float(words.get("exponential_window_rate", 0.0)),
-            pulse_s=float(words["pulse_s"]) if "pulse_s" in words else None,
-            record_s=float(words["record_s"]) if "record_s" in words else None,
-        )
+        if q_deg is None:
+            q_deg = np.array([float(q) for q in words["q_deg"].split(",")] if words.get("q_deg") else [])
+        state: dict[str, Any] = {name: kind(words[name]) for name, kind in STATE.items() if name in words}
     except ValueError as error:
         raise InputError(source, where, f"expected numbers in the ID lines: {error}") from None
+    coherence = np.asarray(stacked(group.coherence).real, dtype=np.float64) if group.coherence else None
+    return PostureFRF(
+        name, np.asarray(q_deg, dtype=np.float64), words.get("brakes"), frequency,  # type: ignore[arg-type]
+        np.asarray(stacked(group.frf), dtype=np.complex128), ORDINATE[kinds.pop()][0], coherence, **state,
+    )  # fmt: skip
 
 
 # --- writing ----------------------------------------------------------------------------------------------
 
 
-def write_uff(path: str | Path, campaign: Campaign, *, binary: bool = False) -> None:
-    """Write FRFs and coherence of all postures as data sets 58 (58b when ``binary``), with units and nodes.
+def write_uff(path: str | Path, campaign: Campaign) -> None:
+    """Write FRFs and coherence of all postures as data sets 58, as text, with units and nodes.
 
     Directions are kept as signed axes and node positions to six digits, which is what the format holds; time records
     are not part of it.
@@ -348,7 +335,7 @@ def write_uff(path: str | Path, campaign: Campaign, *, binary: bool = False) -> 
     for posture in campaign.postures.values():
         for e, excitation in enumerate(campaign.excitation.label):
             for r, response in enumerate(campaign.response.label):
-                common = _common(campaign, posture, r, e, response, excitation, binary)
+                common = _common(campaign, posture, r, e, response, excitation)
                 kind = next(k for k, (quantity, _) in ORDINATE.items() if quantity == posture.quantity)
                 what = {
                     "ordinate_spec_data_type": kind,
@@ -368,14 +355,6 @@ def write_uff(path: str | Path, campaign: Campaign, *, binary: bool = False) -> 
 def _write_sets(path: str | Path, sets: list[dict[str, Any]]) -> None:
     with replacing(path) as scratch, redirect_stdout(StringIO()):
         pyuff.UFF(str(scratch)).write_sets(sets, mode="overwrite")
-        if any(dataset.get("binary") for dataset in sets):
-            scratch.write_bytes(BINARY_HEADER.sub(_true_size, scratch.read_bytes()))
-
-
-def _true_size(header: re.Match[bytes]) -> bytes:
-    """Header of a binary data set with its size in bytes; pyuff 2.5 states half of it for complex data."""
-    size = int(header["count"]) * (16 if int(header["type"]) == 6 else 8)
-    return header["start"] + b"%12d" % size + header["rest"]
 
 
 def _units() -> dict[str, Any]:
@@ -403,53 +382,29 @@ def _nodes(path: str | Path, campaign: Campaign) -> dict[str, Any]:
     )
 
 
-_FREQUENCY: dict[str, Any] = {
-    "abscissa_spacing": 1,
-    "abscissa_spec_data_type": FREQUENCY_DATA,
-    "abscissa_axis_lab": "Frequency",
-    "abscissa_axis_units_lab": "Hz",
-}
-"""The abscissa of data set 58; pyuff fills in what is not given."""
-
-
-def _common(
-    campaign: Campaign, posture: PostureFRF, r: int, e: int, response: str, excitation: str, binary: bool
-) -> dict[str, Any]:
-    """Every field that FRF and coherence share."""
+def _common(campaign: Campaign, posture: PostureFRF, r: int, e: int, response: str, excitation: str) -> dict[str, Any]:
+    """Every field that FRF and coherence share; pyuff fills in the others."""
     state = {
-        "exponential_window_rate": f"{posture.exponential_window_rate:.9g}",
-        "averages": posture.averages,
-        "brakes": posture.brakes,
-        "peak_force_n": None if posture.peak_force_n is None else f"{posture.peak_force_n:.9g}",
+        name: None if (value := getattr(posture, name)) is None else f"{value:.9g}"
+        for name in ("exponential_window_rate", "averages", "peak_force_n", "pulse_s", "record_s")
     }
-    length = {name: None if value is None else f"{value:.6g}"
-              for name, value in (("pulse_s", posture.pulse_s), ("record_s", posture.record_s))}  # fmt: skip
+    length = {name: state.pop(name) for name in ("pulse_s", "record_s")}
     lines: list[dict[str, Any]] = [
         {"posture": posture.name, "robot": campaign.robot},
         {"q_deg": ",".join(f"{q:.10g}" for q in posture.q_deg) or None},
         {"response_body": campaign.response.body[r], "excitation_body": campaign.excitation.body[e], **length},
-        state,
+        {"brakes": posture.brakes, **state},
     ]
     ids = [" ".join(f"{k}={v}" for k, v in words.items() if v is not None)[:80] or "NONE" for words in lines]
     (response_node, response_direction), (node, direction) = _parts(response), _parts(excitation)
     frequency = posture.frequency
     return {
-        **_FREQUENCY,
-        "type": 58,
-        "binary": int(binary),
-        "id1": ids[0],
-        "id2": ids[1],
-        "id4": ids[2],
-        "id5": ids[3],
-        "rsp_node": response_node,
-        "rsp_dir": response_direction,
-        "ref_node": node,
-        "ref_dir": direction,
-        "num_pts": frequency.size,
-        "abscissa_min": float(frequency[0]),
-        "abscissa_inc": float(frequency[1] - frequency[0]),
-        "x": frequency,
-    }
+        "type": 58, "binary": 0, "id1": ids[0], "id2": ids[1], "id4": ids[2], "id5": ids[3],
+        "rsp_node": response_node, "rsp_dir": response_direction, "ref_node": node, "ref_dir": direction,
+        "abscissa_spacing": 1, "abscissa_spec_data_type": FREQUENCY_DATA, "abscissa_axis_lab": "Frequency",
+        "abscissa_axis_units_lab": "Hz", "abscissa_min": float(frequency[0]),
+        "abscissa_inc": float(frequency[1] - frequency[0]), "num_pts": frequency.size, "x": frequency,
+    }  # fmt: skip
 
 
 def write_uff_modes(path: str | Path, result: ModalResult) -> None:
@@ -469,46 +424,9 @@ def write_uff_modes(path: str | Path, result: ModalResult) -> None:
             pyuff.prepare_55(
                 id1=f"posture={result.name}"[:80],
                 id2=f"frequency_hz={mode.frequency_hz:.9g} damping_percent={mode.damping_percent:.9g}",
-                id3="NONE",
-                id4="NONE",
-                id5="NONE",
-                model_type=1,
-                analysis_type=3,
-                data_ch=2,
-                spec_data_type=8,
-                data_type=5,
-                n_data_per_node=3,
-                load_case=1,
-                mode_n=number,
-                eig=eigenvalue,
-                modal_a=0j,
-                modal_b=0j,
-                node_nums=nodes,
-                r1=at[0],
-                r2=at[1],
-                r3=at[2],
+                id3="NONE", id4="NONE", id5="NONE", model_type=1, analysis_type=3, data_ch=2, spec_data_type=8,
+                data_type=5, n_data_per_node=3, load_case=1, mode_n=number, eig=eigenvalue, modal_a=0j, modal_b=0j,
+                node_nums=nodes, r1=at[0], r2=at[1], r3=at[2],
             )
-        )
+        )  # fmt: skip
     _write_sets(path, sets)
-
-
-def read_uff_modes(path: str | Path) -> list[TableMode]:
-    """Modes in data sets 55: normal modes (analysis type 2) and complex modes (3, 7), shapes by positive label."""
-    path = Path(path)
-    modes = []
-    for number, dataset in enumerate((d for d in _datasets(path) if d.get("type") == 55), 1):
-        kind = int(dataset["analysis_type"])
-        if kind == 2:
-            frequency, damping = float(dataset["freq"]), float(dataset["modal_damp_vis"])
-        elif kind in (3, 7):
-            size = abs(complex(dataset["eig"]))
-            frequency, damping = size / (2 * np.pi), -complex(dataset["eig"]).real / size
-        else:
-            raise InputError(path, f"data set 55 number {number}", f"expected modes (type 2, 3, 7), found type {kind}")
-        shape = {
-            f"{int(node)}{axis}+": complex(value)
-            for axis, key in zip("XYZ", ("r1", "r2", "r3"), strict=True)
-            for node, value in zip(dataset["node_nums"], dataset[key], strict=True)
-        }
-        modes.append(TableMode(frequency, 100 * damping, shape=shape))
-    return modes

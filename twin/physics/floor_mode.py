@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 SEARCHED = ("z", "rx", "ry")
 """Directions that a search frees: a slab on soil bounces and rocks; it neither slides nor turns freely."""
+CONCRETE = 2400.0  # kg/m³
 
 
 TYPICAL_HZ = {"z": 20.0, "rx": 15.0, "ry": 15.0}
@@ -62,9 +63,12 @@ class FloorMode(Effect):
         return [Companion("base_compliance", f"base.{d}") for d in SEARCHED]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
-        """Three times the robot's mass, as a block of its cube root; rocks and bounces with it at ``TYPICAL_HZ``."""
+        """Three times the robot's mass, as a slab of its reach; rocks and bounces with it at ``TYPICAL_HZ``.
+
+        A robot whose links have no length, as one of a single axis, stands on a cube of concrete.
+        """
         own, slab = sum(link.inertial[0] for link in robot.links), 3 * sum(link.inertial[0] for link in robot.links)
-        reach = sum(float(np.hypot(axis.a, axis.d)) for axis in robot.axes) / 2
+        reach = sum(float(np.hypot(axis.a, axis.d)) for axis in robot.axes) / 2 or np.cbrt(slab / CONCRETE)
         turn = slab * reach**2 / 3
         rocks = (turn + own * reach**2) * (2 * np.pi * TYPICAL_HZ["rx"]) ** 2
         return {

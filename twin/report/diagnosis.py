@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator, ScalarFormatter
@@ -18,7 +19,7 @@ from twin.diagnose.verdict import MEANING, Finding, Verdict, parameter_rows
 from twin.measure.campaign import QUANTITIES
 from twin.physics import CATALOGUE
 from twin.report.figures import UNITS
-from twin.report.html import Panel, Plot, Section, Table, pick
+from twin.report.html import Grid, Map, Panel, Plot, Section, Table, pick
 from twin.report.motion_figures import axis_units
 from twin.report.plots import frf_panels, frf_plot, torque_panels, torque_plot
 from twin.robot.description import Robot
@@ -27,7 +28,9 @@ COLOURS: dict[Stage, str] = {"as_given": "#8a8f98", "before": "#e8590c", "after"
 NAMES: dict[Stage, str] = {"as_given": "as given", "before": "before: refitted", "after": "after: with the answer"}
 _INK, _GRID = "#222222", "#e3e6ea"
 RIM = 2.5  # points by which before is larger, to be seen where after is the same
-_BANDS = 48
+_BANDS, _FINE_BANDS = 48, 96  # of frequency, in the picture and in the map one can zoom
+_ROWS = 40  # channels at most of a posture's map: those that miss most
+_COLOURS = 32
 FREED = {
     "frf-campaign": "evidence gained by a law without a name of this spring, ln",
     "motion-log": "evidence gained by a free function of this joint's position and velocity, ln",
@@ -243,7 +246,7 @@ def mismatch(records: Sequence[FrfRecord]) -> Figure:
     stages: tuple[Stage, Stage] = ("before", "after")
     first = records[0]
     low, high = (f(r.frequency[i] for r in records) for f, i in ((min, 0), (max, -1)))
-    edges = np.linspace(low, high * (1 + 1e-9), min(_BANDS, max(len(r.frequency) for r in records)) + 1)
+    edges = _edges(low, high, max(len(r.frequency) for r in records), _BANDS)
     over_bands = {s: np.array([_banded(r, s, edges) for r in records]) for s in stages}
     over_pairs = {s: _by_pair(records, s) for s in stages}
     top = max(float(np.nanmax(x)) for x in (*over_bands.values(), *over_pairs.values()))
@@ -281,9 +284,56 @@ def mismatch(records: Sequence[FrfRecord]) -> Figure:
     return figure
 
 
-def _banded(record: FrfRecord, stage: Stage, edges: np.ndarray) -> np.ndarray:
-    """RMS residual over noise per band (nb,); NaN where a band has no line."""
+def mismatch_map(records: Sequence[FrfRecord]) -> Map:
+    """The same to zoom: all postures, every posture by channel, and sensor × hammer point; before and after."""
+    stages: tuple[Stage, Stage] = ("before", "after")
+    panels: dict[str, Grid] = {}
+    frequency, noise = "frequency, Hz", "residual over noise"
+
+    def add(name: str, stage: Stage, grid: Grid) -> None:
+        panels[f"{name}, {NAMES[stage]}"] = grid
+
+    low, high = (f(r.frequency[i] for r in records) for f, i in ((min, 0), (max, -1)))
+    edges = _edges(low, high, max(len(r.frequency) for r in records))
+    for stage in stages:
+        rows = np.array([_banded(r, stage, edges) for r in records])
+        add("all postures", stage, Grid([_named(r) for r in records], edges, rows, frequency, "posture"))
+    ne = records[0].measured.shape[2]
+    responses, excitations = records[0].response.label, records[0].excitation.label
+    for stage in stages:
+        pairs = _by_pair(records, stage)
+        add(
+            "channels over all postures", stage,
+            Grid(responses, np.arange(ne + 1.0), pairs, "hammer point", "sensor", excitations),
+        )  # fmt: skip
+    for record in records:
+        own = _edges(record.frequency[0], record.frequency[-1], len(record.frequency))
+        ne = record.measured.shape[2]
+        missed = np.nansum(record.energy("before"), axis=0).ravel()
+        kept = np.sort(np.argsort(missed)[::-1][:_ROWS])
+        labels = [f"{record.response.label[k // ne]}/{record.excitation.label[k % ne]}" for k in kept]
+        for stage in stages:
+            rows = np.array([_banded(record, stage, own, divmod(int(k), ne)) for k in kept])
+            add(_named(record), stage, Grid(labels, own, rows, frequency, "channel"))
+    top = max(float(np.nanmax(grid.values)) for grid in panels.values() if np.isfinite(grid.values).any())
+    caption = (
+        "Residual over noise (RMS), before and after, in one scale of colours; 1 is noise alone. Of a posture the "
+        f"{_ROWS} channels at most that miss most. Arrow keys move from cell to cell."
+    )
+    colours = [to_hex(colormaps["magma_r"](k / (_COLOURS - 1))) for k in range(_COLOURS)]
+    return Map(caption, noise, panels, (0.7, max(10.0, top)), colours)
+
+
+def _edges(low: float, high: float, lines: int, bands: int = _FINE_BANDS) -> np.ndarray:
+    """Edges (nb + 1,) of bands that hold a line or more each."""
+    return np.linspace(low, high * (1 + 1e-9), min(bands, lines) + 1)
+
+
+def _banded(record: FrfRecord, stage: Stage, edges: np.ndarray, pair: tuple[int, int] | None = None) -> np.ndarray:
+    """RMS residual over noise per band (nb,), of all channels or of one; NaN where a band has no line."""
     energy, used = record.energy(stage), np.isfinite(record.variance)
+    if pair is not None:
+        energy, used = (array[:, pair[0], pair[1], None, None] for array in (energy, used))
     band = np.clip(np.searchsorted(edges, record.frequency, side="right") - 1, 0, len(edges) - 2)
     top = np.bincount(band, energy.sum(axis=(1, 2)), len(edges) - 1)
     count = np.bincount(band, used.sum(axis=(1, 2)).astype(float), len(edges) - 1)
@@ -600,16 +650,17 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
                 pick(of, "errors.png", CAPTIONS["errors.png"]),
             )
         )  # fmt: skip
-        for heading, text, names in (
-            ("Where it shows", "", ("overlay.png", "torque.png", "modes.png")),
+        frfs = [r for r in finding.records if isinstance(r, FrfRecord)]
+        for heading, text, names, plots in (
+            ("Where it shows", "", ("overlay.png", "torque.png", "modes.png"), _plots(finding)),
             (
                 "Where the model without it misses",
                 _location_text(finding),
                 ("mismatch.png", "residual.png", "sites.png"),
+                [mismatch_map(frfs)] if frfs else [],
             ),
         ):
             figures = [pair for name in names for pair in pick(of, name, CAPTIONS[name])]
-            plots = [] if text else _plots(finding)
             if figures:
                 found.append(Section(heading + several, [text] if text else [], figures=figures, plots=plots))
     checks = [check["description"] for check in verdict.checks if check["passed"]]
@@ -630,7 +681,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
 
 
 def _plots(finding: Finding) -> list[Plot]:
-    """What was recorded, and both models, of every posture or run."""
+    """What was recorded, and both models, of every posture or run, to zoom."""
     frfs: dict[str, Panel] = {}
     torques: dict[str, Panel] = {}
     quantity, (_, units) = QUANTITIES[-1], axis_units(finding.robot)

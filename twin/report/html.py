@@ -1,4 +1,4 @@
-"""One self-contained HTML page from titled sections: text, tables, figures, curves one can zoom. Nothing is loaded."""
+"""One self-contained HTML page from titled sections: text, tables, figures, curves and maps. Nothing is loaded."""
 
 import base64
 import json
@@ -53,15 +53,66 @@ class Plot:
 
 
 @dataclass(frozen=True)
+class Grid:
+    """One map: a colour per cell.
+
+    Attributes:
+        rows: (nr,) names.
+        edges: (nc + 1,) of the columns, increasing.
+        values: (nr, nc), above zero; NaN where nothing was used.
+        x_label, y_label: with units.
+        columns: (nc,) names, where the columns are no ranges of numbers; the edges then count them.
+    """
+
+    rows: Sequence[str]
+    edges: np.ndarray
+    values: np.ndarray
+    x_label: str
+    y_label: str
+    columns: Sequence[str] | None = None
+
+
+@dataclass(frozen=True)
+class Map:
+    """Maps that a reader can zoom, in one scale of colours.
+
+    Attributes:
+        caption: what it shows.
+        y_label: what the colour says.
+        panels: name → map; one is shown at a time.
+        range: values of the first and the last colour, on a logarithmic scale.
+        colours: as ``#rrggbb``.
+    """
+
+    caption: str
+    y_label: str
+    panels: Mapping[str, Grid]
+    range: tuple[float, float]
+    colours: Sequence[str]
+
+    def data(self) -> dict[str, Any]:
+        """Plain data for the page's script, to three digits."""
+        panels = [
+            {
+                "x": _rounded(grid.edges, 6), "rows": list(grid.rows), "x_label": grid.x_label,
+                "columns": None if grid.columns is None else list(grid.columns), "y_label": grid.y_label,
+                "values": [_rounded(row, 3) for row in grid.values],
+            }
+            for grid in self.panels.values()
+        ]  # fmt: skip
+        return {"y_label": self.y_label, "range": list(self.range), "colours": list(self.colours), "panels": panels}
+
+
+@dataclass(frozen=True)
 class Section:
-    """A part of the page: text, warnings, tables, curves, then figures: what they show, and the PNG to be inlined."""
+    """A part of the page: text, warnings, tables, curves and maps, then figures: what they show, and the PNG."""
 
     title: str
     text: Sequence[str] = ()
     warnings: Sequence[str] = ()
     tables: Sequence[Table] = ()
     figures: Sequence[tuple[str, Path]] = ()
-    plots: Sequence[Plot] = ()
+    plots: Sequence[Plot | Map] = ()
 
 
 def pick(drawn: Mapping[str, Path], ending: str, caption: str) -> list[tuple[str, Path]]:
