@@ -1,7 +1,7 @@
 """``twin fit``: measured FRFs or a modal table in; joint stiffness and damping with honest intervals out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from scipy.special import gammaincinv
 
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
-from twin.identify.damping_transfer import Miss, Transfer, foretold, transfer
+from twin.identify.damping_transfer import Miss, Transfer, foretold, misses_of_frf, transfer
 from twin.identify.elastic import Fit, fit_frf
 from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
@@ -53,7 +53,6 @@ LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
 CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
 LARGE_CORRELATION = 0.95
-ALIKE = 0.8  # MAC of modes whose dampings are compared
 PROFILED = 4  # parameters whose profile is drawn
 
 
@@ -307,7 +306,8 @@ def _fit_campaign(
         source, final, fitted, found, combinations(fitted), held, error, expected,
         _campaign_modes(campaign, recordings, final, held, band_hz, progress), [], left_out, comparisons,
     )  # fmt: skip
-    result.damping = transfer(_misses_unseen(result, recordings))
+    unseen = [r for r in recordings if r.setup.name in result.held_out]
+    result.damping = transfer(misses_of_frf(result.robot, Posterior.of(result.fit), unseen))
     if profiled:
         weakest = _weakest(found)
         tick = progress("profiles", len(weakest))
@@ -404,24 +404,6 @@ def _pairs(cost: FloatArray, worst: float) -> list[tuple[int, int]]:
 
     rows, columns = linear_sum_assignment(cost)
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < worst]
-
-
-def _misses_unseen(result: FitResult, recordings: Sequence[Recorded]) -> list[Miss]:
-    """Damping of the measured modes in postures that were not fitted to, beside what the fit foretells."""
-    found: list[Miss] = []
-    known, robot = Posterior.of(result.fit), without_limits(result.robot)
-    for r in recordings:
-        if r.setup.name not in result.held_out or any(miss.posture == r.setup.name for miss in found):
-            continue
-        seen = [m for m in result.postures[r.setup.name]["modes"] if (m.get("mac") or 0) > ALIKE]
-        seen = [m for m in seen if m["measured_damping_percent"] > 0 and m["damping_percent"] > 0]
-        frequency = np.array([m["frequency_hz"] for m in seen])
-        spread = foretold(known, robot, r.setup.q, r.setup.brakes or "off", frequency)
-        for m, own in zip(seen, spread, strict=True):
-            measured, predicted = m["measured_damping_percent"] / 100, m["damping_percent"] / 100
-            doubt = m["measured_damping_std_percent"] / m["measured_damping_percent"]
-            found.append(Miss(r.setup.name, m["measured_hz"], measured, predicted, doubt, float(own)))
-    return found
 
 
 # --- modal tables -----------------------------------------------------------------------------------------------------
@@ -654,10 +636,7 @@ def _runs(mask: FloatArray) -> list[tuple[int, int]]:
 
 def _write(found: FitResult, name: Outputs, progress: Progress) -> None:
     save_robot(name("robot.yaml"), found.robot)
-    known = Posterior.of(found.fit)
-    save_posterior(
-        name(FILE), replace(known, damping_scatter=found.damping.scatter, damping_freedom=found.damping.freedom)
-    )
+    save_posterior(name(FILE), found.damping.known_in(Posterior.of(found.fit)))
     first = next(iter(found.postures.values()))
     mechanism = assemble(found.robot, within_limits(found.robot, found.robot.angles(first["q_deg"])))
     save_mjcf(name("robot.xml"), lit(build_spec(mechanism)))

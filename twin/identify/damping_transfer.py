@@ -7,21 +7,27 @@ for e ~ N(0, V + σ² + τ²); known from m misses only, it foretells with the t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
+from twin.identify.elastic_compare import judge
 from twin.identify.posterior import Posterior
+from twin.identify.recorded import Recorded, without_limits
 from twin.model.linear import state_matrix
-from twin.model.sensitivity import structures
+from twin.model.sensitivity import Observed, frf_slopes, observe_all, structures
+from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 from twin.robot.mechanism import assemble_all
 
 DRAWS = 60
-WIDEST = 3.0  # of τ: a factor of twenty
+WIDEST = 3.0  # of τ, and of one mode's ln damping: a factor of twenty
+KNOWN = 0.3  # deviation of ln damping to which an FRF must hold a mode that counts
+STEPS, LONGEST = 6, 0.5  # of Gauss–Newton, and in ln damping at a time
 UNKNOWN = 0.46, 12
 """τ and m where no posture tells: of the KR90's Table 7 (Huynh et al. 2020), each posture foretold from the two others
 (tools/study_damping_transfer.py)."""
@@ -62,6 +68,10 @@ class Transfer:
         """The factor within which a damping ratio lies with 90 % probability, beside what the posterior says."""
         return float(np.exp(self.scatter * student.ppf(0.95, self.freedom)))
 
+    def known_in(self, posterior: Posterior) -> Posterior:
+        """The posterior with this beside it."""
+        return replace(posterior, damping_scatter=self.scatter, damping_freedom=self.freedom)
+
     def data(self) -> dict[str, Any]:
         """For fit.json."""
         return {
@@ -97,6 +107,79 @@ def transfer(misses: Sequence[Miss]) -> Transfer:
     found = minimize_scalar(cost, bounds=(0.0, WIDEST), method="bounded")
     tau = float(found.x) if found.fun < cost(0.0) else 0.0
     return Transfer(tau, len(misses), tuple(misses))
+
+
+def misses_of_frf(robot: Robot, posterior: Posterior, recordings: Sequence[Recorded]) -> list[Miss]:
+    """Damping of the modes in recordings that were not fitted to, beside what a fitted robot foretells there.
+
+    After angles and gains of a recording are estimated, every mode of the model may have another damping and another
+    frequency (C and K change by M φ φᵀ M each): what fits the FRFs best says how far off the damping was. A mode counts
+    where the FRFs hold it to ``KNOWN``. None does where a law of amplitude is in the robot: its damping is no number.
+    """
+    robot = without_limits(robot)
+    if any(CATALOGUE[entry.effect].amplitude_law for entry in robot.physics):
+        return []
+    found: list[Miss] = []
+    for r in recordings:
+        if any(miss.posture == r.setup.name for miss in found):
+            continue
+        judged = judge(robot, [r])
+        ((seen, _),) = observe_all(robot, [r.setup], judged.parameters, judged.values)
+        w, ratio, off, doubt = _modal_misses(seen, r)
+        band = (w / (2 * np.pi) > r.frequency[0]) & (w / (2 * np.pi) < r.frequency[-1])
+        rows = np.flatnonzero(band & (doubt < KNOWN))
+        if not len(rows):
+            continue
+        frequency = w[rows] / (2 * np.pi)
+        spread = foretold(posterior, robot, r.setup.q, r.setup.brakes or "off", frequency)
+        found += [
+            Miss(r.setup.name, float(f), float(ratio[k] * np.exp(off[k])), float(ratio[k]), float(doubt[k]), float(own))
+            for k, f, own in zip(rows, frequency, spread, strict=True)
+        ]
+    return found
+
+
+def _modal_misses(seen: Observed, r: Recorded) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Angular frequencies and damping ratios (nm,) of a model; how far ln damping is off in FRFs, and the deviation.
+
+    Deviations are scaled by the misfit that is left.
+    """
+    square, phi = eigh(seen.K, seen.M)
+    kept = square > 0
+    w, phi = np.sqrt(square[kept]), phi[:, kept]
+    ratio = np.einsum("ik,ij,jk->k", phi, seen.C, phi) / (2 * w)
+    ratio = ratio + np.einsum("ik,ij,jk->k", phi, seen.loss, phi) / (2 * w**2)
+    kept = ratio > 0
+    w, ratio, phi = w[kept], ratio[kept], phi[:, kept]
+    push = seen.M @ phi
+    outer = np.einsum("ik,jk->kij", push, push)
+    nm, none = len(w), np.zeros_like(outer)
+    used = np.isfinite(r.variance)
+    weight = np.sqrt(1 / r.variance[used])
+    z = np.zeros(2 * nm)  # ln damping, ln frequency
+    precision, chi2 = np.eye(2 * nm), 0.0
+    for _ in range(STEPS):
+        damp, stiff = 2 * (ratio * w * np.exp(z[:nm]))[:, None, None] * outer, (w**2)[:, None, None] * outer
+        more = 2 * (ratio * w * np.expm1(z[:nm]))[:, None, None] * outer
+        harder = stiff * np.expm1(2 * z[nm:])[:, None, None]
+        now = replace(seen, C=seen.C + more.sum(axis=0), K=seen.K + harder.sum(axis=0))
+        rate = Observed.of([
+            np.zeros((2 * nm, *part.shape)) if name not in "CK" else np.concatenate(
+                [damp, none] if name == "C" else [none, 2 * stiff * np.exp(2 * z[nm:])[:, None, None]]
+            )
+            for name, part in ((f.name, getattr(seen, f.name)) for f in fields(Observed) if f.name != "sag")
+        ])  # fmt: skip
+        H, slopes = frf_slopes(now, rate, r.s, r.power)
+        rest = (r.frf - H)[used] * weight
+        A = slopes[:, used] * weight
+        precision = (A.conj() @ A.T).real + np.eye(2 * nm) / WIDEST**2
+        step = np.linalg.solve(precision, (A.conj() @ rest).real - z / WIDEST**2)
+        z = z + step * min(1.0, LONGEST / np.abs(step).max())
+        chi2 = float(np.sum(np.abs(rest) ** 2)) / (2 * used.sum())
+        if np.abs(step).max() < 1e-3:
+            break
+    deviation = np.sqrt(np.diag(np.linalg.inv(precision)) * max(1.0, chi2))
+    return w, ratio, z[:nm], deviation[:nm]
 
 
 def foretold(posterior: Posterior, robot: Robot, q: np.ndarray, brakes: str, frequency_hz: np.ndarray) -> np.ndarray:

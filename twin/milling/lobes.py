@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from twin.milling.cut import Cut
-from twin.milling.stability import DIGITS, Limits, limits
+from twin.milling.stability import DIGITS, Limits, first_limits, limits
 from twin.milling.tool_point import ToolModes
 from twin.parallel import cores, spread
 
@@ -22,6 +22,7 @@ MOST_SPEEDS = 3000
 ROUNDS = 6  # of halving cells
 HELIX_STEP = 0.1  # of ln depth, to which the lag of a helix is rounded on the way
 HELIX_ROUNDS = 6
+STRAIGHT = np.iinfo(int).min // 2  # the level of no lag
 BAND_ROWS = 12000  # draws times speeds of a band
 BAND_DIGITS = 2.0
 MOST_BAND_SPEEDS = 120
@@ -127,49 +128,95 @@ def limits_at(
     shear: np.ndarray | None = None,
     digits: float = DIGITS,
 ) -> Limits:
-    """Limits (S speeds) up to the cut's depth of interest; with a helix, its lag is that at the first limit.
-
-    A helix spreads a tooth over an angle that grows with the depth: the limit is sought again with the lag at the limit
-    found, rounded to ``HELIX_STEP``, until it stays.
-    """
-    spindle_rpm = np.asarray(spindle_rpm, float)
-    deepest = cut.depth_max_m
+    """Limits (S speeds) up to the cut's depth of interest; with a helix, its lag is that at the first limit."""
+    rpm, deepest = np.asarray(spindle_rpm, float), cut.depth_max_m
     if not cut.tool.helix_deg:
-        return limits(modes, cut, spindle_rpm, deepest, shear=shear, digits=digits)
-    straight = cut.model_copy(update={"tool": cut.tool.model_copy(update={"helix_deg": 0.0})})
-    found = limits(modes, straight, spindle_rpm, deepest, shear=shear, digits=digits)
-    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(spindle_rpm), 3))
+        return limits(modes, cut, rpm, deepest, shear=shear, digits=digits)
+    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
+    kept: dict[int, Limits] = {}
 
-    def at_level(level: np.ndarray, rows: np.ndarray) -> list[tuple[np.ndarray, Limits]]:
-        parts = []
-        for number in np.unique(level[rows]):
-            here = rows[level[rows] == number]
-            lag_depth = float(np.exp(number * HELIX_STEP))
-            part = limits(
-                modes.rows(here), cut, spindle_rpm[here], deepest,
-                shear=shear[here], lag_depth_m=lag_depth, digits=digits,
-            )  # fmt: skip
-            parts.append((here, part))
-        return parts
+    def first(rows: np.ndarray, number: int, lag_depth_m: float) -> np.ndarray:
+        part = limits(
+            modes.rows(rows), cut, rpm[rows], deepest, shear=shear[rows], lag_depth_m=lag_depth_m, digits=digits
+        )
+        empty = Limits(len(rpm), *(getattr(part, name)[:0] for name in _COLUMNS))
+        kept[number] = _replaced(kept.get(number, empty), [(rows, part)])
+        return part.first()
 
-    level = np.full(len(spindle_rpm), np.iinfo(int).min // 2)
+    level, _, share = _with_lag(first, len(rpm), deepest)
+    parts = []
+    for number in np.unique(level):
+        rows, known = np.flatnonzero(level == number), kept[number]
+        own = np.isin(known.row, rows)
+        parts.append((rows, Limits(len(rows), np.searchsorted(rows, known.row[own]),
+                                   *(getattr(known, name)[own] for name in _COLUMNS[1:]))))  # fmt: skip
+    empty = Limits(len(rpm), *(getattr(parts[0][1], name)[:0] for name in _COLUMNS))
+    found = _replaced(empty, parts)
+    return replace(found, depth_m=found.depth_m * share[found.row])
+
+
+def first_at(
+    modes: ToolModes, cut: Cut, spindle_rpm: np.ndarray, *, shear: np.ndarray | None = None, digits: float = DIGITS
+) -> np.ndarray:
+    """First limits (S,) m alone, infinite where there is none up to the cut's depth of interest; with the helix's lag.
+
+    Args:
+        modes: in the cut frame, pole (S, nm) or (nm,).
+        shear: (S, 3) or (3,) N/m², by default the cut's.
+    """
+    rpm, deepest = np.asarray(spindle_rpm, float), cut.depth_max_m
+    if not cut.tool.helix_deg:
+        return first_limits(modes, cut, rpm, deepest, shear=shear, digits=digits)
+    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
+
+    def first(rows: np.ndarray, number: int, lag_depth_m: float) -> np.ndarray:
+        return first_limits(
+            modes.rows(rows), cut, rpm[rows], deepest, shear=shear[rows], lag_depth_m=lag_depth_m, digits=digits
+        )
+
+    _, depth, share = _with_lag(first, len(rpm), deepest)
+    return depth * share
+
+
+def _with_lag(
+    first: Callable[[np.ndarray, int, float], np.ndarray], count: int, deepest: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First limits of a helix, whose lag depends on them.
+
+    A helix spreads a tooth over an angle that grows with the depth: the limit is sought with straight teeth, then with
+    the lag at the limit found, rounded to ``HELIX_STEP``, until it stays. With a second lag beside the last, d(l) = l
+    is solved by the chord.
+
+    Args:
+        first: limits (n,) m of rows (n,) at a level of lag, and the depth m that this lag is of (0: straight).
+
+    Returns:
+        level (count,) of the last lag, limits (count,) m there, and the factor (count,) from them to the solution.
+    """
+    every = np.arange(count)
+    depth, level = first(every, STRAIGHT, 0.0), np.full(count, STRAIGHT)
+
+    def at(levels: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        out = np.empty(len(rows))
+        for number in np.unique(levels[rows]):
+            here = levels[rows] == number
+            out[here] = first(rows[here], int(number), float(np.exp(number * HELIX_STEP)))
+        return out
+
     for round_ in range(HELIX_ROUNDS):
-        wanted = np.round(np.log(np.minimum(found.first(), deepest)) / HELIX_STEP).astype(int)
+        wanted = np.round(np.log(np.minimum(depth, deepest)) / HELIX_STEP).astype(int)
         rows = np.flatnonzero(np.abs(wanted - level) > (1 if round_ else 0))  # no row is sent to and fro
         if not len(rows):
             break
         level[rows] = wanted[rows]
-        found = _replaced(found, at_level(level, rows))
-    # the limit d(l) is known at the lag l of one level; with a second, d(l) = l is solved by the chord
-    d1, l1 = np.log(found.first()), level * HELIX_STEP
-    second = level + np.where(d1 >= l1, 1, -1)
-    other = _replaced(found, at_level(second, np.arange(len(level))))
-    d2, l2 = np.log(other.first()), second * HELIX_STEP
+        depth[rows] = at(level, rows)
     with np.errstate(invalid="ignore"):  # where there is no limit
+        d1, l1 = np.log(depth), level * HELIX_STEP
+        second = level + np.where(d1 >= l1, 1, -1)
+        d2, l2 = np.log(at(second, every)), second * HELIX_STEP
         sure = np.abs(d2 - d1) < 0.5 * HELIX_STEP
     slope = (np.where(sure, d2, 0.0) - np.where(sure, d1, 0.0)) / (l2 - l1)
-    step = slope * (np.where(sure, d1, l1) - l1) / (1 - slope)
-    return replace(found, depth_m=found.depth_m * np.exp(step)[found.row])
+    return level, depth, np.exp(slope * (np.where(sure, d1, l1) - l1) / (1 - slope))
 
 
 def _replaced(found: Limits, parts: list[tuple[np.ndarray, Limits]]) -> Limits:
@@ -236,20 +283,13 @@ def with_band(
     nd = len(draws.pole)
     pick = band_speeds(found, nd)
     rpm = found.spindle_rpm[pick]
-    # a helix lags as at the nominal limit
-    level = np.round(np.log(found.depth_m[pick]) / HELIX_STEP).astype(int) * (1 if cut.tool.helix_deg else 0)
-    groups = [np.flatnonzero(level == number) for number in np.unique(level)]
-    parts = [part for group in groups for part in np.array_split(group, -(-len(group) * nd // BAND_BATCH))]
+    parts = np.array_split(np.arange(len(rpm)), -(-len(rpm) * nd // BAND_BATCH))
 
     def some(number: int) -> np.ndarray:
         part = parts[number]
-        lag_depth = float(np.exp(level[part[0]] * HELIX_STEP)) if cut.tool.helix_deg else 0.0
         rows = np.repeat(np.arange(nd), len(part))
-        limit = limits(
-            draws.rows(rows), cut, np.tile(rpm[part], nd), cut.depth_max_m,
-            shear=shear[rows], lag_depth_m=lag_depth, digits=BAND_DIGITS,
-        )  # fmt: skip
-        return np.minimum(limit.first(), cut.depth_max_m).reshape(nd, len(part))
+        limit = first_at(draws.rows(rows), cut, np.tile(rpm[part], nd), shear=shear[rows], digits=BAND_DIGITS)
+        return np.minimum(limit, cut.depth_max_m).reshape(nd, len(part))
 
     depth = np.empty((nd, len(rpm)))
     for part, values in zip(parts, spread(some, len(parts), cores()), strict=True):
