@@ -126,7 +126,7 @@ def _head(cuts: Sequence[Stated]) -> list[str]:
         "[the other trials](proof.md), in six or seven postures.",
         "",
         "The spindle weighs 20 kg. Cuts have 2 to 4 teeth, an immersion of 5 to 100 %, any feed direction and 600 to "
-        "6000 rpm, up or down, straight or helical (30°, 45°), in aluminium, steel or titanium. Cutting coefficients are "
+        "6000 rpm, up or down, straight or helical (30°, 45°), in aluminium, steel or titanium. Coefficients are "
         "known to 15 %, postures to 0.2°. The true cut is stepped in time by `tools/truth/milling.py`, which shares no "
         "code with the twin. It is stable where a small vibration dies out, and where a cut from rest, with its feed "
         "and with teeth that may leave the work, settles.",

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from twin.milling.cut import Cut
+from twin.milling.forces import lag
 from twin.milling.stability import DIGITS, Limits, first_limits, limits
 from twin.milling.tool_point import ToolModes
 from twin.parallel import cores, spread
@@ -20,9 +21,9 @@ TOLERANCE = 1e-3  # of the limit, by which the middle of a cell may be off
 COARSEST = 0.02  # of the speed, between two speeds
 MOST_SPEEDS = 3000
 ROUNDS = 6  # of halving cells
-HELIX_STEP = 0.1  # of ln depth, to which the lag of a helix is rounded on the way
+LAG, LAG_EVEN = 0.05, 0.5  # rad, to which the lag of a helix is rounded on the way; beyond so much, in its logarithm
+LARGEST = 0.1  # of ln depth between two levels of lag, on one branch
 HELIX_ROUNDS = 6
-STRAIGHT = np.iinfo(int).min // 2  # the level of no lag
 BAND_ROWS = 12000  # draws times speeds of a band
 BAND_DIGITS = 2.0
 MOST_BAND_SPEEDS = 120
@@ -143,7 +144,7 @@ def limits_at(
         kept[number] = _replaced(kept.get(number, empty), [(rows, part)])
         return part.first()
 
-    level, _, share = _with_lag(first, len(rpm), deepest)
+    level, _, share = _with_lag(first, cut, len(rpm))
     parts = []
     for number in np.unique(level):
         rows, known = np.flatnonzero(level == number), kept[number]
@@ -174,18 +175,18 @@ def first_at(
             modes.rows(rows), cut, rpm[rows], deepest, shear=shear[rows], lag_depth_m=lag_depth_m, digits=digits
         )
 
-    _, depth, share = _with_lag(first, len(rpm), deepest)
+    _, depth, share = _with_lag(first, cut, len(rpm))
     return depth * share
 
 
 def _with_lag(
-    first: Callable[[np.ndarray, int, float], np.ndarray], count: int, deepest: float
+    first: Callable[[np.ndarray, int, float], np.ndarray], cut: Cut, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First limits of a helix, whose lag depends on them.
 
     A helix spreads a tooth over an angle that grows with the depth: the limit is sought with straight teeth, then with
-    the lag at the limit found, rounded to ``HELIX_STEP``, until it stays. With a second lag beside the last, d(l) = l
-    is solved by the chord.
+    the lag at the limit found, rounded to a level, until it stays. Between that level and the next, the depth whose own
+    lag it is lies on the chord.
 
     Args:
         first: limits (n,) m of rows (n,) at a level of lag, and the depth m that this lag is of (0: straight).
@@ -193,30 +194,36 @@ def _with_lag(
     Returns:
         level (count,) of the last lag, limits (count,) m there, and the factor (count,) from them to the solution.
     """
-    every = np.arange(count)
-    depth, level = first(every, STRAIGHT, 0.0), np.full(count, STRAIGHT)
+    every, deepest, per_m = np.arange(count), cut.depth_max_m, lag(cut, 1.0)
+    level, depth = np.zeros(count, int), first(np.arange(count), 0, 0.0)
+
+    def levels(depth_m: np.ndarray) -> np.ndarray:
+        angle = np.minimum(depth_m, deepest) * per_m
+        return np.where(angle < LAG_EVEN, angle, LAG_EVEN * (1 + np.log(np.maximum(angle, LAG_EVEN) / LAG_EVEN))) / LAG
 
     def at(levels: np.ndarray, rows: np.ndarray) -> np.ndarray:
         out = np.empty(len(rows))
         for number in np.unique(levels[rows]):
-            here = levels[rows] == number
-            out[here] = first(rows[here], int(number), float(np.exp(number * HELIX_STEP)))
+            here, angle = levels[rows] == number, number * LAG
+            angle = angle if angle < LAG_EVEN else LAG_EVEN * np.exp(angle / LAG_EVEN - 1)
+            out[here] = first(rows[here], int(number), float(angle / per_m))
         return out
 
     for round_ in range(HELIX_ROUNDS):
-        wanted = np.round(np.log(np.minimum(depth, deepest)) / HELIX_STEP).astype(int)
+        wanted = np.round(levels(depth)).astype(int)
         rows = np.flatnonzero(np.abs(wanted - level) > (1 if round_ else 0))  # no row is sent to and fro
         if not len(rows):
             break
         level[rows] = wanted[rows]
         depth[rows] = at(level, rows)
-    with np.errstate(invalid="ignore"):  # where there is no limit
-        d1, l1 = np.log(depth), level * HELIX_STEP
-        second = level + np.where(d1 >= l1, 1, -1)
-        d2, l2 = np.log(at(second, every)), second * HELIX_STEP
-        sure = np.abs(d2 - d1) < 0.5 * HELIX_STEP
-    slope = (np.where(sure, d2, 0.0) - np.where(sure, d1, 0.0)) / (l2 - l1)
-    return level, depth, np.exp(slope * (np.where(sure, d1, l1) - l1) / (1 - slope))
+    second = np.maximum(level + np.where(levels(depth) >= level, 1, -1), 0)
+    other = at(second, every)
+    with np.errstate(invalid="ignore", divide="ignore"):  # where there is no limit
+        change = np.log(other) - np.log(depth)
+        sure = (np.abs(change) < LARGEST) & (second != level)
+        off, other_off = levels(depth) - level, levels(other) - second
+        share = np.where(sure, off / (off - other_off), 0.0)
+    return level, depth, np.exp(np.where(sure, share * change, 0.0))
 
 
 def _replaced(found: Limits, parts: list[tuple[np.ndarray, Limits]]) -> Limits:

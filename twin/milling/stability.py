@@ -28,6 +28,7 @@ import numpy as np
 from twin.milling import forces
 from twin.milling.cut import Cut
 from twin.milling.tool_point import ToolModes
+from twin.milling.zeroth_order import limiting_depth
 
 NODES = 0.8  # per digit, beyond what the phase advance asks
 DIGITS = 5.0  # decimal digits asked of the collocation
@@ -38,6 +39,8 @@ POLISH = 8  # steps of regula falsi on a crossing, at most
 REAL = 1e-8  # of an eigenvalue: an imaginary part that is none
 DEEPER = 3.0  # times deeper, where no limit is found
 FIRST_LOOK = 2.0  # times the depth above which the bound on eigenvalues allows a limit
+REACH = 4.0  # times the closed form's depth, down to which nodes resolve the motion at first, and times deeper then
+STILL = 1e-4  # of 1/depth: a mode that can add no more to the eigenvalues is static compliance
 CHUNK = 1_000_000  # elements of matrices whose eigenvalues are taken at a time
 
 
@@ -292,12 +295,41 @@ def first_limits(
     """The first limit (S,) m alone, infinite where there is none up to ``depth_max_m``: :func:`limits` in less time.
 
     A norm bounds the eigenvalues at every angle. They are computed only where it allows a limit that is less deep than
-    those sought, first the least depths, then deeper ones while nothing is found.
+    those sought, first the least depths, then deeper ones while nothing is found. Deep cuts move the tip fast and need
+    many nodes: each row is looked at no deeper than ``REACH`` times its closed form, then farther while nothing is
+    found.
     """
-    found = np.full(len(spindle_rpm), np.inf)
-    for rows, _, _, op in _operators(modes, cut, spindle_rpm, depth_max_m, shear, lag_depth_m, digits):
-        found[rows] = _first(op, depth_max_m)
+    rpm = np.asarray(spindle_rpm, float)
+    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
+    least = np.broadcast_to(limiting_depth(modes, cut, shear=shear), rpm.shape)
+    level = np.ceil(np.log(np.maximum(depth_max_m / (REACH * least), 1.0)) / np.log(REACH)).astype(int)
+    found = np.full(len(rpm), np.inf)
+    while (open_ := np.flatnonzero((level >= 0) & np.isinf(found))).size:
+        for number in np.unique(level[open_]):
+            some = open_[level[open_] == number]
+            reach_m = depth_max_m / REACH ** int(number)
+            own = _without_still(modes.rows(some), cut, shear[some], reach_m)
+            for rows, _, _, op in _operators(own, cut, rpm[some], reach_m, shear[some], lag_depth_m, digits):
+                found[some[rows]] = _first(op, reach_m)
+        level = level - 1
     return found
+
+
+def _without_still(modes: ToolModes, cut: Cut, shear: np.ndarray, depth_m: float) -> ToolModes:
+    """Modes, those that no row's cut of a depth, m, can excite turned into static compliance.
+
+    A mode adds at most 2b‖A‖|u|²/|Re λ| to an eigenvalue times b, teeth in cut together.
+    """
+    size = np.linalg.norm(modes.shape, axis=-1) ** 2 / np.abs(modes.pole.real)
+    push = np.linalg.norm(shear, axis=-1) * max(1, forces.most_teeth(cut)) * depth_m
+    still = (4 * size * push.reshape(-1, 1) < STILL).all(axis=0) if size.ndim > 1 else 4 * size * push.max() < STILL
+    if not still.any():
+        return modes
+    u, pole = modes.shape[..., still, :], modes.pole[..., still]
+    static = 2 * np.einsum("...ki,...kj,...k->...ij", u, u, -1 / pole).real
+    if modes.residual is not None:
+        static = static + modes.residual
+    return ToolModes(modes.pole[..., ~still], modes.shape[..., ~still, :], static)
 
 
 def _operators(
