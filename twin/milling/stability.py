@@ -39,7 +39,7 @@ POLISH = 8  # steps of regula falsi on a crossing, at most
 REAL = 1e-8  # of an eigenvalue: an imaginary part that is none
 DEEPER = 3.0  # times deeper, where no limit is found
 FIRST_LOOK = 2.0  # times the depth above which the bound on eigenvalues allows a limit
-REACH = 4.0  # times the closed form's depth, down to which nodes resolve the motion at first, and times deeper then
+REACH, FARTHER = 16.0, 8.0  # times the closed form that nodes resolve the motion for at first, and times deeper then
 STILL = 1e-4  # of 1/depth: a mode that can add no more to the eigenvalues is static compliance
 CHUNK = 1_000_000  # elements of matrices whose eigenvalues are taken at a time
 
@@ -296,18 +296,18 @@ def first_limits(
 
     A norm bounds the eigenvalues at every angle. They are computed only where it allows a limit that is less deep than
     those sought, first the least depths, then deeper ones while nothing is found. Deep cuts move the tip fast and need
-    many nodes: each row is looked at no deeper than ``REACH`` times its closed form, then farther while nothing is
+    many nodes: each row is looked at about ``REACH`` times as deep as its closed form, then farther while nothing is
     found.
     """
     rpm = np.asarray(spindle_rpm, float)
     shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
     least = np.broadcast_to(limiting_depth(modes, cut, shear=shear), rpm.shape)
-    level = np.ceil(np.log(np.maximum(depth_max_m / (REACH * least), 1.0)) / np.log(REACH)).astype(int)
+    level = np.floor(np.log(np.maximum(depth_max_m / (REACH * least), 1.0)) / np.log(FARTHER)).astype(int)
     found = np.full(len(rpm), np.inf)
     while (open_ := np.flatnonzero((level >= 0) & np.isinf(found))).size:
         for number in np.unique(level[open_]):
             some = open_[level[open_] == number]
-            reach_m = depth_max_m / REACH ** int(number)
+            reach_m = depth_max_m / FARTHER ** int(number)
             own = _without_still(modes.rows(some), cut, shear[some], reach_m)
             for rows, _, _, op in _operators(own, cut, rpm[some], reach_m, shear[some], lag_depth_m, digits):
                 found[some[rows]] = _first(op, reach_m)
