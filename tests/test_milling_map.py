@@ -70,8 +70,8 @@ def test_frfs_of_a_posture_held_out_say_how_far_its_damping_is_off(kr90, sure):
     for miss in found:
         k, j = (int(np.argmin(np.abs(m.frequency_hz - miss.frequency_hz))) for m in (own, other))
         true = np.log(other.damping_percent[j] / own.damping_percent[k])
-        # one damper couples modes, which a damping of every mode's own cannot say: a fifth of the miss, at most
-        assert miss.ln_ratio == pytest.approx(true, abs=0.2 * abs(true) + 0.005)
+        # with coupling and gains free the miss is found to its own deviation
+        assert miss.ln_ratio == pytest.approx(true, abs=0.005 + 3 * miss.measured_spread)
     assert transfer(found).scatter > 0.05
     assert transfer(misses(kr90)).scatter < 0.01
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.optimize import minimize_scalar
+from scipy.optimize import least_squares, minimize_scalar
 from scipy.stats import t as student
 
 from twin.identify.elastic_compare import judge
@@ -27,7 +27,8 @@ from twin.robot.mechanism import assemble_all
 DRAWS = 60
 WIDEST = 3.0  # of τ, and of one mode's ln damping: a factor of twenty
 KNOWN = 0.3  # deviation of ln damping to which an FRF must hold a mode that counts
-STEPS, LONGEST = 6, 0.5  # of Gauss–Newton, and in ln damping at a time
+GAIN = 0.1  # deviation of a channel's gain, beyond what was estimated with the described damping
+STEPS = 40  # of least squares, at most
 UNKNOWN = 0.46, 12
 """τ and m where no posture tells: of the KR90's Table 7 (Huynh et al. 2020), each posture foretold from the two others
 (tools/study_damping_transfer.py)."""
@@ -113,8 +114,9 @@ def misses_of_frf(robot: Robot, posterior: Posterior, recordings: Sequence[Recor
     """Damping of the modes in recordings that were not fitted to, beside what a fitted robot foretells there.
 
     After angles and gains of a recording are estimated, every mode of the model may have another damping and another
-    frequency (C and K change by M φ φᵀ M each): what fits the FRFs best says how far off the damping was. A mode counts
-    where the FRFs hold it to ``KNOWN``. None does where a law of amplitude is in the robot: its damping is no number.
+    frequency, dampers may couple any two (C and K change by M φᵢ φⱼᵀ M), and gains may change once more. What fits the
+    FRFs best says how far off the damping was. A mode counts where the FRFs hold it to ``KNOWN``. None does where a law
+    of amplitude is in the robot: its damping is no number.
     """
     robot = without_limits(robot)
     if any(CATALOGUE[entry.effect].amplitude_law for entry in robot.physics):
@@ -152,34 +154,51 @@ def _modal_misses(seen: Observed, r: Recorded) -> tuple[np.ndarray, np.ndarray, 
     kept = ratio > 0
     w, ratio, phi = w[kept], ratio[kept], phi[:, kept]
     push = seen.M @ phi
+    inside = np.flatnonzero((w > 2 * np.pi * r.frequency[0]) & (w < 2 * np.pi * r.frequency[-1]))
+    first, second = (inside[k] for k in np.triu_indices(len(inside), 1))
+    nm, pairs = len(w), len(first)
+    size = np.sqrt(2 * ratio * w)  # of the damping matrix, mode by mode
     outer = np.einsum("ik,jk->kij", push, push)
-    nm, none = len(w), np.zeros_like(outer)
+    cross = np.einsum("ik,jk->kij", push[:, first] * size[first], push[:, second] * size[second])
+    cross = cross + cross.swapaxes(1, 2)
+    none = np.zeros_like(outer)
     used = np.isfinite(r.variance)
     weight = np.sqrt(1 / r.variance[used])
-    z = np.zeros(2 * nm)  # ln damping, ln frequency
-    precision, chi2 = np.eye(2 * nm), 0.0
-    for _ in range(STEPS):
-        damp, stiff = 2 * (ratio * w * np.exp(z[:nm]))[:, None, None] * outer, (w**2)[:, None, None] * outer
-        more = 2 * (ratio * w * np.expm1(z[:nm]))[:, None, None] * outer
-        harder = stiff * np.expm1(2 * z[nm:])[:, None, None]
-        now = replace(seen, C=seen.C + more.sum(axis=0), K=seen.K + harder.sum(axis=0))
-        rate = Observed.of([
-            np.zeros((2 * nm, *part.shape)) if name not in "CK" else np.concatenate(
-                [damp, none] if name == "C" else [none, 2 * stiff * np.exp(2 * z[nm:])[:, None, None]]
-            )
-            for name, part in ((f.name, getattr(seen, f.name)) for f in fields(Observed) if f.name != "sag")
-        ])  # fmt: skip
+    # ln damping, ln frequency, coupling over the geometric mean of two modes' damping, ln gains
+    count, coupled = 2 * nm + pairs + len(seen.gain), slice(2 * nm, 2 * nm + pairs)
+    prior = np.concatenate([np.full(2 * nm, 1 / WIDEST), np.ones(pairs), np.full(len(seen.gain), 1 / GAIN)])
+    damp, stiff = (size**2)[:, None, None] * outer, (w**2)[:, None, None] * outer
+
+    def at(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted residual and its derivatives, prior included."""
+        grown, tuned = np.exp(z[:nm])[:, None, None], np.exp(2 * z[nm : 2 * nm])[:, None, None]
+        more = (damp * (grown - 1)).sum(axis=0) + (cross * z[coupled, None, None]).sum(axis=0)
+        gain = seen.gain * np.exp(z[coupled.stop :])
+        now = replace(seen, C=seen.C + more, K=seen.K + (stiff * (tuned - 1)).sum(axis=0), gain=gain)
+        slope = {f.name: np.zeros((count, *getattr(seen, f.name).shape)) for f in fields(Observed)[:-1]}
+        slope["C"][: coupled.stop] = np.concatenate([damp * grown, none, cross])
+        slope["K"][nm : 2 * nm] = 2 * stiff * tuned
+        slope["gain"][coupled.stop :] = np.diag(gain)
+        rate = Observed.of(slope.values())
         H, slopes = frf_slopes(now, rate, r.s, r.power)
-        rest = (r.frf - H)[used] * weight
-        A = slopes[:, used] * weight
-        precision = (A.conj() @ A.T).real + np.eye(2 * nm) / WIDEST**2
-        step = np.linalg.solve(precision, (A.conj() @ rest).real - z / WIDEST**2)
-        z = z + step * min(1.0, LONGEST / np.abs(step).max())
-        chi2 = float(np.sum(np.abs(rest) ** 2)) / (2 * used.sum())
-        if np.abs(step).max() < 1e-3:
-            break
-    deviation = np.sqrt(np.diag(np.linalg.inv(precision)) * max(1.0, chi2))
-    return w, ratio, z[:nm], deviation[:nm]
+        rest, A = (H - r.frf)[used] * weight, slopes[:, used] * weight
+        return np.concatenate([rest.real, rest.imag, prior * z]), np.hstack([A.real, A.imag, np.diag(prior)]).T
+
+    kept_at: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def known(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if z.tobytes() not in kept_at:
+            kept_at.clear()
+            kept_at[z.tobytes()] = at(z)
+        return kept_at[z.tobytes()]
+
+    found = least_squares(
+        lambda z: known(z)[0], np.zeros(count), lambda z: known(z)[1], bounds=(-WIDEST, WIDEST), x_scale="jac",
+        max_nfev=STEPS, ftol=1e-6, xtol=1e-6,
+    )  # fmt: skip
+    chi2 = float(np.sum(found.fun[: 2 * used.sum()] ** 2)) / (2 * used.sum())
+    deviation = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * max(1.0, chi2))
+    return w, ratio, found.x[:nm], deviation[:nm]
 
 
 def foretold(posterior: Posterior, robot: Robot, q: np.ndarray, brakes: str, frequency_hz: np.ndarray) -> np.ndarray:
