@@ -24,11 +24,11 @@ from tools.study_milling import (
 from twin.errors import InputError
 from twin.measure.campaign import Campaign, Channels, PostureFRF
 from twin.milling import forces
-from twin.milling.cut import Cut, read_cut
+from twin.milling.cut import Cut, published_coefficients, read_cut
 from twin.milling.forced import forced_vibration, static_force
 from twin.milling.in_time import CutStepper
-from twin.milling.lobes import lobes_of
-from twin.milling.stability import Limits, limits, multipliers
+from twin.milling.lobes import first_at, limits_at, lobes_of
+from twin.milling.stability import Limits, first_limits, limits, multipliers
 from twin.milling.tool_point import (
     ToolModes,
     coupled,
@@ -85,6 +85,30 @@ def test_no_limit_is_lost_whatever_lies_below_it(immersion: float, milling: str,
     assert (found.unstable(depths) == counted).all()
     if immersion == 0.05:
         assert "flip" in found.kind
+
+
+@pytest.mark.parametrize(("immersion", "milling", "helix"), [(0.05, "up", 0), (0.7, "down", 0), (0.1, "down", 40)])
+def test_the_first_limit_alone_is_the_first_of_all(immersion: float, milling: str, helix: float) -> None:
+    cut, speeds = benchmark_cut(immersion, milling, 3), np.linspace(5000, 25000, 6 if helix else 40)
+    cut = cut.model_copy(update={"tool": cut.tool.model_copy(update={"helix_deg": helix}), "depth_max_m": 0.006})
+    for modes in (benchmark_modes(), thirteen_modes()):
+        every = limits_at(modes, cut, speeds).first()
+        assert np.allclose(first_at(modes, cut, speeds), every, rtol=1e-4)
+        shallow = np.min(every, initial=0.006) * 0.5
+        assert np.isinf(first_limits(modes, cut, speeds, shallow)).all()  # none is made up
+
+
+def test_coefficients_of_titanium_and_steel_are_those_of_their_sources() -> None:
+    table = published_coefficients()
+    ratio = 1.755 * 0.05**0.331  # of chip thicknesses, at a rake of 0°
+    shear, friction = np.arctan(ratio), np.deg2rad(19.1)
+    force = 613e6 / (np.sin(shear) * np.cos(shear + friction))
+    titanium, steel = table["titanium_ti6al4v"], table["steel_s235"]
+    assert titanium.kt_n_per_m2 == pytest.approx(force * np.cos(friction), rel=2e-3)
+    assert titanium.kr_n_per_m2 == pytest.approx(force * np.sin(friction), rel=2e-3)
+    law = 1780e6 * 0.1**-0.17
+    assert steel.kt_n_per_m2 == pytest.approx(0.83 * law, rel=2e-3)
+    assert steel.kte_n_per_m == pytest.approx(0.17 * law * 1e-4, rel=2e-3)
 
 
 def test_lobes_hold_between_their_speeds_islands_too() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from tools.truth.effects import parse
 from tools.truth.elastic import assemble
-from tools.truth.milling import Cut, arc, directions, growth, last_link, poles, tip_rows
+from tools.truth.milling import Cut, arc, cut_in_time, directions, growth, last_link, poles, tip_rows
 from tools.truth.recording import draw_truth
 
 
@@ -50,3 +50,28 @@ def test_poles_add_up_to_the_receptance(effect):
     )
     H = structure.receptance(s, rows, rows)
     assert np.linalg.norm(G - H) < 2e-3 * np.linalg.norm(H)
+
+
+def slotted(count: int, **more) -> tuple[np.ndarray, np.ndarray, list[Cut]]:
+    """The published tool, half immersed, ``count`` times."""
+    w, zeta, mass = 2 * np.pi * 922, 0.011, 0.03993
+    damped = w * np.sqrt(1 - zeta**2)
+    pole, residue = -zeta * w + 1j * damped, np.array([1, 0, 0]) / np.sqrt(2j * damped * mass)
+    cut = Cut(
+        np.zeros(3), np.array([0, 0, 1.0]), np.array([1.0, 0, 0]), 2, arc(0.5, False), np.array([6e8, 2e8, 0]), 7000.0,
+        **more,
+    )  # fmt: skip
+    return np.full((1, count), pole), np.repeat(residue[None, :, None], count, 2), [cut] * count
+
+
+@pytest.mark.parametrize("helix", [0.0, 0.6])
+def test_a_cut_whose_teeth_may_leave_the_work_chatters_where_small_vibrations_grow(helix):
+    depth = np.geomspace(2e-4, 3e-3, 7)
+    pole, residue, cuts = slotted(len(depth), helix=helix, diameter=0.016)
+    force = np.stack([directions(cuts[0], 60, b) for b in depth], axis=-1)
+    rate = growth(pole, residue, force, depth, np.full(len(depth), cuts[0].period), 0.5)
+    chatters = cut_in_time(pole, residue, cuts, depth, 40, seconds=0.7)
+    clear = np.abs(rate) > 3.0  # 1/s: what 0.3 s after the ramp can show
+    assert clear.sum() > 2
+    assert 0 < (rate[clear] > 0).sum() < clear.sum()
+    np.testing.assert_array_equal(chatters[clear], rate[clear] > 0)

@@ -1,7 +1,7 @@
 """Limits of milling against published radii, an independent time simulation and closed forms, and how fast they are.
 
     python -m tools.study_milling            # everything, some minutes
-    python -m tools.study_milling radii first thirteen kr90 slow speed amplitude
+    python -m tools.study_milling radii slot first thirteen kr90 slow speed amplitude
 
 The time simulation (`tools.truth.milling`) shares no code with the twin: it steps the delay equation from a random
 disturbance and reads the growth rate; a limit is where the rate changes sign.
@@ -108,13 +108,21 @@ def radii() -> None:
         print(f"slot, 5000 rpm, {depth} mm: radius {radius:.9f}, off the published by {radius - published:.1e}")
 
 
+def slot() -> None:
+    """First limits in full immersion, which is up and down milling at once."""
+    _first(1.0, ("up",), np.linspace(5000, 20000, 7))
+
+
 def first() -> None:
-    """First limits of up and down milling."""
-    speeds = np.linspace(5000, 20000, 7)
-    for immersion in (0.05, 0.1, 0.5, 1.0):
-        for milling in ("up", "down") if immersion < 1 else ("up",):  # a full slot is both
-            cut = benchmark_cut(immersion, milling).model_copy(update={"depth_max_m": 0.05})
-            compare(f"{milling} milling, immersion {immersion:g}", benchmark_modes(), cut, speeds, 500, 0.6)
+    """First limits of up and down milling at lower immersions."""
+    for immersion in (0.05, 0.1, 0.5):
+        _first(immersion, ("up", "down"), np.linspace(5000, 20000, 7))
+
+
+def _first(immersion: float, ways: tuple[str, ...], speeds: np.ndarray) -> None:
+    for milling in ways:
+        cut = benchmark_cut(immersion, milling).model_copy(update={"depth_max_m": 0.05})
+        compare(f"{milling} milling, immersion {immersion:g}", benchmark_modes(), cut, speeds, 500, 0.6)
 
 
 def thirteen() -> None:
@@ -230,7 +238,7 @@ def speed() -> None:
 
 
 STUDIES: dict[str, Any] = {
-    "radii": radii, "first": first, "thirteen": thirteen, "kr90": kr90, "slow": slow, "speed": speed,
+    "radii": radii, "slot": slot, "first": first, "thirteen": thirteen, "kr90": kr90, "slow": slow, "speed": speed,
     "amplitude": amplitude,
 }  # fmt: skip
 

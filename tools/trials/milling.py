@@ -29,15 +29,16 @@ from tools.trials.__main__ import every, executor
 from tools.trials.cases import usual
 from tools.truth.effects import Effect
 from tools.truth.elastic import Structure, assemble
-from tools.truth.milling import Cut, arc, growth_at, last_link, poles, tip_rows
+from tools.truth.milling import Cut, arc, chatters_at, growth_at, last_link, poles, tip_rows
 from tools.truth.recording import draw_postures, plain
 from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError
+from twin.identify.damping_transfer import Transfer, misses_of_frf, transfer
 from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.measure.recordings import read_campaign
-from twin.milling.cut import read_cut
+from twin.milling.cut import published_coefficients, read_cut
 from twin.milling.ensemble import ensemble, quantile_of_safe
 from twin.milling.map import lobes
 from twin.milling.postures import tips
@@ -51,7 +52,8 @@ DRAWS = 40
 TOGETHER = 25  # robots whose cuts are stepped side by side
 SPINDLE_KG, OVERHANG_M, SPINDLE_COM_M = 20.0, 0.25, 0.12
 KNOWN_PERCENT = 15.0  # one deviation of each cutting coefficient
-SHEAR = (6.0046e8, 1.8096e8, 0.0)  # N/m², aluminium 7075
+MATERIALS = ("aluminium_7075", "aluminium_7075_helical", "steel_s235", "titanium_ti6al4v")
+HELICES_DEG = (0.0, 30.0, 45.0)
 DEEPEST_M = 0.02  # of interest
 FEED_M = 1e-4
 
@@ -104,11 +106,12 @@ def drawn_cut(q_deg: tuple[float, ...], rng: np.random.Generator) -> dict[str, A
     """A cut in a posture: teeth, immersion, direction and speed at random."""
     tool = {
         "diameter_m": 0.02, "teeth": int(rng.integers(2, 5)), "overhang_m": OVERHANG_M, "direction": [1.0, 0.0, 0.0],
-        "mass_kg": SPINDLE_KG, "com_m": SPINDLE_COM_M,
+        "mass_kg": SPINDLE_KG, "com_m": SPINDLE_COM_M, "helix_deg": float(rng.choice(HELICES_DEG)),
     }  # fmt: skip
-    known = dict(zip(("kt_n_per_m2", "kr_n_per_m2", "ka_n_per_m2"), SHEAR, strict=True))
+    material = str(rng.choice(MATERIALS))
+    known = published_coefficients()[material].model_dump(mode="json")
     cut = {
-        "tool": tool, "coefficients": {**known, "deviation_percent": KNOWN_PERCENT},
+        "tool": tool, "coefficients": {**known, "deviation_percent": KNOWN_PERCENT, "source": material},
         "immersion": float(np.round(rng.uniform(0.05, 1.0), 2)), "milling": str(rng.choice(["up", "down"])),
         "feed_per_tooth_m": FEED_M, "feed_direction": [float(v) for v in np.round(rng.normal(size=3), 2)],
         "table_z_m": None, "depth_max_m": DEEPEST_M,
@@ -130,8 +133,9 @@ def ask(split: Path, name: str, without: list[str], deadline: float | None) -> b
     try:
         given = load_robot("kr90").without(without)
         finding = diagnose_campaign(read_campaign(source), given, str(source))
-        for stage, fit in zip(("before", "after"), finding.fits, strict=True):
-            keep_model(split / "models" / name / stage, fit)
+        before, after = finding.fits
+        keep_model(split / "models" / name / "before", before)
+        keep_model(split / "models" / name / "after", after, finding.damping)
         result |= {
             "word": finding.word, "error": finding.error, "none": finding.none, "other": finding.other,
             "effects": [m.data() for m in finding.missing],
@@ -143,14 +147,15 @@ def ask(split: Path, name: str, without: list[str], deadline: float | None) -> b
     return True
 
 
-def keep_model(folder: Path, fit: Fitted) -> None:
-    """As `twin fit` and `twin diagnose` keep one."""
+def keep_model(folder: Path, fit: Fitted, damping: Transfer | None = None) -> None:
+    """As `twin fit` and `twin diagnose` keep one; ``damping`` is what they say of it in unseen postures."""
     folder.mkdir(parents=True, exist_ok=True)
     limits = load_robot("kr90").axes
     robot = physical(fit.robot)
     axes = [a.model_copy(update={"limits": b.limits}) for a, b in zip(robot.axes, limits, strict=True)]
     save_robot(folder / "robot.yaml", robot.model_copy(update={"axes": axes}))
-    save_posterior(folder / FILE, Posterior.of(fit))
+    known = Posterior.of(fit)
+    save_posterior(folder / FILE, damping.known_in(known) if damping else known)
 
 
 def refer(split: Path, name: str, deadline: float | None) -> None:
@@ -161,11 +166,13 @@ def refer(split: Path, name: str, deadline: float | None) -> None:
             continue
         try:
             found = fit(split, name)
+            if found is None:
+                continue
+            misses = misses_of_frf(physical(found.robot), Posterior.of(found), reference.kept_recordings(split, name))
         except (InputError, ValueError, np.linalg.LinAlgError) as error:
             store.write(folder / "complaint.json", str(error))
             continue
-        if found is not None:
-            keep_model(folder, found)
+        keep_model(folder, found, transfer(misses))
 
 
 # --- depths -----------------------------------------------------------------------------------------------------------
@@ -216,10 +223,10 @@ def true_cut(split: Path, name: str, number: int) -> tuple[Structure, Cut]:
     rng = np.random.default_rng([answer["seed"], 12])
     error = [np.deg2rad(0.2) * rng.uniform(-1, 1, 3) for _ in range(POSTURES)][number // CUTS]
     spread = np.sqrt(np.log1p((KNOWN_PERCENT / 100) ** 2))
-    shear = [np.array(SHEAR) * np.exp(spread * rng.normal(size=3)) for _ in range(POSTURES * CUTS)][number]
+    drift = [np.exp(spread * rng.normal(size=3)) for _ in range(POSTURES * CUTS)][number]
     truth = usual(answer["kind"], "hammer", answer["seed"], answer["number"]).campaign
     assert truth is not None
-    given, tool = asked["cut"], asked["cut"]["tool"]
+    given, tool, known = asked["cut"], asked["cut"]["tool"], read_cut(asked["cut"]).coefficients
     place = [truth.truth.chain.flange[0] + tool["com_m"], *truth.truth.chain.flange[1:]]
     spindle = Effect("payload", "flange", {"mass": tool["mass_kg"], "com": [float(v) for v in place]})
     q = np.deg2rad(asked["q_deg"]) + error
@@ -227,7 +234,8 @@ def true_cut(split: Path, name: str, number: int) -> tuple[Structure, Cut]:
     tip = truth.truth.chain.flange + np.array([tool["overhang_m"], 0.0, 0.0])
     return structure, Cut(
         tip, -last_link(structure)[:, 0], np.array(given["feed_direction"]), tool["teeth"],
-        arc(given["immersion"], given["milling"] == "up"), shear, asked["spindle_rpm"],
+        arc(given["immersion"], given["milling"] == "up"), known.shear * drift, asked["spindle_rpm"],
+        given["feed_per_tooth_m"], known.edge, float(np.deg2rad(tool["helix_deg"])), tool["diameter_m"],
     )  # fmt: skip
 
 
@@ -251,12 +259,15 @@ def _milled(split: Path, names: list[str]) -> dict[str, Any]:
                 for stage in STAGES for what in ("limit_m", "safe90_m")
             ])  # fmt: skip
     rate = growth_at(cases, np.array(depths).T)
+    what = [f"{stage} {word}" for stage in STAGES for word in ("limit_m", "safe90_m")]
+    safe = [k for k, name in enumerate(what) if name.endswith("safe90_m")]
+    goes_on = chatters_at(cases, np.array(depths).T[safe])
     out: dict[str, Any] = {}
     for k, (name, number) in enumerate(keys):
         pole, _ = poles(cases[k][0], tip_rows(*cases[k]))
-        what = [f"{stage} {word}" for stage in STAGES for word in ("limit_m", "safe90_m")]
         out.setdefault(name, {})[str(number)] = {
             "growth": dict(zip(what, rate[:, k].tolist(), strict=True)),
+            "chatters": dict(zip(STAGES, goes_on[:, k].tolist(), strict=True)),
             "frequency_hz": (np.abs(pole) / (2 * np.pi)).tolist(),
             "damping_percent": (-100 * pole.real / np.abs(pole)).tolist(),
         }  # fmt: skip

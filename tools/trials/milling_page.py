@@ -24,8 +24,9 @@ class Stated:
         name, number: of robot and cut.
         kind, effects: what is concealed.
         word, named: the diagnosis; ``None`` where there was none.
-        limit, safe: stage → depth, m; ``stable`` stage → whether the true robot's cut at ``safe`` was;
-        ``limit_stable`` at ``limit``.
+        material, helix_deg: of the cut.
+        limit, safe: stage → depth, m; ``stable`` stage → whether the true robot's cut at ``safe`` was, with teeth that
+        may leave the work; ``linear`` the same for a small vibration alone, ``limit_stable`` so at ``limit``.
         damping: stage → rows (true %, stated %, low %, high %) of the modes.
     """
 
@@ -35,9 +36,12 @@ class Stated:
     effects: tuple[str, ...]
     word: str | None
     named: tuple[str, ...]
+    material: str
+    helix_deg: float
     limit: dict[str, float]
     safe: dict[str, float]
     stable: dict[str, bool]
+    linear: dict[str, bool]
     limit_stable: dict[str, bool]
     damping: dict[str, np.ndarray]
 
@@ -52,12 +56,16 @@ def collected(split: Path) -> list[Stated]:
         result = store.read(path) if path.exists() else {}
         effects = tuple(f"{e['effect']}@{e['site']}" for e in answer["effects"])
         named = tuple(f"{e['effect']}@{e['site']}" for e in result.get("effects", ()))
+        asked = store.read(split / "cuts" / f"{name}.json")
         for number, cut in cuts.items():
+            given = asked[int(number)]["cut"]
             own = {stage: depths[stage][int(number)] for stage in STAGES if stage in depths}
             growth = cut["growth"]
             found.append(Stated(
                 name, int(number), answer["kind"], effects, result.get("word"), named,
+                given["coefficients"]["source"], given["tool"]["helix_deg"],
                 {s: d["limit_m"] for s, d in own.items()}, {s: d["safe90_m"] for s, d in own.items()},
+                {s: growth[f"{s} safe90_m"] < 0 and not cut["chatters"][s] for s in own},
                 {s: growth[f"{s} safe90_m"] < 0 for s in own}, {s: growth[f"{s} limit_m"] < 0 for s in own},
                 {s: _dampings(cut, d) for s, d in own.items()},
             ))  # fmt: skip
@@ -97,7 +105,10 @@ def page(split: Path, deepest: float, ledger: list[dict[str, str]]) -> str:
     engines = sorted({entry["engine"] for entry in ledger})
     shown = [entry for entry, later in zip(ledger, [*ledger[1:], {}], strict=True) if later.get("why") != entry["why"]]
     events = "; ".join(f"{entry['time']} {entry['why']}" for entry in shown)
-    parts = [_head(cuts), _stable(cuts, deepest), _cost(cuts), _by_effect(cuts, deepest), _damping(cuts)]
+    parts = [
+        _head(cuts), _stable(cuts, deepest), _cost(cuts), _by_effect(cuts, deepest), _by_cut(cuts, deepest),
+        _damping(cuts),
+    ]  # fmt: skip
     told = f"Ledger, engines {', '.join(engines)}: {events}."
     return "\n".join(
         ["# Proof: milling with concealed physics", "", *(line for part in parts for line in part), told, ""]
@@ -109,13 +120,16 @@ def _head(cuts: Sequence[Stated]) -> list[str]:
     hidden = {c.name for c in cuts if c.effects}
     return [
         f"{len(robots)} sealed robots of the truth code made {len(cuts)} cuts in postures that nobody struck. "
-        f"{len(hidden)} of them conceal something, of any usual size. {len(asked)} were diagnosed; all were "
-        "refitted as they are described, and with what they truly conceal. Each was struck as in "
+        f"{len(hidden)} of them conceal something, of any usual size. {len(asked)} were diagnosed, "
+        f"{len({c.name for c in cuts if 'base' in c.safe})} refitted as they are described, "
+        f"{len({c.name for c in cuts if 'true' in c.safe})} with what they truly conceal. Each was struck as in "
         "[the other trials](proof.md), in six or seven postures.",
         "",
         "The spindle weighs 20 kg. Cuts have 2 to 4 teeth, an immersion of 5 to 100 %, any feed direction and 600 to "
-        "6000 rpm, up or down. Cutting coefficients are known to 15 %, postures to 0.2°. The true cut "
-        "is the delay equation, stepped in time by `tools/truth/milling.py`, which shares no code with the twin.",
+        "6000 rpm, up or down, straight or helical (30°, 45°), in aluminium, steel or titanium. Coefficients are "
+        "known to 15 %, postures to 0.2°. The true cut is stepped in time by `tools/truth/milling.py`, which shares no "
+        "code with the twin. It is stable where a small vibration dies out, and where a cut from rest, with its feed "
+        "and with teeth that may leave the work, settles.",
         "",
         "`python -m tools.trials.milling prove` draws another split and writes this page. Only linear effects of "
         "hammer tests are in it: gaps, slip and hardening, which need force levels, are not.",
@@ -141,14 +155,25 @@ def _stable(cuts: Sequence[Stated], deepest: float) -> list[str]:
         for stage in STAGES:
             own = open_([c for c in cuts if chosen(c)], stage, deepest)
             if own:
-                safe, limit = (
+                shares = (
                     share(own, lambda c, s=stage: c.stable[s]),
+                    share(own, lambda c, s=stage: c.linear[s]),
                     share(own, lambda c, s=stage: c.limit_stable[s]),
                 )
-                rows.append([title, NAMES[stage], len({c.name for c in own}), safe, limit])
+                rows.append([title, NAMES[stage], len({c.name for c in own}), *shares])
     return [
         *lines,
-        *_lines(["robots", "model", "how many", "stable at the 90 % depth", "stable at the limit"], rows),
+        *_lines(
+            [
+                "robots",
+                "model",
+                "how many",
+                "stable at the 90 % depth",
+                "a small vibration there dies out",
+                "and at the limit",
+            ],
+            rows,
+        ),
         "",
     ]
 
@@ -177,7 +202,19 @@ def _by_effect(cuts: Sequence[Stated], deepest: float) -> list[str]:
         trusted = share(open_(own, "base", deepest), lambda c: not c.limit_stable["base"])
         rows.append([kind, len({c.name for c in own}), *cells, trusted])
     head = ["effect", "robots", "unsafe before", "unsafe after", "unsafe, true model", "unsafe before, at the limit"]
-    return ["## By effect", "", "Unsafe: the true robot's cut at the 90 % depth grows.", "", *_lines(head, rows), ""]
+    return ["## By effect", "", "Unsafe: the true robot's cut at the 90 % depth chatters.", "", *_lines(head, rows), ""]
+
+
+def _by_cut(cuts: Sequence[Stated], deepest: float) -> list[str]:
+    rows = []
+    for title, value in (("material", "material"), ("helix", "helix_deg")):
+        for one in sorted({getattr(c, value) for c in cuts}):
+            own = [c for c in cuts if getattr(c, value) == one]
+            cells = [share(open_(own, s, deepest), lambda c, s=s: c.stable[s]) for s in STAGES]
+            depth = np.median([1e3 * c.safe["base"] for c in own if "base" in c.safe] or [np.nan])
+            rows.append([f"{title} {one:g}°" if title == "helix" else one, len(own), f"{depth:.2g} mm", *cells])
+    head = ["cut", "cuts", "median depth", "stable before", "stable after", "stable, true model"]
+    return ["## By cut", "", "Stable: the true robot's cut at the 90 % depth.", "", *_lines(head, rows), ""]
 
 
 def _damping(cuts: Sequence[Stated]) -> list[str]:

@@ -135,6 +135,12 @@ def base_fit(split: Path, name: str) -> Fitted | None:
     return _refitted(base, free, sample, min(ends, key=lambda end: end.cost).z)
 
 
+def kept_recordings(split: Path, name: str) -> list[Recorded]:
+    """What was kept aside of the hammer test of a case."""
+    found = _posed(split, name, {**read(split / "answers" / f"{name}.json"), "effects": []})
+    return [] if found is None else found[2].kept
+
+
 def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
     return free_parameters(base, dict.fromkeys(r.setup.name for r in used), used[0].setup.response.label)
 

@@ -108,8 +108,10 @@ def _finish(verdict: Verdict, evidence: Sequence[Evidence], out: str | Path | No
 
 def _write_model(verdict: Verdict, folder: Path) -> Path:
     save_robot(folder / "robot.yaml", verdict.robot)
-    if fits := verdict.findings[-1].fits:
-        save_posterior(folder / FILE, Posterior.of(fits[-1]))
+    finding = verdict.findings[-1]
+    if finding.fits:
+        known = Posterior.of(finding.fits[-1])
+        save_posterior(folder / FILE, finding.damping.known_in(known) if finding.damping else known)
     q, brakes = _posture(verdict)
     save_mjcf(folder / "robot.xml", lit(build_spec(assemble(without_limits(verdict.robot), q, brakes=brakes))))
     return folder

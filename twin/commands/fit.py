@@ -231,10 +231,7 @@ def _cell(e: Estimate | None) -> str:
 
 def _write(found: FitResult, name: Outputs, progress: Progress) -> None:
     save_robot(name("robot.yaml"), found.robot)
-    known = Posterior.of(found.fit)
-    save_posterior(
-        name(FILE), replace(known, damping_scatter=found.damping.scatter, damping_freedom=found.damping.freedom)
-    )
+    save_posterior(name(FILE), found.damping.known_in(Posterior.of(found.fit)))
     first = next(iter(found.postures.values()))
     mechanism = assemble(found.robot, within_limits(found.robot, found.robot.angles(first["q_deg"])))
     save_mjcf(name("robot.xml"), lit(build_spec(mechanism)))

@@ -41,7 +41,9 @@ from twin.diagnose.verdict import (
     strained,
 )
 from twin.errors import InputError
+from twin.identify.damping_transfer import misses_of_frf, transfer
 from twin.identify.objective import Sample
+from twin.identify.posterior import Posterior
 from twin.identify.recorded import Recorded, base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
 from twin.measure.recordings import Recording
@@ -264,7 +266,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         warnings=[*found.warnings, *elsewhere(search.base, search.others), *strained(best)],
         finalists=finalists(search.base, answer.fits),
-        fits=(before, best),
+        fits=(before, best), damping=transfer(misses_of_frf(physical(best.robot), Posterior.of(best), found.kept)),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in answer.missing]
     return finding

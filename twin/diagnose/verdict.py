@@ -16,6 +16,7 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import ASTRAY, Fitted
+from twin.identify.damping_transfer import Transfer
 from twin.identify.uncertainty import NINETY
 from twin.result import Result, written
 from twin.robot.description import Robot
@@ -121,6 +122,7 @@ class Finding:
         finalists: what the answer was chosen from, as :func:`twin.diagnose.decide.finalists` has it.
         foretold: χ² per datum of what was held out, doubt of the model's numbers beside its noise; 0 where not known.
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
+        damping: how well the answer foretells damping in postures that were held out.
     """
 
     recording: str
@@ -144,6 +146,7 @@ class Finding:
     finalists: tuple[dict[str, Any], ...] = ()
     foretold: float = 0.0
     fits: tuple[Fitted, ...] = ()
+    damping: Transfer | None = None
     apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None
     following: Callable[[Robot], Robot] | None = None

@@ -7,21 +7,28 @@ for e ~ N(0, V + σ² + τ²); known from m misses only, it foretells with the t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.linalg import eigh
+from scipy.optimize import least_squares, minimize_scalar
 from scipy.stats import t as student
 
+from twin.identify.elastic_compare import judge
 from twin.identify.posterior import Posterior
+from twin.identify.recorded import Recorded, without_limits
 from twin.model.linear import state_matrix
-from twin.model.sensitivity import structures
+from twin.model.sensitivity import Observed, frf_slopes, observe_all, structures
+from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 from twin.robot.mechanism import assemble_all
 
 DRAWS = 60
-WIDEST = 3.0  # of τ: a factor of twenty
+WIDEST = 3.0  # of τ, and of one mode's ln damping: a factor of twenty
+KNOWN = 0.3  # deviation of ln damping to which an FRF must hold a mode that counts
+GAIN = 0.1  # deviation of a channel's gain, beyond what was estimated with the described damping
+STEPS = 40  # of least squares, at most
 UNKNOWN = 0.46, 12
 """τ and m where no posture tells: of the KR90's Table 7 (Huynh et al. 2020), each posture foretold from the two others
 (tools/study_damping_transfer.py)."""
@@ -62,6 +69,10 @@ class Transfer:
         """The factor within which a damping ratio lies with 90 % probability, beside what the posterior says."""
         return float(np.exp(self.scatter * student.ppf(0.95, self.freedom)))
 
+    def known_in(self, posterior: Posterior) -> Posterior:
+        """The posterior with this beside it."""
+        return replace(posterior, damping_scatter=self.scatter, damping_freedom=self.freedom)
+
     def data(self) -> dict[str, Any]:
         """For fit.json."""
         return {
@@ -97,6 +108,97 @@ def transfer(misses: Sequence[Miss]) -> Transfer:
     found = minimize_scalar(cost, bounds=(0.0, WIDEST), method="bounded")
     tau = float(found.x) if found.fun < cost(0.0) else 0.0
     return Transfer(tau, len(misses), tuple(misses))
+
+
+def misses_of_frf(robot: Robot, posterior: Posterior, recordings: Sequence[Recorded]) -> list[Miss]:
+    """Damping of the modes in recordings that were not fitted to, beside what a fitted robot foretells there.
+
+    After angles and gains of a recording are estimated, every mode of the model may have another damping and another
+    frequency, dampers may couple any two (C and K change by M φᵢ φⱼᵀ M), and gains may change once more. What fits the
+    FRFs best says how far off the damping was. A mode counts where the FRFs hold it to ``KNOWN``. None does where a law
+    of amplitude is in the robot: its damping is no number.
+    """
+    robot = without_limits(robot)
+    if any(CATALOGUE[entry.effect].amplitude_law for entry in robot.physics):
+        return []
+    found: list[Miss] = []
+    for r in recordings:
+        if any(miss.posture == r.setup.name for miss in found):
+            continue
+        judged = judge(robot, [r])
+        ((seen, _),) = observe_all(robot, [r.setup], judged.parameters, judged.values)
+        w, ratio, off, doubt = _modal_misses(seen, r)
+        band = (w / (2 * np.pi) > r.frequency[0]) & (w / (2 * np.pi) < r.frequency[-1])
+        rows = np.flatnonzero(band & (doubt < KNOWN))
+        if not len(rows):
+            continue
+        frequency = w[rows] / (2 * np.pi)
+        spread = foretold(posterior, robot, r.setup.q, r.setup.brakes or "off", frequency)
+        found += [
+            Miss(r.setup.name, float(f), float(ratio[k] * np.exp(off[k])), float(ratio[k]), float(doubt[k]), float(own))
+            for k, f, own in zip(rows, frequency, spread, strict=True)
+        ]
+    return found
+
+
+def _modal_misses(seen: Observed, r: Recorded) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Angular frequencies and damping ratios (nm,) of a model; how far ln damping is off in FRFs, and the deviation.
+
+    Deviations are scaled by the misfit that is left.
+    """
+    square, phi = eigh(seen.K, seen.M)
+    kept = square > 0
+    w, phi = np.sqrt(square[kept]), phi[:, kept]
+    ratio = np.einsum("ik,ij,jk->k", phi, seen.C, phi) / (2 * w)
+    ratio = ratio + np.einsum("ik,ij,jk->k", phi, seen.loss, phi) / (2 * w**2)
+    kept = ratio > 0
+    w, ratio, phi = w[kept], ratio[kept], phi[:, kept]
+    push = seen.M @ phi
+    inside = np.flatnonzero((w > 2 * np.pi * r.frequency[0]) & (w < 2 * np.pi * r.frequency[-1]))
+    first, second = (inside[k] for k in np.triu_indices(len(inside), 1))
+    nm, pairs = len(w), len(first)
+    size = np.sqrt(2 * ratio * w)  # of the damping matrix, mode by mode
+    outer = np.einsum("ik,jk->kij", push, push)
+    cross = np.einsum("ik,jk->kij", push[:, first] * size[first], push[:, second] * size[second])
+    cross = cross + cross.swapaxes(1, 2)
+    none = np.zeros_like(outer)
+    used = np.isfinite(r.variance)
+    weight = np.sqrt(1 / r.variance[used])
+    # ln damping, ln frequency, coupling over the geometric mean of two modes' damping, ln gains
+    count, coupled = 2 * nm + pairs + len(seen.gain), slice(2 * nm, 2 * nm + pairs)
+    prior = np.concatenate([np.full(2 * nm, 1 / WIDEST), np.ones(pairs), np.full(len(seen.gain), 1 / GAIN)])
+    damp, stiff = (size**2)[:, None, None] * outer, (w**2)[:, None, None] * outer
+
+    def at(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted residual and its derivatives, prior included."""
+        grown, tuned = np.exp(z[:nm])[:, None, None], np.exp(2 * z[nm : 2 * nm])[:, None, None]
+        more = (damp * (grown - 1)).sum(axis=0) + (cross * z[coupled, None, None]).sum(axis=0)
+        gain = seen.gain * np.exp(z[coupled.stop :])
+        now = replace(seen, C=seen.C + more, K=seen.K + (stiff * (tuned - 1)).sum(axis=0), gain=gain)
+        slope = {f.name: np.zeros((count, *getattr(seen, f.name).shape)) for f in fields(Observed)[:-1]}
+        slope["C"][: coupled.stop] = np.concatenate([damp * grown, none, cross])
+        slope["K"][nm : 2 * nm] = 2 * stiff * tuned
+        slope["gain"][coupled.stop :] = np.diag(gain)
+        rate = Observed.of(slope.values())
+        H, slopes = frf_slopes(now, rate, r.s, r.power)
+        rest, A = (H - r.frf)[used] * weight, slopes[:, used] * weight
+        return np.concatenate([rest.real, rest.imag, prior * z]), np.hstack([A.real, A.imag, np.diag(prior)]).T
+
+    kept_at: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def known(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if z.tobytes() not in kept_at:
+            kept_at.clear()
+            kept_at[z.tobytes()] = at(z)
+        return kept_at[z.tobytes()]
+
+    found = least_squares(
+        lambda z: known(z)[0], np.zeros(count), lambda z: known(z)[1], bounds=(-WIDEST, WIDEST), x_scale="jac",
+        max_nfev=STEPS, ftol=1e-6, xtol=1e-6,
+    )  # fmt: skip
+    chi2 = float(np.sum(found.fun[: 2 * used.sum()] ** 2)) / (2 * used.sum())
+    deviation = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * max(1.0, chi2))
+    return w, ratio, found.x[:nm], deviation[:nm]
 
 
 def foretold(posterior: Posterior, robot: Robot, q: np.ndarray, brakes: str, frequency_hz: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import gammaincinv
 
 from twin.errors import InputError
-from twin.identify.damping_transfer import Miss, Transfer, foretold, transfer
+from twin.identify.damping_transfer import Miss, Transfer, foretold, misses_of_frf, transfer
 from twin.identify.elastic import Fit, fit_frf
 from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
@@ -48,7 +48,6 @@ LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
 CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
 LARGE_CORRELATION = 0.95
-ALIKE = 0.8  # MAC of modes whose dampings are compared
 PROFILED = 4  # parameters whose profile is drawn
 
 
@@ -137,7 +136,8 @@ def fit_campaign(
         source, final, fitted, found, combinations(fitted), held, error, expected,
         _campaign_modes(campaign, recordings, final, held, band_hz, progress), [], left_out, comparisons,
     )  # fmt: skip
-    result.damping = transfer(_misses_unseen(result, recordings))
+    unseen = [r for r in recordings if r.setup.name in result.held_out]
+    result.damping = transfer(misses_of_frf(result.robot, Posterior.of(result.fit), unseen))
     if profiled:
         weakest = _weakest(found)
         tick = progress("profiles", len(weakest))
@@ -230,24 +230,6 @@ def _mode(predicted: _PostureModes, k: int) -> dict[str, Any]:
 def _pairs(cost: FloatArray, worst: float) -> list[tuple[int, int]]:
     rows, columns = linear_sum_assignment(cost)
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < worst]
-
-
-def _misses_unseen(result: Fitting, recordings: Sequence[Recorded]) -> list[Miss]:
-    """Damping of the measured modes in postures that were not fitted to, beside what the fit foretells."""
-    found: list[Miss] = []
-    known, robot = Posterior.of(result.fit), without_limits(result.robot)
-    for r in recordings:
-        if r.setup.name not in result.held_out or any(miss.posture == r.setup.name for miss in found):
-            continue
-        seen = [m for m in result.postures[r.setup.name]["modes"] if (m.get("mac") or 0) > ALIKE]
-        seen = [m for m in seen if m["measured_damping_percent"] > 0 and m["damping_percent"] > 0]
-        frequency = np.array([m["frequency_hz"] for m in seen])
-        spread = foretold(known, robot, r.setup.q, r.setup.brakes or "off", frequency)
-        for m, own in zip(seen, spread, strict=True):
-            measured, predicted = m["measured_damping_percent"] / 100, m["damping_percent"] / 100
-            doubt = m["measured_damping_std_percent"] / m["measured_damping_percent"]
-            found.append(Miss(r.setup.name, m["measured_hz"], measured, predicted, doubt, float(own)))
-    return found
 
 
 # --- modal tables -----------------------------------------------------------------------------------------------------

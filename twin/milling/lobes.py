@@ -12,7 +12,8 @@ from itertools import pairwise
 import numpy as np
 
 from twin.milling.cut import Cut
-from twin.milling.stability import DIGITS, Limits, limits
+from twin.milling.forces import lag
+from twin.milling.stability import DIGITS, Limits, first_limits, limits
 from twin.milling.tool_point import ToolModes
 from twin.parallel import cores, spread
 
@@ -20,7 +21,8 @@ TOLERANCE = 1e-3  # of the limit, by which the middle of a cell may be off
 COARSEST = 0.02  # of the speed, between two speeds
 MOST_SPEEDS = 3000
 ROUNDS = 6  # of halving cells
-HELIX_STEP = 0.1  # of ln depth, to which the lag of a helix is rounded on the way
+LAG, LAG_EVEN = 0.05, 0.5  # rad, to which the lag of a helix is rounded on the way; beyond so much, in its logarithm
+LARGEST = 0.1  # of ln depth between two levels of lag, on one branch
 HELIX_ROUNDS = 6
 BAND_ROWS = 12000  # draws times speeds of a band
 BAND_DIGITS = 2.0
@@ -127,49 +129,101 @@ def limits_at(
     shear: np.ndarray | None = None,
     digits: float = DIGITS,
 ) -> Limits:
-    """Limits (S speeds) up to the cut's depth of interest; with a helix, its lag is that at the first limit.
-
-    A helix spreads a tooth over an angle that grows with the depth: the limit is sought again with the lag at the limit
-    found, rounded to ``HELIX_STEP``, until it stays.
-    """
-    spindle_rpm = np.asarray(spindle_rpm, float)
-    deepest = cut.depth_max_m
+    """Limits (S speeds) up to the cut's depth of interest; with a helix, its lag is that at the first limit."""
+    rpm, deepest = np.asarray(spindle_rpm, float), cut.depth_max_m
     if not cut.tool.helix_deg:
-        return limits(modes, cut, spindle_rpm, deepest, shear=shear, digits=digits)
-    straight = cut.model_copy(update={"tool": cut.tool.model_copy(update={"helix_deg": 0.0})})
-    found = limits(modes, straight, spindle_rpm, deepest, shear=shear, digits=digits)
-    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(spindle_rpm), 3))
+        return limits(modes, cut, rpm, deepest, shear=shear, digits=digits)
+    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
+    kept: dict[int, Limits] = {}
 
-    def at_level(level: np.ndarray, rows: np.ndarray) -> list[tuple[np.ndarray, Limits]]:
-        parts = []
-        for number in np.unique(level[rows]):
-            here = rows[level[rows] == number]
-            lag_depth = float(np.exp(number * HELIX_STEP))
-            part = limits(
-                modes.rows(here), cut, spindle_rpm[here], deepest,
-                shear=shear[here], lag_depth_m=lag_depth, digits=digits,
-            )  # fmt: skip
-            parts.append((here, part))
-        return parts
+    def first(rows: np.ndarray, number: int, lag_depth_m: float) -> np.ndarray:
+        part = limits(
+            modes.rows(rows), cut, rpm[rows], deepest, shear=shear[rows], lag_depth_m=lag_depth_m, digits=digits
+        )
+        empty = Limits(len(rpm), *(getattr(part, name)[:0] for name in _COLUMNS))
+        kept[number] = _replaced(kept.get(number, empty), [(rows, part)])
+        return part.first()
 
-    level = np.full(len(spindle_rpm), np.iinfo(int).min // 2)
+    level, _, share = _with_lag(first, cut, len(rpm))
+    parts = []
+    for number in np.unique(level):
+        rows, known = np.flatnonzero(level == number), kept[number]
+        own = np.isin(known.row, rows)
+        parts.append((rows, Limits(len(rows), np.searchsorted(rows, known.row[own]),
+                                   *(getattr(known, name)[own] for name in _COLUMNS[1:]))))  # fmt: skip
+    empty = Limits(len(rpm), *(getattr(parts[0][1], name)[:0] for name in _COLUMNS))
+    found = _replaced(empty, parts)
+    return replace(found, depth_m=found.depth_m * share[found.row])
+
+
+def first_at(
+    modes: ToolModes, cut: Cut, spindle_rpm: np.ndarray, *, shear: np.ndarray | None = None, digits: float = DIGITS
+) -> np.ndarray:
+    """First limits (S,) m alone, infinite where there is none up to the cut's depth of interest; with the helix's lag.
+
+    Args:
+        modes: in the cut frame, pole (S, nm) or (nm,).
+        shear: (S, 3) or (3,) N/m², by default the cut's.
+    """
+    rpm, deepest = np.asarray(spindle_rpm, float), cut.depth_max_m
+    if not cut.tool.helix_deg:
+        return first_limits(modes, cut, rpm, deepest, shear=shear, digits=digits)
+    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
+
+    def first(rows: np.ndarray, number: int, lag_depth_m: float) -> np.ndarray:
+        return first_limits(
+            modes.rows(rows), cut, rpm[rows], deepest, shear=shear[rows], lag_depth_m=lag_depth_m, digits=digits
+        )
+
+    _, depth, share = _with_lag(first, cut, len(rpm))
+    return depth * share
+
+
+def _with_lag(
+    first: Callable[[np.ndarray, int, float], np.ndarray], cut: Cut, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First limits of a helix, whose lag depends on them.
+
+    A helix spreads a tooth over an angle that grows with the depth: the limit is sought with straight teeth, then with
+    the lag at the limit found, rounded to a level, until it stays. Between that level and the next, the depth whose own
+    lag it is lies on the chord.
+
+    Args:
+        first: limits (n,) m of rows (n,) at a level of lag, and the depth m that this lag is of (0: straight).
+
+    Returns:
+        level (count,) of the last lag, limits (count,) m there, and the factor (count,) from them to the solution.
+    """
+    every, deepest, per_m = np.arange(count), cut.depth_max_m, lag(cut, 1.0)
+    level, depth = np.zeros(count, int), first(np.arange(count), 0, 0.0)
+
+    def levels(depth_m: np.ndarray) -> np.ndarray:
+        angle = np.minimum(depth_m, deepest) * per_m
+        return np.where(angle < LAG_EVEN, angle, LAG_EVEN * (1 + np.log(np.maximum(angle, LAG_EVEN) / LAG_EVEN))) / LAG
+
+    def at(levels: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        out = np.empty(len(rows))
+        for number in np.unique(levels[rows]):
+            here, angle = levels[rows] == number, number * LAG
+            angle = angle if angle < LAG_EVEN else LAG_EVEN * np.exp(angle / LAG_EVEN - 1)
+            out[here] = first(rows[here], int(number), float(angle / per_m))
+        return out
+
     for round_ in range(HELIX_ROUNDS):
-        wanted = np.round(np.log(np.minimum(found.first(), deepest)) / HELIX_STEP).astype(int)
+        wanted = np.round(levels(depth)).astype(int)
         rows = np.flatnonzero(np.abs(wanted - level) > (1 if round_ else 0))  # no row is sent to and fro
         if not len(rows):
             break
         level[rows] = wanted[rows]
-        found = _replaced(found, at_level(level, rows))
-    # the limit d(l) is known at the lag l of one level; with a second, d(l) = l is solved by the chord
-    d1, l1 = np.log(found.first()), level * HELIX_STEP
-    second = level + np.where(d1 >= l1, 1, -1)
-    other = _replaced(found, at_level(second, np.arange(len(level))))
-    d2, l2 = np.log(other.first()), second * HELIX_STEP
-    with np.errstate(invalid="ignore"):  # where there is no limit
-        sure = np.abs(d2 - d1) < 0.5 * HELIX_STEP
-    slope = (np.where(sure, d2, 0.0) - np.where(sure, d1, 0.0)) / (l2 - l1)
-    step = slope * (np.where(sure, d1, l1) - l1) / (1 - slope)
-    return replace(found, depth_m=found.depth_m * np.exp(step)[found.row])
+        depth[rows] = at(level, rows)
+    second = np.maximum(level + np.where(levels(depth) >= level, 1, -1), 0)
+    other = at(second, every)
+    with np.errstate(invalid="ignore", divide="ignore"):  # where there is no limit
+        change = np.log(other) - np.log(depth)
+        sure = (np.abs(change) < LARGEST) & (second != level)
+        off, other_off = levels(depth) - level, levels(other) - second
+        share = np.where(sure, off / (off - other_off), 0.0)
+    return level, depth, np.exp(np.where(sure, share * change, 0.0))
 
 
 def _replaced(found: Limits, parts: list[tuple[np.ndarray, Limits]]) -> Limits:
@@ -236,20 +290,13 @@ def with_band(
     nd = len(draws.pole)
     pick = band_speeds(found, nd)
     rpm = found.spindle_rpm[pick]
-    # a helix lags as at the nominal limit
-    level = np.round(np.log(found.depth_m[pick]) / HELIX_STEP).astype(int) * (1 if cut.tool.helix_deg else 0)
-    groups = [np.flatnonzero(level == number) for number in np.unique(level)]
-    parts = [part for group in groups for part in np.array_split(group, -(-len(group) * nd // BAND_BATCH))]
+    parts = np.array_split(np.arange(len(rpm)), -(-len(rpm) * nd // BAND_BATCH))
 
     def some(number: int) -> np.ndarray:
         part = parts[number]
-        lag_depth = float(np.exp(level[part[0]] * HELIX_STEP)) if cut.tool.helix_deg else 0.0
         rows = np.repeat(np.arange(nd), len(part))
-        limit = limits(
-            draws.rows(rows), cut, np.tile(rpm[part], nd), cut.depth_max_m,
-            shear=shear[rows], lag_depth_m=lag_depth, digits=BAND_DIGITS,
-        )  # fmt: skip
-        return np.minimum(limit.first(), cut.depth_max_m).reshape(nd, len(part))
+        limit = first_at(draws.rows(rows), cut, np.tile(rpm[part], nd), shear=shear[rows], digits=BAND_DIGITS)
+        return np.minimum(limit, cut.depth_max_m).reshape(nd, len(part))
 
     depth = np.empty((nd, len(rpm)))
     for part, values in zip(parts, spread(some, len(parts), cores()), strict=True):

@@ -14,9 +14,10 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.files import replacing
-from twin.milling import stability, zeroth_order
+from twin.milling import zeroth_order
 from twin.milling.cut import Cut
 from twin.milling.ensemble import Ensemble, quantile_of_safe
+from twin.milling.lobes import first_at
 from twin.milling.postures import Tips, tips, tool_place, without_fast
 from twin.milling.tool_point import ToolModes
 from twin.parallel import spread
@@ -25,8 +26,7 @@ from twin.robot.inverse_kinematics import Reached, inverse_kinematics, limits, t
 
 BLOCK = 250  # postures
 SHOWN = 8  # modes
-DIGITS = 1.0  # of the lobes' collocation: limits to 1e-4
-FIRST_LOOK, DEEPER = 16.0, 8.0  # times the closed form, and times deeper where no limit is found
+DIGITS = 2.0  # of the lobes' collocation: limits to 1e-5
 TURNS = 24  # about the tool's axis, where it is free: every 15°
 BAND = (0.05, 0.95)  # quantiles
 
@@ -271,28 +271,12 @@ def dynamic_compliance(modes: ToolModes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lobes(modes: ToolModes, cut: Cut, speeds: np.ndarray, shear: np.ndarray | None = None) -> np.ndarray:
-    """Limits in depth (N, ns), m, of postures (N, nm) at spindle speeds (ns,) rpm, no deeper than the cut's deepest.
-
-    Only the least limit counts: each row is looked at no deeper than some times its closed form, and four times deeper
-    while nothing is found.
-    """
-    count, deepest = len(modes.pole), cut.depth_max_m
-    row, rpm = np.repeat(np.arange(count), len(speeds)), np.tile(speeds, count)
-    modes = without_fast(modes)
-    least = zeroth_order.limiting_depth(modes, cut, shear=shear)
-    # quarters of the deepest that stay above the first look
-    level = np.floor(np.log(np.maximum(deepest / (FIRST_LOOK * least), 1.0)) / np.log(DEEPER)).astype(int)[row]
-    found = np.full(len(row), np.inf)
-    while (open_ := np.flatnonzero(level >= 0)).size:
-        for number in np.unique(level[open_]):
-            some = open_[level[open_] == number]
-            static = None if modes.residual is None else modes.residual[row[some]]
-            each = ToolModes(modes.pole[row[some]], modes.shape[row[some]], static)
-            own = None if shear is None else shear[row[some]]
-            reach_m = deepest / DEEPER ** int(number)
-            found[some] = stability.limits(each, cut, rpm[some], reach_m, shear=own, digits=DIGITS).first()
-        level = np.where(np.isfinite(found), -1, level - 1)
-    return np.minimum(found, deepest).reshape(count, -1)
+    """Limits in depth (N, ns), m, of postures (N, nm) at spindle speeds (ns,) rpm, no deeper than the cut's deepest."""
+    count = len(modes.pole)
+    row = np.repeat(np.arange(count), len(speeds))
+    own = None if shear is None else shear[row]
+    found = first_at(without_fast(modes).rows(row), cut, np.tile(speeds, count), shear=own, digits=DIGITS)
+    return np.minimum(found, cut.depth_max_m).reshape(count, -1)
 
 
 def _band(task: Task, some: Places, rotation: np.ndarray) -> Result:

@@ -20,6 +20,7 @@ At the limit |μ| = 1: the eigenvalues 1/b of W(e^{iθ}) that are real and posit
 at a speed, whatever lies below them. No depth is stepped through, so no island is missed.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,14 +29,24 @@ from twin.errors import InputError
 from twin.milling import forces
 from twin.milling.cut import Cut
 from twin.milling.tool_point import ToolModes
+from twin.milling.zeroth_order import limiting_depth
 
 NODES = 0.8  # per digit, beyond what the phase advance asks
 DIGITS = 5.0  # decimal digits asked of the collocation
 STEP = 0.5  # of θ, over the distance to the nearest pole of W
 WIDEST = 0.15  # rad, of θ
 ROUNDS = 12  # of bisection of θ at most
+<<<<<<< HEAD
 MOST_SWINGS = 150  # of a mode while a tooth cuts: nodes, of which memory takes the cube
 POLISH = 8  # steps of regula falsi on a crossing
+=======
+POLISH = 8  # steps of regula falsi on a crossing, at most
+REAL = 1e-8  # of an eigenvalue: an imaginary part that is none
+DEEPER = 3.0  # times deeper, where no limit is found
+FIRST_LOOK = 2.0  # times the depth above which the bound on eigenvalues allows a limit
+REACH, FARTHER = 16.0, 8.0  # times the closed form that nodes resolve the motion for at first, and times deeper then
+STILL = 1e-4  # of 1/depth: a mode that can add no more to the eigenvalues is static compliance
+>>>>>>> w28
 CHUNK = 1_000_000  # elements of matrices whose eigenvalues are taken at a time
 
 
@@ -273,23 +284,81 @@ def limits(
         lag_depth_m: depth for which the lag of a helix is taken.
         digits: decimal digits asked of the collocation.
     """
-    tau = np.asarray(cut.tooth_period(spindle_rpm), float)
-    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(tau), 3))
-    advance = fastest(modes, shear, depth_max_m) * tau
     found = []
-    group = np.ceil(2 * np.log2(advance + 2.0)).astype(int)  # about as many nodes
+    for rows, some, tau, op in _operators(modes, cut, spindle_rpm, depth_max_m, shear, lag_depth_m, digits):
+        row, *rest = _crossings(op, some, tau, depth_max_m)
+        found.append((rows[row], *rest))
+    columns = [np.concatenate(column) for column in zip(*found, strict=True)]
+    order = np.lexsort((columns[1], columns[0]))
+    return Limits(len(spindle_rpm), *(column[order] for column in columns))
+
+
+def first_limits(
+    modes: ToolModes,
+    cut: Cut,
+    spindle_rpm: np.ndarray,
+    depth_max_m: float,
+    *,
+    shear: np.ndarray | None = None,
+    lag_depth_m: float = 0.0,
+    digits: float = DIGITS,
+) -> np.ndarray:
+    """The first limit (S,) m alone, infinite where there is none up to ``depth_max_m``: :func:`limits` in less time.
+
+    A norm bounds the eigenvalues at every angle. They are computed only where it allows a limit that is less deep than
+    those sought, first the least depths, then deeper ones while nothing is found. Deep cuts move the tip fast and need
+    many nodes: each row is looked at about ``REACH`` times as deep as its closed form, then farther while nothing is
+    found.
+    """
+    rpm = np.asarray(spindle_rpm, float)
+    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
+    least = np.broadcast_to(limiting_depth(modes, cut, shear=shear), rpm.shape)
+    level = np.floor(np.log(np.maximum(depth_max_m / (REACH * least), 1.0)) / np.log(FARTHER)).astype(int)
+    found = np.full(len(rpm), np.inf)
+    while (open_ := np.flatnonzero((level >= 0) & np.isinf(found))).size:
+        for number in np.unique(level[open_]):
+            some = open_[level[open_] == number]
+            reach_m = depth_max_m / FARTHER ** int(number)
+            own = _without_still(modes.rows(some), cut, shear[some], reach_m)
+            for rows, _, _, op in _operators(own, cut, rpm[some], reach_m, shear[some], lag_depth_m, digits):
+                found[some[rows]] = _first(op, reach_m)
+        level = level - 1
+    return found
+
+
+def _without_still(modes: ToolModes, cut: Cut, shear: np.ndarray, depth_m: float) -> ToolModes:
+    """Modes, those that no row's cut of a depth, m, can excite turned into static compliance.
+
+    A mode adds at most 2b‖A‖|u|²/|Re λ| to an eigenvalue times b, teeth in cut together.
+    """
+    size = np.linalg.norm(modes.shape, axis=-1) ** 2 / np.abs(modes.pole.real)
+    push = np.linalg.norm(shear, axis=-1) * max(1, forces.most_teeth(cut)) * depth_m
+    still = (4 * size * push.reshape(-1, 1) < STILL).all(axis=0) if size.ndim > 1 else 4 * size * push.max() < STILL
+    if not still.any():
+        return modes
+    u, pole = modes.shape[..., still, :], modes.pole[..., still]
+    static = 2 * np.einsum("...ki,...kj,...k->...ij", u, u, -1 / pole).real
+    if modes.residual is not None:
+        static = static + modes.residual
+    return ToolModes(modes.pole[..., ~still], modes.shape[..., ~still, :], static)
+
+
+def _operators(
+    modes: ToolModes, cut: Cut, spindle_rpm: np.ndarray, depth_max_m: float, shear: np.ndarray | None,
+    lag_depth_m: float, digits: float,
+) -> Iterator[tuple[np.ndarray, ToolModes, np.ndarray, Operator]]:  # fmt: skip
+    """Collocated cuts of a batch, those that need about as many nodes together: rows, modes, tooth periods, parts."""
+    every = np.asarray(cut.tooth_period(spindle_rpm), float)
+    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(every), 3))
+    advance = fastest(modes, shear, depth_max_m) * every
+    group = np.ceil(2 * np.log2(advance + 2.0)).astype(int)
     for number in np.unique(group):
         alike = np.flatnonzero(group == number)
         nodes = collocate(cut, float(advance[alike].max()), lag_depth_m, digits)
         each = modes.pole.shape[-1] * len(nodes.phase) * (len(nodes.phase) + 4)
         for rows in np.array_split(alike, -(-len(alike) * each // (4 * CHUNK))):
             some = modes.rows(rows)
-            op = operator(some, cut, tau[rows], shear[rows], nodes)
-            row, *rest = _crossings(op, some, tau[rows], depth_max_m)
-            found.append((rows[row], *rest))
-    columns = [np.concatenate(column) for column in zip(*found, strict=True)]
-    order = np.lexsort((columns[1], columns[0]))
-    return Limits(len(tau), *(column[order] for column in columns))
+            yield rows, some, every[rows], operator(some, cut, every[rows], shear[rows], nodes)
 
 
 def fastest(modes: ToolModes, shear: np.ndarray, depth_m: float) -> np.ndarray:
@@ -370,7 +439,7 @@ def _crossings(op: Operator, modes: ToolModes, tau: np.ndarray, depth_max_m: flo
     value = value[:, :kept]
     follows = np.flatnonzero(row[1:] == row[:-1])
     arcs = _Arcs(row[follows], theta[follows], theta[follows + 1], value[follows], value[follows + 1])
-    row_h, angle_h, value_h, change_h = _polished(op, _brackets(op, arcs, least))
+    row_h, angle_h, value_h, change_h = _polished(op, _brackets(op, arcs, np.full(len(op.turn), least)))
     last = np.flatnonzero(theta == np.pi)
     row_f, value_f, change_f = _flips(op, row[last], value[last], least)
     row = np.concatenate([row_h, row_f])
@@ -383,16 +452,70 @@ def _crossings(op: Operator, modes: ToolModes, tau: np.ndarray, depth_max_m: flo
     return row, 1 / value, angle, change, frequency, kind
 
 
-def _near_ray(arcs: _Arcs, least: float) -> np.ndarray:
-    """Arcs (n,) with a curve that may touch the ray of limits, real and at least ``least``, cheaply judged."""
+def _first(op: Operator, depth_max_m: float) -> np.ndarray:
+    """First limit (S,) m of a batch; infinite where there is none up to a depth."""
+    count, deepest = len(op.turn), 1 / depth_max_m
+    row, theta = _angles(op.turn)
+    bound = _bounds(op, row, theta)
+    most = np.zeros(count)
+    np.maximum.at(most, row, bound)
+    follows = np.flatnonzero(row[1:] == row[:-1])
+    ends = np.maximum(bound[follows], bound[follows + 1])
+    value = np.zeros((len(row), op.volterra.shape[-1]), complex)
+    seen = np.zeros(len(row), bool)
+    best = np.zeros(count)  # largest 1/b
+    open_ = most > deepest
+    least = np.maximum(most / FIRST_LOOK, deepest)
+    while open_.any():
+        near = follows[open_[row[follows]] & (ends > 0.5 * least[row[follows]])]
+        wanted = np.unique(np.concatenate([near, near + 1]))
+        wanted = wanted[~seen[wanted]]
+        value[wanted] = _eigenvalues(op, row[wanted], theta[wanted])
+        seen[wanted] = True
+        large = np.abs(value[near]) > 0.5 * least[row[near], None]
+        kept = min(value.shape[1], 1 + int(large.sum(axis=1).max(initial=1)))
+        arcs = _Arcs(row[near], theta[near], theta[near + 1], value[near, :kept], value[near + 1, :kept])
+        found = _brackets(op, arcs, least)
+        # of a row's crossings, those that may be its largest
+        where, high = found.row.astype(int), np.maximum(found.a.real, found.b.real)[:, 0]
+        low, chord = np.minimum(found.a.real, found.b.real)[:, 0], np.abs(found.a - found.b)[:, 0]
+        sure = np.zeros(count)
+        np.maximum.at(sure, where, low - chord)
+        at, _, real, _ = _polished(op, found[high + chord >= sure[where]])
+        np.maximum.at(best, at, real)
+        last = near[theta[near + 1] == np.pi] + 1
+        flips = np.where(value[last].imag == 0, value[last].real, 0.0).max(axis=1, initial=0.0)
+        np.maximum.at(best, row[last], flips)
+        open_ &= (best < least) & (least > deepest)
+        least = np.where(open_, np.maximum(least / DEEPER, deepest), least)
+    return np.where(best > deepest, 1 / np.maximum(best, deepest), np.inf)
+
+
+def _bounds(op: Operator, row: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Upper bounds (n,) of the magnitude of all eigenvalues of W(e^{iθ}): ‖W⁴‖^{1/4}, Frobenius."""
+    out = np.empty(len(row))
+    size, poles = op.alpha.shape[1:]
+    together = max(1, CHUNK // (size * (size + poles)))
+    for start in range(0, len(row), together):
+        part = slice(start, start + together)
+        W = op.at(row[part], theta[part])
+        W = W @ W
+        out[part] = np.linalg.norm(W @ W, axis=(1, 2)) ** 0.25
+    return out
+
+
+def _near_ray(arcs: _Arcs, least: np.ndarray) -> np.ndarray:
+    """Arcs (n,) with a curve that may touch the ray of limits, real and at least ``least`` (n,), cheaply judged."""
     near = np.zeros(len(arcs.row), bool)
     for value in (arcs.a, arcs.b):
-        near |= ((np.abs(value) > 0.5 * least) & (value.real > -0.5 * np.abs(value.imag))).any(axis=1)
+        near |= ((np.abs(value) > 0.5 * least[:, None]) & (value.real > -0.5 * np.abs(value.imag))).any(axis=1)
     return near
 
 
-def _brackets(op: Operator, arcs: _Arcs, least: float) -> _Arcs:
+def _brackets(op: Operator, arcs: _Arcs, least_of: np.ndarray) -> _Arcs:
     """Arcs on which one curve crosses the ray of limits, that curve alone (n, 1); bisected until each is certain.
+
+    The ray begins at ``least_of`` (S,) of the arc's batch row.
 
     A curve is taken to stay within a disc about the middle of its chord, the chord its radius. An arc is settled when
     no disc touches the ray, or when the curve is followed beyond doubt: its chord is short against its size, the next
@@ -400,9 +523,10 @@ def _brackets(op: Operator, arcs: _Arcs, least: float) -> _Arcs:
     """
     found = []
     for round_ in range(ROUNDS):
-        arcs = arcs[_near_ray(arcs, least)]
+        arcs = arcs[_near_ray(arcs, least_of[arcs.row])]
         if not len(arcs.row):
             break
+        least = least_of[arcs.row, None]
         a, b = arcs.a, _paired(arcs.a, arcs.b)
         chord, middle = np.abs(a - b), 0.5 * (a + b)
         away = np.where(middle.real > least, np.abs(middle.imag), np.abs(middle - least))
@@ -436,19 +560,24 @@ def _polished(op: Operator, arcs: _Arcs) -> tuple[np.ndarray, ...]:
     a, b = arcs.a[:, 0].copy(), arcs.b[:, 0].copy()
     fa, fb = a.imag.copy(), b.imag.copy()
     change = np.where(fa > 0, 2, -2)
-    theta, value, same = start, a, np.zeros(len(row), int)  # same: the end that was moved last
-    for _ in range(POLISH if len(row) else 0):
-        share = fa / (fa - fb)
-        theta = start + share * (end - start)
-        linear = a + (theta - start) / (end - start) * (b - a)
-        every = _eigenvalues(op, row, theta)
-        value = every[np.arange(len(row)), np.argmin(np.abs(every - linear[:, None]), axis=1)]
-        left = np.sign(value.imag) == np.sign(fa)
-        fa = np.where(left, value.imag, np.where(same == -1, 0.5 * fa, fa))
-        fb = np.where(left, np.where(same == 1, 0.5 * fb, fb), value.imag)
-        same = np.where(left, 1, -1)
-        start, end = np.where(left, theta, start), np.where(left, end, theta)
-        a, b = np.where(left, value, a), np.where(left, b, value)
+    theta, value, same = start.copy(), a.copy(), np.zeros(len(row), int)  # same: the end that was moved last
+    for _ in range(POLISH):
+        k = np.flatnonzero(np.abs(value.imag) > REAL * np.abs(value))
+        if not len(k):
+            break
+        share = fa[k] / (fa[k] - fb[k])
+        theta[k] = start[k] + share * (end[k] - start[k])
+        linear = a[k] + share * (b[k] - a[k])
+        every = _eigenvalues(op, row[k], theta[k])
+        value[k] = here = every[np.arange(len(k)), np.argmin(np.abs(every - linear[:, None]), axis=1)]
+        left = np.sign(here.imag) == np.sign(fa[k])
+        fa[k], fb[k] = (
+            np.where(left, here.imag, np.where(same[k] == -1, 0.5 * fa[k], fa[k])),
+            np.where(left, np.where(same[k] == 1, 0.5 * fb[k], fb[k]), here.imag),
+        )
+        same[k] = np.where(left, 1, -1)
+        start[k], end[k] = np.where(left, theta[k], start[k]), np.where(left, end[k], theta[k])
+        a[k], b[k] = np.where(left, here, a[k]), np.where(left, b[k], here)
     return row, theta, value.real, change
 
 
