@@ -36,7 +36,7 @@ from twin.robot.frames import axis_placement, inertia_matrix, matrix_of
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import compile_model
 
-PEER_ORDER = 20  # of pyOMA2's chart, which takes minutes for more
+PEER_ORDER = 16  # of pyOMA2's chart, which takes minutes for more
 MILLING = (0, 70, -100)
 AXES = {"z": pin.JointModelRZ, "x": pin.JointModelRX, "y": pin.JointModelRY}
 
@@ -136,7 +136,7 @@ def peer_charts(frequency: np.ndarray, frf: np.ndarray) -> list[tuple[str, int, 
     def ema() -> None:
         model = EMA.Model(
             frf.reshape(len(frequency), -1).T, frequency, lower=1, upper=frequency[-1], pol_order_high=60,
-            frf_type="accelerance",
+            frf_form="accelerance",
         )  # fmt: skip
         model.get_poles(method="lscf", show_progress=False)
 

@@ -213,16 +213,17 @@ def _subspace(
     """Poles of every even order, and (n, 2) deviations of their frequencies in Hz and damping ratios."""
     state = np.geterr()
     try:
-        from pyoma2.functions.ssi import SSI_fast, SSI_poles, build_hank
+        from pyoma2.functions import ssi
     except ImportError as error:
         raise InputError("--operational", "", EXTRA) from error
     finally:
         np.seterr(**state)  # pyOMA2 silences warnings of the whole process
     logging.getLogger("pyoma2").setLevel(logging.WARNING)
+    peer: Any = ssi  # its annotations are not those of what it returns
     with redirect_stderr(StringIO()), np.errstate(all="ignore"):  # its progress bars
-        hankel, scatter = build_hank(y, y[:references], lags, "cov", calc_unc=True, nb=segments)
-        observability, a, c, _ = SSI_fast(hankel, lags, order)
-        _, _, shapes, poles, f_std, z_std, _ = SSI_poles(
+        hankel, scatter = peer.build_hank(y, y[:references], lags, "cov", calc_unc=True, nb=segments)
+        observability, a, c, _ = peer.SSI_fast(hankel, lags, order)
+        _, _, shapes, poles, f_std, z_std, _ = peer.SSI_poles(
             observability, a, c, order, dt, xi_max=DAMPING_RANGE[1], calc_unc=True, H=hankel, T=scatter
         )
     found, deviations = [], []

@@ -43,15 +43,15 @@ class Plot:
     log: bool = False
 
     def data(self) -> dict[str, Any]:
-        """Plain data for the page's script, to four digits."""
+        """Plain data for the page's script, to four digits; panels share abscissae, each told by its index."""
+        axes = list({id(panel.x): panel.x for panel in self.panels.values()}.values())
+        index = {id(x): k for k, x in enumerate(axes)}
         panels = [
-            {
-                "x": _rounded(panel.x, 6),
-                "curves": [{"name": name, "y": _rounded(y)} for name, y in panel.curves.items()],
-            }
+            {"x": index[id(panel.x)], "curves": [{"name": name, "y": _rounded(y)} for name, y in panel.curves.items()]}
             for panel in self.panels.values()
         ]
-        return {"x_label": self.x_label, "y_label": self.y_label, "log": self.log, "panels": panels}
+        x = [_rounded(axis, 6) for axis in axes]
+        return {"x_label": self.x_label, "y_label": self.y_label, "log": self.log, "x": x, "panels": panels}
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,9 @@ def _environment() -> Environment:
 
 
 def _inlined(image: Path) -> str:
-    """A picture of lines and text with a palette of 256 colours: a quarter of the size, the same to the eye."""
+    """A picture of lines and text with a palette of 64 colours: a fifth of the size, the same to the eye."""
     with Image.open(image) as picture, BytesIO() as stream:
-        few = picture.convert("RGB").quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        few = picture.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         few.save(stream, "PNG", optimize=True)
         return base64.b64encode(stream.getvalue()).decode("ascii")
 

@@ -12,7 +12,7 @@ for (const figure of document.querySelectorAll("figure.plot")) {
   };
   svg.setAttribute("viewBox", `0 0 ${W} ${H}`);
   const ends = (v) => [v[0], v[v.length - 1]];
-  let panel = plot.panels[0], x = panel.x, whole = ends(x), shown = whole, start = null;
+  let panel = plot.panels[0], x = plot.x[panel.x], whole = ends(x), shown = whole, start = null;
   const digits = (v) => (v === 0 || (Math.abs(v) >= 0.01 && Math.abs(v) < 1e5) ? String(+v.toPrecision(4)) : v.toExponential(2));
 
   function ticks(low, high) {
@@ -101,7 +101,8 @@ for (const figure of document.querySelectorAll("figure.plot")) {
   }
   choose.addEventListener("change", () => {
     panel = plot.panels[choose.selectedIndex];
-    [x, whole] = [panel.x, ends(panel.x)];
+    x = plot.x[panel.x];
+    whole = ends(x);
     zoom(...shown);
   });
   draw();
