@@ -151,7 +151,7 @@ def test_every_command_writes_a_page_that_loads_nothing_and_names_its_pictures(w
     for plot in page.data:
         assert ", " in plot["x_label"]
         for panel in plot["panels"]:
-            assert all(len(curve["y"]) == len(panel["x"]) for curve in panel["curves"])
+            assert all(len(curve["y"]) == len(plot["x"][panel["x"]]) for curve in panel["curves"])
     assert bool(page.data) == (folder not in ("excite", "diagnose"))  # of a modal table there are no curves
 
 

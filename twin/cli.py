@@ -197,6 +197,9 @@ def modal(
     fmax: Annotated[float | None, typer.Option(help="Upper end of the band, Hz.")] = None,
     max_order: Annotated[int, typer.Option(help="Highest order of the stabilisation chart.")] = 60,
     method: Annotated[str, typer.Option(help="Estimator of the chart: plscf or lsce (the paper's).")] = "plscf",
+    operational: Annotated[
+        bool, typer.Option("--operational", help="The recording holds responses alone (needs twin[operational]).")
+    ] = False,
     out: Out = None,
     json: Json = False,
     seed: NoSeed = 0,
@@ -208,6 +211,9 @@ def modal(
     Takes one or several postures and force levels. Prints frequencies and damping ratios (exponential windows taken
     out) and writes modes.yaml (modal table), UFF 55 shapes, stabilisation charts, FRF overlays, MAC, shapes on the
     robot and modal.json into the output folder, out/RECORDING by default. What the data do not hold is said to be so.
+
+    With --operational, modes of a structure that runs: universal files with time responses, or frf-campaign HDF5 with
+    postures/NAME/running/response. Nothing is known of the excitation, so it must be broad.
     """
     if method not in ("plscf", "lsce"):
         raise InputError("--method", method, "expected plscf or lsce")
@@ -216,7 +222,7 @@ def modal(
     with _bars() as progress:
         found = twin.modal(
             recordings, robot=robot, without=without, fmin=fmin, fmax=fmax, max_order=max_order,
-            method="lsce" if method == "lsce" else "plscf", out=out, progress=progress,
+            method="lsce" if method == "lsce" else "plscf", operational=operational, out=out, progress=progress,
         )  # fmt: skip
     _show(found, json)
 

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
 from twin.measure.campaign import Campaign
 from twin.measure.modal import Method, ModalResult, identify_modes, modal_report
 from twin.measure.modal_table import ModalTable
+from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Given, Recording, read_one, traced
 from twin.measure.spectra import Check, HitTable, driving_points, linearity, reciprocity
 from twin.measure.wireframe import Wireframe, wireframe
@@ -21,6 +22,9 @@ from twin.result import Result, written
 from twin.robot.description import Robot
 from twin.robot.mechanism import Mechanism
 from twin.table import Table
+
+if TYPE_CHECKING:
+    from twin.measure.operational import Running
 
 
 @dataclass
@@ -110,10 +114,11 @@ def modal(
     fmax: float | None = None,
     max_order: int = 60,
     method: Method = "plscf",
+    operational: bool = False,
     out: str | Path | None = None,
     progress: Progress | None = None,
 ) -> ModalAnalysis:
-    """Identify the modes of every posture of a hammer test.
+    """Identify the modes of every posture of a hammer test, or of a structure that runs.
 
     Args:
         recording: a :class:`Campaign`, ``measured_frf.h5``, or universal files that belong together.
@@ -124,13 +129,15 @@ def modal(
         fmax: highest, Hz.
         max_order: highest order of the stabilisation chart.
         method: ``plscf`` or ``lsce``.
+        operational: the recording holds responses alone, see :func:`twin.measure.operational.read_running`; needs
+            the extra ``twin[operational]``.
         out: folder for tables, figures and animations; ``None`` writes nothing.
         progress: makes progress bars.
 
     Raises:
         InputError: bad input; nothing is written.
     """
-    given = read_one(recording, "frf-campaign")
+    given, running = _read_running(recording) if operational else (read_one(recording, "frf-campaign"), {})
     campaign: Campaign = given.content
     check_out(out)
     for option, end in (("--fmin", fmin), ("--fmax", fmax)):
@@ -144,22 +151,44 @@ def modal(
     found = ModalAnalysis(campaign, {}, hits=given.hits)
     tick = (progress or silent)("modes", len(campaign.postures))
     for name, posture in campaign.postures.items():
-        found.results[name] = identify_modes(
-            posture, fmin, fmax, max_order, method=method, labels=labels, source=given.source
-        )
-        found.checks[name] = [*driving_points(campaign, posture), *reciprocity(campaign, posture)]
+        if operational:
+            from twin.measure.operational import identify_running
+
+            found.results[name] = identify_running(
+                name, running[name], labels[0], fmin, fmax, max_order, source=given.source
+            )
+        else:
+            found.results[name] = identify_modes(
+                posture, fmin, fmax, max_order, method=method, labels=labels, source=given.source
+            )
+            found.checks[name] = [*driving_points(campaign, posture), *reciprocity(campaign, posture)]
         tick(1)
-    if levels := linearity(campaign):
+    if not operational and (levels := linearity(campaign)):
         found.checks.setdefault("force levels", []).extend(levels)
     if unknown:
         found.notes.append(f"shapes are not drawn on the robot: {unknown}")
     _place_shapes(found, described)
-    options = {"fmin": fmin, "fmax": fmax, "max_order": max_order, "method": method}
+    options = {"fmin": fmin, "fmax": fmax, "max_order": max_order, "method": method, "operational": operational}
     found.origin = provenance(traced([given], robot), options | {"robot": robot, "without": without or []})
     if out is not None:
         with Outputs(out, "modal") as outputs:
             _write(found, given.named_in(out), outputs)
     return found
+
+
+def _read_running(recording: Given) -> tuple[Recording, "dict[str, Running]"]:
+    """Responses without excitation, from files."""
+    from twin.measure.operational import read_running
+
+    items = [recording] if isinstance(recording, str | Path) else recording
+    if isinstance(items, Campaign | MotionLog | ModalTable) or not all(isinstance(x, str | Path) for x in items):
+        raise TypeError("operational modes: expected the path of a recording")
+    paths = [Path(str(x)) for x in items]
+    for path in paths:
+        if not path.is_file():
+            raise InputError(path, "", "is a folder; expected a file" if path.is_dir() else "no such file")
+    campaign, running = read_running(paths)
+    return Recording("frf-campaign", str(paths[0]), campaign, tuple(paths)), running
 
 
 def _robot(given: Recording, robot: Robot | str | Path | None, without: list[str] | None) -> tuple[Robot | None, str]:

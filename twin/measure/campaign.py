@@ -206,7 +206,7 @@ def frf_variance(posture: PostureFRF) -> FloatArray | None:
 def check_campaign(source: str | Path, campaign: Campaign) -> None:
     """Raise :class:`InputError` where a campaign breaks the contract of its format."""
     for side, channels in (("response", campaign.response), ("excitation", campaign.excitation)):
-        _check_channels(source, side, channels)
+        check_channels(source, side, channels)
     if not campaign.postures:
         raise InputError(source, "postures", "expected at least one posture")
     axes = {posture.q_deg.size for posture in campaign.postures.values()}
@@ -221,7 +221,8 @@ def check_campaign(source: str | Path, campaign: Campaign) -> None:
         )
 
 
-def _check_channels(source: str | Path, side: str, channels: Channels) -> None:
+def check_channels(source: str | Path, side: str, channels: Channels) -> None:
+    """Raise :class:`InputError` where channels of one side, ``response`` or ``excitation``, break the contract."""
     n = len(channels.label)
     if n == 0:
         raise InputError(source, f"{side}/label", "expected at least one channel")
@@ -370,8 +371,8 @@ def read_campaign(path: str | Path) -> Campaign:
             raise InputError(path, "version", f"expected {VERSION}, found {root.attribute('version')!r}")
         postures = root.group("postures")
         campaign = Campaign(
-            response=_read_channels(root.group("response")),
-            excitation=_read_channels(root.group("excitation")),
+            response=read_channels(root.group("response")),
+            excitation=read_channels(root.group("excitation")),
             postures={name: _read_posture(name, postures.group(name)) for name in postures.item},
             robot=root.text("robot") or None,
             comment=root.text("comment") or "",
@@ -381,7 +382,8 @@ def read_campaign(path: str | Path) -> Campaign:
     return campaign
 
 
-def _read_channels(node: Node) -> Channels:
+def read_channels(node: Node) -> Channels:
+    """Channels of a group with ``label``, ``body``, ``position`` and ``direction``."""
     return Channels(node.strings("label"), node.strings("body"), node.real("position", "m"), node.real("direction"))
 
 

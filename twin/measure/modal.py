@@ -87,6 +87,7 @@ class ModalResult:
         charts: one per band the analysis was split into.
         response_label, excitation_label: of the channels.
         coherence: (nf,) median over the channels, or ``None``.
+        operational: of responses alone; ``measured`` and ``synthesised`` are half-spectra over reference responses.
     """
 
     name: str
@@ -99,6 +100,12 @@ class ModalResult:
     response_label: tuple[str, ...] = ()
     excitation_label: tuple[str, ...] = ()
     coherence: FloatArray | None = None
+    operational: bool = False
+
+    @property
+    def quantity(self) -> tuple[str, str]:
+        """What ``measured`` holds, and its unit."""
+        return ("half-spectrum", "(m/s²)²/Hz") if self.operational else ("accelerance", "(m/s²)/N")
 
     @property
     def frac(self) -> FloatArray:

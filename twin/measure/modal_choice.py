@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.measure.campaign import SENSOR_FLOOR, BoolArray, ComplexArray, FloatArray, laplace
-from twin.measure.modal_fit import FitData, ModalFit, Variance, deviations, fit_modes
+from twin.measure.modal_fit import FitData, ModalFit, Variance, channel_shifts, deviations, fit_modes
 from twin.measure.stabilisation import Cluster
 
 RECORD_PARTS = 200  # a record is integrated in
@@ -37,6 +38,7 @@ VISIBLE = 2.5  # times the noise in some channel, below which no channel needs a
 DOUBT = 3.0  # times the typical share that modes leave unexplained: what a pole beside one must explain
 FEWEST_LINES = 4  # on which two poles can be told from one
 SETTLED = 1e-4  # relative change of a pole below which it is the same
+SERIES = 20.0  # times a shift, from which on two terms of its series are enough
 SWEEPS = 3  # over the poles whose shifts are sought together
 EXPLAINED = 0.9  # share of what a pole beside another explains, from which shifts explain it just as well
 ALIKE = 0.97  # share of a shape that stronger poles beside it make up, above which it is no mode of its own
@@ -49,7 +51,10 @@ class Band:
     """Accelerance of one band with the references last, and the variance that weights it.
 
     Attributes:
-        frf: (nf, no, ni).
+        frf: (nf, no, ni), each channel aligned with the others (:meth:`aligned`).
+        recorded: (nf, no, ni), as it came.
+        loose: relative shift of poles from channel to channel, once it is known.
+        moved: poles (nm,) and by how much each channel was moved (nm, no, ni), rad/s; ``None`` where none was.
         frequency: (nf,) Hz.
         variance: of a line.
         stated: (nf,) course of the variance that the recording states, or ``None``.
@@ -58,11 +63,14 @@ class Band:
     """
 
     frf: ComplexArray
+    recorded: ComplexArray
     frequency: FloatArray
     variance: Variance
     stated: FloatArray | None
     floor: FloatArray
     rate: float
+    moved: tuple[ComplexArray, FloatArray] | None = None
+    loose: float | None = None
 
     @classmethod
     def of(
@@ -73,9 +81,9 @@ class Band:
         floor = np.where(dead, np.inf, np.maximum(SENSOR_FLOOR**2 * rms2, 1e-300))
         if variance is not None:
             weights = Variance.of(np.maximum(variance, floor))
-            return cls(frf, frequency, weights, weights.course, floor, rate)
+            return cls(frf, frf, frequency, weights, weights.course, floor, rate)
         rough = frf[:-2] - 2 * frf[1:-1] + frf[2:]
-        band = cls(frf, frequency, Variance(np.ones(frequency.size), floor), None, floor, rate)
+        band = cls(frf, frf, frequency, Variance(np.ones(frequency.size), floor), None, floor, rate)
         return replace(band, variance=band._levels(np.abs(rough[np.r_[0, 0 : len(rough), len(rough) - 1]]) ** 2 / 6, 0))
 
     @property
@@ -231,7 +239,32 @@ class Band:
         poles = np.array([c.pole for c in candidates], dtype=complex)
         participation = np.array([c.participation for c in candidates], dtype=complex).reshape(-1, self.frf.shape[2])
         fit = self._settled(self.fit(poles, participation, 0))
-        band, passed_over = self.reweighted(fit), Places()
+        band, fit = self.reweighted(fit)._searched(fit)
+        for _ in range(2):
+            band = band.reweighted(fit)
+            fit = band.pruned(band.fit(fit.model.poles, fit.model.participation))
+        if (loose := band.looseness(fit, True)) > 0:
+            band, fit = replace(band, loose=loose)._second_look(fit)
+        return band, band.fit(fit.model.poles, fit.model.participation, 30)
+
+    def _second_look(self, fit: ModalFit) -> tuple["Band", ModalFit]:
+        """With modes that show only once the channels are aligned."""
+        band = self.aligned(fit)
+        fit = band.fit(fit.model.poles, fit.model.participation)
+        band = band.aligned(fit).reweighted(fit)
+        fit = band.fit(fit.model.poles, fit.model.participation)
+        found = band._missing(fit, Places())
+        if found:
+            fit = band._with(fit, found)
+            band = band.aligned(fit)
+            fit = band.fit(fit.model.poles, fit.model.participation)
+            band = band.aligned(fit).reweighted(fit)
+            fit = band.pruned(band.fit(fit.model.poles, fit.model.participation))
+        return band, fit
+
+    def _searched(self, fit: ModalFit) -> tuple["Band", ModalFit]:
+        """With every mode that noise cannot explain, round by round, each weighted by what the last left over."""
+        band, passed_over = self, Places()
         found: list[tuple[complex, ComplexArray]] = []
         for _ in range(ROUNDS):
             fit = band._settled(band.fit(fit.model.poles, fit.model.participation))
@@ -244,10 +277,7 @@ class Band:
                 break
             fit = band._with(fit, found)
             band = band.reweighted(fit)
-        for _ in range(2):
-            band = band.reweighted(fit)
-            fit = band.pruned(band.fit(fit.model.poles, fit.model.participation))
-        return band, band.fit(fit.model.poles, fit.model.participation, 30)
+        return band, fit
 
     def _with(self, fit: ModalFit, found: list[tuple[complex, ComplexArray]]) -> ModalFit:
         poles = np.append(fit.model.poles, [pole for pole, _ in found])
@@ -314,10 +344,62 @@ class Band:
 
     def looseness(self, fit: ModalFit, final: bool) -> float:
         """Relative shift of poles from channel to channel that the better modes of the campaign show."""
+        if self.loose is not None:
+            return self.loose
         if fit.model.poles.size < 4:
             return SHIFT if fit.model.poles.size else 0.0
-        spread = np.sqrt(scatter(fit, self.repetition(-fit.model.poles.real, 1))[2]) / np.abs(fit.model.poles)
+        spread = np.sqrt(scatter(self._asked(fit), self.repetition(-fit.model.poles.real, 1))[2])
+        spread /= np.abs(fit.model.poles)
         return float(min(3 * SHIFT, 3 * np.quantile(spread, TYPICAL[final])))
+
+    def _asked(self, fit: ModalFit) -> ModalFit:
+        """The fit with the whole shift that each channel asks for, what it was moved by included."""
+        if self.moved is None:
+            return fit
+        own = np.argmin(np.abs(fit.model.poles[:, None] - self.moved[0]), axis=1)
+        return replace(fit, shift=fit.shift + 1j * self.moved[1][own])
+
+    def aligned(self, fit: ModalFit) -> "Band":
+        """The band with each channel's poles moved to where all channels together have them.
+
+        A sensor's mass, the room's warmth or a joint that settles shift a pole from channel to channel. What a strong
+        mode leaves unexplained then hides weak ones beside it. Each shift is a random effect whose deviation the
+        campaign itself shows (best linear unbiased prediction, Henderson, Biometrics 31, 1975), as long as chi2 falls.
+        """
+        loose = self.looseness(fit, True)
+        if loose == 0:
+            return replace(self, frf=self.recorded, moved=None)
+        shift = np.zeros(fit.model.residues.shape)
+        band = replace(self, frf=self.recorded, moved=None)
+        if self.moved is not None:
+            own = np.argmin(np.abs(fit.model.poles[:, None] - self.moved[0]), axis=1)
+            near = np.abs(fit.model.poles - self.moved[0][own]) < loose * np.abs(fit.model.poles)
+            shift = self.moved[1][own] * near[:, None, None]
+            band = band._moved_by(fit, shift)
+            fit = band.fit(fit.model.poles, fit.model.participation, 0)
+        spread = loose * np.abs(fit.model.poles) / 3
+        for _ in range(SWEEPS):
+            shift = channel_shifts(band.data, fit, shift, spread)
+            next_band = band._moved_by(fit, shift)
+            next_fit = next_band.fit(fit.model.poles, fit.model.participation, 0)
+            if next_fit.chi2 > fit.chi2:
+                break
+            band, fit = next_band, next_fit
+        return band
+
+    def _moved_by(self, fit: ModalFit, shift: FloatArray) -> "Band":
+        """The band freed of shifts (nm, no, ni) of the poles in rad/s: two terms of a series, exact near each pole."""
+        moved = 1j * shift.reshape(len(shift), -1)
+        residues = fit.model.residues.reshape(moved.shape)
+        s, poles = self.s[:, None], fit.model.poles
+        s2, one, two = s**2, residues * moved, residues * moved**2
+        change = (s2 / (s - poles) ** 2) @ one + (s2 / (s - poles) ** 3) @ two
+        change += (s2 / (s - poles.conj()) ** 2) @ one.conj()
+        for r in range(len(poles)):
+            near = np.abs(self.s.imag - poles[r].imag) < SERIES * np.abs(moved[r]).max()
+            gap = s[near] - poles[r]
+            change[near] += s2[near] * two[r] * moved[r] / (gap**3 * (gap - moved[r]))
+        return replace(self, frf=self.recorded - change.reshape(self.recorded.shape), moved=(poles, shift))
 
     def _shadow(self, fit: ModalFit, final: bool, cleared: list[complex]) -> int | None:
         """A mode that a stronger one beside it makes superfluous: by its shape, or no farther than channels differ.
@@ -467,7 +549,7 @@ class Band:
         """(nm, 2, 2) of Re λ and Im λ: noise, and scatter over channels, outputs and references."""
         same = self.repetition(-fit.model.poles.real, 1)
         noise = fit.covariance * (self.misfit(fit) * same * max(fit.scale, 1))[:, None, None]
-        by_imag, by_real, _ = scatter(fit, same * max(fit.scale, 1))
+        by_imag, by_real, _ = scatter(self._asked(fit), same * max(fit.scale, 1))
         noise[:, 1, 1] += by_imag
         noise[:, 0, 0] += by_real
         return noise
@@ -563,40 +645,60 @@ def scan(
 def scatter(fit: ModalFit, noise: FloatArray | float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """What channels that ask for different poles add to the variance of a mode's pole, (rad/s)².
 
-    A random-effects estimate (DerSimonian & Laird, Controlled Clinical Trials 7, 1986) over references, outputs,
-    batches of outputs as they follow each other, and single channels; the largest counts.
+    A random-effects estimate (DerSimonian & Laird, Controlled Clinical Trials 7, 1986) over references, and over
+    outputs or batches of outputs as they follow each other, whichever shows more. The two are crossed, so they add.
+    Single channels count where they show more than both.
 
     Returns:
         of Im λ (nm,), of Re λ (nm,), and the variance of Im λ from channel to channel (nm,).
     """
-    z, w = fit.shift, fit.shift_weight
-    nm, no, ni = z.shape
-    imag, real, between = np.zeros(nm), np.zeros(nm), np.zeros(nm)
+    nm, no, ni = fit.shift.shape
     outputs, references = np.broadcast_to(np.arange(no)[:, None], (no, ni)), np.broadcast_to(np.arange(ni), (no, ni))
     batches = [outputs * n // no for n in BATCHES if 2 * n <= no]
-    for label in (references, outputs, *batches, outputs * ni + references) if nm else ():
-        member = (label.ravel() == np.unique(label)[:, None]).astype(float)
-        if len(member) < 2:
-            continue
-        weight = w.reshape(nm, -1) @ member.T
-        mean = (w * z).reshape(nm, -1) @ member.T / np.where(weight > 0, weight, 1)
-        total = np.maximum(weight.sum(axis=1), 1e-300)
-        off = mean - (np.sum(weight * mean, axis=1) / total)[:, None]
-        spare = total - np.sum(weight**2, axis=1) / total
-        counted = np.maximum(np.count_nonzero(weight > 0, axis=1) - 1, 1)
-        share = np.sum(weight**2, axis=1) / total**2
-        for part, target in ((off.imag, imag), (off.real, real)):
-            q = np.sum(weight * part**2, axis=1)
-            seen = q > noise * (counted + 3 * np.sqrt(2 * counted))  # three deviations of chi2: noise alone shows none
-            tau2 = np.where(seen, q - counted * noise, 0) / np.where(spare > 0, spare, np.inf)
-            np.maximum(target, pooled(tau2 * share, total, np.abs(fit.model.poles), counted), out=target)
-            if target is imag:
-                np.maximum(between, tau2, out=between)
+    between = np.zeros(nm)
+
+    def largest(*labels: NDArray[np.intp]) -> FloatArray:
+        """(2, nm) of Im λ and Re λ."""
+        most = np.zeros((2, nm))
+        for label in labels:
+            variance, tau2 = _scatter_over(fit, label, noise)
+            np.maximum(most, variance, out=most)
+            np.maximum(between, tau2, out=between)
+        return most
+
+    imag, real = np.maximum(largest(references) + largest(outputs, *batches), largest(outputs * ni + references))
     return imag, real, between
+
+
+def _scatter_over(fit: ModalFit, label: NDArray[np.intp], noise: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """Variance (2, nm) of Im λ and Re λ from groups of channels ``label`` (no, ni), and that of Im λ between them."""
+    nm = fit.model.poles.size
+    result, between = np.zeros((2, nm)), np.zeros(nm)
+    member = (label.ravel() == np.unique(label)[:, None]).astype(float)
+    if len(member) < 2 or not nm:
+        return result, between
+    w = fit.shift_weight
+    weight = w.reshape(nm, -1) @ member.T
+    mean = (w * fit.shift).reshape(nm, -1) @ member.T / np.where(weight > 0, weight, 1)
+    total = np.maximum(weight.sum(axis=1), 1e-300)
+    off = mean - (np.sum(weight * mean, axis=1) / total)[:, None]
+    spare = total - np.sum(weight**2, axis=1) / total
+    counted = np.maximum(np.count_nonzero(weight > 0, axis=1) - 1, 1)
+    share = np.sum(weight**2, axis=1) / total**2
+    for k, part in enumerate((off.imag, off.real)):
+        q = np.sum(weight * part**2, axis=1)
+        seen = q > noise * (counted + 3 * np.sqrt(2 * counted))  # three deviations of chi2: noise alone shows none
+        tau2 = np.where(seen, q - counted * noise, 0) / np.where(spare > 0, spare, np.inf)
+        result[k] = pooled(tau2 * share, total, np.abs(fit.model.poles), counted)
+        if k == 0:
+            between = tau2
+    return result, between
 
 
 def pooled(variance: FloatArray, weight: FloatArray, size: FloatArray, counted: FloatArray) -> FloatArray:
     """Variances (nm,) of poles of size (nm,), drawn towards what all modes show relative to their frequency.
+
+    A variance known from few groups is itself uncertain: this is its posterior mean, that of a scaled inverse chi2.
 
     What all show is a median in which each counts by its ``weight``, raised from the median to the mean of chi2 with
     ``counted`` degrees of freedom, from which each variance comes (Wilson & Hilferty, PNAS 17, 1931).
@@ -606,4 +708,4 @@ def pooled(variance: FloatArray, weight: FloatArray, size: FloatArray, counted: 
     gathered = np.cumsum((weight * size**2)[rank])
     middle = rank[np.searchsorted(gathered, 0.5 * gathered[-1])]
     others = relative[middle] / (1 - 2 / (9 * counted[middle])) ** 3
-    return np.asarray((counted * relative + POOLED * others) / (counted + POOLED) * size**2)
+    return np.asarray((counted * relative + POOLED * others) / (counted + POOLED - 2) * size**2)

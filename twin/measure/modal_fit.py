@@ -411,6 +411,37 @@ def _shifts(state: _State, residues: ComplexArray, u: FloatArray) -> tuple[Compl
     return np.moveaxis(shift, 2, 0), np.moveaxis(kappa * power * u[:, :, None], 2, 0)
 
 
+def channel_shifts(data: FitData, fit: ModalFit, known: FloatArray, spread: FloatArray) -> FloatArray:
+    """By how much each channel's poles lie apart from the fitted ones along the imaginary axis, (nm, no, ni) in rad/s.
+
+    Best linear unbiased prediction of random effects (Henderson, Biometrics 31, 1975): all modes of a channel
+    together, its residues free.
+
+    Args:
+        data: already freed of ``known``.
+        fit: of ``data``.
+        known: (nm, no, ni) shifts so far.
+        spread: (nm,) their deviation from channel to channel, rad/s.
+    """
+    state, nm = _linear(data, fit.model.poles, fit.model.participation), fit.model.poles.size
+    n, size = 2 * nm, _scale(state.gram)
+    scaled = state.gram / size[:, None] / size
+    back = np.linalg.solve(scaled[:n, :n] + RIDGE * np.eye(n), scaled[:n, n:])
+    freed = (scaled[n:, n:] - scaled[n:, :n] @ back) * size[n:, None] * size[n:]
+    left_a = np.concatenate([state.left_a.real, state.left_a.imag], axis=2).reshape(-1, n) / size[:n]
+    left_d = np.concatenate([state.left_d.real, state.left_d.imag], axis=2).reshape(-1, n)
+    moment = left_d - (left_a @ back) * size[n:]
+    residues = fit.model.residues.reshape(nm, -1).T
+    along = np.stack([-residues.imag, residues.real], axis=1)  # (channels, 2, nm)
+    information = np.einsum("cpr,prqs,cqs->crs", along, freed.reshape(2, nm, 2, nm), along, optimize=True)
+    pull = np.einsum("cpr,cpr->cr", along, moment.reshape(-1, 2, nm))
+    u, prior = data.weight.ravel()[:, None], 1 / spread**2
+    before = known.reshape(nm, -1).T
+    matrix = u[:, :, None] * information + np.diag(prior)
+    step = np.linalg.solve(matrix, (u * pull - prior * before)[..., None])[..., 0]
+    return np.asarray((before + step).T.reshape(known.shape))
+
+
 def deviations(poles: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(nm,) standard deviations of frequency in Hz and of the damping ratio, for (nm, 2, 2) of (Re λ, Im λ)."""
     re, im, size = poles.real, poles.imag, np.abs(poles)

@@ -30,7 +30,8 @@ from twin.measure.hdf5 import check_unit
 from twin.measure.modal import ModalResult
 from twin.measure.units import frf_factor, same
 
-FRF_FUNCTION, COHERENCE_FUNCTION = 4, 6
+TIME_FUNCTION, FRF_FUNCTION, COHERENCE_FUNCTION = 1, 4, 6
+ACCELERATION_DATA, TIME_DATA = 12, 17
 MARK = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")  # begins and ends a data set
 FREQUENCY_DATA = 18
 FORCE_DATA = (9, 13)  # reaction and excitation force
@@ -99,13 +100,7 @@ def read_uff(
     for file in files:
         for number, dataset in enumerate(_datasets(file), 1):
             if dataset.get("type") in (15, 2411) and points is None:
-                columns = [dataset[k] for k in ("node_nums", "x", "y", "z")]
-                if len({len(column) for column in columns}) > 1:
-                    raise InputError(file, f"data set {number}", "expected x, y and z of every node, one is cut short")
-                nodes |= {
-                    int(n): Point("base", np.array([x, y, z], dtype=np.float64))
-                    for n, x, y, z in zip(*columns, strict=True)
-                }
+                nodes |= _points(file, number, dataset)
             elif dataset.get("type") == 82:
                 lines += _polylines(dataset["nodes"])
             elif dataset.get("type") == 164 and unit is None:
@@ -134,6 +129,76 @@ def read_uff(
     )
     check_campaign(source, campaign)
     return campaign
+
+
+def read_uff_responses(
+    paths: Sequence[Path],
+) -> tuple[Channels, str | None, tuple[tuple[int, ...], ...], dict[str, tuple[FloatArray, FloatArray, float]]]:
+    """Read time responses (58, function type 1), acceleration in m/s², from universal files that belong together.
+
+    Returns:
+        channels, robot, polylines over nodes, and posture → axis positions (n,), records (nr, nt), sampling rate in Hz.
+
+    Raises:
+        InputError: no time response, another quantity or unit, channels that differ in length or rate.
+    """
+    nodes: dict[int, Point] = {}
+    lines: list[tuple[int, ...]] = []
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for file in paths:
+        for number, dataset in enumerate(_datasets(file), 1):
+            if dataset.get("type") in (15, 2411):
+                nodes |= _points(file, number, dataset)
+            elif dataset.get("type") == 82:
+                lines += _polylines(dataset["nodes"])
+            elif dataset.get("type") == 164:
+                _check_units(file, dataset)
+            elif dataset.get("type") == 58 and int(dataset["func_type"]) == TIME_FUNCTION:
+                label = _label(file, f"data set {number} response", dataset["rsp_node"], dataset["rsp_dir"])
+                _check_time_response(file, f"data set {number} ({label})", dataset)
+                channels = found.setdefault(_words(dataset).get("posture", paths[0].stem), {})
+                if label in channels:
+                    raise InputError(file, f"data set {number} ({label})", "expected every channel once")
+                channels[label] = dataset
+    if not found:
+        raise InputError(paths[0], "", "expected data sets 58 with time responses (type 1), there is none")
+    labels = tuple(next(iter(found.values())))
+    records, robot = {}, None
+    for name, channels in found.items():
+        if set(channels) != set(labels):
+            raise InputError(paths[0], f"posture {name}", "expected the same channels in every posture")
+        first = channels[labels[0]]
+        sizes = {(len(d["data"]), round(float(d["x"][1] - d["x"][0]), 12)) for d in channels.values()}
+        if len(sizes) > 1:
+            raise InputError(paths[0], f"posture {name}", "expected records of one length and sampling rate")
+        words = _words(first)
+        q_deg = np.array([float(q) for q in words["q_deg"].split(",")] if words.get("q_deg") else [])
+        rate = 1 / float(first["x"][1] - first["x"][0])
+        records[name] = q_deg, np.stack([np.asarray(channels[x]["data"], dtype=np.float64) for x in labels]), rate
+        robot = robot or words.get("robot")
+    return _channels(labels, nodes), robot, tuple(lines), records
+
+
+def _check_time_response(path: Path, where: str, dataset: dict[str, Any]) -> None:
+    kind, unit = int(dataset["ordinate_spec_data_type"]), str(dataset.get("ordinate_axis_units_lab", "")).strip()
+    if kind not in (0, 1, ACCELERATION_DATA):
+        raise InputError(path, where, f"expected an acceleration (type 12), found {kind}")
+    if unit.upper() not in NO_TEXT:
+        check_unit(path, where, unit, "m/s^2")
+    if int(dataset["abscissa_spec_data_type"]) not in (0, 1, TIME_DATA) or len(dataset["data"]) < 2:
+        raise InputError(path, where, "expected two samples or more over time (type 17)")
+    if np.iscomplexobj(dataset["data"]):
+        raise InputError(path, where, "expected real data, found complex")
+
+
+def _points(file: Path, number: int, dataset: dict[str, Any]) -> dict[int, Point]:
+    """Nodes of data set 15 or 2411."""
+    columns = [dataset[k] for k in ("node_nums", "x", "y", "z")]
+    if len({len(column) for column in columns}) > 1:
+        raise InputError(file, f"data set {number}", "expected x, y and z of every node, one is cut short")
+    return {
+        int(n): Point("base", np.array([x, y, z], dtype=np.float64)) for n, x, y, z in zip(*columns, strict=True)
+    }
 
 
 def stated_unit(path: str | Path) -> str | None:

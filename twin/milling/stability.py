@@ -36,17 +36,13 @@ DIGITS = 5.0  # decimal digits asked of the collocation
 STEP = 0.5  # of θ, over the distance to the nearest pole of W
 WIDEST = 0.15  # rad, of θ
 ROUNDS = 12  # of bisection of θ at most
-<<<<<<< HEAD
 MOST_SWINGS = 150  # of a mode while a tooth cuts: nodes, of which memory takes the cube
-POLISH = 8  # steps of regula falsi on a crossing
-=======
 POLISH = 8  # steps of regula falsi on a crossing, at most
 REAL = 1e-8  # of an eigenvalue: an imaginary part that is none
 DEEPER = 3.0  # times deeper, where no limit is found
 FIRST_LOOK = 2.0  # times the depth above which the bound on eigenvalues allows a limit
 REACH, FARTHER = 16.0, 8.0  # times the closed form that nodes resolve the motion for at first, and times deeper then
 STILL = 1e-4  # of 1/depth: a mode that can add no more to the eigenvalues is static compliance
->>>>>>> w28
 CHUNK = 1_000_000  # elements of matrices whose eigenvalues are taken at a time
 
 

@@ -32,7 +32,7 @@ def stabilisation_figure(result: ModalResult) -> Figure:
     figure = Figure(figsize=(10, 5.5), layout="constrained")
     below = figure.add_subplot()
     below.semilogy(result.frequency, summation(result.measured), color="0.3", lw=1)
-    below.set(xlabel="frequency [Hz]", ylabel="sum of |accelerance| [(m/s²)/N]")
+    below.set(xlabel="frequency [Hz]", ylabel=f"sum of |{result.quantity[0]}| [{result.quantity[1]}]")
     below.set_xlim(result.frequency[0], result.frequency[-1])
     above = below.twinx()
     above.set_ylabel("model order")
@@ -56,21 +56,21 @@ def stabilisation_figure(result: ModalResult) -> Figure:
 
 
 def indicator_figure(result: ModalResult) -> Figure:
-    """Complex mode indicator functions, the normal mode indicator and, where recorded, the coherence."""
-    rows = 2 if result.coherence is None else 3
-    figure = Figure(figsize=(10, 2.2 * rows + 0.8), layout="constrained")
+    """Complex mode indicator functions; of FRFs also the normal mode indicator and, where recorded, the coherence."""
+    curves = [] if result.operational else [("mode indicator", mode_indicator(result.measured), "0.3", 1.0)]
+    curves += [] if result.coherence is None else [("median coherence", result.coherence, "tab:blue", 1.02)]
+    rows = 1 + len(curves)
+    figure = Figure(figsize=(10, 2.2 * max(rows, 2) + 0.8), layout="constrained")
     figure.suptitle(f"{result.name}: where the recording shows modes")
-    axes = figure.subplots(rows, 1, sharex=True, height_ratios=[2, 1, 1][:rows])
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=[2, 1, 1][:rows])[:, 0]
     values = cmif(result.measured)
     for k in range(min(4, values.shape[1])):
         axes[0].semilogy(result.frequency, values[:, k], color=PALETTE[k], lw=0.9, label=f"singular value {k + 1}")
-    axes[0].set_ylabel("CMIF [(m/s²)/N]")
+    axes[0].set_ylabel(f"CMIF [{result.quantity[1]}]")
     axes[0].legend(fontsize=8, ncols=4, loc="upper left")
-    axes[1].plot(result.frequency, mode_indicator(result.measured), color="0.3", lw=0.9)
-    axes[1].set(ylabel="mode indicator", ylim=(0, 1))
-    if result.coherence is not None:
-        axes[2].plot(result.frequency, result.coherence, color="tab:blue", lw=0.9)
-        axes[2].set(ylabel="median coherence", ylim=(0, 1.02))
+    for below, (name, values, colour, top) in zip(axes[1:], curves, strict=True):
+        below.plot(result.frequency, values, color=colour, lw=0.9)
+        below.set(ylabel=name, ylim=(0, top))
     for ax in axes:
         for mode in result.modes:
             ax.axvline(mode.frequency_hz, color="tab:purple", lw=0.7, ls="--", zorder=0)
@@ -128,7 +128,7 @@ def overlay_figure(result: ModalResult) -> Figure:
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
     figure = Figure(figsize=(4 * columns, 3.4 * rows), layout="constrained")
-    figure.suptitle(f"{result.name}: measured and synthesised accelerance")
+    figure.suptitle(f"{result.name}: measured and synthesised {result.quantity[0]}")
     axes = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=[2, 1] * rows)
     for n, (r, e) in enumerate(pairs):
         size, phase = axes[2 * (n // columns)][n % columns], axes[2 * (n // columns) + 1][n % columns]
@@ -141,7 +141,7 @@ def overlay_figure(result: ModalResult) -> Figure:
         size.set_title(f"{_pair(result, r, e)}, FRAC {result.frac[r, e]:.3f}", fontsize=9)
         phase.set(ylim=(-190, 190), yticks=(-180, 0, 180))
         if n % columns == 0:
-            size.set_ylabel("(m/s²)/N")
+            size.set_ylabel(result.quantity[1])
             phase.set_ylabel("phase [°]")
         if n >= len(pairs) - columns:
             phase.set_xlabel("frequency [Hz]")
@@ -246,7 +246,7 @@ def sections(found: "ModalAnalysis", drawn: Mapping[str, Path]) -> list[Section]
         curves = {"measured": result.measured, "synthesised": result.synthesised}
         labels = result.response_label or [str(r) for r in range(result.measured.shape[1])]
         blows = result.excitation_label or [str(e) for e in range(result.measured.shape[2])]
-        plots = [frf_plot(frf_panels(name, result.frequency, curves, labels, blows))]
+        plots = [frf_plot(frf_panels(name, result.frequency, curves, labels, blows), *result.quantity)]
         parts.append(Section(f"Posture {name}", warnings=checks, figures=figures, plots=plots))
     across = pick(drawn, "_mac.png", "Likeness of the shapes of two postures (MAC): {}.")
     return [*parts, Section("Between postures", figures=across)]

@@ -11,7 +11,7 @@ for (const figure of document.querySelectorAll("figure.plot")) {
     return to.appendChild(node);
   };
   const ends = (v) => [v[0], v[v.length - 1]];
-  let panel = plot.panels[0], x = panel.x, whole = ends(x), shown = whole, start = null, cell = null, H, LEFT, BOTTOM;
+  let panel = plot.panels[0], x = plot.x[panel.x], whole = ends(x), shown = whole, start = null, cell = null, H, LEFT, BOTTOM;
   const digits = (v) => (v === 0 || (Math.abs(v) >= 0.001 && Math.abs(v) < 1e5) ? String(+v.toPrecision(4)) : v.toExponential(2));
 
   function ticks(low, high) {
@@ -172,8 +172,8 @@ for (const figure of document.querySelectorAll("figure.plot")) {
   }
   choose.addEventListener("change", () => {
     panel = plot.panels[choose.selectedIndex];
-    const same = String(whole) === String(ends(panel.x));
-    [x, whole, cell] = [panel.x, ends(panel.x), null];
+    const next = plot.x[panel.x], same = String(whole) === String(ends(next));
+    [x, whole, cell] = [next, ends(next), null];
     zoom(...(same ? shown : whole));
   });
   draw();

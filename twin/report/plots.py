@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from twin.measure.campaign import Quantity
 from twin.report.figures import UNITS
 from twin.report.html import Panel, Plot
 
@@ -37,10 +36,11 @@ def frf_panels(
     }
 
 
-def frf_plot(panels: Mapping[str, Panel], quantity: Quantity = "accelerance") -> Plot:
-    """FRFs of some postures; ``quantity`` names the unit."""
-    caption = f"FRFs: the strongest {MOST_CHANNELS} channels of each posture at most."
-    return Plot(caption, "frequency, Hz", f"{quantity}, {UNITS[quantity]}", panels, log=True)
+def frf_plot(panels: Mapping[str, Panel], quantity: str = "accelerance", unit: str = "") -> Plot:
+    """FRFs of some postures, whose quantity names the unit, or spectra, whose ``unit`` is given."""
+    what = "FRFs" if quantity in UNITS else "Spectra"
+    caption = f"{what}: the strongest {MOST_CHANNELS} channels of each posture at most."
+    return Plot(caption, "frequency, Hz", f"{quantity}, {UNITS.get(quantity, unit)}", panels, log=True)
 
 
 def torque_panels(
