@@ -1,6 +1,6 @@
 """``twin fit``: measured FRFs or a modal table in; joint stiffness and damping with honest intervals out."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 

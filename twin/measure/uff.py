@@ -196,9 +196,7 @@ def _points(file: Path, number: int, dataset: dict[str, Any]) -> dict[int, Point
     columns = [dataset[k] for k in ("node_nums", "x", "y", "z")]
     if len({len(column) for column in columns}) > 1:
         raise InputError(file, f"data set {number}", "expected x, y and z of every node, one is cut short")
-    return {
-        int(n): Point("base", np.array([x, y, z], dtype=np.float64)) for n, x, y, z in zip(*columns, strict=True)
-    }
+    return {int(n): Point("base", np.array([x, y, z], dtype=np.float64)) for n, x, y, z in zip(*columns, strict=True)}
 
 
 def stated_unit(path: str | Path) -> str | None:
