@@ -265,3 +265,11 @@ def test_what_a_hammer_test_has_no_use_for_is_not_imported() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
     assert run.stdout.strip() == "set()"
+
+
+def test_numpy_is_not_imported_before_its_threads_are_set() -> None:
+    """OpenBLAS reads the number of threads once: more than one cost ten times the CPU on a busy machine."""
+    code = "import os, sys, twin.cli; print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert run.stdout.split() == ["False", "1"]
