@@ -69,6 +69,7 @@ def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable
             end_after(timeout)
             name, files = function.__name__.rstrip("_"), _files(given)
             from twin.effort import expected_s, told  # imports numpy, which must not be before the line on threads
+
             for file in files:
                 if os.path.exists(file) and not os.path.isfile(file) and not os.path.isdir(file):
                     raise InputError(file, "", "is a pipe or a device; expected a file")
