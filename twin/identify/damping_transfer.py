@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import least_squares, minimize_scalar
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from twin.identify.elastic_compare import judge
 from twin.identify.posterior import Posterior
@@ -67,7 +67,7 @@ class Transfer:
     @property
     def factor90(self) -> float:
         """The factor within which a damping ratio lies with 90 % probability, beside what the posterior says."""
-        return float(np.exp(self.scatter * student.ppf(0.95, self.freedom)))
+        return float(np.exp(self.scatter * stdtrit(self.freedom, 0.95)))
 
     def known_in(self, posterior: Posterior) -> Posterior:
         """The posterior with this beside it."""
