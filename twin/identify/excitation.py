@@ -5,6 +5,7 @@ Swevers, Ganseman, Tükel, De Schutter, Van Brussel, IEEE T-RA 13 (1997); paper,
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from twin.robot.description import Robot
 Criterion = Literal["condition", "d-optimal"]
 
 FINE_S = 1e-3  # grid of the last check
+MORE_STARTS = 4  # times the planned starts that are tried at most, where too few lead to a trajectory
 
 
 @dataclass(frozen=True)
@@ -482,7 +484,8 @@ def excite(
         rest: start and end at rest.
         criterion: ``"condition"`` or ``"d-optimal"``.
         seed: of the random starts.
-        starts: how many are searched for; the best ``count`` are returned. One more than ``count`` by default.
+        starts: how many are searched for; the best ``count`` are returned. One more than ``count`` by default. Where
+            too few of them lead to a trajectory, further ones are tried.
         iterations: of the optimiser, at most.
         workers: processes; by default as many as serve.
         settings: of the search.
@@ -492,19 +495,22 @@ def excite(
         InputError: no limits, or no trajectory within them.
     """
     settings = settings or Settings()
-    jobs = [
-        (robot, harmonics, base_hz, rest, criterion, 1000 * seed + k, iterations, settings)
-        for k in range(starts or count + 1)
-    ]
-    found = []
-    for result in spread(lambda k: _one(jobs[k]), len(jobs), workers or cores()):
-        found.append(result)
-        if progress:
-            progress(1)
-    good = [result for result in found if result is not None]
+    first = starts or count + 1
+
+    def search(before: int, number: int) -> Excitation | None:
+        start = 1000 * seed + before + number
+        return _one((robot, harmonics, base_hz, rest, criterion, start, iterations, settings))
+
+    good: list[Excitation] = []
+    tried, planned = 0, first
+    while planned:
+        for result in spread(partial(search, tried), planned, workers or cores()):
+            good += [result] if result is not None else []
+            if progress and tried < first:
+                progress(1)
+            tried += 1
+        planned = min(count - len(good), MORE_STARTS * first - tried) if len(good) < count else 0
     if len(good) < count:
-        raise InputError(
-            robot.name, "workspace", f"only {len(good)} of {len(jobs)} starts led to a trajectory within it"
-        )
+        raise InputError(robot.name, "workspace", f"only {len(good)} of {tried} starts led to a trajectory within it")
     key = (lambda e: e.condition) if criterion == "condition" else (lambda e: -e.log_det)
     return sorted(good, key=key)[:count]
