@@ -15,9 +15,9 @@ from test_identify_real import emps, needs, tx40
 from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from twin.diagnose import engine, torque
-from twin.diagnose.joint import followed, pooled, predicted_by
+from twin.diagnose.joint import followed
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque import diagnose_log, with_evidence
+from twin.diagnose.torque import diagnose_log, pooled, predicted_by, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
     Columns,

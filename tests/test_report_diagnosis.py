@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from twin.diagnose.joint import Knowledge, pooled, settled_with, together
+from twin.diagnose.joint import Knowledge, settled_with, together
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord
 from twin.diagnose.sentences import PROMINENCE, _summits, best_spot, off_by, sentence
+from twin.diagnose.torque import pooled
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
 from twin.measure.campaign import Channels
 from twin.model.parameters import free_parameters

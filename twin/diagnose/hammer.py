@@ -112,24 +112,31 @@ def diagnose_campaign(
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
     campaign, faults = put_right(campaign, without_limits(given), source)
     few, rest = apart(campaign, given, hold_out or ())
-    finding = _diagnosed(few, given, source, hold_out, seed, progress, told_by, processes)
+    finding = _diagnosed(few, _Ask(given, source, hold_out, seed, progress, told_by, processes))
     others = [judged(finding, rest, source, len(few.postures))] if rest else []
     finding.warnings = [*faults, *others, *finding.warnings]
     return finding
 
 
-def _diagnosed(
-    campaign: Campaign,
-    given: Robot,
-    source: str,
-    hold_out: list[str] | None,
-    seed: int,
-    progress: Progress | None,
-    told_by: Finding | None,
-    processes: int,
-) -> Finding:
+@dataclass(frozen=True)
+class _Ask:
+    """What is asked, see :func:`diagnose_campaign`. ``sorted``: the postures are known to be of one robot."""
+
+    given: Robot
+    source: str
+    hold_out: list[str] | None
+    seed: int
+    progress: Progress | None
+    told_by: Finding | None
+    processes: int
+    sorted: bool = False
+
+
+def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     """What a campaign says whose channels are as stated."""
-    found = triage(campaign, given, source, hold_out)
+    given, source, told_by = ask.given, ask.source, ask.told_by
+    seed, processes = ask.seed, ask.processes
+    found = triage(campaign, given, source, ask.hold_out)
     base = without_limits(told_by.model if told_by else given)
     sample = Sample(tuple(found.used), 1 / found.shared)
     free = _free(base, found.used)
@@ -139,21 +146,18 @@ def _diagnosed(
     plain = without_laws(base) if law else base  # a law that is described is found again, or another
     known = free if plain is base else _free(plain, found.used)
     search = converge(plain, known, sample, seed=seed, processes=processes)
-    if law and (told := levels_finding(campaign, given, plain, source, found, search, progress, seed)):
+    if law and (told := levels_finding(campaign, given, plain, source, found, search, ask.progress, seed)):
         return told
     if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
-    far = not found.nonlinear and not told_by and _misses(search, found)
-    if far and (sorted_ := _sorted_out(campaign, given, source, hold_out, seed, progress, processes, found)):
-        return sorted_
+    far = _misses(search, found)
+    if far and (again := _without_hum(campaign, search.base, sample, ask) or _sorted_out(campaign, found, ask)):
+        return again
     looked_at = _suspects(campaign, base, free, found)
-    explain(base, search, sample, looked_at, progress)
+    explain(base, search, sample, looked_at, ask.progress)
     best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
-    quiet, hum = without_hum(campaign, best, sample)
-    if hum:
-        finding = _diagnosed(quiet, given, source, hold_out, seed, progress, told_by, processes)
-        finding.warnings = [*hum, *finding.warnings]
-        return finding
+    if again := _without_hum(campaign, best, sample, ask):
+        return again
     answer = _answered(base, search, sample, looked_at, found)
     before = _as_described(base, search, answer, sample)
     if told_by and told_by.missing:
@@ -165,10 +169,8 @@ def _diagnosed(
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
     finding.next_test = _next_test(given, answer, few, seed)
     if answer.word == "unexplained":
-        if not (far or found.nonlinear or told_by):
-            sorted_ = _sorted_out(campaign, given, source, hold_out, seed, progress, processes, found)
-            if sorted_:
-                return sorted_
+        if not far and (again := _sorted_out(campaign, found, ask)):
+            return again
         finding.warnings = [*cut_short(without_limits(given), found.used), *finding.warnings]
     return finding
 
@@ -185,19 +187,27 @@ def _misses(search: Search, found: Triage) -> bool:
     return missed > FAR**2
 
 
-def _sorted_out(
-    campaign: Campaign, given: Robot, source: str, hold_out: list[str] | None, seed: int, progress: Progress | None,
-    processes: int, found: Triage,
-) -> Finding | None:  # fmt: skip
+def _without_hum(campaign: Campaign, fit: Fitted, sample: Sample, ask: _Ask) -> Finding | None:
+    """What a campaign says without the lines that mains hum into; ``None`` where a fit leaves no hum."""
+    quiet, hum = without_hum(campaign, fit, sample)
+    if not hum:
+        return None
+    finding = _diagnosed(quiet, ask)
+    finding.warnings = [*hum, *finding.warnings]
+    return finding
+
+
+def _sorted_out(campaign: Campaign, found: Triage, ask: _Ask) -> Finding | None:
     """What the postures of one robot say, wrong angles put right; ``None`` where all are of one and stand as stated."""
     sample = Sample(tuple(found.recordings.values()), 1 / found.shared)
-    if len({r.setup.name for r in sample.recordings}) < max(len(sample.recordings), 3):
+    alone = len({r.setup.name for r in sample.recordings}) == len(sample.recordings) > 2
+    if ask.sorted or ask.told_by or found.nonlinear or not alone:
         return None
-    some, notes = sorted_out(without_limits(given), campaign, sample)
+    some, notes = sorted_out(without_limits(ask.given), campaign, sample)
     if not notes:
         return None
-    held = hold_out and [name for name in hold_out if name in some.postures]
-    finding = _diagnosed(some, given, source, held, seed, progress, None, processes)
+    held = ask.hold_out and [name for name in ask.hold_out if name in some.postures]
+    finding = _diagnosed(some, replace(ask, hold_out=held, sorted=True))
     finding.warnings = [*notes, *finding.warnings]
     return finding
 

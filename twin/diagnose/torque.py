@@ -495,7 +495,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
             )  # fmt: skip
     errors: dict[str, Any] = {}
     for stage in STAGES:
-        errors[stage] = _pooled(records, stage)
+        errors[stage] = pooled(records, stage)
     judged = [r for r in records if r.held_out] or records  # the floor is what the error on runs not used is held to
     power = np.mean(np.concatenate([r.measured[r.valid] for r in judged]) ** 2, axis=0)
     errors["noise_floor"] = float(np.sqrt(np.mean(noise**2 / np.maximum(power, 1e-300))))
@@ -570,7 +570,7 @@ def _still_off(records: Sequence[LogRecord]) -> list[str]:
     return [f"the torque that the model still misses: {told}"]
 
 
-def _pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None]:
+def pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None]:
     """Error at a stage, on runs used and on those that were not: RMS over joints of residual RMS over torque RMS."""
     found: dict[str, float | None] = {"train": None, "held_out": None}
     for part, held in (("train", False), ("held_out", True)):
@@ -582,7 +582,7 @@ def _pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | Non
     return found
 
 
-def _predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None) -> list[LogRecord]:
+def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None) -> list[LogRecord]:
     """A log's records with ``after`` the torque of a description as it is, beside what the log's fit held for ordinary.
 
     Ordinary ripple stays as it was fitted; what was found of the recording acts on the torque, which is compared as it
@@ -630,8 +630,8 @@ class Log:
 
     def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
         """What the log said, with the errors of the model that all end with, and what the last recording adds to it."""
-        finding.records = _predicted_by(robot, self.recording.content, finding, hold_out)
-        finding.error = {**finding.error, "after": _pooled(finding.records, "after")}
+        finding.records = predicted_by(robot, self.recording.content, finding, hold_out)
+        finding.error = {**finding.error, "after": pooled(finding.records, "after")}
         finding.missing = [followed(m, finding.model, robot) for m in finding.missing]
         finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
 
