@@ -62,12 +62,15 @@ def sorted_out(robot: Robot, campaign: Campaign, sample: Sample) -> tuple[Campai
             f"{r.group}: joint{joint + 1} stands {told} from what the file says, by the model that explains the others"
         )
         notes.append(Note(f"{text}: the angle is written down wrongly, and was put right", "posture", "fail"))
-    if len(members) < len(few):
-        others = [group for group, _ in groups if not set(group) & set(members)]
-        others += [[k] for k in lone if k not in members]
+    others = [group for group, _ in groups if not set(group) & set(members)]
+    lone = [k for k in lone if k not in members]
+    if others:
+        others += [[k] for k in lone]
         told = _told([r.group for r in few], [sorted(members), *others])
         text = f"no one model explains all postures, but one each of these groups or the first of them: {told}. {MEANS}"
         notes.append(Note(f"{text}; what follows is of the first group alone", "other_robot", "fail"))
+    else:  # what no model explains even alone is no other robot
+        postures |= {few[k].group: campaign.postures[few[k].group] for k in lone}
     ordered = {name: postures[name] for name in campaign.postures if name in postures}
     return (replace(campaign, postures=ordered), notes) if notes else (campaign, [])
 
@@ -101,9 +104,16 @@ def _groups(
 
 
 def _explained(robot: Robot, free: Parameters, sample: Sample, z: FloatArray) -> Fitted | None:
-    """The base model fitted to postures from z, ``None`` where it does not explain them."""
+    """The base model fitted to postures from z, ``None`` where it does not explain each of them."""
     fit = descend(robot, NONE, free, sample, z, logarithmic=0 if z.any() else 25, tempered=8, linear=15)
-    return fit if fit.misfit <= calibration()["held_out_adequate"] else None
+    objective = Objective(fit.robot, fit.parameters, sample)
+    ends = np.cumsum([2 * weight.size for weight in objective.weight])
+    left = np.split(objective.residual(fit.z)[: ends[-1]], ends[:-1])
+    worst = max(
+        part @ part / (2 * sample.repeat * np.count_nonzero(weight))
+        for part, weight in zip(left, objective.weight, strict=True)
+    )
+    return fit if worst <= calibration()["held_out_adequate"] else None
 
 
 def _relabelled(robot: Robot, r: Recorded) -> tuple[Recorded, int, float]:
