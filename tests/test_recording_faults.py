@@ -93,8 +93,10 @@ def test_hits_alone_say_what_their_frfs_say(tmp_path: Path) -> None:
             for name in ("frf", "coherence", "frequency"):
                 del group[name]
     verdict = twin.diagnose(tmp_path / "cell" / "campaign.h5")
-    assert [missing.first.key for missing in verdict.missing] == ["base_compliance@base.rx"]
-    assert verdict.word == "named"
+    (missing,) = verdict.missing
+    assert missing.first.key == "base_compliance@base.rx"
+    assert missing.probability > 0.8
+    assert {rival.key for rival, _ in missing.rivals} <= {"floor_mode@base"}  # a slab on one soft side is nearly that
 
 
 def _diagnosed(way: str, recording: str, robot: str, seed: int, folder: Path) -> Verdict:
