@@ -11,6 +11,7 @@ import twin
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
+from twin.diagnose.frf_faults import put_right
 from twin.diagnose.states import sorted_out
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Verdict
@@ -114,3 +115,18 @@ def test_a_sensor_that_goes_from_node_to_node_is_named_with_its_mass(tmp_path: P
     (missing,) = verdict.missing
     assert missing.first.key == "sensor_mass@sensor:*"
     assert verdict.error["after"]["held_out"] < 1.2 * verdict.error["noise_floor"]
+
+
+@pytest.mark.parametrize(("channels", "told"), [([0], []), ([0, 1, 2], ["unit"])])
+def test_a_hammer_in_another_unit_is_seen_in_all_channels(channels: list[int], told: list[str], tmp_path: Path) -> None:
+    world, *_ = case("nothing", "hammer", "arm", 942, False)
+    record(world, tmp_path, np.random.default_rng(942))
+    write_description(machines()["arm"], tmp_path / "robot.yaml")
+    with h5py.File(tmp_path / "frf.h5", "r+") as file:
+        for group in file["postures"].values():
+            for k in channels:
+                group["frf"][:, k] = 4.4482216 * group["frf"][:, k]
+    campaign, robot = read_campaign(tmp_path / "frf.h5"), without_limits(load_robot(tmp_path / "robot.yaml"))
+    assert len(campaign.response.label) == 3
+    _, notes = put_right(campaign, robot, "frf.h5")
+    assert [note.kind for note in notes] == told

@@ -23,6 +23,7 @@ from twin.robot.description import Robot
 
 UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}
 """What FRFs in other units are over those in m/s² per newton."""
+OF_FORCE = ("m/s² per lbf",)  # a unit of the hammer, which all channels share
 IN_PHASE = 0.5  # mean cosine of the phase between a channel and the one it is; of robots as described 0.5 to 0.95
 NEAR_UNIT = 0.5  # in ln size: so near a unit's factor a channel is in that unit
 
@@ -59,7 +60,7 @@ def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, 
         off = np.array([size[order[k], k] for k in range(len(order))]) - np.log(times)
         clear = np.array([abs(phase[order[k], k]) > IN_PHASE for k in range(len(order))])
         inside = [int(k) for k in np.flatnonzero(clear & (np.abs(off) < NEAR_UNIT))]
-        if inside:
+        if inside and (unit not in OF_FORCE or len(inside) == len(order)):
             factor[inside] = times
             of = tuple(labels[k] for k in inside)
             text = f"{', '.join(of)} looks recorded in {unit}: FRFs are {times:.4g} times those in m/s² per newton"
