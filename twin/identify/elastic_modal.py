@@ -20,7 +20,17 @@ from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.measure.shapes import mac
 from twin.model.parameters import Parameters, free_parameters
-from twin.model.sensitivity import Setup, Structure, contract, observe, pole_slopes, poles, slopes
+from twin.model.sensitivity import (
+    Observed,
+    Setup,
+    Structure,
+    contract,
+    observe,
+    observe_all,
+    pole_slopes,
+    poles,
+    slopes,
+)
 from twin.robot.description import Robot
 
 ModalObjective = Literal["posterior", "paper"]
@@ -81,7 +91,7 @@ def modal_postures(table: ModalTable, robot: Robot, source: str = "table") -> di
         InputError: a posture the robot does not have, or one without modes.
     """
     points = {point.label: point for point in robot.test_points}
-    found = {}
+    found, known = {}, dict[tuple[str, ...], Channels]()
     for name, posture in table.postures.items():
         q = recorded_posture(robot, posture.q_deg, source, f"postures.{name}.q_deg")
         if not posture.modes:
@@ -93,6 +103,7 @@ def modal_postures(table: ModalTable, robot: Robot, source: str = "table") -> di
             np.array([points[x].position for x in labels]).reshape(-1, 3),
             np.array([points[x].direction for x in labels]).reshape(-1, 3),
         )  # fmt: skip
+        channels = known.setdefault(channels.label, channels)  # postures that share them are assembled together
         f = np.array([mode.frequency_hz for mode in modes])
         zeta = np.array([np.nan if m.damping_percent is None else m.damping_percent / 100 for m in modes])
         f_std = np.array([np.nan if m.frequency_std_hz is None else m.frequency_std_hz for m in modes]) / f
@@ -194,8 +205,8 @@ def _pair(
     values = parameters.values(z)
     changed = parameters.apply(robot, values)
     found = []
-    for k, posture in enumerate(postures):
-        seen, model = observe(changed, posture.setup, parameters, values)
+    observed = observe_all(changed, [p.setup for p in postures], parameters, values)
+    for k, (posture, (seen, model)) in enumerate(zip(postures, observed, strict=True)):
         pole, shape = poles(seen)
         known = before[k] if before else None
         found.append(_assign(posture, np.abs(pole) / (2 * np.pi), shape, seen.J_r, model, known))
@@ -238,8 +249,8 @@ def _signed(
     values = parameters.values(z)
     changed = parameters.apply(robot, values)
     found = []
-    for posture, pairs in zip(postures, pairing, strict=True):
-        seen, model = observe(changed, posture.setup, parameters, values)
+    observed = observe_all(changed, [p.setup for p in postures], parameters, values)
+    for pairs, (seen, model) in zip(pairing, observed, strict=True):
         share = _shares(poles(seen)[1], model.strain)
         there = (pairs.model >= 0) & (pairs.model < len(share))  # a mode may have been damped away on the way
         if len(share):
@@ -252,6 +263,25 @@ def _shares(shape: ComplexArray, strain: FloatArray) -> FloatArray:
     """Strain energy shares (nm, nv), unit length."""
     energy = (strain[:, None] * np.abs(shape) ** 2).T
     return np.asarray(energy / np.linalg.norm(energy, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class _Resonant:
+    """A posture's modes (nm,) that are paired with measured ones.
+
+    Attributes:
+        seen, model: the posture's model; ``pole`` (nm,), rad/s, and ``shape`` (nv, nm) of the modes.
+        residual: (2 nm,) of the sizes of the poles, then of damping ratios, in spreads.
+        per_size, per_damping: (nm,) what it changes by with them.
+    """
+
+    seen: Observed
+    model: Structure
+    pole: ComplexArray
+    shape: ComplexArray
+    residual: FloatArray
+    per_size: FloatArray
+    per_damping: FloatArray
 
 
 @dataclass
@@ -267,49 +297,63 @@ class _Modal(Descended):
     free: Parameters
     weighing: ModalObjective
     pairing: list[_Pairing]
-    _last: tuple[bytes, tuple[float, FloatArray, FloatArray]] | None = None
+    _last: tuple[bytes, Robot, list[_Resonant], float] | None = None
 
     @property
     def data(self) -> float:
         """Number of real data."""
         return _data(self.postures)
 
-    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included; a step tried is not evaluated again."""
-        if self._last is None or self._last[0] != z.tobytes():
-            self._last = z.tobytes(), self._evaluated(z)
-        return self._last[1]
+    def cost(self, z: FloatArray) -> float:
+        """Prior included, without the slopes that a step which is not taken does not need."""
+        return self._at(z)[3]
 
-    def _evaluated(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        values = self.free.values(z)
-        changed = self.free.apply(self.robot, values)
-        cost, gradient, information = 0.5 * float(z @ z), z.copy(), np.eye(len(z))
-        for posture, pairs in zip(self.postures, self.pairing, strict=True):
-            seen, model = observe(changed, posture.setup, self.free, values)
-            pole, shape = poles(seen)
-            rows = np.flatnonzero((pairs.model >= 0) & (pairs.model < len(pole)))
-            column = pairs.model[rows]
-            size, real = np.abs(pole[column]), pole[column].real
-            f_spread, zeta_spread = posture.frequency_spread[rows], posture.damping_spread[rows]
-            if self.weighing == "paper":
-                f_spread = np.full(len(rows), PAPER_SHARPNESS / np.sqrt(PAPER_WEIGHTS[0]))
-                zeta_spread = np.full(len(rows), PAPER_SHARPNESS / np.sqrt(PAPER_WEIGHTS[1]))
-            measured = 2 * np.pi * posture.frequency_hz[rows]
-            zeta = posture.damping[rows]
-            stated = np.isfinite(zeta) & (zeta > 0)
-            ratio = np.where(stated, zeta, 1.0)
-            r = np.concatenate(
-                [(size / measured - 1) / f_spread, np.where(stated, (-real / size / ratio - 1) / zeta_spread, 0)]
-            )
-            cost += 0.5 * float(r @ r)
-            rate = contract(slopes(changed, posture.setup, self.free, values, seen, model), self.free.transform(values))
-            dpole = pole_slopes(seen, rate, pole[column], shape[:, column])
-            dsize = (pole[column].conj() * dpole).real / size
+    def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
+        _, changed, resonant, cost = self._at(z)
+        values, transform = self.free.values(z), self.free.transform(self.free.values(z))
+        gradient, information = z.copy(), np.eye(len(z))
+        for posture, one in zip(self.postures, resonant, strict=True):
+            rate = contract(slopes(changed, posture.setup, self.free, values, one.seen, one.model), transform)
+            dpole = pole_slopes(one.seen, rate, one.pole, one.shape)
+            size, real = np.abs(one.pole), one.pole.real
+            dsize = (one.pole.conj() * dpole).real / size
             dzeta = -dpole.real / size + real * dsize / size**2
-            J = np.hstack([dsize / (measured * f_spread), np.where(stated, dzeta / (ratio * zeta_spread), 0)])
-            gradient += J @ r
+            J = np.hstack([dsize * one.per_size, dzeta * one.per_damping])
+            gradient += J @ one.residual
             information += J @ J.T
         return cost, gradient, information
+
+    def _at(self, z: FloatArray) -> tuple[bytes, Robot, list[_Resonant], float]:
+        """The robot, its modes that are paired, and the cost at z; where it was asked last, nothing is done again."""
+        if self._last is None or self._last[0] != z.tobytes():
+            values = self.free.values(z)
+            changed = self.free.apply(self.robot, values)
+            observed = observe_all(changed, [p.setup for p in self.postures], self.free, values)
+            found = [
+                self._resonant(*of)
+                for of in zip(self.postures, self.pairing, *zip(*observed, strict=True), strict=True)
+            ]
+            cost = 0.5 * float(z @ z) + sum(0.5 * float(one.residual @ one.residual) for one in found)
+            self._last = z.tobytes(), changed, found, cost
+        return self._last
+
+    def _resonant(self, posture: ModalPosture, pairs: _Pairing, seen: Observed, model: Structure) -> _Resonant:
+        pole, shape = poles(seen)
+        rows = np.flatnonzero((pairs.model >= 0) & (pairs.model < len(pole)))
+        column = pairs.model[rows]
+        size, real = np.abs(pole[column]), pole[column].real
+        f_spread, zeta_spread = posture.frequency_spread[rows], posture.damping_spread[rows]
+        if self.weighing == "paper":
+            f_spread = np.full(len(rows), PAPER_SHARPNESS / np.sqrt(PAPER_WEIGHTS[0]))
+            zeta_spread = np.full(len(rows), PAPER_SHARPNESS / np.sqrt(PAPER_WEIGHTS[1]))
+        measured, zeta = 2 * np.pi * posture.frequency_hz[rows], posture.damping[rows]
+        stated = np.isfinite(zeta) & (zeta > 0)
+        per_size = 1 / (measured * f_spread)
+        per_damping = np.where(stated, 1 / (np.where(stated, zeta, 1.0) * zeta_spread), 0)
+        off = np.where(stated, -real / size - zeta, 0) * per_damping
+        residual = np.concatenate([(size - measured) * per_size, off])
+        return _Resonant(seen, model, pole[column], shape[:, column], residual, per_size, per_damping)
 
 
 def _data(postures: Sequence[ModalPosture]) -> int:
