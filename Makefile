@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install test lint demo docs bench fuzz kills sbom proof clean
+.PHONY: install test test-slow lint demo docs bench fuzz kills sbom proof clean
 
 install: $(VENV)/.installed
 
@@ -19,6 +19,10 @@ lint: install
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --durations=10
+
+# Whole diagnoses of rarer cases, a quarter of an hour.
+test-slow: install
+	$(BIN)/python -m pytest -n 2 --durations=10 -m slow
 
 demo: install
 	$(BIN)/twin simulate mjcf/postures/milling.yaml --out out/milling

@@ -238,6 +238,7 @@ def test_files_that_hold_nothing_to_compare_are_refused(
     refused(twin("diagnose", small.test, "--without", "magnetism"), "magnetism")
 
 
+@pytest.mark.slow
 def test_one_model_does_for_a_hammer_test_and_a_log_of_friction_that_turns_round(
     tmp_path: Path, twin_once: Callable[..., SimpleNamespace]
 ) -> None:

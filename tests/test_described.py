@@ -87,6 +87,7 @@ def test_every_number_of_a_description_is_a_suspect(setup: Setup) -> None:
 
 
 @pytest.mark.parametrize(("way", "robot", "seed"), [("axis_offset", "kr90", 106), ("blow_position", "kr90", 112)])
+@pytest.mark.slow
 def test_a_wrong_number_is_named_with_its_value(way: str, robot: str, seed: int, tmp_path: Path) -> None:
     world, _, _, cause = case(way, "hammer", robot, seed, False)
     record(world, tmp_path, np.random.default_rng(seed))
@@ -111,6 +112,7 @@ def test_a_wrong_number_is_named_with_its_value(way: str, robot: str, seed: int,
         ("gravity_tilt", "log", "arm", 962, "gravity_direction@base"),
     ],
 )
+@pytest.mark.slow
 def test_a_zero_and_a_leaning_foot_are_entries(
     way: str, recording: str, robot: str, seed: int, key: str, tmp_path: Path
 ) -> None:
@@ -132,6 +134,7 @@ def test_a_zero_and_a_leaning_foot_are_entries(
         assert entry.values["angle"] == pytest.approx(cause.values["angle"], abs=2 * np.deg2rad(0.1))
 
 
+@pytest.mark.slow
 def test_a_bearing_that_couples_its_tilts_is_named(tmp_path: Path) -> None:
     """Concealed as a bearing with oblique principal axes."""
     world, *_ = case("nothing", "hammer", "kr90", 951, False)

@@ -98,6 +98,7 @@ def test_a_joint_that_also_tilts_is_named_though_the_base_model_is_far_off(tmp_p
     assert decision.ranked[0].misfit < 1.1
 
 
+@pytest.mark.slow
 def test_one_hinge_per_axis_is_told_from_three_by_the_milling_posture_alone(tmp_path: Path) -> None:
     """The paper's own step from one to three hinges: all six bearings come back from one posture, the one its modes
     strain most first, and hold in the two postures that were not used."""
@@ -345,6 +346,7 @@ def test_a_size_far_from_the_usual_promises_what_evidence_makes_of_it() -> None:
     assert _of_any_size(replace(promise, start=near)).gain == 1.0
 
 
+@pytest.mark.slow
 def test_two_things_are_found_together(tmp_path: Path) -> None:
     options = ("--effect", "base_compliance@base.y", "--effect", "sensor_gain@sensor:21Z+:gain=1.1")
     case = recorded(tmp_path, "--seed", "14", "--postures", "4", *options)

@@ -244,6 +244,7 @@ def test_slip_dissipates_the_area_of_its_loop() -> None:
     assert np.trapezoid(np.array(g)[last], x[last]) == pytest.approx(4 * 1e6 * 1e-5 * 4e-5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_slip_is_settled_from_where_it_was_found(kr90: Robot, tmp_path: Path) -> None:
     """With the yields sought too it begins as what was found, and moving them is worth a step where they are wrong."""
     slip = "hysteresis@joint2.z:stiffness=1e5|1e5|1e5|1e5|1e5,yield_torque=0.1|0.3|1|3|10"
@@ -446,6 +447,7 @@ def test_a_law_is_hit_where_it_was_found_last(kr90: Robot) -> None:
     assert not is_nonlinear(kr90.model_copy(update={"physics": [*kr90.physics, slip, dry]}))
 
 
+@pytest.mark.slow
 def test_a_law_that_is_described_is_no_answer_and_what_is_missing_beside_it_is(kr90: Robot, tmp_path: Path) -> None:
     """The robot that a diagnosis has written lacks nothing; another law than the robot has is said to go."""
     options = ("--nominal", "--no-sag", "--postures", "2", "--spacing-hz", "0.5", "--lines", "45")

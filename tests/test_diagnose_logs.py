@@ -115,6 +115,7 @@ def test_dry_friction_left_out_is_named_and_its_level_found(tmp_path: Path, kr90
     assert found.error["after"]["held_out"] < 0.1 * found.error["before"]["held_out"]
 
 
+@pytest.mark.slow
 def test_bristles_at_every_joint_are_a_complete_model_and_a_slower_gear_is_not(tmp_path: Path, kr90: Robot) -> None:
     """Presliding over 0.2 mrad alike at all joints is how friction is; slip over 1 mrad at one joint is missing.
 
@@ -135,6 +136,7 @@ def test_bristles_at_every_joint_are_a_complete_model_and_a_slower_gear_is_not(t
     assert [m.first.key for m in missing] == ["hysteresis@joint3.z"]
 
 
+@pytest.mark.slow
 def test_slip_that_is_part_of_dry_friction_is_not_taken_for_how_friction_ordinarily_turns_round(
     tmp_path: Path, kr90: Robot
 ) -> None:
@@ -234,6 +236,7 @@ def test_a_payload_left_out_is_not_taken_for_dry_friction(tmp_path: Path, kr90: 
     np.testing.assert_allclose(sliding, draw_truth(3, (), (), log=True).chain.coulomb, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_drive_that_turns_two_axes_keeps_the_friction_it_shares(tmp_path: Path, kr90: Robot) -> None:
     """Presliding is written for what rubs at its own joint only: the new description can be stepped."""
     coupling = "joint_coupling@joint3:from=1,ratio=0.5,inertia=200,friction=100,coulomb=200"
@@ -377,6 +380,7 @@ def test_a_recording_acts_on_the_sum_of_all_laws_whichever_was_found_first(tmp_p
     assert np.sqrt(np.mean((added - 1.2 * law)[50:-50] ** 2)) < 2e-3 * np.sqrt(np.mean(law**2))
 
 
+@pytest.mark.slow
 def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> None:
     """Torque 4 ms late looks like friction that follows the load at every joint until the delay is in the model."""
     effects = ("--effect", "load_dependent_friction@joint2:coefficient=0.02", "--effect", "time_delay@log:delay=0.004")
@@ -423,6 +427,7 @@ def test_low_speed_friction_or_slip_lists_each_once() -> None:
     assert said.probability == said.alternatives[0][1] == pytest.approx(0.45)
 
 
+@pytest.mark.slow
 def test_a_large_payload_is_not_drawn_towards_a_usual_one(tmp_path: Path, kr90: Robot) -> None:
     """500 kg on link 2, twenty-five times what is usual: its prior width would make 440 kg of it."""
     log = recorded(tmp_path, "--nominal", "--effect", "payload@link2:mass=500,com=1.0|0|0")
@@ -432,6 +437,7 @@ def test_a_large_payload_is_not_drawn_towards_a_usual_one(tmp_path: Path, kr90: 
     assert high - low < 150
 
 
+@pytest.mark.slow
 def test_a_drive_that_hardly_turns_with_another_axis_is_found(tmp_path: Path, kr90: Robot) -> None:
     """A ratio of −0.016: far from one, and where its dry friction turns round goes with its sign."""
     found = diagnose_log(recorded(tmp_path, "--effect", "joint_coupling@joint2:from=3,ratio=-0.016"), kr90)
@@ -492,6 +498,7 @@ def test_a_formula_is_arithmetic_only(kr90: Robot, formula: str, message: str) -
         parse_robot(data)
 
 
+@pytest.mark.slow
 def test_churned_oil_is_not_taken_for_a_friction_that_has_a_name(tmp_path: Path, kr90: Robot) -> None:
     """Drag c q̇|q̇|: Stribeck friction beside described viscous friction nearly mimics it, one term of a law is it."""
     log = recorded(tmp_path, "--effect", "quadratic_friction@joint1:coefficient=150")
@@ -507,6 +514,7 @@ def test_churned_oil_is_not_taken_for_a_friction_that_has_a_name(tmp_path: Path,
 
 
 @pytest.mark.parametrize(("joint", "velocity"), [(1, 0.05), (3, 0.2)])
+@pytest.mark.slow
 def test_friction_that_falls_as_a_film_builds_up_keeps_its_name(
     tmp_path: Path, kr90: Robot, joint: int, velocity: float
 ) -> None:
@@ -518,6 +526,7 @@ def test_friction_that_falls_as_a_film_builds_up_keeps_its_name(
     assert low < velocity < high
 
 
+@pytest.mark.slow
 def test_friction_that_follows_the_load_feels_a_payload_that_is_found_beside_it(tmp_path: Path, kr90: Robot) -> None:
     """Its coefficient is that of the loaded robot: without the payload in the load it came out twice too large."""
     effects = ("--effect", "payload@flange:mass=100", "--effect", "load_dependent_friction@joint2:coefficient=0.05")

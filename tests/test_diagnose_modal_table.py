@@ -57,6 +57,7 @@ def test_each_posture_is_left_out_in_turn(kr90: Robot) -> None:
     assert out.pooled < 0.005
 
 
+@pytest.mark.slow
 def test_joint_1_about_x_is_what_one_hinge_per_axis_lacks_first(kr90: Robot) -> None:
     """Three-hinge truth, one-hinge model: the hinge about joint 1's x axis is named from twelve modes alone, and
     'upright' and 'rigid' are each predicted from the other two postures with less than a tenth of the error."""

@@ -75,6 +75,7 @@ def test_noise_of_one_per_cent_rms_hides_no_mode_and_makes_none(nr: int, seed: i
     np.testing.assert_allclose(zeta[LOW], ZETA[LOW], rtol=0.15)
 
 
+@pytest.mark.slow
 def test_stated_deviations_cover_the_truth_as_often_as_they_say() -> None:
     """±1.645 deviations over 100 noise draws of 13 modes: between 85 and 95 in a hundred, f and ζ alike."""
     frequency, frf = milling_robot(3)

@@ -37,6 +37,7 @@ def test_a_fault_is_told_and_put_right(way: str, recording: str, seed: int, kind
     assert verdict.word == "adequate"
 
 
+@pytest.mark.slow
 def test_hum_is_told_and_gets_no_other_name(tmp_path: Path) -> None:
     verdict = _diagnosed("hum", "hammer", "arm", 901, tmp_path)
     assert [note["kind"] for note in verdict.data()["triage"] if note["severity"] == "fail"] == ["hum"]
@@ -71,6 +72,7 @@ def test_an_angle_that_is_written_down_wrongly_is_put_right(step_deg: float, tmp
     np.testing.assert_allclose(right.postures[name].q_deg, posture.q_deg, atol=4 * robot.tolerances.posture_deg)
 
 
+@pytest.mark.slow
 def test_a_run_of_another_robot_is_told(tmp_path: Path) -> None:
     """The run kept aside is of another robot: what was used lacks nothing, and yet the log is not explained."""
     verdict = _diagnosed("other_robot", "log", "arm", 931, tmp_path)
@@ -80,12 +82,14 @@ def test_a_run_of_another_robot_is_told(tmp_path: Path) -> None:
     assert verdict.word == "unexplained"
 
 
+@pytest.mark.slow
 def test_a_slab_under_the_robot_is_named(tmp_path: Path) -> None:
     verdict = _diagnosed("floor_mode", "hammer", "column", 920, tmp_path)
     assert [missing.first.key for missing in verdict.missing] == ["floor_mode@base"]
     assert verdict.error["after"]["held_out"] < 1.2 * verdict.error["noise_floor"]
 
 
+@pytest.mark.slow
 def test_hits_alone_say_what_their_frfs_say(tmp_path: Path) -> None:
     """FRFs made of hits are off by more than their noise; that is small beside what is missing and gets no name."""
     twin.example("cell", tmp_path / "cell")
@@ -110,6 +114,7 @@ def _diagnosed(way: str, recording: str, robot: str, seed: int, folder: Path) ->
     return twin.diagnose(file, robot="kr90" if robot == "kr90" else folder / "robot.yaml")
 
 
+@pytest.mark.slow
 def test_a_sensor_that_goes_from_node_to_node_is_named_with_its_mass(tmp_path: Path) -> None:
     verdict = _diagnosed("roving_mass", "hammer", "column", 947, tmp_path)
     (missing,) = verdict.missing

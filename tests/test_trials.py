@@ -164,6 +164,7 @@ def test_every_effect_so_often_alone_and_the_rest_in_proportion() -> None:
     assert sum(k == "none" for k, *_ in cases) == pytest.approx(len(cases) / 4, abs=1)
 
 
+@pytest.mark.slow
 def test_sizes_are_those_asked_for() -> None:
     found = [case("single", "log", seed, seed, (2.0, 2.5)).multiples[0] for seed in range(40, 44)]
     assert all(2.0 <= multiple <= 2.5 for multiple in found)

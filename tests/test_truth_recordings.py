@@ -121,6 +121,7 @@ def test_two_ways_through_time_agree():
     assert apart(plain, frf) > 0.02  # the laws do act
 
 
+@pytest.mark.slow
 def test_what_a_law_does_after_the_record_is_not_cut_off():
     """The torque of a stiffer or shifted joint goes on; where its record ends is nothing that an FRF knows of."""
     texts = ("hysteresis@joint1.z:stiffness=3e5|3e5,yield_torque=5|15", "hardening_stiffness@joint3.z:cubic=1e14")
