@@ -430,9 +430,11 @@ def test_the_nearest_robot_that_can_exist(kr90: Robot) -> None:
     step = np.diag(np.maximum(np.abs(regressor.described), 0.1))
     root = rng.normal(size=(size, size))
     H, x = root @ root.T / size, regressor.described.copy()
-    x[10] = -50.0
+    rotor = next(k for k, column in enumerate(regressor.columns) if column.group == "rotor")
+    x[10], x[rotor] = -50.0, -x[rotor]
     d = nearest_possible(regressor, H, np.zeros(size), x, step)
     found = x + step @ d
+    assert found[rotor] > 0.9e-3 * regressor.described[rotor]
     for i in range(kr90.axis_count):
         assert np.linalg.eigvalsh(pseudo_inertia(found[10 * i : 10 * i + 10]))[0] > 0
     for share in (0.5, 1.0, 2.0):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 import scipy.linalg
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from twin.errors import InputError
@@ -386,8 +387,8 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     """All parameters (p,) of a robot that can exist, as near to the estimate and the description as both allow.
 
     Minimises (K x − π̂)ᵀ Σ⁻¹ (K x − π̂) + Σ z², z the departure from the description in its tolerances, over bodies
-    whose pseudo-inertia stays above ``margin`` times the described one, with friction and rotor inertia ≥ 0: a convex
-    problem in the cone of positive semidefinite matrices (Wensing, Kim, Slotine 2018), solved by Clarabel.
+    whose pseudo-inertia, and rotors whose inertia, stays above ``margin`` times the described one, with friction ≥ 0: a
+    convex problem in the cone of positive semidefinite matrices (Wensing, Kim, Slotine 2018), solved by Clarabel.
     """
     columns, x0 = regressor.columns, regressor.described
     K = estimate.base.combine
@@ -400,8 +401,16 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     H = G.T @ G + np.diag(np.where(prior > 0, prior, 1e-6))
     linear = -G.T @ target
     x = x0 + step @ nearest_possible(regressor, H, linear, x0, step, margin)
+    floor, least = _floors(regressor, margin)
+    return np.where(floor, np.maximum(x, least), x)
+
+
+def _floors(regressor: Regressor, margin: float) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Which parameters (p,) have a least value of their own, and that (p,)."""
+    columns = regressor.columns
     floor = np.array([column.nonnegative and column.group != "link" for column in columns])
-    return np.where(floor, np.maximum(x, 0.0), x)
+    rotor = np.array([column.group == "rotor" for column in columns])
+    return floor, np.where(rotor, margin * regressor.described, 0.0)
 
 
 def _inverse_root(covariance: FloatArray, least: float = 1e-12) -> FloatArray:
@@ -421,10 +430,10 @@ def nearest_possible(
     from scipy import sparse
 
     rows, bounds, cones = [], [], []
-    floor = np.array([column.nonnegative and column.group != "link" for column in regressor.columns])
+    floor, least = _floors(regressor, margin)
     if floor.any():
         rows.append(-step[floor])
-        bounds.append(x0[floor])
+        bounds.append((x0 - least)[floor])
         cones.append(clarabel.NonnegativeConeT(int(floor.sum())))
     root2 = np.sqrt(2.0)
     triangle = [(i, j) for j in range(4) for i in range(j + 1)]
