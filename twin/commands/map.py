@@ -15,6 +15,7 @@ from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
 from twin.files import replacing
 from twin.identify.posterior import FILE
+from twin.measure.campaign import FloatArray
 from twin.milling import map as work
 from twin.milling.cut import Cut, read_cut
 from twin.milling.ensemble import ensemble
@@ -203,15 +204,7 @@ def make_map(
     if not any(axis.stiffness for axis in loaded.axes) and not any("stiffness" in e.values for e in loaded.physics):
         raise InputError(loaded.name, "axes", "no axis has a stiffness, so nothing limits the depth of cut")
     asked = read_cut(cut) if cut else Cut()
-    turns = {
-        "--place-turn-deg": (place_turn_deg,),
-        "--place": place or (),
-        "--box": box or (),
-        "--near": near_deg or (),
-    }
-    for option, numbers in turns.items():
-        if bad := next((number for number in numbers or () if not np.isfinite(number)), None):
-            raise InputError(option, f"{bad:g}", "expected finite numbers")
+    _check_finite(place_turn_deg, place, box, near_deg)
     _check_asked(loaded, random, grid, posture_grid, path, lobes, draws, spindle_rpm, spacing)
     near = None
     if near_deg is not None:
@@ -221,13 +214,9 @@ def make_map(
         tool_path = _placed(path, place, place_turn_deg, spacing)
         places, left_out = _along(loaded, asked, tool_path, near, seed, spindle_rpm, path), 0
     elif grid is not None:
-        position = work.tip_grid(loaded, grid, _box(loaded, box))
-        places = work.reach(loaded, asked, position, start=near, seed=seed, spindle_rpm=spindle_rpm)
-        keep = places.reached & work.allowed(loaded, asked, places.q)
-        left_out = int(len(places) - keep.sum())
-        if not keep.any():
-            raise InputError("--grid", "", _unreachable(loaded, asked, position[0], seed))
-        places = places.rows(keep)
+        places, left_out = _at_tips(
+            loaded, asked, work.tip_grid(loaded, grid, _box(loaded, box)), near, seed, spindle_rpm
+        )
     elif posture_grid is not None:
         places, left_out = work.posture_grid(loaded, asked, tuple(posture_grid)), 0
         if not len(places):
@@ -259,6 +248,34 @@ def make_map(
         if keep_in is not None:
             shutil.rmtree(keep_in, ignore_errors=True)
     return found
+
+
+def _check_finite(
+    place_turn_deg: float,
+    place: tuple[float, float, float] | None,
+    box: Sequence[float] | None,
+    near_deg: Sequence[float] | None,
+) -> None:
+    turns = {
+        "--place-turn-deg": (place_turn_deg,),
+        "--place": place or (),
+        "--box": box or (),
+        "--near": near_deg or (),
+    }
+    for option, numbers in turns.items():
+        if bad := next((number for number in numbers or () if not np.isfinite(number)), None):
+            raise InputError(option, f"{bad:g}", "expected finite numbers")
+
+
+def _at_tips(
+    robot: Robot, cut: Cut, position: FloatArray, near: FloatArray | None, seed: int, spindle_rpm: float | None
+) -> tuple[work.Places, int]:
+    """Postures that hold the tip at positions (n, 3), m, and how many are out of reach."""
+    places = work.reach(robot, cut, position, start=near, seed=seed, spindle_rpm=spindle_rpm)
+    keep = places.reached & work.allowed(robot, cut, places.q)
+    if not keep.any():
+        raise InputError("--grid", "", _unreachable(robot, cut, position[0], seed))
+    return places.rows(keep), int(len(places) - keep.sum())
 
 
 def _check_asked(

@@ -41,7 +41,7 @@ from twin.robot.description import Entry, Robot
 
 RACE_LINES, FEW_BLOWS = 30, 6  # lines of locating and of the race of laws; excitations of the race
 FINAL_LINES, BLOWS = 40, 12  # lines and excitations that finalists are fitted to
-ALIKE = 3  # sizes whose equivalent stiffnesses are most like those seen: a law's start is one of them
+MOST_ALIKE = 3  # sizes whose equivalent stiffnesses are most like those seen: a law's start is one of them
 SITES, SITE_REACH, LAW_REACH, NEAR_LAWS = 2, 1.3, 4.0, 1.5  # sites, laws racing and at their end, in reach of the best
 FAR_OFF = 10.0  # χ² per datum above which the last digit of a wrong model says nothing
 WINDOW = 5.0  # 1/s, exponential window put on recordings that are not smooth
@@ -312,7 +312,7 @@ def _starts(robot: Robot, base: Fitted, place: Located, shown: View, laws: Seque
             for size, found in zip(sizes, objective.equivalents(place.z, list(sizes)), strict=True)
         ]
         points = []
-        for score, shift, size in sorted(scored, key=lambda item: item[0])[:ALIKE]:
+        for score, shift, size in sorted(scored, key=lambda item: item[0])[:MOST_ALIKE]:
             start = values.copy()
             start[[row, damper]] += shift if np.isfinite(score) else 0.0
             points.append(point(objective, start, size))

@@ -28,7 +28,7 @@ from twin.robot.description import Robot
 BESIDE_LINES = 40  # of every recording
 STEPPED_AGAIN = 2  # fitted again with the law stepped
 BESIDE_SHARE = 0.8  # of the best one's gain
-DOUBT = 0.02  # of the noise's variance: less that hangs on the length of steps is not looked at
+STEP_DOUBT = 0.02  # of the noise's variance: less that hangs on the length of steps is not looked at
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _doubted(stepped: Stepped, z: FloatArray) -> Sample:
     fine, coarse = (replace(stepped, rate_hz=rate).predicted(z) for rate in (stepped.rate_hz, stepped.rate_hz / 2))
     error = [np.abs(a - b) ** 2 for a, b in zip(fine, coarse, strict=True)]
     recordings = stepped.sample.recordings
-    if max(float(np.mean(e / r.variance)) for e, r in zip(error, recordings, strict=True)) < DOUBT:
+    if max(float(np.mean(e / r.variance)) for e, r in zip(error, recordings, strict=True)) < STEP_DOUBT:
         return stepped.sample
     louder = tuple(replace(r, variance=r.variance + e) for r, e in zip(recordings, error, strict=True))
     return Sample(louder, stepped.sample.repeat)

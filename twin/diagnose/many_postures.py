@@ -16,7 +16,7 @@ from twin.measure.campaign import Campaign
 from twin.ranges import SEARCHED
 from twin.robot.description import Robot
 
-FEWEST = 6  # postures that it works on, however large
+FEWEST_POSTURES = 6  # postures that it works on, however large
 JUDGED_LINES = 50  # of every FRF of the other postures
 
 
@@ -34,7 +34,7 @@ def apart(campaign: Campaign, robot: Robot, named: Iterable[str] = ()) -> tuple[
     for group, posture in campaign.postures.items():
         size[names[group]] += posture.frf.size
         q[names[group]] = posture.q_deg
-    if sum(size.values()) <= SEARCHED or len(size) <= FEWEST:
+    if sum(size.values()) <= SEARCHED or len(size) <= FEWEST_POSTURES:
         return campaign, None
     every = list(size)
     angles = np.array([robot.angles(q[name]) for name in every])
@@ -45,7 +45,7 @@ def apart(campaign: Campaign, robot: Robot, named: Iterable[str] = ()) -> tuple[
     gap = np.min([np.linalg.norm(angles - angles[k], axis=1) for k in chosen], axis=0)
     while len(chosen) < len(every):
         k = int(np.argmax(gap))
-        if len(chosen) >= FEWEST and sum(size[every[j]] for j in (*chosen, k)) > SEARCHED:
+        if len(chosen) >= FEWEST_POSTURES and sum(size[every[j]] for j in (*chosen, k)) > SEARCHED:
             break
         chosen.append(k)
         gap = np.minimum(gap, np.linalg.norm(angles - angles[k], axis=1))

@@ -20,10 +20,10 @@ NOISE_STEPS = 10  # the first ones fit the noise, later ones its scatter
 LOUDEST_LINES = (
     0.98  # quantile of |H|² over the lines and responses of a blow, from where on its noise is in proportion to it
 )
-NOISY = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
+POOLED_FROM = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
 NEAREST = 7
 BROKEN = 30.0  # times the usual variance of channels: noise that is not a sensor's
-NOTHING = 1e-100  # of a variance whose square is still a number
+LEAST_VARIANCE = 1e-100  # of a variance whose square is still a number
 BEST_KNOWN = 5e-4  # of |H|: no FRF is known better
 PERFECT = 1e-7  # incoherence below which no hammer test lies: 0.03 % of noise
 ANALYSER = 3e-3  # of |H|: what the channels of an analyser agree to, where a recording states no noise at all
@@ -55,7 +55,7 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     # A variance about the mean of its own n hits; or a stated one, a share of |H|², which is signal and noise.
     single = 0.5 * power * noise * (n / (n - 1) if scattered else 1 / (1 + noise))
     # Where noise rules, |H|² is noise itself: a line that happens to come out small is not known better for it.
-    share = noise**2 / (noise**2 + NOISY**2)
+    share = noise**2 / (noise**2 + POOLED_FROM**2)
     width = min(len(power), NEAREST)
     power = (1 - share) * power + share * _smooth(power, width) / _smooth(np.ones_like(power), width)
     dead = dead_channels(posture)
@@ -70,9 +70,9 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
     # Idier 2011, Itakura–Saito divergence): one part is not explained away by the other's error. a is a running mean.
     weight = a / kernel
     for _ in range(NOISE_STEPS):
-        model = np.maximum(a + b * power, NOTHING)
+        model = np.maximum(a + b * power, LEAST_VARIANCE)
         b = b * np.sqrt(_of_blow(power * single / model**2) / np.maximum(_of_blow(power / model), 1e-300))
-        model = np.maximum(a + b * power, NOTHING)
+        model = np.maximum(a + b * power, LEAST_VARIANCE)
         weight = weight * np.sqrt(_smooth(single / model**2, kernel) / np.maximum(_smooth(1 / model, kernel), 1e-300))
         a = _smooth(weight, kernel)
     variance = np.maximum(a + b * power, np.maximum(floor, BEST_KNOWN**2 * power))

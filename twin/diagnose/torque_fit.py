@@ -57,7 +57,10 @@ RINGING = 16  # rows that the low-pass rings before and after a step
 INWARDS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # shares of the way to the described robot, whose links are bodies
 PRESLIDING_TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
-PRESLIDING, UNLIKE = 0.5, 5e-4  # share of dry friction that does, per travel: common to all joints, and of one alone
+PRESLIDING, APART = (
+    0.5,
+    5e-4,
+)  # share of dry friction that does, per travel: common to all joints, and of one alone
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ class Base:
         offsets[:, k] = self.offset[joint]
         rows = self.matrix[k][:, joint] @ self.spread
         return np.concatenate(
-            [rows, PRESLIDING * presliding, self.ripple[k][:, joint], UNLIKE * presliding, offsets], axis=1
+            [rows, PRESLIDING * presliding, self.ripple[k][:, joint], APART * presliding, offsets], axis=1
         )
 
     @property
@@ -147,7 +150,7 @@ class Base:
         common, own, alone = np.split(z[self.spread.shape[1] :][: travels + n * (orders + travels)],
                                       [travels, travels + n * orders])  # fmt: skip
         torque += np.einsum("mjo,jo->mj", self.ripple[k], own.reshape(n, orders))
-        shares = PRESLIDING * common + UNLIKE * alone.reshape(n, travels)
+        shares = PRESLIDING * common + APART * alone.reshape(n, travels)
         turning, uneven = (np.einsum("mjt,jt->mj", part[k], shares) for part in (self.presliding, self.uneven))
         torque += turning
         load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
@@ -236,7 +239,7 @@ def _ordinary(runs: Sequence[Run], waves: FloatArray, offset: FloatArray) -> lis
     joints = range(1, len(offset) + 1)
     slides = [
         Parameter(f"ordinary_presliding{where}.travel{k + 1}", "1", "gain", False, 0.0, width)
-        for where, width in (("", PRESLIDING), *((f"@joint{j}", UNLIKE) for j in joints))
+        for where, width in (("", PRESLIDING), *((f"@joint{j}", APART) for j in joints))
         for k in range(len(PRESLIDING_TRAVELS["revolute"]))
     ]
     ripple = [
@@ -893,7 +896,7 @@ def with_presliding(system: System, z: FloatArray, robot: Robot, slight: float =
         moved = np.concatenate([r.motion.velocity[:, j] for r in base.runs])
         here = [e for e in found if axis_of(e.site) == j]
         level = base.sliding[j] + sum(CATALOGUE[e.effect].turning(e.values, moved) for e in here)
-        share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + UNLIKE * own)
+        share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + APART * own)
         ends, torque = _slip_elements(PRESLIDING_TRAVELS[base.regressor.robot.axes[j].type], share)
         coulomb = dry_level(physics[dry])
         turned = (CATALOGUE[e.effect].shared_dry(robot.values(e)) for e in physics)

@@ -27,7 +27,7 @@ from twin.robot.description import Robot
 
 FILE = "posterior.h5"
 LINEAR = 0.05  # deviation of a logarithm below which its curvature is a thousandth of the density
-STEPS = 4000  # of the walk
+WALK_STEPS = 4000  # of the walk
 OPTIMAL = 2.38  # over √k, step of a random walk in posterior deviations (Roberts, Gelman and Gilks 1997)
 OF_THE_ROBOT: tuple[Kind, ...] = ("spring", "entry", "link")
 
@@ -103,7 +103,7 @@ class Posterior:
         joint = np.linalg.inv(np.linalg.cholesky(held + np.eye(k))).T
         z = np.tile(at, (count, 1))
         w, energy = seen(z)
-        for number in range(STEPS):
+        for number in range(WALK_STEPS):
             step = rng.normal(size=(count, k))
             if number % 2:  # one at a time, as far as its prior goes
                 step *= rng.exponential(size=(count, 1)) * (np.arange(k) == rng.integers(k, size=(count, 1)))

@@ -270,25 +270,7 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         _check_hits(source, field, posture.hits, nr, ne)
         if posture.frf.size == 0:
             return
-    frequency = posture.frequency
-    _check_array(source, f"{field}/frequency", frequency, (None,))
-    nf = frequency.size
-    if nf < 2:
-        raise InputError(source, f"{field}/frequency", f"expected at least two lines, found {nf}")
-    if frequency[0] < 0:
-        raise InputError(source, f"{field}/frequency", f"expected Hz from 0 upwards, found {frequency[0]:g}")
-    if problem := implausible(float(frequency[-1]), "Hz", True):
-        raise InputError(source, f"{field}/frequency", problem)
-    step = np.diff(frequency)
-    if (step <= 0).any():
-        raise InputError(source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted")
-    # Readable files hold single-precision axes, whose steps scatter by 1e-7 of the highest frequency.
-    if np.ptp(step) > 1e-3 * step.mean() + 1e-6 * frequency[-1]:
-        raise InputError(
-            source,
-            f"{field}/frequency",
-            f"expected even spacing, found steps {step.min():g} to {step.max():g} Hz",
-        )
+    nf = _check_axis(source, field, posture.frequency)
     if posture.quantity not in QUANTITIES:
         raise InputError(
             source,
@@ -325,6 +307,29 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         if length is not None and not 0 < length < np.inf:
             raise InputError(source, f"{field}: {name}", f"expected seconds above 0, found {length:g}")
     _check_rate(source, field, posture.exponential_window_rate)
+
+
+def _check_axis(source: str | Path, field: str, frequency: FloatArray) -> int:
+    """Number of lines of an axis of frequencies (nf,), Hz."""
+    _check_array(source, f"{field}/frequency", frequency, (None,))
+    nf = frequency.size
+    if nf < 2:
+        raise InputError(source, f"{field}/frequency", f"expected at least two lines, found {nf}")
+    if frequency[0] < 0:
+        raise InputError(source, f"{field}/frequency", f"expected Hz from 0 upwards, found {frequency[0]:g}")
+    if problem := implausible(float(frequency[-1]), "Hz", True):
+        raise InputError(source, f"{field}/frequency", problem)
+    step = np.diff(frequency)
+    if (step <= 0).any():
+        raise InputError(source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted")
+    # Readable files hold single-precision axes, whose steps scatter by 1e-7 of the highest frequency.
+    if np.ptp(step) > 1e-3 * step.mean() + 1e-6 * frequency[-1]:
+        raise InputError(
+            source,
+            f"{field}/frequency",
+            f"expected even spacing, found steps {step.min():g} to {step.max():g} Hz",
+        )
+    return nf
 
 
 def _check_hits(source: str | Path, field: str, hits: Hits, nr: int, ne: int) -> None:
