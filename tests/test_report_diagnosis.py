@@ -9,7 +9,7 @@ from scipy.signal import find_peaks
 from twin.diagnose.joint import Knowledge, settled_with, together
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord
-from twin.diagnose.sentences import PROMINENCE, _summits, best_spot, off_by, sentence
+from twin.diagnose.sentences import PROMINENCE, _summits, best_spot, off_by, percents, sentence
 from twin.diagnose.torque import pooled
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
 from twin.measure.campaign import Channels
@@ -61,6 +61,12 @@ def test_a_peak_the_model_does_not_have_is_said_to_be_missing() -> None:
     absent = record(oscillators(20.0), oscillators(11.0, 20.0), oscillators(11.0, 20.0))
     text = sentence("attached_resonator at link3", [absent], ERRORS, [])
     assert "no peak in the measured band near mode 1 at 11.00 Hz" in text
+
+
+def test_a_fall_is_told_with_the_digits_that_show_it() -> None:
+    assert percents(0.2459, 0.0021, 2) == ("24.59%", "0.21%")
+    assert percents(0.0037212, 0.0037078, 2) == ("0.372%", "0.371%")
+    assert percents(0.01, 0.01, 2) == ("1.00%", "1.00%")
 
 
 def test_peaks_are_those_that_stand_out_on_both_sides() -> None:

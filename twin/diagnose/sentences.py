@@ -149,9 +149,17 @@ def fall(errors: dict[str, Any], held_out: Sequence[str]) -> str:
     before, after, floor = errors["before"], errors["after"], errors["noise_floor"]
     held = ""
     if before["held_out"] is not None:
-        held = f", and on {', '.join(held_out)}, not used, {before['held_out']:.2%} → {after['held_out']:.2%}"
+        was, now = percents(before["held_out"], after["held_out"], 2)
+        held = f", and on {', '.join(held_out)}, not used, {was} → {now}"
     noise = "" if floor is None else f" (noise alone {floor:.2%})"
-    return f"The error on what was used falls {before['train']:.2%} → {after['train']:.2%}{held}{noise}."
+    was, now = percents(before["train"], after["train"], 2)
+    return f"The error on what was used falls {was} → {now}{held}{noise}."
+
+
+def percents(one: float, other: float, digits: int) -> tuple[str, str]:
+    """Two shares in percent, with up to two digits more where they would read the same."""
+    tried = [(f"{one:.{digits + more}%}", f"{other:.{digits + more}%}") for more in range(3)]
+    return next((told for told in tried if told[0] != told[1]), tried[0])
 
 
 def off_by(value: float, reference: float) -> str:
@@ -217,9 +225,10 @@ def _residual_sentence(name: str, records: Sequence[FrfRecord]) -> str:
             for stage in ("before", "after")
         ]
         low, high = record.frequency[lines[0]], record.frequency[lines[-1]]
+        without, with_it = percents(ratio[0], ratio[1], 1)
         text = (
             f"Without {name} the refitted model misses {record.pairs[int(c)]} in '{record.name}' at "
-            f"{low:.1f}–{high:.1f} Hz by {ratio[0]:.1%} of its amplitude, with it by {ratio[1]:.1%}."
+            f"{low:.1f}–{high:.1f} Hz by {without} of its amplitude, with it by {with_it}."
         )
         if best is None or total[b, c] > best[0]:
             best = float(total[b, c]), text
