@@ -73,18 +73,19 @@ class Excitations(Result):
             (str(k), f"{e.condition:.2f}", f"{room:.2g}")
             for k, (e, room) in enumerate(zip(self.found, self.room, strict=True), start=1)
         ]
-        return [Table(("trajectory", "condition number", "least room to a limit"), rows, (1, 2))]
+        return [Table(("trajectory", "condition number", "least room to a limit, SI"), rows, (1, 2))]
 
     def __str__(self) -> str:
         first = self.found[0].fourier
+        what = "trajectory" if len(self.found) == 1 else "trajectories"
         lines = [
-            f"{self.robot.name} · {len(self.found)} trajectories of {first.period_s:g} s, "
+            f"{self.robot.name} · {len(self.found)} {what} of {first.period_s:g} s, "
             f"{first.sine.shape[1]} harmonics of {first.base_hz:g} Hz"
             + (", at rest at both ends" if self.rest else ""),
-            "  trajectory   condition number   least room to a limit",
+            "  trajectory   condition number   least room to a limit, SI",
         ]
         for k, (e, room) in enumerate(zip(self.found, self.room, strict=True)):
-            lines.append(f"  {k + 1:10d}   {e.condition:16.2f}   {room:21.2g}")
+            lines.append(f"  {k + 1:10d}   {e.condition:16.2f}   {room:25.2g}")
         lines.append(f"  mean condition number {np.mean([e.condition for e in self.found]):.2f}")
         if self.files:
             lines.append(f"  {written(self.files)}")

@@ -159,7 +159,7 @@ class StabilityLobes(Result):
         who = case.robot.name if case.robot else "measured FRF"
         lines = [
             f"{who} · {case.name} · {cut.milling} milling, immersion {cut.immersion:g}, {tool.teeth} teeth of "
-            f"{1e3 * tool.diameter_m:g} mm, tip at ({', '.join(f'{v:.3f}' for v in case.point.position)}) m"
+            f"{1e3 * tool.diameter_m:g} mm, tip at ({', '.join(f'{v:z.3f}' for v in case.point.position)}) m"
         ]
         (table,) = self.tables()
         lines.append("  " + "".join(f"{name:>13}" for name in table.header[:4]) + "   kind")

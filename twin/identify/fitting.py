@@ -374,14 +374,22 @@ def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
             "twin diagnose looks for what is missing"
         )
     saturated = np.isfinite(fitted.parameters.bound) & (np.abs(fitted.z) >= fitted.parameters.bound)
+    stopped = []
     for e, full in zip(result.estimates, saturated, strict=True):
         said = f"{e.parameter.name} = {e.value:.4g} {e.parameter.unit}".removesuffix(" 1")
         if full:
-            found.append(f"{said} is saturated: it stops {SATURATED:g} deviations of its tolerance from its prior")
+            stopped.append(said)
         elif abs(e.drift) > LARGE_DRIFT:
             found.append(
                 f"{said} lies {abs(e.drift):.1f} prior deviations from {e.parameter.mean:.4g}: doubt it or its prior"
             )
+    if len(stopped) == 1:
+        found.append(f"{stopped[0]} is saturated: it stops {SATURATED:g} deviations of its tolerance from its prior")
+    elif stopped:
+        found.append(
+            f"{len(stopped)} numbers are saturated: they stop {SATURATED:g} deviations of their tolerances from their "
+            f"priors: {', '.join(stopped)}"
+        )
     for name, posture in result.postures.items():
         for frequency in posture["measured_only"]:
             found.append(f"{name}: no mode of the model pairs with the measured one at {frequency:.4g} Hz")

@@ -134,7 +134,7 @@ def profile(
     """Profile of one parameter: values (points,) and 2Δ of posterior cost with everything else refitted.
 
     At each value the exact cost, less what one Gauss–Newton step of all other parameters takes off; over s², as are the
-    intervals.
+    intervals. The minimum is the lowest cost seen: a fit that was stopped early may not have reached it.
     """
     parameter = estimate.parameter
     index = fit.parameters.names.index(parameter.name)
@@ -155,4 +155,4 @@ def profile(
         cost[k], gradient, information = objective(fit.z + along * move + alone * (x - direction @ fit.z - move))
         pull = across.T @ gradient
         cost[k] -= 0.5 * pull @ np.linalg.solve(across.T @ information @ across, pull)
-    return value, np.asarray(2 * (cost - fit.cost) / fit.scale)
+    return value, np.asarray(2 * (cost - min(fit.cost, cost.min())) / fit.scale)

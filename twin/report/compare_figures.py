@@ -65,12 +65,20 @@ def sections(found: "Compared", drawn: Mapping[str, Path]) -> list[Section]:
     """The parts of the page; ``drawn``: file name → PNG."""
     parts = [Section("Errors", tables=found.tables())]
     for stem, source in _stems(found).items():
-        caption = "What was recorded, and what the robot says: {}."
         begin = f"{stem}-"
         of = {Path(name).stem.removeprefix(begin): path for name, path in drawn.items() if name.startswith(begin)}
-        figures = [(caption.format(name), path) for name, path in of.items()]
+        figures = [(_caption(name), path) for name, path in of.items()]
         parts.append(Section(Path(source).name, figures=figures, plots=_plots(found, source)))
     return parts
+
+
+def _caption(name: str) -> str:
+    """What a figure shows; ``name``: of its file, without the recording's."""
+    if name.startswith("frf-"):
+        return f"FRFs of posture {name.removeprefix('frf-')}, measured and modelled."
+    return {"errors": "Error by posture and band of frequency; dotted, the noise floor."}.get(
+        name, "Recorded and predicted torque after the low-pass, and their difference."
+    )
 
 
 def _plots(found: "Compared", source: str) -> list[Plot]:

@@ -255,7 +255,7 @@ def replay(
             texts.append(f"{curve}: {rms:.3g} rms" + (f", {rms / scale:.1%}" if scale else ""))
         unit = units[i] if units is not None else "N·m"
         torque.set_ylabel(f"{name}, {unit}", fontsize=9)
-        residual.set_ylabel("residual", fontsize=9)
+        residual.set_ylabel(f"residual, {unit}", fontsize=9)
         residual.set_title("   ".join(texts), loc="right", fontsize=8, pad=2)
         for ax in (torque, residual):
             _tidy(ax)

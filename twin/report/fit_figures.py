@@ -6,7 +6,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, ScalarFormatter
+from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, ScalarFormatter, StrMethodFormatter
 
 from twin.identify.elastic_compare import Comparison
 from twin.identify.uncertainty import NINETY, Estimate
@@ -54,7 +54,7 @@ def intervals(estimates: Sequence[Estimate]) -> Figure:
 
 def errors(comparisons: Mapping[str, Comparison]) -> Figure:
     """Error by posture and frequency band, one panel per role (``fitted``, ``held out``)."""
-    figure = Figure(figsize=(5.2 * len(comparisons), 3.4), layout="constrained")
+    figure = Figure(figsize=(max(10.4, 5.2 * len(comparisons)), 3.4), layout="constrained")
     axes = figure.subplots(1, len(comparisons), squeeze=False, sharey=True)[0]
     for ax, (role, comparison) in zip(axes, comparisons.items(), strict=True):
         postures = dict.fromkeys(part["posture"] for part in comparison.parts)
@@ -74,12 +74,14 @@ def errors(comparisons: Mapping[str, Comparison]) -> Figure:
         ax.set_axisbelow(True)
         ax.set_yscale("log")
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter(ScalarFormatter())
+        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         ax.yaxis.set_minor_formatter(NullFormatter())
         ax.set_title(f"{role}: {comparison.error:.2%}", fontsize=10, loc="left")
         ax.set_xlabel("frequency, Hz")
         ax.grid(True, which="both", color="#e3e6ea", linewidth=0.5)
-        ax.legend(fontsize=8, frameon=False, ncols=1 + len(ax.patches) // 7)
+        ax.legend(
+            fontsize=8, frameon=False, ncols=1 + len(ax.patches) // 13, loc="center left", bbox_to_anchor=(1.0, 0.5)
+        )
     axes[0].set_ylabel("error, %")
     return figure
 

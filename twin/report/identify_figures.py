@@ -52,5 +52,5 @@ def sections(result: "Identified", drawn: Mapping[str, Path]) -> list[Section]:
         parts.append(Section(f"Torque, {role}", figures=pick(drawn, f"{file}.png", caption), plots=plots))
     caption = "What is left over time, position and speed, with its mean: a law that is left out shows."
     parts.append(Section("Residual", figures=pick(drawn, "residuals.png", caption)))
-    caption = "The first run: position, torque and their spectra, raw and as they are used."
+    caption = "The first run: torque and position, recorded and low-passed, and the acceleration that follows."
     return [*parts, Section("Signals", figures=pick(drawn, "signals.png", caption))]

@@ -35,7 +35,7 @@ def lobes_chart(found: "StabilityLobes") -> Figure:
         here = lobes.kind == kind
         frequency.plot(lobes.spindle_rpm[here], lobes.frequency_hz[here], ".", color=color, markersize=2.5)
     frequency.set_ylabel("vibrates at, Hz")
-    frequency.set_ylim(bottom=0)
+    frequency.set_ylim(0, 1.1 * float(np.nanmax(lobes.frequency_hz, initial=0.0)) or 1.0)
     _forced(forced, found)
     forced.set_xlabel("spindle speed, rpm")
     for ax in (chart, frequency, forced):
@@ -81,7 +81,8 @@ def _chart(ax: Axes, found: "StabilityLobes") -> None:
     ax.set_ylabel("axial depth of cut, mm")
     ax.set_xlim(rpm[0], rpm[-1])
     ax.set_ylim(0, 1e3 * top)
-    ax.legend(fontsize=8, loc="upper left")
+    columns = -(-len(ax.get_legend_handles_labels()[1]) // 2)
+    ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=columns, frameon=False)
 
 
 def _forced(ax: Axes, found: "StabilityLobes") -> None:
@@ -94,7 +95,7 @@ def _forced(ax: Axes, found: "StabilityLobes") -> None:
     where = "at the safe depth" if found.lobes.safe_m is not None else "at 90 % of the limit"
     ax.set_ylabel(f"{where}, µm", fontsize=9)
     ax.axhline(0, color=_GREY, linewidth=0.6)
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
 
 
 def title(found: "StabilityLobes") -> str:

@@ -32,7 +32,7 @@ def stabilisation_figure(result: ModalResult) -> Figure:
     figure = Figure(figsize=(10, 5.5), layout="constrained")
     below = figure.add_subplot()
     below.semilogy(result.frequency, summation(result.measured), color="0.3", lw=1)
-    below.set(xlabel="frequency [Hz]", ylabel=f"sum of |{result.quantity[0]}| [{result.quantity[1]}]")
+    below.set(xlabel="frequency, Hz", ylabel=f"sum of |{result.quantity[0]}|, {result.quantity[1]}")
     below.set_xlim(result.frequency[0], result.frequency[-1])
     above = below.twinx()
     above.set_ylabel("model order")
@@ -66,15 +66,15 @@ def indicator_figure(result: ModalResult) -> Figure:
     values = cmif(result.measured)
     for k in range(min(4, values.shape[1])):
         axes[0].semilogy(result.frequency, values[:, k], color=PALETTE[k], lw=0.9, label=f"singular value {k + 1}")
-    axes[0].set_ylabel(f"CMIF [{result.quantity[1]}]")
-    axes[0].legend(fontsize=8, ncols=4, loc="upper left")
+    axes[0].set_ylabel(f"CMIF, {result.quantity[1]}")
+    axes[0].legend(fontsize=8, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     for below, (name, values, colour, top) in zip(axes[1:], curves, strict=True):
         below.plot(result.frequency, values, color=colour, lw=0.9)
         below.set(ylabel=name, ylim=(0, top))
     for ax in axes:
         for mode in result.modes:
             ax.axvline(mode.frequency_hz, color="tab:purple", lw=0.7, ls="--", zorder=0)
-    axes[-1].set(xlabel="frequency [Hz]", xlim=(result.frequency[0], result.frequency[-1]))
+    axes[-1].set(xlabel="frequency, Hz", xlim=(result.frequency[0], result.frequency[-1]))
     return figure
 
 
@@ -142,9 +142,9 @@ def overlay_figure(result: ModalResult) -> Figure:
         phase.set(ylim=(-190, 190), yticks=(-180, 0, 180))
         if n % columns == 0:
             size.set_ylabel(result.quantity[1])
-            phase.set_ylabel("phase [°]")
+            phase.set_ylabel("phase, °")
         if n >= len(pairs) - columns:
-            phase.set_xlabel("frequency [Hz]")
+            phase.set_xlabel("frequency, Hz")
     for n in range(len(pairs), rows * columns):
         axes[2 * (n // columns)][n % columns].set_axis_off()
         axes[2 * (n // columns) + 1][n % columns].set_axis_off()
@@ -179,7 +179,7 @@ def mac_figure(
             column, row, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if value > 0.6 else "black"
         )
     axes.set_title(title, fontsize=10)
-    figure.colorbar(image, shrink=0.8)
+    figure.colorbar(image, shrink=0.8).set_label("MAC", fontsize=9)
     return figure
 
 

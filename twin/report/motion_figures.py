@@ -32,7 +32,7 @@ def excitation(robot: Robot, found: Excitation, title: str) -> Figure:
     path = flange_path(robot, motion.position)
     units, _ = axis_units(robot)
     figure = Figure(figsize=(11, 6), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1])
+    grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1], wspace=0.12)
     space = figure.add_subplot(grid[:, 0], projection="3d")
     space.plot(*path.T, color=PALETTE[0], linewidth=1.4)
     if robot.workspace:
@@ -46,10 +46,11 @@ def excitation(robot: Robot, found: Excitation, title: str) -> Figure:
         space.set_box_aspect(np.diff(box, axis=1)[:, 0], zoom=0.85)
     space.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
     space.tick_params(labelsize=7)
+    space.zaxis.labelpad = 8
     series = (
         (motion.position, "position", ""),
         (motion.velocity, "velocity", "/s"),
-        (motion.acceleration, "acc.", "/s²"),
+        (motion.acceleration, "acceleration", "/s²"),
     )
     for k, (values, name, per) in enumerate(series):
         ax = figure.add_subplot(grid[k, 1])
@@ -104,7 +105,7 @@ def signals(robot: Robot, run: MotionRun, bands: Bands) -> Figure:
 
 
 def prediction(robot: Robot, rows: Sequence[Rows], curves: Mapping[str, Sequence[np.ndarray]], title: str) -> Figure:
-    """Measured and predicted torque of some runs, one after the other, and their difference (Figs. 4 and 5).
+    """Recorded and predicted torque of some runs, one after the other, and their difference (Figs. 4 and 5).
 
     Args:
         robot: description.
@@ -123,7 +124,7 @@ def prediction(robot: Robot, rows: Sequence[Rows], curves: Mapping[str, Sequence
         time = np.where(r.valid, r.time - r.time[0] + start, np.nan)
         measured = r.torque + r.known
         for i in range(n):
-            axes[2 * i].plot(time, measured[:, i], color="#111111", linewidth=1.8, label="measured")
+            axes[2 * i].plot(time, measured[:, i], color="#111111", linewidth=1.8, label="recorded")
         for name, predicted in curves.items():
             error = measured - predicted[k]
             squares[name] += [np.sum(error[r.valid] ** 2, axis=0), np.sum(measured[r.valid] ** 2, axis=0)]
@@ -144,7 +145,7 @@ def prediction(robot: Robot, rows: Sequence[Rows], curves: Mapping[str, Sequence
             rms, ratio = np.sqrt(residual[i] / max(count, 1)), np.sqrt(residual[i] / total[i]) if total[i] else np.nan
             texts.append(f"{name}: {rms:.3g} {units[i]} rms, {ratio:.2%}")
         axes[2 * i].set_ylabel(f"joint{i + 1}, {units[i]}", fontsize=9)
-        axes[2 * i + 1].set_ylabel("error", fontsize=9)
+        axes[2 * i + 1].set_ylabel(f"error, {units[i]}", fontsize=9)
         axes[2 * i + 1].set_title("    ".join(texts), loc="right", fontsize=8, pad=2)
         for ax in axes[2 * i : 2 * i + 2]:
             _tidy(ax)

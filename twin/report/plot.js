@@ -2,7 +2,7 @@
 for (const figure of document.querySelectorAll("figure.plot")) {
   const plot = JSON.parse(figure.querySelector("script").textContent);
   figure.hidden = false;
-  const [W, RIGHT, TOP] = [Math.min(760, figure.clientWidth), 12, 12];
+  const [W, RIGHT, TOP] = [Math.min(760, figure.clientWidth), 26, 12]; // right: half of the last number
   const svg = figure.querySelector("svg[role=img]"), choose = figure.querySelector("select"), said = figure.querySelector("output");
   const make = (name, to, attributes, text) => {
     const node = document.createElementNS(svg.namespaceURI, name);
