@@ -11,7 +11,15 @@ from matplotlib.axis import Axis
 from matplotlib.colors import LogNorm, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator, ScalarFormatter
+from matplotlib.ticker import (
+    FixedLocator,
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+    NullLocator,
+    ScalarFormatter,
+)
 
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, Stage
 from twin.diagnose.sentences import Spot, best_spot
@@ -468,12 +476,13 @@ def residual(records: Sequence[LogRecord], robot: Robot) -> Figure:
                 ax.axhspan(-noise, noise, color="#c9ced6", alpha=0.6, linewidth=0, zorder=0)
             _plain(ax, "both")
         axes[i, 0].set_ylabel(f"joint{i + 1}, {torques[i]}", fontsize=9)
-        axes[i, 1].set_xlabel(positions[i], fontsize=8)
-        axes[i, 2].set_xlabel(f"{positions[i]}/s", fontsize=8)
+        axes[i, 1].set_xlabel(f"position, {positions[i]}", fontsize=8)
+        axes[i, 2].set_xlabel(f"velocity, {positions[i]}/s", fontsize=8)
         for ax in axes[i, 1:]:
+            ax.xaxis.set_major_locator(MaxNLocator(5))
             ax.set_ylim(*axes[i, 0].get_ylim())
             ax.set_yticklabels([])
-    axes[-1, 0].set_xlabel("s", fontsize=8)
+    axes[-1, 0].set_xlabel("time, s", fontsize=8)
     for ax, title in zip(axes[0], ("over time", "over position", "over velocity"), strict=True):
         ax.set_title(f"residual torque {title}", fontsize=9.5, loc="left")
     handles = [
