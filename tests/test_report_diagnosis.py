@@ -9,7 +9,7 @@ from scipy.signal import find_peaks
 from twin.diagnose.joint import Knowledge, settled_with, together
 from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord
-from twin.diagnose.sentences import PROMINENCE, _summits, best_spot, off_by, percents, sentence
+from twin.diagnose.sentences import PROMINENCE, _summits, best_spot, fall, off_by, percents, sentence
 from twin.diagnose.torque import pooled
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
 from twin.measure.campaign import Channels
@@ -67,6 +67,9 @@ def test_a_fall_is_told_with_the_digits_that_show_it() -> None:
     assert percents(0.2459, 0.0021, 2) == ("24.59%", "0.21%")
     assert percents(0.0037212, 0.0037078, 2) == ("0.372%", "0.371%")
     assert percents(0.01, 0.01, 2) == ("1.00%", "1.00%")
+    same = {"before": ERRORS["before"], "after": ERRORS["before"], "noise_floor": None}
+    assert "does not fall" in fall(same, ["rigid"])
+    assert "does not fall" not in fall(ERRORS, ["rigid"])
 
 
 def test_peaks_are_those_that_stand_out_on_both_sides() -> None:

@@ -214,9 +214,8 @@ def make_map(
         tool_path = _placed(path, place, place_turn_deg, spacing)
         places, left_out = _along(loaded, asked, tool_path, near, seed, spindle_rpm, path), 0
     elif grid is not None:
-        places, left_out = _at_tips(
-            loaded, asked, work.tip_grid(loaded, grid, _box(loaded, box)), near, seed, spindle_rpm
-        )
+        tips = work.tip_grid(loaded, grid, _box(loaded, box))
+        places, left_out = _at_tips(loaded, asked, tips, near, seed, spindle_rpm)
     elif posture_grid is not None:
         places, left_out = work.posture_grid(loaded, asked, tuple(posture_grid)), 0
         if not len(places):

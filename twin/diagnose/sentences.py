@@ -153,7 +153,8 @@ def fall(errors: dict[str, Any], held_out: Sequence[str]) -> str:
         held = f", and on {', '.join(held_out)}, not used, {was} → {now}"
     noise = "" if floor is None else f" (noise alone {floor:.2%})"
     was, now = percents(before["train"], after["train"], 2)
-    return f"The error on what was used falls {was} → {now}{held}{noise}."
+    verb = "falls" if after["train"] < before["train"] else "does not fall:"
+    return f"The error on what was used {verb} {was} → {now}{held}{noise}."
 
 
 def percents(one: float, other: float, digits: int) -> tuple[str, str]:

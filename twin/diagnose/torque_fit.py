@@ -57,10 +57,8 @@ RINGING = 16  # rows that the low-pass rings before and after a step
 INWARDS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # shares of the way to the described robot, whose links are bodies
 PRESLIDING_TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
-PRESLIDING, APART = (
-    0.5,
-    5e-4,
-)  # share of dry friction that does, per travel: common to all joints, and of one alone
+PRESLIDING = 0.5  # share of dry friction that does, per travel, common to all joints
+APART = 5e-4  # and of one joint alone
 
 
 @dataclass(frozen=True)

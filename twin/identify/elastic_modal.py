@@ -311,7 +311,8 @@ class _Modal(Descended):
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
         _, changed, resonant, cost = self._at(z)
-        values, transform = self.free.values(z), self.free.transform(self.free.values(z))
+        values = self.free.values(z)
+        transform = self.free.transform(values)
         gradient, information = z.copy(), np.eye(len(z))
         for posture, one in zip(self.postures, resonant, strict=True):
             rate = contract(slopes(changed, posture.setup, self.free, values, one.seen, one.model), transform)
@@ -330,10 +331,8 @@ class _Modal(Descended):
             values = self.free.values(z)
             changed = self.free.apply(self.robot, values)
             observed = observe_all(changed, [p.setup for p in self.postures], self.free, values)
-            found = [
-                self._resonant(*of)
-                for of in zip(self.postures, self.pairing, *zip(*observed, strict=True), strict=True)
-            ]
+            beside = zip(self.postures, self.pairing, observed, strict=True)
+            found = [self._resonant(posture, pairs, *seen) for posture, pairs, seen in beside]
             cost = 0.5 * float(z @ z) + sum(0.5 * float(one.residual @ one.residual) for one in found)
             self._last = z.tobytes(), changed, found, cost
         return self._last
