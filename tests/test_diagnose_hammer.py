@@ -81,6 +81,7 @@ def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> N
     assert "3 times the variance" in said
 
 
+@pytest.mark.slow
 def test_a_foundation_that_tilts_is_named(tmp_path: Path) -> None:
     case = recorded(tmp_path, "--seed", "12", "--postures", "4", "--effect", "base_compliance@base.ry")
     decision, base, _ = diagnosed(case, "base_compliance", "payload", "sensor_gain")
@@ -89,6 +90,7 @@ def test_a_foundation_that_tilts_is_named(tmp_path: Path) -> None:
     assert decision.ranked[0].misfit < 1.1 < base.misfit
 
 
+@pytest.mark.slow
 def test_a_joint_that_also_tilts_is_named_though_the_base_model_is_far_off(tmp_path: Path) -> None:
     case = recorded(tmp_path, "--seed", "13", "--postures", "4", without=("transverse_compliance@joint1.x",))
     decision, base, search = diagnosed(case, "transverse_compliance", "servo_compliance", "structural_damping")

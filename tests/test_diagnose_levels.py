@@ -357,6 +357,7 @@ def found_in(campaign: Campaign, robot: Robot) -> tuple[list[str], dict[str, dic
     return [fit.hypothesis.key for fit in decision.ranked], estimates_of(first, first.own), levels, sample
 
 
+@pytest.mark.slow
 def test_hardening_is_found_with_its_size(kr90: Robot, tmp_path: Path) -> None:
     """A cubic spring at joint 1 of a robot with all tolerances is named, and its interval is about its true value."""
     brief = ["--postures", "3", "--spacing-hz", "0.25", "--lines", "90"]

@@ -221,6 +221,7 @@ def test_runs_not_used_judge_a_gain_on_the_torques_that_it_settles_on(tmp_path: 
     assert early == pytest.approx(late, rel=0.1)
 
 
+@pytest.mark.slow
 def test_presliding_is_in_proportion_to_friction_where_none_was_described(tmp_path: Path, kr90: Robot) -> None:
     """Bristles carry dry friction alone: viscous friction left out makes no joint turn round unlike the others."""
     log = recorded(tmp_path, "--friction", "lugre")
@@ -558,6 +559,7 @@ def test_a_fast_ripple_is_found_at_its_own_order_and_not_beside_it(tmp_path: Pat
     assert high - low < 1.0  # the next lobe is further
 
 
+@pytest.mark.slow
 def test_friction_that_differs_by_direction_holds_its_share_through_a_standstill(tmp_path: Path, kr90: Robot) -> None:
     """Bristles hold 45 N·m more than the mean in one direction, at rest too: taken for nothing there they halved it."""
     effect = "asymmetric_friction@joint1:torque_difference=90,viscous_difference=110"

@@ -291,6 +291,7 @@ def small(kind: str, recording: str, seed: int, number: int, sizes: tuple[float,
     return found
 
 
+@pytest.mark.slow
 def test_two_cases_from_recording_to_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command, asked blindly about a null of each kind, names nothing, and the page tells it."""
     monkeypatch.setattr(make, "case", small)
