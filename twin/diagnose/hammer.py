@@ -283,13 +283,17 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
 
 
 def _as_described(base: Robot, search: Search, answer: _Answer, sample: Sample) -> Fitted:
-    """The base model as it would be without the answer: numbers that are answered are held as described."""
-    fit = answer.base
+    """The base model as it would be without the answer: numbers that are answered are held as described.
+
+    Of an axis whose zero is answered, those are the angles of all postures.
+    """
+    fit, parameters = answer.base, search.base.parameters
     held = {name for name, _ in answer.best.hypothesis.scale}
+    zeros = np.flatnonzero(answer.best.robot.encoder_zeros != fit.robot.encoder_zeros)
+    held |= {p.name for p in parameters if p.kind == "posture" and p.axis in zeros}
     if not held:
         return fit
-    names = search.base.parameters.names
-    free = search.base.parameters.select(k for k, name in enumerate(names) if name not in held)
+    free = parameters.select(k for k, name in enumerate(parameters.names) if name not in held)
     known = dict(zip(written_names(fit.parameters).names, fit.values, strict=True))
     z = free.coordinates(np.array([known.get(p.name, p.mean) for p in free]))
     few = descend(base, NONE, free, sample.thin(REFIT_LINES), z, linear=20)

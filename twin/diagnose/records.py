@@ -157,7 +157,8 @@ def frf_records(
     """Every posture of a campaign beside the three models, and the errors of a diagnosis.
 
     Models are judged as they will be written, see :func:`physical`. Where a model was fitted, its own posture angles
-    and gains are used; elsewhere they are re-estimated within the description's tolerances, and nothing else is.
+    and gains are used; elsewhere they are re-estimated within the description's tolerances, and nothing else is: angles
+    of the axes whose angles the model has free.
 
     Args:
         given: the description as it came.
@@ -177,15 +178,16 @@ def frf_records(
         ("after", after.robot, after),
     ):
         robot = physical(robot)
+        stated = _as_recorded(fit) if fit else ()
         seen, unseen = (placed(fit, Sample(tuple(some))).recordings if fit else some for some in (used, kept))
         if fit is None or robot is not fit.robot:
-            train = judge(robot, seen)
+            train = judge(robot, seen, stated=stated)
             on_used, error, of_used = list(train.predicted), train.error, train.angles
         else:
             on_used = Objective(fit.robot, fit.parameters, Sample(tuple(used))).predicted(fit.z)
             error = relative_error(used, on_used)
             of_used = [fit.parameters.posture_error(r.setup.name, fit.values, len(r.setup.q)) for r in used]
-        rest = judge(robot, unseen) if unseen else None
+        rest = judge(robot, unseen, stated=stated) if unseen else None
         predicted[stage] = [*on_used, *(rest.predicted if rest else ())]  # type: ignore[index]
         angles[stage] = [*of_used, *(rest.angles if rest else ())]  # type: ignore[index]
         errors[stage] = {"train": error, "held_out": rest.error if rest else None}
@@ -200,3 +202,9 @@ def frf_records(
             )
         )  # fmt: skip
     return records, errors
+
+
+def _as_recorded(fit: Fitted) -> list[int]:
+    """Axes (zero-based) whose angles a fit takes as recorded, though it has those of others free."""
+    free = {p.axis for p in fit.parameters if p.kind == "posture"}
+    return [axis for axis in range(len(fit.robot.axes)) if free and axis not in free]

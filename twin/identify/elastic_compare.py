@@ -6,7 +6,7 @@ estimated first, within the description's tolerances; ``as_is`` leaves even that
 frequency differences, by posture and mode, as they are: 0.2° moves the KR90's first four modes by less than 0.1 %.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -124,10 +124,14 @@ def comparison(robot: Robot, judged: Judged, source: str) -> Comparison:
     return Comparison(robot.name, judged.error, floor, tuple(parts), estimated, judged)
 
 
-def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False) -> Judged:
-    """Predict recordings, after estimating posture angles and channel gains within their tolerances."""
+def judge(robot: Robot, recordings: Sequence[Recorded], *, as_is: bool = False, stated: Collection[int] = ()) -> Judged:
+    """Predict recordings, after estimating posture angles and channel gains within their tolerances.
+
+    ``stated``: zero-based axes whose angles are taken as recorded.
+    """
     robot = without_limits(robot)
     free = recording_set(robot, recordings) if not as_is else independent([])
+    free = free.select(k for k, p in enumerate(free) if p.kind != "posture" or p.axis not in stated)
     z = np.zeros(len(free))
     if len(free):
         few = coarse(recordings)

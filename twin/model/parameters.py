@@ -74,6 +74,11 @@ class Parameter:
         """What it is there: ``stiffness`` of ``joint1.z.stiffness``."""
         return self.name.rpartition(".")[2]
 
+    @property
+    def axis(self) -> int:
+        """Zero-based, of the error of a posture's angle: 0 of ``posture.p1.q1``."""
+        return int(self.quantity[1:]) - 1
+
     def value(self, x: FloatArray | float) -> Any:
         """Value at x, in ``unit``."""
         return self.mean * np.exp(x) if self.log else self.mean + x
@@ -203,7 +208,7 @@ class Parameters:
         """Errors (axes,) of a posture's angles, rad (m)."""
         error = np.zeros(axes)
         for k in self._turns.get(name, ()):
-            error[int(self.parts[k][1][1:]) - 1] = values[k]
+            error[self.items[k].axis] = values[k]
         return error
 
     @cached_property
