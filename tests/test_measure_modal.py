@@ -100,6 +100,18 @@ ROBOT_F = np.array([10.0, 11.69, 11.83, 19.2, 23.7, 38.0])
 ROBOT_ZETA = np.array([1.4, 0.9, 0.8, 0.5, 0.8, 2.0]) / 100
 
 
+def test_a_peak_that_no_mode_explains_is_said_to_be_none() -> None:
+    """Lines about a resonance that scatter by all of it, as in a test with hardly any coherence."""
+    frequency, rng = np.linspace(1.0, 200.0, 800), np.random.default_rng(0)
+    s = 2j * np.pi * frequency
+    peak = (s**2 / (s**2 + 0.004 * 2 * np.pi * 100 * s + (2 * np.pi * 100) ** 2))[:, None, None]
+    result = identify_modes(posture(frequency, peak * (rng.normal(size=peak.shape) + 1j * rng.normal(size=peak.shape))))
+    assert result.missed_hz == pytest.approx(100.0, abs=2.0)
+    assert "no mode explains the largest response" in str(result)
+    sound = identify_modes(posture(frequency, noisy(peak, 1)))
+    assert (sound.missed_hz, sound.complaint) == (None, "")
+
+
 def robot(frequency: FloatArray, no: int = 23, rate: float = 0.0) -> tuple[ComplexArray, FloatArray]:
     phi = np.random.default_rng(7).normal(size=(no, ROBOT_F.size)) / 20
     return accelerance(frequency, ROBOT_F, ROBOT_ZETA, phi, phi[:3], rate), phi

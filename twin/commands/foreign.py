@@ -61,7 +61,7 @@ class Imported(Result):
 
     def __str__(self) -> str:
         header = self._header()
-        lines = ["; ".join(f"{h} {cell}" for h, cell in zip(header, row, strict=True)) for row in self._rows()]
+        lines = ["; ".join(f"{h} {cell}" for h, cell in zip(header, row, strict=True) if cell) for row in self._rows()]
         lines += [f"note: {note}" for note in self.notes]
         return "\n".join([*lines, *([f"wrote {self.file}"] if self.file else [])])
 

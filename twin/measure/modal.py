@@ -113,6 +113,23 @@ class ModalResult:
         return frac(self.measured, self.synthesised)
 
     @property
+    def missed_hz(self) -> float | None:
+        """The line with the largest FRFs, where the modes leave more than half of their energy there; else ``None``."""
+        power, left = (np.sum(np.abs(x) ** 2, axis=(1, 2)) for x in (self.measured, self.measured - self.synthesised))
+        at = int(np.argmax(power))
+        return float(self.frequency[at]) if left[at] > 0.5 * power[at] else None
+
+    @property
+    def complaint(self) -> str:
+        """That the largest response is no mode's, in words; empty where it is."""
+        if self.missed_hz is None:
+            return ""
+        return (
+            f"no mode explains the largest response, at {self.missed_hz:.4g} Hz: the lines there scatter as much as a "
+            "peak, or something that is not linear answers; try a narrow band about it, and look at the coherence"
+        )
+
+    @property
     def roving(self) -> Literal["response", "excitation"]:
         """The side with more channels, which carries the mode shapes."""
         return "response" if self.measured.shape[1] >= self.measured.shape[2] else "excitation"
@@ -151,6 +168,7 @@ class ModalResult:
                 }
                 for m in self.modes
             ],
+            "missed_hz": self.missed_hz,
         }
 
     def __str__(self) -> str:
@@ -164,6 +182,8 @@ class ModalResult:
                 f"{n:>3} {m.frequency_hz:>10.4f} {m.frequency_std_hz:>9.2g} {m.damping_percent:>8.3f} "
                 f"{m.damping_std_percent:>8.2g} {m.mpc:>6.3f}  {m.remark}".rstrip()
             )
+        if self.complaint:
+            rows.append(f"  {self.complaint}")
         return "\n".join(rows)
 
 

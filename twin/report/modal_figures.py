@@ -238,6 +238,7 @@ def sections(found: "ModalAnalysis", drawn: Mapping[str, Path]) -> list[Section]
     parts = [Section("Modes", warnings=found.notes, tables=found.tables())]
     for name, result in found.results.items():
         checks = [str(check) for check in found.checks.get(name, []) if not check.passed]
+        checks += [result.complaint] if result.complaint else []
         figures = [
             (caption, drawn[f"{name}_{kind}.png"])
             for kind, caption in CAPTIONS.items()
