@@ -1,12 +1,26 @@
 """What mkdocs does to every page: names without the roles of docstrings, nothing from elsewhere, usable by keyboard."""
 
 import re
+from collections.abc import Iterator
 from typing import Any
 
 from mkdocs.utils import get_relative_url
 
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """What the search loads where pages are opened from the disk; a copy is among the site's assets."""
+
+
+def on_page_markdown(markdown: str, config: Any, **_: Any) -> str:
+    """A link that is called by its file, as readers of the repository know it, bears the page's name here."""
+    names = dict(_named(config.nav))
+    return re.sub(r"\[([\w-]+\.md)\]\(", lambda link: f"[{names.get(link[1], link[1])}](", markdown)
+
+
+def _named(nav: Any) -> Iterator[tuple[str, str]]:
+    """File and title of every page."""
+    for item in nav:
+        for title, inside in item.items():
+            yield from [(inside, title)] if isinstance(inside, str) else _named(inside)
 
 
 def on_page_content(html: str, **_: Any) -> str:

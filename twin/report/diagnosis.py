@@ -404,7 +404,7 @@ def _overlay_column(axes: Any, record: FrfRecord, pair: int, spot: Spot | None) 
     phase.set_ylabel("phase, °", fontsize=9)
     phase.set_ylim(start - 10, start + 370)
     phase.yaxis.set_major_locator(FixedLocator(list(range(start, start + 361, 90))))
-    rest.set_ylabel("|residual|", fontsize=9)
+    rest.set_ylabel(f"|residual|,\n{UNITS[record.quantity]}", fontsize=9)
     rest.set_xlabel("frequency, Hz", fontsize=9)
     for ax in axes:
         _plain(ax, "both")
