@@ -9,6 +9,19 @@ from mkdocs.utils import get_relative_url
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """What the search loads where pages are opened from the disk; a copy is among the site's assets."""
 
+NOT_FOUND = """<!doctype html>
+<html lang="en">
+<head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>twin: no such page</title>
+<style>
+:root { color-scheme: light dark }
+body { font: 1rem/1.6 sans-serif; max-width: 40rem; margin: 4rem auto; padding: 0 1rem }
+</style>
+</head>
+<body><main><h1>No such page</h1>
+<p>It may have moved. The <a href="index.html">first page</a> leads on.</p></main></body>
+</html>
+"""
+
 
 def on_page_markdown(markdown: str, config: Any, **_: Any) -> str:
     """A link that is called by its file, as readers of the repository know it, bears the page's name here."""
@@ -47,5 +60,5 @@ def on_post_page(output: str, page: Any, **_: Any) -> str:
 
 
 def on_post_template(output: str, template_name: str, **_: Any) -> str:
-    """The same on the page for what is not found."""
-    return _whole(output, "assets/iframe-worker.js") if template_name.endswith(".html") else output
+    """The page for what is not found stands alone: the theme's asks the server's root for its style."""
+    return NOT_FOUND if template_name == "404.html" else output
