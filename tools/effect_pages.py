@@ -7,6 +7,7 @@ taken out. Another is added, of its usual size.
 
 import argparse
 import inspect
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,6 +37,7 @@ CARRIES = 1  # zero-based: the axis that carries most weight
 FREQUENCY, COARSE = np.linspace(4.0, 60.0, 1500), np.linspace(4.0, 60.0, 150)
 BAND_HZ = (15.0, 15.4)  # of a mode that an effect adds: between the robot's own
 SWING_S, RATE_HZ, SWING_RAD = 8.0, 250.0, 0.5
+WIDTH = 70  # characters of a line of YAML
 SHARE = 0.1  # of an axis' RMS torque: what an added law ordinarily adds, as in twin.diagnose.torque_laws
 LARGER = 2  # prior deviations of an error of either sign, whose usual value is none
 WITHOUT = {"color": "#e8590c", "linewidth": 1.2, "linestyle": "--"}
@@ -140,7 +142,8 @@ def _page(effect: Effect, examples: dict[str, Example]) -> str:
     model = inspect.getdoc(type(effect)) or ""
     parts = [f"# `{effect.name}`", _markdown(law), f"**Seen in** {_kinds(effect)}."]
     parts += ["## In the model", _markdown(model), f"Sites: {', '.join(f'`{site}`' for site in effect.sites)}."]
-    parts += ["\n".join(["| parameter | unit | no effect at | |", "|---|---|---|---|", *map(_row, effect.parameters)])]
+    head = ["| parameter | unit | no effect at | may be |", "|---|---|---|---|"]
+    parts += ["\n".join([*head, *map(_row, effect.parameters)])]
     if examples:
         entries = "".join(dict.fromkeys(_yaml(example.entry) for example in examples.values()))
         parts += [f"In `robot.yaml`, as it is drawn here:\n\n```yaml\nphysics:\n{entries}```", "## What it looks like"]
@@ -156,13 +159,14 @@ def _file(name: str, kind: str) -> str:
 def _row(p: Parameter) -> str:
     size = {0: "", -1: "[ ]"}.get(p.length, f"[{p.length}]")
     null = "" if p.word or p.length < 0 or (p.positive and p.null == 0) else "∞" if p.null == np.inf else f"{p.null:g}"
-    may = ["> 0" if p.positive else "≥ 0" if p.nonnegative else "", "may be left out" if p.optional else ""]
+    may = ["> 0" if p.positive else "≥ 0" if p.nonnegative else "", "left out" if p.optional else ""]
     return f"| `{p.name}`{size} | {p.unit} | {null} | {', '.join(filter(None, may))} |"
 
 
 def _aliases(effect: Effect, examples: dict[str, Example]) -> str:
     here = [(e, c) for e in examples.values() for c in effect.companions(e.without, e.entry.site, e.values)]
-    named = list(dict.fromkeys(f"`{c.effect}` at `{c.site}`" for _, c in here))
+    itself = {(e.entry.effect, e.entry.site) for e in examples.values()}
+    named = list(dict.fromkeys(f"`{c.effect}` at `{c.site}`" for _, c in here if (c.effect, c.site) not in itself))
     if not named:
         return (
             "The file states no rival. [Reading a diagnosis](../diagnosis.md) lists what no recording can tell apart."
@@ -177,7 +181,7 @@ def _tests(effect: Effect) -> str:
     if "hammer" in effect.seen_in:
         tests.insert(0, CHANNEL_TEST if type(effect).record is not Effect.record else HAMMER_TEST)
     if effect.ordinary:
-        return f"It is not looked for by its name: {effect.ordinary}."
+        return f"It is not searched for as an effect: {effect.ordinary}."
     return "\n".join(f"- {test[0].upper()}{test[1:]}." for test in tests) or "The file states none."
 
 
@@ -197,9 +201,16 @@ def _yaml(entry: Entry) -> str:
     stream = StringIO()
     writer = YAML()
     writer.default_flow_style = True
-    writer.width = 10**6  # one line
+    writer.width = WIDTH
+    writer.representer.add_representer(float, _number)
     writer.dump([_rounded(entry.model_dump(mode="json"))], stream)
-    return f"  - {stream.getvalue().strip()[1:-1]}\n"
+    first, *rest = stream.getvalue().strip()[1:-1].splitlines()
+    return "\n".join([f"  - {first.strip()}", *(f"     {line.strip()}" for line in rest), ""])
+
+
+def _number(representer: Any, value: float) -> Any:
+    text = re.sub(r"e\+?(-?)0*", r"e\1", f"{value + 0.0:g}")
+    return representer.represent_scalar("tag:yaml.org,2002:float", text if re.search(r"[.e]", text) else f"{text}.0")
 
 
 def _rounded(value: Any) -> Any:

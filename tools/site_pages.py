@@ -3,7 +3,9 @@
 mkdocs runs this file (plugin `gen-files` in mkdocs.yml).
 """
 
+import html
 import inspect
+import re
 import tempfile
 from pathlib import Path
 
@@ -39,7 +41,7 @@ def commands() -> str:
     for name, command in root.commands.items():  # type: ignore[attr-defined]
         parts += [f"## twin {name}", inspect.cleandoc(command.help or "")]
         records = [record for p in command.params if (record := p.get_help_record(context))]
-        rows = [f"| `{_cell(written)}` | {_cell(said)} |" for written, said in records]
+        rows = [f"| <code>{_written(name)}</code> | {_cell(said)} |" for name, said in records]
         parts.append("\n".join(["| argument or option | |", "|---|---|", *rows]))
     return "\n\n".join(parts) + "\n"
 
@@ -47,8 +49,12 @@ def commands() -> str:
 def reference() -> str:
     """Every public name of the package, from its docstring."""
     parts = ["# Python, every function", "Made from the docstrings. [api.md](api.md) shows how they work together."]
-    for name, home in twin._HOME.items():
-        parts.append(f"::: {home}.{name}\n    options:\n      heading: twin.{name}\n      toc_label: {name}")
+    for name in twin._HOME:
+        there = getattr(twin, name)  # under the name that it has at home
+        parts.append(
+            f"::: {there.__module__}.{there.__qualname__}\n    options:\n      heading: twin.{name}\n"
+            f"      toc_label: {name}"
+        )
     return "\n\n".join(parts) + "\n"
 
 
@@ -57,8 +63,18 @@ def changelog() -> str:
     return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
+KINDS = {"int range": "N", "int": "N", "float": "NUMBER", "str": "TEXT", "path": "PATH", "list[Path]": "PATH"}
+
+
+def _written(option: str) -> str:
+    """An option with the kind of its value in plain words, for a code element: a bar splits no cell there."""
+    option = re.sub(r"<([^>]+)>", lambda kind: KINDS.get(kind[1], kind[1]), option)
+    return html.escape(option).replace("|", "&#124;")
+
+
 def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
+    text = re.sub(r" \[[\d.e+]+<=x<=[\d.e+]+\]", "", " ".join(text.split()))
+    return text.replace("|", "\\|")
 
 
 def write() -> None:

@@ -50,7 +50,7 @@ Without = Annotated[
 Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for everything that is written.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else on standard output.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random choice.")]
-NoSeed = Annotated[int, typer.Option("--seed", min=0, help="Taken as everywhere; nothing here is random.")]
+NoSeed = Annotated[int, typer.Option("--seed", min=0, help="Every command takes it; nothing here is random.")]
 Timeout = Annotated[
     float | None,
     typer.Option(

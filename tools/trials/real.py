@@ -121,7 +121,9 @@ def section(content: dict[str, Any]) -> str:
                   f"else {_share(d['probabilities'].get('other'))}.", ""]  # fmt: skip
         for e in d["effects"]:
             rivals = ", ".join(
-                f"{a['effect']}@{a['site']} {_share(a['probability'])}" for a in e.get("alternatives", [])
+                f"{a['effect']}@{a['site']} {_share(a['probability'])}"
+                for a in e.get("alternatives", [])
+                if _share(a["probability"]) != "0%"
             )
             values = "; ".join(f"{k} {_value(v)}" for k, v in (e.get("parameters") or {}).items())
             said = f"- {e['effect']}@{e['site']} {_share(e['probability'])}"

@@ -14,7 +14,7 @@ import numpy as np
 
 from tools.trials import baselines, score
 from tools.trials.cases import SIZES
-from tools.trials.score import Rate, Scored
+from tools.trials.score import Rate, Scored, often
 
 WANTED: dict[str, tuple[str, float]] = {  # sign: at most, at least
     "false alarms": ("≤", 0.05),
@@ -85,7 +85,7 @@ def page(
         f"# {title}", "",
         *([first.strip(), "", "## Robots as described", ""] if first else []),
         f"{len(cases)} of {len(manifest['cases'])} cases ({kinds}), judged by engine {', '.join(engines)}"
-        f"{'' if len(engines) == 1 else ' — **more than one**'}; the answers have been opened {len(openings)} time(s).",
+        f"{'' if len(engines) == 1 else ' — **more than one**'}; the answers have been opened {often(len(openings))}.",
         "", EXPLAINED.format(sizes=manifest.get("sizes", SIZES)), "",
         "Run it again: `make proof`; other mixes and sizes: `python -m tools.trials --help`.", "",
         "## Scores", "", *_scores(cases), "",
@@ -128,7 +128,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
 
 
 def _shown(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return "–" if value != value else f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _met(name: str, value: object) -> str:

@@ -302,6 +302,11 @@ def fault(c: Scored) -> str:
     return "not seen" if c.verdict == "adequate" else "seen, not named"
 
 
+def often(n: int) -> str:
+    """Once, twice, 3 times."""
+    return {1: "once", 2: "twice"}.get(n, f"{n} times")
+
+
 def _rate(flags: Sequence[bool]) -> Rate:
     return Rate(sum(map(bool, flags)), len(flags))
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tools.trials.score import HELD_ROOM, Rate, aliases, last_line, named_parameters, numbers
+from tools.trials.score import HELD_ROOM, Rate, aliases, last_line, named_parameters, numbers, often
 from tools.trials.visible import SEEN
 from tools.trials.wrong import OWN
 from tools.truth.wrong import LACKING_NOTHING, WAYS
@@ -280,7 +280,7 @@ def section(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger
     parts = [
         "## When the description or the recording is wrong", "",
         f"{len(cases)} of {drawn} cases, judged by engine {', '.join(engines)}{many}; the answers have been opened "
-        f"{opened} time(s).", "",
+        f"{often(opened)}.", "",
         EXPLAINED, "",
         *table(("score", "measured", "wanted"), scores), "",
         *table(("answers", *recordings, "together"), by_class), "",

@@ -151,7 +151,10 @@ class StabilityLobes(Result):
                 f"{found.spindle_rpm[k]:.0f} rpm", f"{'> ' if none else ''}{1e3 * found.depth_m[k]:.3g} mm", safe,
                 "" if none else f"{found.frequency_hz[k]:.1f} Hz", str(found.kind[k]).replace("_", " "),
             ))  # fmt: skip
-        return [Table(("speed", "limit", "safe 90 %", "vibrates at", "kind"), rows, (0, 1, 2, 3))]
+        head = ("speed", "limit", "safe 90 %", "vibrates at", "kind")
+        shown = [k for k in range(len(head)) if k != 2 or found.safe_m is not None]
+        cells = [[row[k] for k in shown] for row in rows]
+        return [Table([head[k] for k in shown], cells, range(len(shown) - 1))]
 
     def __str__(self) -> str:
         case, found = self.case, self.lobes
@@ -162,8 +165,8 @@ class StabilityLobes(Result):
             f"{1e3 * tool.diameter_m:g} mm, tip at ({', '.join(f'{v:z.3f}' for v in case.point.position)}) m"
         ]
         (table,) = self.tables()
-        lines.append("  " + "".join(f"{name:>13}" for name in table.header[:4]) + "   kind")
-        lines += ["  " + "".join(f"{cell:>13}" for cell in row[:4]) + f"   {row[4]}" for row in table.rows]
+        lines.append("  " + "".join(f"{name:>13}" for name in table.header[:-1]) + "   kind")
+        lines += ["  " + "".join(f"{cell:>13}" for cell in row[:-1]) + f"   {row[-1]}" for row in table.rows]
         lowest = int(np.argmin(found.depth_m))
         lines.append(f"  least limit {1e3 * found.depth_m[lowest]:.3g} mm at {found.spindle_rpm[lowest]:.0f} rpm")
         place = self._place(found.productive())

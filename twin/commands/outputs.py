@@ -19,6 +19,7 @@ from types import TracebackType
 from twin.errors import InputError
 from twin.parallel import Progress, silent
 from twin.result import Result
+from twin.robot.description import SHIPPED
 from twin.stopping import hold, holds, unfinished
 
 STAGED = ".writing"  # ends the name of a stage
@@ -96,7 +97,7 @@ class Outputs:
 
         images = self.draw(result, progress)
         told = import_module(result.drawn_by)
-        inputs = [f"{name} {digest[:12]}" for name, digest in result.origin["inputs"].items()]
+        inputs = [f"{_called(name)} {digest[:12]}" for name, digest in result.origin["inputs"].items()]
         footer = " · ".join([f"twin {result.origin['version']}", *inputs])
         write_html(self(page), told.title(result), told.lead(result), told.sections(result, images), footer)
 
@@ -179,6 +180,11 @@ def exchange(stage: Path, place: Path) -> None:
     place.rename(aside)
     stage.rename(place)
     aside.rename(stage)
+
+
+def _called(name: str) -> str:
+    """A shipped file by its name: where the package is installed is nobody's business."""
+    return Path(name).name if Path(name).is_relative_to(SHIPPED) else name
 
 
 def _link(source: str, target: str) -> None:

@@ -43,6 +43,8 @@ def smallest_visible(
         one, two = (
             residual - changed.residual(hypothesis.of_size(fit.z, size)) for size in (SLOPE_SIZE, 2 * SLOPE_SIZE)
         )
+        if np.linalg.norm(two - one) < np.linalg.norm(one) / 2:
+            continue  # something is left at size nought: a slab without mass still stands on its springs
         tangent = (4 * one - two) / (2 * SLOPE_SIZE)  # one-sided: a size has a sign
         across = J @ tangent
         energy = float(tangent @ tangent - across @ inverse @ across)

@@ -44,7 +44,8 @@ class MotionRun:
         time: (nt,) s, one clock over all runs of a campaign.
         position: (nt, n) rad (m).
         torque: (nt, n) N·m (N), or ``None`` in a trajectory.
-        velocity, acceleration: (nt, n), where given.
+        velocity: (nt, n) rad/s (m/s), where given.
+        acceleration: (nt, n) rad/s² (m/s²), where given.
         link_position: (nt, n) rad (m), a second encoder on the link side, where there is one.
         sample_rate_hz: nominal rate.
     """

@@ -75,7 +75,7 @@ def sections(found: "Compared", drawn: Mapping[str, Path]) -> list[Section]:
 def _caption(name: str) -> str:
     """What a figure shows; ``name``: of its file, without the recording's."""
     if name.startswith("frf-"):
-        return f"FRFs of posture {name.removeprefix('frf-')}, measured and modelled."
+        return f"FRFs in '{name.removeprefix('frf-')}', measured and modelled."
     return {"errors": "Error by posture and band of frequency; dotted, the noise floor."}.get(
         name, "Recorded and predicted torque after the low-pass, and their difference."
     )

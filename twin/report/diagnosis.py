@@ -182,22 +182,13 @@ def smallest_visible(items: Sequence[dict[str, Any]], robot: Robot) -> Figure:
         ratios = np.array([ratio for ratio, _ in shown[name]])
         ax.plot([ratios.min(), ratios.max()], [y, y], color="#c9ced6", linewidth=1.2, zorder=1)
         ax.plot(ratios, np.full(len(ratios), y), "o", markersize=4.5, color=COLOURS["after"], alpha=0.75)
-        best, worst = min(shown[name]), max(shown[name])
         if len(shown[name]) > 1:
-            ax.annotate(
-                worst[1], (worst[0], y), (6, 0), textcoords="offset points", va="center", fontsize=7, color="#51606f"
-            )
-            ax.annotate(
-                best[1],
-                (best[0], y),
-                (-6, 0),
-                textcoords="offset points",
-                va="center",
-                ha="right",
-                fontsize=7,
-                color="#51606f",
-            )
-    ax.axvline(1, color=_INK, linewidth=0.9)
+            for (ratio, site), aside, side in ((max(shown[name]), 6, "left"), (min(shown[name]), -6, "right")):
+                ax.annotate(
+                    site, (ratio, y), (aside, 0), textcoords="offset points", va="center", ha=side, fontsize=7,
+                    color="#51606f", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+                )  # fmt: skip
+    ax.axvline(1, color=_INK, linewidth=0.9, zorder=0)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
     ax.set_xlim(low / 30, high * 6)
@@ -404,7 +395,7 @@ def _overlay_column(axes: Any, record: FrfRecord, pair: int, spot: Spot | None) 
     phase.set_ylabel("phase, °", fontsize=9)
     phase.set_ylim(start - 10, start + 370)
     phase.yaxis.set_major_locator(FixedLocator(list(range(start, start + 361, 90))))
-    rest.set_ylabel("|residual|", fontsize=9)
+    rest.set_ylabel(f"|residual|,\n{UNITS[record.quantity]}", fontsize=9)
     rest.set_xlabel("frequency, Hz", fontsize=9)
     for ax in axes:
         _plain(ax, "both")
@@ -518,7 +509,7 @@ def torque(records: Sequence[LogRecord], robot: Robot) -> Figure:
             bottom.axhspan(-r.noise[i], r.noise[i], color="#c9ced6", alpha=0.6, linewidth=0, zorder=0)
         top.set_title(f"joint{i + 1} in '{r.name}' ({'held out' if r.held_out else 'used'})", fontsize=10, loc="left")
         top.set_ylabel(f"torque, {units[i]}", fontsize=9)
-        bottom.set_ylabel("residual", fontsize=9)
+        bottom.set_ylabel(f"residual, {units[i]}", fontsize=9)
         bottom.set_xlabel("time, s", fontsize=9)
         for ax in (top, bottom):
             _plain(ax, "both")
@@ -663,7 +654,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
         for heading, text, names, plots in (
             ("Where it shows", "", ("overlay.png", "torque.png", "modes.png"), _plots(finding)),
             (
-                "Where the model without it misses",
+                "Where the model without it misses" if verdict.missing else "Where the model misses most",
                 _location_text(finding),
                 ("mismatch.png", "residual.png", "sites.png"),
                 [mismatch_map(frfs)] if frfs else [],

@@ -112,7 +112,7 @@ def sections(found: "FitResult", drawn: Mapping[str, Path]) -> list[Section]:
 
 
 def _frfs(drawn: Mapping[str, Path]) -> list[tuple[str, Path]]:
-    caption = "FRFs of posture {}, measured and modelled."
+    caption = "FRFs in '{}', measured and modelled."
     return [
         (caption.format(Path(name).stem.removeprefix("frf-")), path)
         for name, path in drawn.items()

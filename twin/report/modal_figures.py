@@ -248,6 +248,6 @@ def sections(found: "ModalAnalysis", drawn: Mapping[str, Path]) -> list[Section]
         labels = result.response_label or [str(r) for r in range(result.measured.shape[1])]
         blows = result.excitation_label or [str(e) for e in range(result.measured.shape[2])]
         plots = [frf_plot(frf_panels(name, result.frequency, curves, labels, blows), *result.quantity)]
-        parts.append(Section(f"Posture {name}", warnings=checks, figures=figures, plots=plots))
-    across = pick(drawn, "_mac.png", "Likeness of the shapes of two postures (MAC): {}.")
+        parts.append(Section(f"Posture '{name}'", warnings=checks, figures=figures, plots=plots))
+    across = pick(drawn, "_mac.png", "Likeness of the shapes of two postures (MAC).")
     return [*parts, Section("Between postures", figures=across)]
