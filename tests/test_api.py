@@ -167,7 +167,7 @@ def test_the_pages_of_the_docs_run(page: str, tmp_path: Path, monkeypatch: pytes
     try:
         for language, code in re.findall(r"^```(\w+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
             if language == "bash":
-                for line in code.splitlines():
+                for line in code.replace("\\\n", " ").splitlines():
                     words = shlex.split(line)
                     assert words[:3] == ["python", "-m", "tools.truth"]
                     assert truth(words[3:]) == 0
