@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 
 from tests.test_pinocchio import rigid_model
+from twin.errors import NumericalError
 from twin.identify.base_parameters import structural_base
 from twin.model.regressor import (
     Regressor,
@@ -214,6 +215,12 @@ def test_entries_add_the_laws_of_their_effects(kr90: Robot) -> None:
     np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())  # motors weigh 1 mg in MuJoCo
     back = regressor.robot_with(regressor.described)
     np.testing.assert_allclose(inverse_dynamics(back, motion), theirs, atol=1e-8 * np.abs(theirs).max())
+
+
+def test_numbers_that_no_robot_has_are_told_as_the_calculation_s(kr90: Robot) -> None:
+    regressor = Regressor(kr90)
+    with pytest.raises(NumericalError, match=r"links\[0\].mass: what the log asks for is no robot .*at most 1e\+07"):
+        regressor.robot_with(regressor.described * 1e6)
 
 
 def test_a_coupled_motor_turns_with_both_axes(kr90: Robot) -> None:

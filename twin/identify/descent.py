@@ -11,6 +11,8 @@ STRAIGHT = 0.02  # of a step: a bend that corrects less is not asked for again,
 KEPT = 0.9  # while steps keep so much of what they promise
 HOPE = 5.0  # times the expected gain: more is not hoped for
 SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
+LACKING = 10.0  # χ² per datum: a model that misses by more lacks something, whatever its numbers
+CRAWL = 3e-4  # of the misfit beyond that: a step that gains less hardly moves
 
 
 class Descended:
@@ -18,9 +20,11 @@ class Descended:
 
     Attributes:
         free: the parameters that z stands for.
+        bends: whether :meth:`bend` will be asked for; what it needs is then kept.
     """
 
     free: Parameters
+    bends: bool = True
 
     @property
     def data(self) -> float:
@@ -50,12 +54,14 @@ def minimise(
     bound: FloatArray | None = None,
     slack: float = SLACK,
     reach: float = LARGEST_STEP,
+    patience: int | None = None,
 ) -> tuple[FloatArray, float, FloatArray, bool]:
     """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of the valley it goes
     along (geodesic acceleration; Transtrum and Sethna, arXiv:1201.5885): z, cost, Gauss–Newton matrix, and whether
     the expected gain fell below ``tolerance``, or below a share ``slack`` of the misfit beyond noise: where that is
     large the model lacks something. With ``bound`` (n,) it stays within |z| ≤ bound. It is given up where ``HOPE``
-    times the expected gain does not bring it below ``hopeless``.
+    times the expected gain does not bring it below ``hopeless``. With ``patience``, also where so many steps in turn
+    gained less than ``CRAWL`` each, in the mean: along the valley of a model that is ``LACKING``.
 
     The region is a ball in the prior's metric, so that what holds steps back are parameters that the data hardly hold
     (the logarithm of a damper near zero) and those it shortens; directions the data hold well are left to Newton. The
@@ -64,8 +70,10 @@ def minimise(
     the radius ``reach``.
     """
     data, bent = objective.data, True
+    objective.bends = bound is None
     log = np.array([p.log for p in objective.free]) * np.diag(objective.free.root)
     cost, gradient, information = objective(z)
+    costs = [cost]
     for _ in range(iterations):
         if not (np.isfinite(cost) and np.isfinite(information).all()):
             return z, np.inf, np.eye(len(z)), False
@@ -73,6 +81,9 @@ def minimise(
         if expected < max(tolerance, slack * (cost - 0.55 * data)):
             return z, cost, information, True
         if cost - HOPE * expected > hopeless:
+            return z, cost, information, False
+        least = CRAWL * (cost - 0.5 * LACKING * data)
+        if patience and len(costs) > patience and costs[-1 - patience] - cost < patience * least:
             return z, cost, information, False
         slope = objective.free.along(z, gradient)
         curvature, axes = np.linalg.eigh(information + np.diag(np.maximum(log * (slope - z), 0)))
@@ -104,6 +115,7 @@ def minimise(
             reach *= 3
         z = end
         cost, gradient, information = objective(z)
+        costs.append(cost)
     return z, cost, information, False
 
 

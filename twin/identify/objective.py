@@ -118,7 +118,7 @@ class Objective(Cost):
     held: FloatArray | None = None
     among: tuple[int, ...] | None = None
     rows: list[tuple[FloatArray, FloatArray, NDArray[np.intp]]] = field(default_factory=list)
-    _slow: dict[str, Observed] = field(default_factory=dict, repr=False)
+    _slow: list[Observed] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -129,7 +129,7 @@ class Objective(Cost):
 
         Central differences are then taken at the angles as recorded: that changes a slope by less than a thousandth.
         """
-        return replace(self, held=z, among=tuple(among), rows=[])
+        return replace(self, held=z, among=tuple(among), rows=[], _slow=[])
 
     def whole(self, z: FloatArray) -> FloatArray:
         """Coordinates of all parameters."""
@@ -195,10 +195,10 @@ class Objective(Cost):
             gradient[moves] += G @ e
             information[np.ix_(moves, moves)] += G @ G.T
             held += G.nbytes
-            if not self.logarithmic and held <= ROWS:
+            if held > ROWS:
+                self.rows.clear()
+            elif self.bends and not self.logarithmic:
                 self.rows.append((e, G, moves))
-        if held > ROWS:
-            self.rows.clear()
         return cost, gradient, information
 
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
@@ -226,16 +226,17 @@ class Objective(Cost):
         transform, own = self.parameters.transform(values), values
         if self.among is not None:
             transform, own = transform[np.ix_(self.among, self.among)], values[list(self.among)]
-        changes: Changes = {}
-        for r, (seen, model) in zip(self.sample.recordings, self._observed(robot, values), strict=True):
+        changes, observed = Changes(), self._observed(robot, values)
+        if self.exact and not self._slow:
+            setups, models = [r.setup for r in self.sample.recordings], [model for _, model in observed]
+            self._slow.extend(sag_slopes(robot, setups, self.free, own, models))
+        for k, (r, (seen, model)) in enumerate(zip(self.sample.recordings, observed, strict=True)):
             some = np.array(self.free.seen_in(r.setup.name))
             columns = np.flatnonzero(transform[some].any(axis=0))
             rate = rates(robot, r.setup, self.free, own, seen, model, changes, some)
             if self.exact:
-                if r.group not in self._slow:
-                    self._slow[r.group] = sag_slopes(robot, r.setup, self.free, own, model)
-                slow = self._slow[r.group].arrays()
-                rate = Observed.of(a + b[some] for a, b in zip(rate.arrays(), slow, strict=True))
+                slow = self._slow[k].arrays()
+                rate = Observed.of(a + b for a, b in zip(rate.arrays(), slow, strict=True))
             rate = contract(rate, transform[np.ix_(some, columns)])
             moves = moving(rate)
             felt = Observed.of(array[moves] for array in rate.arrays())

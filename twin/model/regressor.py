@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from twin.errors import InputError, NumericalError
 from twin.physics import CATALOGUE
 from twin.physics.effect import axis_of
 from twin.physics.motion import Motion
@@ -408,7 +409,11 @@ class Regressor:
         return total
 
     def robot_with(self, values: np.ndarray) -> Robot:
-        """The description with the parameters (p,) in place of its own; its links must be physically possible."""
+        """The description with the parameters (p,) in place of its own; its links must be physically possible.
+
+        Raises:
+            NumericalError: a number is of a size that no robot has.
+        """
         found = {column.name: float(value) for column, value in zip(self.columns, values, strict=True)}
         data = self.robot.model_dump(mode="json")
         for i, link in enumerate(data["links"]):
@@ -424,4 +429,9 @@ class Regressor:
                 width = len(effect.linear_parts(entry.values))
                 written.update(effect.with_linear(entry.values, [float(x) for x in values[k : k + width]]))
                 k += width
-        return parse_robot(data, self.robot.name)
+        try:
+            return parse_robot(data, self.robot.name)
+        except InputError as error:
+            remedy = "look for torque in another unit, or of another robot"
+            said = f"what the log asks for is no robot ({error.expected}); {remedy}"
+            raise NumericalError(self.robot.name, error.field, said) from None

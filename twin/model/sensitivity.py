@@ -599,23 +599,37 @@ def slopes(
     return out
 
 
-def sag_slopes(robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, model: Structure) -> Observed:
-    """What :func:`slopes` leaves out (n, …): derivatives of what sag changes, by central differences.
+def sag_slopes(
+    robot: Robot, setups: Sequence[Setup], parameters: Parameters, values: FloatArray, models: Sequence[Structure]
+) -> list[Observed]:
+    """What :func:`slopes` leaves out: derivatives of what sag changes, by central differences, for every posture.
 
-    They are 1e-3 of the others and hardly vary: one evaluation serves a whole descent.
+    They are 1e-3 of the others and hardly vary: one evaluation serves a whole descent. Rows are those parameters that
+    the posture sees, :meth:`Parameters.seen_in`. What no spring moves, as damping, is zero and takes no memory.
     """
-    seen, _ = observe(robot, setup, parameters, values)
-    out = Observed.of(np.zeros((len(parameters), *array.shape)) for array in seen.arrays())
-    share = parameters.sag(values)
-    for p, parameter in enumerate(parameters):
+    share, seen = parameters.sag(values) or 0.0, observe_all(robot, setups, parameters, values)
+    rows = [{p: row for row, p in enumerate(parameters.seen_in(setup.name))} for setup in setups]
+    found = [
+        [np.broadcast_to(0.0, (len(own), *a.shape)) for a in one.arrays()]
+        for own, (one, _) in zip(rows, seen, strict=True)
+    ]
+    for p, parameter in enumerate(parameters if share else ()):
         moves = parameter.kind == "link" or (parameter.kind == "spring" and parameter.quantity == "stiffness")
-        moves = moves or (parameter.kind == "posture" and parameter.site == f"posture.{setup.name}")
-        if share and (moves or _curved(parameter, parameter.site, setup, model)):
-            for target, change in zip(
-                out.arrays(), _difference(robot, setup, parameters, values, p, True), strict=True
-            ):
-                target[p] = share * change
-    return out
+        some = [
+            k
+            for k, (setup, model) in enumerate(zip(setups, models, strict=True))
+            if moves
+            or (parameter.kind == "posture" and parameter.site == f"posture.{setup.name}")
+            or _curved(parameter, parameter.site, setup, model)
+        ]
+        changes = _differences(robot, [setups[k] for k in some], parameters, values, p, True) if some else []
+        for k, change in zip(some, changes, strict=True):
+            for field, array in enumerate(change):
+                if array.any():
+                    if not found[k][field].flags.writeable:
+                        found[k][field] = np.zeros(found[k][field].shape)
+                    found[k][field][rows[k][p]] = share * array
+    return [Observed.of(arrays) for arrays in found]
 
 
 def _curved(parameter: Parameter, site: str, setup: Setup, model: Structure) -> bool:
@@ -633,21 +647,31 @@ def _difference(
     robot: Robot, setup: Setup, parameters: Parameters, values: FloatArray, p: int, sag: bool = False
 ) -> list[FloatArray]:
     """Central differences of :func:`observe`, or of what sag adds to it, with respect to one parameter's value."""
+    return _differences(robot, [setup], parameters, values, p, sag)[0]
+
+
+def _differences(
+    robot: Robot, setups: Sequence[Setup], parameters: Parameters, values: FloatArray, p: int, sag: bool = False
+) -> list[list[FloatArray]]:
+    """:func:`_difference` for several postures."""
     step = parameters[p].step(values[p])
 
-    def at(value: float) -> Observed:
+    def at(value: float) -> list[Observed]:
         shifted = values.copy()
         shifted[p] = value
-        seen, _ = observe(parameters.apply_one(robot, p, value), setup, parameters, shifted, sagging=sag)
-        return seen.sag or seen
+        moved = observe_all(parameters.apply_one(robot, p, value), setups, parameters, shifted, sagging=sag)
+        return [seen.sag or seen for seen, _ in moved]
 
     above, below = values[p] + step, values[p] - step
     high, low = at(above), at(below)
-    if high.M.shape != low.M.shape:  # on one side of the value what it belongs to has vanished, and its coordinate
+    if high[0].M.shape != low[0].M.shape:  # on one side what it belongs to has vanished, and its coordinate
         here = at(values[p])
-        high, above = (high, above) if high.M.shape == here.M.shape else (here, values[p])
-        low, below = (low, below) if low.M.shape == here.M.shape else (here, values[p])
-    return [(a - b) / (above - below) for a, b in zip(high.arrays(), low.arrays(), strict=True)]
+        high, above = (high, above) if high[0].M.shape == here[0].M.shape else (here, values[p])
+        low, below = (low, below) if low[0].M.shape == here[0].M.shape else (here, values[p])
+    return [
+        [(a - b) / (above - below) for a, b in zip(up.arrays(), down.arrays(), strict=True)]
+        for up, down in zip(high, low, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
