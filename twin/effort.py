@@ -12,15 +12,21 @@ SECONDS = {  # per sample and axis, or per line and channel, on one core: `pytho
     ("compare", "frf-campaign"): 2.0e-6,
     ("diagnose", "motion-log"): 1e-5,  # at least: it was not run to its end
     ("fit", "frf-campaign"): 3.6e-4,  # of 12 postures, one start, a model that lacks something; taken to hold for more
-    ("diagnose", "frf-campaign"): 1.3e-3,  # of 200 postures, 14 of them searched; eight take less
+    ("diagnose", "frf-campaign"): 3.4e-4,  # of 8 postures
 }
-MOST = {("diagnose", "frf-campaign"): SEARCHED}  # values after which there is no more to do but to judge
+JUDGED = {  # values that are worked on, and seconds per value of the others, which judge what was found: of 200 postures
+    ("diagnose", "frf-campaign"): (SEARCHED, 7e-5),
+}
 
 
 def expected_s(command: str, recordings: Iterable[str | Path]) -> float:
     """Seconds a command is expected to take on recordings; what cannot be read counts nothing, it is refused later."""
     sizes = [((command, kind), values) for kind, values in map(_size, recordings)]
-    return sum(SECONDS.get(work, 0.0) * min(values, MOST.get(work, values)) for work, values in sizes)
+    total = 0.0
+    for work, values in sizes:
+        most, judging = JUDGED.get(work, (values, 0.0))
+        total += SECONDS.get(work, 0.0) * min(values, most) + judging * max(values - most, 0)
+    return total
 
 
 def told(seconds: float) -> str:
