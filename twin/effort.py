@@ -14,7 +14,7 @@ SECONDS = {  # per sample and axis, or per line and channel, on one core: `pytho
     ("fit", "frf-campaign"): 3.6e-4,  # of 12 postures, one start, a model that lacks something; taken to hold for more
     ("diagnose", "frf-campaign"): 3.4e-4,  # of 8 postures
 }
-JUDGED = {  # values that are worked on, and seconds per value of the others, which judge what was found: of 200 postures
+JUDGED = {  # values that are worked on, and seconds per value of the others, which judge: of 200 postures
     ("diagnose", "frf-campaign"): (SEARCHED, 7e-5),
 }
 
