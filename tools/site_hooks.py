@@ -15,6 +15,7 @@ NOT_FOUND = """<!doctype html>
 <style>
 :root { color-scheme: light dark }
 body { font: 1rem/1.6 sans-serif; max-width: 40rem; margin: 4rem auto; padding: 0 1rem }
+a { color: inherit }
 </style>
 </head>
 <body><main><h1>No such page</h1>
