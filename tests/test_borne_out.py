@@ -89,3 +89,10 @@ def test_an_error_that_does_not_fall_names_nothing(kr90: Robot, rng: np.random.G
     """What was used gains much, what was held out is as good without: nobody would see the answer there."""
     used, kept = record(rng, 3.0, 0.0, False), record(rng, 0.0, 0.0, True)
     assert borne_out(verdict(kr90, used, kept)).missing == []
+
+
+def test_a_zero_must_gain_over_angles_that_are_free(kr90: Robot, rng: np.random.Generator) -> None:
+    """Beside angles held as recorded any zero lowers the error: what it gains over free ones is stated apart."""
+    given = verdict(kr90, record(rng, 3.0, 0.0, False), record(rng, 3.0, 0.0, True))
+    assert borne_out(given) is given
+    assert borne_out(replace(given, findings=[replace(given.findings[0], gain=1.0)])).missing == []

@@ -46,7 +46,8 @@ def falls(finding: Finding) -> bool:
     before, after = (finding.error[stage] for stage in ("before", "after"))
     part = "train" if before["held_out"] is None else "held_out"
     if any(isinstance(record, FrfRecord) for record in finding.records):
-        return gained(finding.records) >= calibration()["seen"] and bool(after[part] < before[part])
+        gain = gained(finding.records) if finding.gain is None else finding.gain
+        return gain >= calibration()["seen"] and bool(after[part] < before[part])
     if finding.missing and all(effect_named(m.first.effect).part == "play" for m in finding.missing):
         return True  # the second encoder shows a gap, which the torque does not feel
     records = [r for r in finding.records if isinstance(r, LogRecord) and r.held_out is (part == "held_out")]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.borne_out import gained
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision, decide, finalists
 from twin.diagnose.described import described, geometry
@@ -266,6 +267,9 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     sample = Sample(tuple(found.used), 1 / found.shared)
     settled, best, decision = answer.base, answer.best, answer.decision
     records, errors = frf_records(without_limits(given), before, best, found.used, found.kept, found.shared)
+    free = records
+    if _zeros(best):  # against free angles, too, the zero of an axis has to gain
+        free, _ = frf_records(without_limits(given), settled, best, found.used, found.kept, found.shared)
     records = with_modes(records, physical(before.robot), physical(best.robot))
     errors["noise_floor"] = noise_floor(sample.recordings)
     where = mismatch(settled, sample.thin(REFIT_LINES))
@@ -275,7 +279,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
         given, as_written(before.robot, given), as_written(best.robot, given), errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         warnings=[*found.warnings, *elsewhere(search.base, search.others), *strained(best)],
-        finalists=finalists(search.base, answer.fits),
+        finalists=finalists(search.base, answer.fits), gain=gained(free),
         fits=(before, best), damping=transfer(misses_of_frf(physical(best.robot), Posterior.of(best), found.kept)),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in answer.missing]
@@ -289,8 +293,7 @@ def _as_described(base: Robot, search: Search, answer: _Answer, sample: Sample) 
     """
     fit, parameters = answer.base, search.base.parameters
     held = {name for name, _ in answer.best.hypothesis.scale}
-    zeros = np.flatnonzero(answer.best.robot.encoder_zeros != fit.robot.encoder_zeros)
-    held |= {p.name for p in parameters if p.kind == "posture" and p.axis in zeros}
+    held |= {p.name for p in parameters if p.kind == "posture" and p.axis in _zeros(answer.best)}
     if not held:
         return fit
     free = parameters.select(k for k, name in enumerate(parameters.names) if name not in held)
@@ -298,6 +301,12 @@ def _as_described(base: Robot, search: Search, answer: _Answer, sample: Sample) 
     z = free.coordinates(np.array([known.get(p.name, p.mean) for p in free]))
     few = descend(base, NONE, free, sample.thin(REFIT_LINES), z, linear=20)
     return descend(base, NONE, free, sample, few.z, tempered=0, linear=20)
+
+
+def _zeros(fit: Fitted) -> set[int]:
+    """Axes (zero-based) whose zero is said to be elsewhere."""
+    entries = [entry for piece in fit.hypothesis.pieces for entry in piece.entries]
+    return {axis for e in entries for axis in CATALOGUE[e.effect].encoder_zero(e.site, e.values)}
 
 
 def _loosened(fit: Fitted) -> Fitted:
