@@ -217,7 +217,11 @@ def identify_modes(
         raise InputError(source, f"postures/{posture.name}/frf", "expected a response, every channel is zero")
     step = (posture.frequency[-1] - posture.frequency[0]) / (posture.frequency.size - 1)
     if (high - low) / step < 16:
-        raise InputError(source, f"postures/{posture.name}", f"expected 16 lines or more from {low:g} to {high:g} Hz")
+        ends = f"{posture.frequency[0]:g} to {posture.frequency[-1]:g} Hz"
+        raise InputError(
+            source, f"postures/{posture.name}",
+            f"expected 16 lines or more from {low:g} to {high:g} Hz; lines go from {ends}",
+        )  # fmt: skip
     turned = accelerance.frf.shape[2] > accelerance.frf.shape[1]
 
     def turn(array: NDArray[Any]) -> NDArray[Any]:
