@@ -481,6 +481,37 @@ def test_resonators_are_scanned_by_the_change_they_make(tmp_path: Path) -> None:
     assert scan._gains([*others, hypothesis], 1.0)[2] == pytest.approx(along * abs(along) / across, rel=1e-9)
 
 
+def test_a_light_resonator_is_scanned_wherever_it_hangs(tmp_path: Path) -> None:
+    case = recorded(tmp_path, "--seed", "18", "--postures", "2", hold_out=[])
+    usual = CATALOGUE["attached_resonator"].typical(case.base, "link2") or {}
+    some = [
+        entry_hypothesis(case.base, "attached_resonator", "link2", {**usual, "frequency_hz": f, "axis": "y"})
+        for f in (9.0, 12.3, 18.0)
+    ]
+    z = np.zeros(len(case.free))
+    setting = Setting(case.base, case.free, NONE, z, case.sample, case.sample, 0.1, False)
+    scan = _Scan(setting)
+    gain, best = scan._light(some, np.array([[-0.3, -0.3, -0.3], [1.5, 0.3, 0.3]]))
+
+    def gained(hypothesis: Hypothesis) -> float:  # by the change that a mass of a tenth of a gram makes
+        entry = hypothesis.entries[0].values
+        light = entry_hypothesis(case.base, "attached_resonator", "link2", {**entry, "mass": 1e-4})
+        at = np.concatenate([z, np.zeros(len(light.own))])
+        pairs = zip(
+            scan.objective.weight, setting.objective(light).predicted(at), scan.objective.predicted(z), strict=True
+        )
+        change = np.concatenate([(w * (one - none)).reshape(-1).view(float) for w, one, none in pairs])
+        share = scan.linear.share(change)
+        along, across = change @ scan.linear.residual - share @ scan.linear.own, change @ change - share @ share
+        return float(along * abs(along) / across)
+
+    assert gain == pytest.approx(gained(best), rel=0.05)
+    here = best.entries[0].values
+    for place in ((0.0, 0.0, 0.0), (0.6, 0.0, 0.3), (1.2, 0.0, -0.3)):  # of some that it looked at, none gains more
+        there = {**here, "position": place}
+        assert gained(entry_hypothesis(case.base, "attached_resonator", "link2", there)) < 1.05 * gain
+
+
 def test_factors_are_orthogonal_whatever_the_columns_say_alike() -> None:
     rng = np.random.default_rng(0)
     for steepest in (1e5, 1e9):  # the latter beyond Cholesky

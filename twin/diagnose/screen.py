@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from twin.diagnose.hypotheses import Hypothesis, together
+from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
 from twin.diagnose.refit import WIDTHS, Fitted
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
@@ -45,10 +45,10 @@ ROOM = 1.01  # of the least cost that is left then
 BEYOND = 6  # iterations after which such an entry near the truth promises what it has gained
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 FOLLOWED = 25  # iterations from the description where the current model is far off
-SCANNED_POSTURES = 3
 SCANNED_KEPT = 3
-SCANNED_MASSES = (1.0, 0.01)  # of the usual one: a heavy one loads the robot, a light one shows at its own frequency
+PLACED = 0.15  # m between the places of a light mass, half a prior deviation of its position
 TANGENT_SIZE = 1e-6  # of the usual size, where the derivative with respect to it is taken
+ALIKE = 1e-9  # share of a change's square: so much is left of what the current model can imitate, and of rounding
 LEAST_SIZE = 1e-4  # of the usual size: less is nothing
 PARTS = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
 INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
@@ -469,7 +469,7 @@ class _Scan:
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
-        self.sample = setting.sample.first(SCANNED_POSTURES)
+        self.sample = setting.sample
         # linear in H, with the model's error as large as it is: the secant of a resonator is local in frequency
         temper = max(setting.error, 1e-9)
         parameters = setting.current.parameters(setting.free)
@@ -492,13 +492,82 @@ class _Scan:
             alike.setdefault(tuple(own.items()), []).append(hypothesis)
         scores: dict[str, tuple[float, Hypothesis]] = {}
         for some in alike.values():
-            gains = np.max([self._gains(some, share) for share in SCANNED_MASSES], axis=0)
-            words = "".join(str(v) for v in some[0].entries[0].values.values() if isinstance(v, str))
-            k = int(np.argmax(gains))
+            gains = self._gains(some, 1.0)
+            words, k = some[0].entries[0].values["axis"], int(np.argmax(gains))
             if words not in scores or gains[k] > scores[words][0]:
                 scores[words] = float(gains[k]), some[k]
+        box = np.array([h.entries[0].values["position"] for h in variants])
+        for words in scores:
+            some = next(group for group in alike.values() if group[0].entries[0].values["axis"] == words)
+            scores[words] = max(scores[words], self._light(some, box), key=lambda item: item[0])
         ranked = sorted(scores.values(), key=lambda item: -item[0])
         return [hypothesis for _, hypothesis in ranked[:SCANNED_KEPT]]
+
+    def _light(self, variants: Sequence[Hypothesis], box: FloatArray) -> tuple[float, Hypothesis]:
+        """The best of resonators that are too light to load the robot, anywhere in a box around places (k, 3).
+
+        Such a one changes H by −m s² (2ζω s + ω²)/(s² + 2ζω s + ω²) H_re H_ee′. How its point moves along its axis is
+        linear in the point, u = u₀ + t₁ u₁ + t₂ u₂: six products of receptances hold every place.
+
+        Args:
+            variants: that differ in frequency alone; of them and of all places the best is returned, with its gain.
+        """
+        low, high = box.min(axis=0), box.max(axis=0)
+        values = variants[0].entries[0].values
+        e = "xyz".index(values["axis"])
+        across_e = [k for k in range(3) if k != e]
+        size = np.maximum((high - low)[across_e], PLACED)
+        steps = [np.linspace(0, 1, 1 + int(np.ceil(d / PLACED))) for d in size]
+        t1, t2 = (t.ravel() for t in np.meshgrid(*steps))
+        form = np.stack([np.ones_like(t1), 2 * t1, 2 * t2, t1**2, 2 * t1 * t2, t2**2], axis=1)  # (places, 6)
+        corners = [low, *(low + d * np.eye(3)[k] for k, d in zip(across_e, size, strict=True))]
+        omega = 2 * np.pi * np.array([h.entries[0].values["frequency_hz"] for h in variants])[:, None]
+        along, across = np.zeros((len(omega), 6)), np.zeros((len(omega), 6, 6))
+        shares = np.zeros((len(omega), 6, len(self.linear.own)))
+        for k, columns in enumerate(self.columns):
+            flat = self._products(variants[0].site, corners, e, k)  # (nf, 6, nr ne)
+            s = self.sample.recordings[k].s
+            give = 2 * values["damping_ratio"] * omega * s + omega**2
+            factor = -(s**2) * give / (s**2 + give)  # (m, nf)
+            seen = flat @ columns
+            found = np.einsum("mf,fpn->mpn", factor, seen).real
+            along += found[:, :, 0]
+            shares += found[:, :, 1:]
+            both = (flat.conj() @ flat.swapaxes(1, 2)).real
+            across += np.einsum("mf,fpq->mpq", np.abs(factor) ** 2, both)
+        along -= shares @ self.linear.own
+        whole, left = (
+            np.einsum("mpq,xp,xq->mx", part, form, form) for part in (across, across - shares @ shares.swapaxes(1, 2))
+        )
+        gain = _signed_gain(along @ form.T, whole, left)  # (m, places)
+        best, place = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        position = low + 0.5 * (high - low)
+        position[across_e] = low[across_e] + size * (t1[place], t2[place])
+        chosen = variants[int(best)]
+        there = {**chosen.entries[0].values, "position": position.tolist()}
+        return float(gain[best, place]), entry_hypothesis(self.setting.base, chosen.effect, chosen.site, there)
+
+    def _products(self, site: str, corners: Sequence[FloatArray], e: int, k: int) -> ComplexArray:
+        """Weighted products (nf, 6, nr ne) of how three corners move along an axis: of u₀, u₁ and u₂ in pairs."""
+        r, weight = self.sample.recordings[k], self.objective.weight[k]
+        nr, ne = len(r.setup.response.label), len(r.setup.excitation.label)
+        moved = [self._at(site, tuple(corner))[k] for corner in corners]
+        out = np.stack([X[:, :nr, ne + e] for X in moved])
+        into = np.stack([X[:, nr + e, :ne] for X in moved])
+        out[1:] -= out[0]
+        into[1:] -= into[0]
+        pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+        found = [
+            0.5 * (out[i][:, :, None] * into[j][:, None] + out[j][:, :, None] * into[i][:, None]) for i, j in pairs
+        ]
+        scale = weight * (r.s**r.power)[:, None, None]
+        return np.stack([scale * one for one in found], axis=1).reshape(len(r.s), 6, -1)
+
+    def _at(self, site: str, place: tuple[float, ...]) -> list[ComplexArray]:
+        """Receptances with a point's axes, kept."""
+        if (site, place) not in self.seen:
+            self.seen[site, place] = self._receptance(site, place)
+        return self.seen[site, place]
 
     def _gains(self, variants: Sequence[Hypothesis], share: float) -> FloatArray:
         """What each promises (m,), its amplitude free and signed: resonators that differ in frequency alone."""
@@ -516,8 +585,7 @@ class _Scan:
             across += products[:, 0, 0].real.sum() + 2 * (factor @ products[:, 0, 1]).real
             across += np.abs(factor) ** 2 @ products[:, 1, 1].real
         along -= shares @ own
-        across -= np.sum(shares**2, axis=1)
-        return np.asarray(along * np.abs(along) / np.maximum(across, 1e-300))
+        return _signed_gain(along, across, across - np.sum(shares**2, axis=1))
 
     def _secants(
         self, variants: Sequence[Hypothesis], share: float, k: int
@@ -526,10 +594,7 @@ class _Scan:
         all have in common (nf, nr, ne), and what each (m, nf) multiplies (nf, nr, ne)."""
         values = variants[0].entries[0].values
         mass, place = share * values["mass"], tuple(values["position"])
-        key = variants[0].site, place
-        if key not in self.seen:
-            self.seen[key] = self._receptance(*key)
-        r, X, weight = self.sample.recordings[k], self.seen[key][k], self.objective.weight[k]
+        r, X, weight = self.sample.recordings[k], self._at(variants[0].site, place)[k], self.objective.weight[k]
         nr, ne = len(r.setup.response.label), len(r.setup.excitation.label)
         out, into, own = X[:, :nr, ne:], X[:, nr:, :ne], X[:, nr:, ne:]
         free = (1 / (mass * r.s**2))[:, None, None] * np.eye(3)
@@ -554,6 +619,11 @@ class _Scan:
             seen, model = observe(robot, setup, self.objective.parameters, values)
             found.append(r.probed(3).respond(seen, model))
         return found
+
+
+def _signed_gain(along: FloatArray, whole: FloatArray, left: FloatArray) -> FloatArray:
+    """χ² that a change gains at its best amplitude, negative where that is; none where little of the whole is left."""
+    return np.where(left > ALIKE * whole, along * np.abs(along) / np.maximum(left, 1e-300), 0.0)
 
 
 def _with_point(channels: Channels, body: str, place: Sequence[float]) -> Channels:

@@ -83,7 +83,7 @@ class AttachedResonator(Effect):
         return {"mass": mass, "frequency_hz": 15.0, "damping_ratio": 0.015, "axis": "z", "position": middle}
 
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
-        """Every axis, half-way along the link, beside that and at its end, frequencies 3 % apart: as wide as a peak.
+        """Every axis; start, middle and end of the link, beside its middle; frequencies 3 % apart, as wide as a peak.
 
         What hangs beside a link takes part in how it turns, one corner of it in phase, the next in opposition.
         """
@@ -94,7 +94,7 @@ class AttachedResonator(Effect):
         found = []
         for k, axis in enumerate(UNIT_VECTORS):
             corners = [a * along[k - 2] + b * along[k - 1] for a in (-1, 1) for b in (-1, 1)]  # across the axis
-            for place in (0.5 * end, end, *(0.5 * end + corner for corner in corners)):
+            for place in (0.0 * end, 0.5 * end, end, *(0.5 * end + corner for corner in corners)):
                 values = {**typical, "axis": axis, "position": place.tolist()}
                 found += [{**values, "frequency_hz": float(f)} for f in frequencies]
         return found
