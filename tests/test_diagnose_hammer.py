@@ -32,7 +32,7 @@ from twin.model.parameters import Parameter as Free
 from twin.model.parameters import Parameters, free_parameters, independent
 from twin.physics import CATALOGUE
 from twin.physics.effect import link_end
-from twin.robot.description import Robot, load_robot
+from twin.robot.description import Entry, Robot, load_robot
 from twin.robot.mechanism import assemble
 
 SHORT = ("--spacing-hz", "0.5", "--lines", "48", "--coherence", "estimated")
@@ -695,6 +695,25 @@ def test_a_size_that_hardly_shows_is_in_doubt_as_all_its_priors_are(held: float,
     )
     assert least <= after[0, 0] / before[0, 0] <= most
     assert np.sqrt(after[1, 1] / before[1, 1]) == pytest.approx(np.sqrt(after[0, 0] / before[0, 0]), rel=0.2)
+
+
+def test_a_payload_on_a_light_wrist_may_have_an_inertia_that_a_body_can_have(kr90: Robot) -> None:
+    heavy = CATALOGUE["payload"].variants(kr90, "flange", (5.0, 30.0))
+    wrist = kr90.links[2].model_copy(update={"inertia": (0.5, 0.5, 0.5, 0.0, 0.0, 0.0)})
+    light = kr90.model_copy(update={"links": [*kr90.links[:2], wrist]})
+    point, cube = CATALOGUE["payload"].variants(light, "flange", (5.0, 30.0))
+    assert heavy == [point]  # a forearm's own inertia is not known so well
+    assert {**cube, "inertia": []} == {**point, "inertia": []}
+    assert cube["inertia"][0] > light.tolerances.inertia * 0.5
+    own = entry_hypothesis(light, "payload", "flange", cube).own
+    assert [p.log for p in own] == [True, False, False, False, True, True, True]
+    # a fit may leave moments that break the triangle inequality: they are written as the nearest that do not
+    fitted = Entry(effect="payload", site="flange", **{**point, "inertia": [1.0, 0.1, 0.1]})
+    (mended,) = physical(light.model_copy(update={"physics": [fitted]})).physics
+    assert CATALOGUE["payload"].check(light.values(fitted)) is not None
+    assert CATALOGUE["payload"].check(light.values(mended)) is None
+    fine = light.model_copy(update={"physics": [fitted.model_copy(update={"inertia": [0.3, 0.2, 0.2]})]})
+    assert physical(fine) is fine
 
 
 def test_a_damper_that_has_run_away_is_written_as_one_that_holds_its_joint(kr90: Robot) -> None:

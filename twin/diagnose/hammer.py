@@ -12,7 +12,7 @@ from twin.diagnose.decide import Decision, decide, finalists
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import cut_short, put_right, without_hum
-from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects
+from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, settled_with, shared
 from twin.diagnose.joint_reaction import blows
 from twin.diagnose.levels_finding import check_blows, levels_finding
@@ -220,6 +220,7 @@ class _Answer:
     Attributes:
         fits: every hypothesis fitted to the end.
         base, best: the base model and the answer, with bodies that can exist.
+        links: names of numbers of links that may be wrong in the answer's stead.
     """
 
     decision: Decision
@@ -228,6 +229,7 @@ class _Answer:
     fits: list[Fitted]
     base: Fitted
     best: Fitted
+    links: frozenset[str] = frozenset()
 
     @property
     def answered(self) -> bool:
@@ -251,6 +253,9 @@ def _answered(
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample), axes=axes)
+    links: frozenset[str] = frozenset()
+    if judge(decision) in ("named", "ambiguous"):
+        decision, links = _or_its_link(decision, settled, base)
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     if answered:
@@ -259,7 +264,36 @@ def _answered(
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
     ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
-    return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]))
+    return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]), links)
+
+
+def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Decision, frozenset[str]]:
+    """A mass on a link beside that link, where FRFs do not tell them apart, and the names of the link's numbers.
+
+    Vibrations show the whole that moves. Where a link's own numbers explain it as well, if further from the description
+    than their tolerance, half of the probability of the mass is theirs: weighing tells.
+    """
+    first, *others = decision.ranked
+    pieces = first.hypothesis.pieces
+    known: dict[frozenset[str], Fitted] = {frozenset(): settled}
+    known |= {fit.hypothesis.identity: fit for fit in decision.ranked}
+    for piece in pieces:
+        rest = known.get(first.hypothesis.identity - {piece.key})
+        link = piece.law.carrier(base, piece.site) if piece.law and piece.entries else None
+        if link is None or rest is None or _data_cost(rest) - _data_cost(first) >= calibration()["seen"]:
+            continue
+        name = f"link{link + 1}.mass"
+        number = Hypothesis("parameter", name, scale=((name, 1.0),))
+        rival = replace(rest, hypothesis=together(*(p for p in pieces if p is not piece), number))
+        half, *probability = 0.5 * decision.probability[0], *decision.probability[1:]
+        shared = replace(decision, ranked=[first, rival, *others], probability=[half, half, *probability])
+        return shared, frozenset(p.name for p in rest.parameters if p.name.startswith(f"link{link + 1}."))
+    return decision, frozenset()
+
+
+def _data_cost(fit: Fitted) -> float:
+    """½ χ² of the recordings alone."""
+    return float(fit.cost - 0.5 * fit.z @ fit.z)
 
 
 def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _Answer, before: Fitted) -> Finding:
@@ -289,10 +323,10 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
 def _as_described(base: Robot, search: Search, answer: _Answer, sample: Sample) -> Fitted:
     """The base model as it would be without the answer: numbers that are answered are held as described.
 
-    Of an axis whose zero is answered, those are the angles of all postures.
+    Of an axis whose zero is answered, those are the angles of all postures; of a mass that stands for its link, this.
     """
     fit, parameters = answer.base, search.base.parameters
-    held = {name for name, _ in answer.best.hypothesis.scale}
+    held = {name for name, _ in answer.best.hypothesis.scale} | answer.links
     held |= {p.name for p in parameters if p.kind == "posture" and p.axis in _zeros(answer.best)}
     if not held:
         return fit

@@ -396,7 +396,8 @@ def _part_promise(
 
     def tension(own: FloatArray) -> FloatArray:
         mass, *com = parameters.values(np.concatenate([setting.z, own]))[n:]
-        left, centre, inertia = fuse(whole, (-mass, np.array(com), np.zeros((3, 3))))
+        com, moments = com[:3], com[3:] or [0.0] * 3  # of the part: a point, or a body of its own
+        left, centre, inertia = fuse(whole, (-mass, np.array(com), -np.diag(moments)))
         if left <= 0.1 * whole[0]:
             return np.full(len(at) + len(own), 1e6)
         values = [left, *centre, *(inertia_six(inertia))]

@@ -38,6 +38,7 @@ class Parameter:
         optional: may be left out of an entry (it then takes ``null``).
         positive: must be greater than zero.
         nonnegative: must not be less than zero. With neither, any finite number will do.
+        scale: a fit seeks its logarithm, though an entry may hold numbers of either sign.
         word: a word, not a number (an axis letter, a joint).
         spread: prior standard deviation about the typical value when the entry is suspected: of the logarithm where the
             parameter cannot be negative, else in ``unit``; 0 leaves it at the typical value.
@@ -50,13 +51,14 @@ class Parameter:
     optional: bool = False
     positive: bool = False
     nonnegative: bool = False
+    scale: bool = False
     word: bool = False
     spread: float = 0.0
 
     @property
     def log(self) -> bool:
         """A scale, whose prior is log-normal."""
-        return self.positive or self.nonnegative
+        return self.positive or self.nonnegative or self.scale
 
     def check(self, value: object) -> str | None:
         """Why ``value`` cannot be this parameter, or ``None`` when it can."""

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from twin.robot.mechanism import Mechanism
 
 
+DENSITY = 3000.0  # kg/m³ of a spindle or a gripper: aluminium, or steel that is two thirds empty
+
+
 class Payload(Effect):
     """Natively: mass and inertia fused into the link's ``inertial``.
 
@@ -23,7 +26,7 @@ class Payload(Effect):
     parameters = (
         Parameter("mass", "kg", nonnegative=True, spread=1.2),
         Parameter("com", "m", length=3, spread=0.2),
-        Parameter("inertia", "kg·m²", length=-1, optional=True),
+        Parameter("inertia", "kg·m²", length=-1, optional=True, scale=True, spread=1.5),
     )
     seen_in = frozenset({"hammer", "log"})
     order = 1
@@ -48,11 +51,8 @@ class Payload(Effect):
         return robot.axis_count - 1 if site == "flange" else axis_of(site)
 
     def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
-        """The flange for the last link and the other way round; the link's own mass."""
-        last = f"link{robot.axis_count}"
-        same = {"flange": last, last: "flange"}
-        found = [Companion(self.name, same[site])] if site in same else []
-        return [*found, Companion("parameter", f"{last if site == 'flange' else site}.mass")]
+        """The link's own mass. A payload on the last link is one at the flange, under whose name it is sought."""
+        return [Companion("parameter", f"link{self.carrier(robot, site) + 1}.mass")]
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if values["mass"] > 0:
@@ -67,6 +67,19 @@ class Payload(Effect):
         typical = self.typical(view.robot, view.site)
         own = [Prior("mass", typical["mass"]), *(Prior(f"com[{k}]", 0.2, typical["com"][k]) for k in range(3))]
         return [Suspected({"mass": 0.0, "com": typical["com"]}, own, [[0.0, *typical["com"]]])]
+
+    def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
+        """A point; of a link whose own inertia is known better than a body's, also a cube of that mass.
+
+        None for the last link, for which the flange stands.
+        """
+        if site == f"link{robot.axis_count}":
+            return []
+        point = self.typical(robot, site)
+        own = 0.5 * np.trace(robot.links[self.carrier(robot, site)].inertial[2])  # no moment is larger
+        cube = point["mass"] * (point["mass"] / DENSITY) ** (2 / 3) / 6
+        shows = cube > robot.tolerances.inertia * own
+        return [point, {**point, "inertia": [cube] * 3}] if shows else [point]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any]:
         """2 % of the links' mass, where the next joint (the flange) is."""
