@@ -16,8 +16,9 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import qr
-from scipy.signal import decimate, detrend
+from scipy.signal import decimate, detrend, firwin, oaconvolve
 
 from twin.errors import InputError
 from twin.measure.campaign import (
@@ -48,6 +49,7 @@ SEGMENT_LAGS = 20  # block rows that a segment is long at least
 HALF_SPECTRUM = 4096, 8  # most lags of a half-spectrum, and parts of a record that one is at most
 AROUND = 8  # lines on either side of a mode, from whose median the noise there is told
 LEFT_AT_END = 0.01  # of the exponential window of a half-spectrum
+CUT, CUT_PERIODS = 0.85, 6  # a filter's corner over the lower end of an octave, its length in periods of that end
 ONE_MODE = 0.97  # MAC from which two columns within a bandwidth are one mode
 EXTRA = 'needs pyOMA2: pip install "twin[operational]"'
 
@@ -162,39 +164,96 @@ def identify_running(
     y, rate = _thinned(record, top)
     rms = np.sqrt(np.mean(y**2, axis=1))
     live = np.flatnonzero(rms > DEAD_CHANNEL * np.median(rms[rms > 0]))
-    scaled = y[live] / rms[live, None]
-    pivot = live[qr(scaled.T, mode="r", pivoting=True, check_finite=False)[1]]
-    outputs, references = pivot[:MOST_OUTPUTS], pivot[:MAX_REFERENCES]
+    count = min(MAX_REFERENCES, live.size)
     order = min(max_order, MOST_ORDER) // 2 * 2
-    lags = int(np.clip(max(np.ceil(order / references.size) + 1, FEWEST_LAGS), FEWEST_LAGS, MOST_LAGS))
-    if fmin is not None and fmin > 0:
-        lags = int(np.clip(np.ceil(rate / (2 * fmin)), lags, MOST_LAGS))
-    order = min(order, lags * references.size, (lags - 1) * outputs.size) // 2 * 2
-    segments = min(SEGMENTS, (y.shape[1] - 2 * lags) // (SEGMENT_LAGS * lags))
-    if segments < FEWEST_SEGMENTS:
-        need = (FEWEST_SEGMENTS * SEGMENT_LAGS + 2) * lags / rate
+    lags = int(np.clip(np.ceil(order / count) + 1, FEWEST_LAGS, MOST_LAGS))
+    need = FEWEST_SEGMENTS * SEGMENT_LAGS * lags + 2 * lags
+    if y.shape[1] < need:
         raise InputError(
-            source, f"postures/{name}/running/response", f"expected {need:.3g} s or more, found {y.shape[1] / rate:.3g}"
+            source,
+            f"postures/{name}/running/response",
+            f"expected {need / rate:.3g} s or more, found {y.shape[1] / rate:.3g}",
         )
-    low = rate / (2 * MOST_LAGS * SEGMENT_LAGS) if fmin is None else fmin
-    poles, deviations = _subspace(y[outputs] / rms[outputs, None], references.size, 1 / rate, lags, order, segments)
-    drawn = chart(poles)
-    found = _columns(drawn, deviations, low, top)
-    correlation = _correlations(y, references)
-    s, spectra = _half_spectra(correlation, rate, low, top)
-    found, residues, synthesised = _visible(found, correlation[: 2 * lags], s, spectra, rate)
+    parts = _octaves(y, rate, top, fmin, need)
+    references = _pivot(np.concatenate([_scaled(part.y[live]) for part in parts], axis=1), live)[:count]
+    modes: list[Mode] = []
+    frequency, measured, synthesised, charts = [], [], [], []
+    for part in parts:
+        outputs = _pivot(_scaled(part.y[live]), live)[:MOST_OUTPUTS]
+        poles, deviations = _subspace(_scaled(part.y[outputs]), count, lags, order, part)
+        drawn = chart(poles)
+        charts.append(_inside(drawn, part))
+        correlation = _correlations(part.y, references)
+        s, spectra = _half_spectra(correlation, part)
+        found, residues, sum_of_modes = _visible(_columns(drawn, deviations), correlation[: 2 * lags], s, spectra, part)
+        modes += [m for m in _modes(found, residues, drawn) if part.holds(m.frequency_hz)]
+        frequency.append(s.imag / (2 * np.pi))
+        measured.append(spectra)
+        synthesised.append(sum_of_modes)
     return ModalResult(
         name,
         record.q_deg,
-        _modes(found, residues, drawn),
-        s.imag / (2 * np.pi),
-        spectra,
-        synthesised,
-        (drawn,),
+        tuple(sorted(modes, key=lambda m: m.frequency_hz)),
+        np.concatenate(frequency),
+        np.concatenate(measured),
+        np.concatenate(synthesised),
+        tuple(charts),
         label,
         tuple(label[r] for r in references),
         operational=True,
     )
+
+
+@dataclass(frozen=True)
+class _Octave:
+    """A part of the band: responses (nr, nt) in m/s² that hold it, ``rate`` and its ends ``low`` and ``high`` in Hz."""
+
+    y: FloatArray
+    rate: float
+    low: float
+    high: float
+
+    def holds(self, frequency: Any) -> NDArray[np.bool_]:
+        """Which frequencies, Hz, are inside."""
+        return np.asarray((frequency >= self.low) & (frequency < self.high))
+
+
+def _octaves(y: FloatArray, rate: float, top: float, fmin: float | None, need: int) -> list[_Octave]:
+    """The band in octaves, lowest first, each without what lies below and at a rate of its own.
+
+    Block rows that resolve a low mode would be too many at a high rate, and what is strong below would hide what is
+    weak above. A record of ``need`` samples is not halved any more.
+    """
+    parts: list[_Octave] = []
+    high = top
+    while True:
+        last = y.shape[1] // 2 < need or (fmin is not None and rate / 2 / USABLE <= fmin)
+        lowest = rate / (2 * MOST_LAGS * SEGMENT_LAGS) if fmin is None else fmin
+        low = lowest if last else rate / 2 / USABLE
+        parts.append(_Octave(_without_below(y, rate, low, need), rate, low, high))
+        if last:
+            return parts[::-1]
+        y, rate, high = decimate(y, 2, ftype="fir", axis=1), rate / 2, low
+
+
+def _without_below(y: FloatArray, rate: float, low: float, need: int) -> FloatArray:
+    """Responses (nr, nt) without what is well below ``low`` Hz; with it where the record is too short for a filter."""
+    taps = int(CUT_PERIODS * rate / low) | 1 if low > 0 else y.shape[1]
+    if y.shape[1] - taps < need:
+        return y
+    window = firwin(taps, CUT * low, fs=rate, pass_zero=False)
+    return np.asarray(oaconvolve(y, window[None], mode="valid", axes=1))
+
+
+def _scaled(y: FloatArray) -> FloatArray:
+    """Every response (nr, nt) over its root mean square."""
+    rms = np.sqrt(np.mean(y**2, axis=1, keepdims=True))
+    return y / np.where(rms > 0, rms, 1.0)
+
+
+def _pivot(y: FloatArray, number: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The ``number`` of responses (nr, nt), the most independent first."""
+    return number[qr(y.T, mode="r", pivoting=True, check_finite=False)[1]]
 
 
 def _thinned(record: Running, top: float) -> tuple[FloatArray, float]:
@@ -208,9 +267,11 @@ def _thinned(record: Running, top: float) -> tuple[FloatArray, float]:
 
 
 def _subspace(
-    y: FloatArray, references: int, dt: float, lags: int, order: int, segments: int
+    y: FloatArray, references: int, lags: int, order: int, part: _Octave
 ) -> tuple[list[Poles], list[FloatArray]]:
-    """Poles of every even order, and (n, 2) deviations of their frequencies in Hz and damping ratios."""
+    """Poles of every even order, and (n, 2) deviations of frequencies in Hz and damping ratios."""
+    order = min(order, lags * references, (lags - 1) * len(y)) // 2 * 2
+    segments = min(SEGMENTS, (y.shape[1] - 2 * lags) // (SEGMENT_LAGS * lags))
     state = np.geterr()
     try:
         from pyoma2.functions import ssi
@@ -224,7 +285,7 @@ def _subspace(
         hankel, scatter = peer.build_hank(y, y[:references], lags, "cov", calc_unc=True, nb=segments)
         observability, a, c, _ = peer.SSI_fast(hankel, lags, order)
         _, _, shapes, poles, f_std, z_std, _ = peer.SSI_poles(
-            observability, a, c, order, dt, xi_max=DAMPING_RANGE[1], calc_unc=True, H=hankel, T=scatter
+            observability, a, c, order, 1 / part.rate, xi_max=DAMPING_RANGE[1], calc_unc=True, H=hankel, T=scatter
         )
     found, deviations = [], []
     for n in range(2, order + 1, 2):
@@ -247,8 +308,18 @@ class _Column:
     damping_std: float
 
 
-def _columns(drawn: Chart, deviations: list[FloatArray], low: float, top: float) -> list[_Column]:
-    """Columns of the chart within the band, each once, with the scatter over orders in their deviations."""
+def _inside(drawn: Chart, part: _Octave) -> Chart:
+    """The chart without poles beside the octave, which another octave's chart holds."""
+    poles, symbols = [], []
+    for found, marks in zip(drawn.poles, drawn.symbols, strict=True):
+        keep = part.holds(found.frequency)
+        poles.append(Poles(found.order, found.poles[keep], found.shape[keep], found.participation[keep]))
+        symbols.append("".join(mark for mark, stays in zip(marks, keep, strict=True) if stays))
+    return Chart(tuple(poles), tuple(symbols))
+
+
+def _columns(drawn: Chart, deviations: list[FloatArray]) -> list[_Column]:
+    """Columns of the chart, each once, with the scatter over orders in their deviations."""
     found: list[_Column] = []
     for cluster in sorted(clusters(drawn), key=lambda c: -c.count):
         members = []
@@ -258,7 +329,7 @@ def _columns(drawn: Chart, deviations: list[FloatArray], low: float, top: float)
                 if abs(poles.poles[n] - cluster.pole) < -cluster.pole.real:
                     members.append((poles.shape[n], *deviation[n]))
         frequency = abs(cluster.pole) / (2 * np.pi)
-        if not members or not low <= frequency <= top:
+        if not members:
             continue
         f_std, z_std = (float(np.median([m[k] for m in members])) for k in (1, 2))
         shape = members[len(members) // 2][0]
@@ -288,25 +359,27 @@ def _correlations(y: FloatArray, references: Any) -> FloatArray:
     return np.stack(found, axis=2)
 
 
-def _half_spectra(correlation: FloatArray, rate: float, low: float, top: float) -> tuple[ComplexArray, ComplexArray]:
+def _half_spectra(correlation: FloatArray, part: _Octave) -> tuple[ComplexArray, ComplexArray]:
     """Laplace points (nf,) and half-spectra (nf, nr, ne) of correlations under an exponential window."""
-    lags = correlation.shape[0]
+    lags, rate = correlation.shape[0], part.rate
     sigma = -np.log(LEFT_AT_END) * rate / lags
     window = np.exp(-sigma / rate * np.arange(lags))
     window[0] /= 2
     frequency = np.fft.rfftfreq(2 * lags, 1 / rate)
-    inside = (frequency >= low) & (frequency <= top)
+    inside = part.holds(frequency)
     spectra = np.fft.rfft(correlation * window[:, None, None], 2 * lags, axis=0)[inside] / rate
     return sigma + 2j * np.pi * frequency[inside], spectra
 
 
 def _visible(
-    found: list[_Column], correlation: FloatArray, s: ComplexArray, spectra: ComplexArray, rate: float
+    found: list[_Column], correlation: FloatArray, s: ComplexArray, spectra: ComplexArray, part: _Octave
 ) -> tuple[list[_Column], ComplexArray, ComplexArray]:
     """Modes that some channel shows above what all of them leave over, residues (nm, nr, ne), synthesised spectra.
 
+    Modes beside the octave stay: filters leave some of them, which would go into the others.
     Residues are fitted to the youngest ``correlation``, where a record of finite length errs least.
     """
+    rate = part.rate
     while True:
         poles, n = np.array([c.pole for c in found], dtype=complex), len(found)
         decay = np.exp(np.arange(1, len(correlation))[:, None] / rate * poles)
@@ -324,6 +397,7 @@ def _visible(
         noise = np.stack([np.sqrt(np.median(part**2, axis=0) / np.log(2)) for part in around])
         own = np.abs(p[line, np.arange(n)])[:, None, None] * np.abs(residues)
         shown = np.max(own / np.where(noise > 0, noise, np.inf), axis=(1, 2))
+        shown[~part.holds(np.abs(poles) / (2 * np.pi))] = np.inf
         if shown.min() >= VISIBLE:
             return found, residues, synthesised
         found = [c for k, c in enumerate(found) if k != int(np.argmin(shown))]
