@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import decimate, detrend, firwin, oaconvolve
 
 from twin.errors import InputError
@@ -47,9 +48,11 @@ MOST_LAGS, FEWEST_LAGS = 30, 12  # block rows of the Hankel matrix
 SEGMENTS, FEWEST_SEGMENTS = 40, 10  # of the record, whose scatter gives deviations
 SEGMENT_LAGS = 20  # block rows that a segment is long at least
 HALF_SPECTRUM = 4096, 8  # most lags of a half-spectrum, and parts of a record that one is at most
+REWEIGHTED, TAILS = 4, 3  # fits of residues, and powers of 1/s beside the modes
+FEWEST_LINES = 16  # of a half-spectrum in the band
 AROUND = 8  # lines on either side of a mode, from whose median the noise there is told
-LEFT_AT_END = 0.01  # of the exponential window of a half-spectrum
 CUT, CUT_PERIODS = 0.85, 6  # a filter's corner over the lower end of an octave, its length in periods of that end
+LEFT_AT_END = 0.01  # of the exponential window of a half-spectrum
 ONE_MODE = 0.97  # MAC from which two columns within a bandwidth are one mode
 EXTRA = 'needs pyOMA2: pip install "twin[operational]"'
 
@@ -174,6 +177,10 @@ def identify_running(
             f"postures/{name}/running/response",
             f"expected {need / rate:.3g} s or more, found {y.shape[1] / rate:.3g}",
         )
+    step = rate / (2 * min(HALF_SPECTRUM[0], y.shape[1] // HALF_SPECTRUM[1]))
+    if fmin is not None and top - fmin < FEWEST_LINES * step:
+        band = f"from {fmin:g} to {top:g} Hz; lines are {step:.3g} Hz apart, up to {highest:.4g} Hz"
+        raise InputError(source, f"postures/{name}/running", f"expected {FEWEST_LINES} lines or more {band}")
     parts = _octaves(y, rate, top, fmin, need)
     references = _pivot(np.concatenate([_scaled(part.y[live]) for part in parts], axis=1), live)[:count]
     modes: list[Mode] = []
@@ -183,9 +190,8 @@ def identify_running(
         poles, deviations = _subspace(_scaled(part.y[outputs]), count, lags, order, part)
         drawn = chart(poles)
         charts.append(_inside(drawn, part))
-        correlation = _correlations(part.y, references)
-        s, spectra = _half_spectra(correlation, part)
-        found, residues, sum_of_modes = _visible(_columns(drawn, deviations), correlation[: 2 * lags], s, spectra, part)
+        s, spectra = _half_spectra(_correlations(part, references), part)
+        found, residues, sum_of_modes = _visible(_columns(drawn, deviations), s, spectra, part)
         modes += [m for m in _modes(found, residues, drawn) if part.holds(m.frequency_hz)]
         frequency.append(s.imag / (2 * np.pi))
         measured.append(spectra)
@@ -213,6 +219,16 @@ class _Octave:
     low: float
     high: float
 
+    @property
+    def lags(self) -> int:
+        """Of the correlations whose transforms are half-spectra."""
+        return min(HALF_SPECTRUM[0], self.y.shape[1] // HALF_SPECTRUM[1])
+
+    def transforms(self, poles: ComplexArray, s: ComplexArray) -> ComplexArray:
+        """(nf, nm) half-spectra of sampled decays, which break off as the correlations do."""
+        step = (poles - s[:, None]) / self.rate
+        return np.asarray((1 - np.exp(self.lags * step)) / (self.rate * (1 - np.exp(step))), dtype=complex)
+
     def holds(self, frequency: Any) -> NDArray[np.bool_]:
         """Which frequencies, Hz, are inside."""
         return np.asarray((frequency >= self.low) & (frequency < self.high))
@@ -222,18 +238,19 @@ def _octaves(y: FloatArray, rate: float, top: float, fmin: float | None, need: i
     """The band in octaves, lowest first, each without what lies below and at a rate of its own.
 
     Block rows that resolve a low mode would be too many at a high rate, and what is strong below would hide what is
-    weak above. A record of ``need`` samples is not halved any more.
+    weak above. A record of ``need`` samples is not halved any more: below its octave is one last part.
     """
     parts: list[_Octave] = []
     high = top
-    while True:
-        last = y.shape[1] // 2 < need or (fmin is not None and rate / 2 / USABLE <= fmin)
-        lowest = rate / (2 * MOST_LAGS * SEGMENT_LAGS) if fmin is None else fmin
-        low = lowest if last else rate / 2 / USABLE
-        parts.append(_Octave(_without_below(y, rate, low, need), rate, low, high))
-        if last:
-            return parts[::-1]
-        y, rate, high = decimate(y, 2, ftype="fir", axis=1), rate / 2, low
+    while fmin is None or rate / 2 / USABLE > np.sqrt(2) * fmin:  # no part is narrower than half an octave
+        low = rate / 2 / USABLE
+        parts.insert(0, _Octave(_without_below(y, rate, low, need), rate, low, high))
+        high = low
+        if y.shape[1] // 2 < need:
+            break
+        y, rate = decimate(y, 2, ftype="fir", axis=1), rate / 2
+    lowest = rate / (2 * MOST_LAGS * SEGMENT_LAGS) if fmin is None else fmin
+    return [_Octave(_without_below(y, rate, lowest, need), rate, lowest, high), *parts]
 
 
 def _without_below(y: FloatArray, rate: float, low: float, need: int) -> FloatArray:
@@ -349,19 +366,18 @@ def _columns(drawn: Chart, deviations: list[FloatArray]) -> list[_Column]:
     return sorted(found, key=lambda c: abs(c.pole))
 
 
-def _correlations(y: FloatArray, references: Any) -> FloatArray:
+def _correlations(part: _Octave, references: Any) -> FloatArray:
     """Correlations (lag, nr, ne) of all responses with the references at positive lags, (m/s²)²."""
-    nt = y.shape[1]
+    nt = part.y.shape[1]
     size = 2 ** int(np.ceil(np.log2(2 * nt)))
-    whole = np.fft.rfft(y, size, axis=1)
-    lags = min(HALF_SPECTRUM[0], nt // HALF_SPECTRUM[1])
-    found = [np.fft.irfft(whole * whole[r].conj(), size, axis=1)[:, :lags].T / nt for r in references]
+    whole = np.fft.rfft(part.y, size, axis=1)
+    found = [np.fft.irfft(whole * whole[r].conj(), size, axis=1)[:, : part.lags].T / nt for r in references]
     return np.stack(found, axis=2)
 
 
 def _half_spectra(correlation: FloatArray, part: _Octave) -> tuple[ComplexArray, ComplexArray]:
     """Laplace points (nf,) and half-spectra (nf, nr, ne) of correlations under an exponential window."""
-    lags, rate = correlation.shape[0], part.rate
+    lags, rate = part.lags, part.rate
     sigma = -np.log(LEFT_AT_END) * rate / lags
     window = np.exp(-sigma / rate * np.arange(lags))
     window[0] /= 2
@@ -372,35 +388,50 @@ def _half_spectra(correlation: FloatArray, part: _Octave) -> tuple[ComplexArray,
 
 
 def _visible(
-    found: list[_Column], correlation: FloatArray, s: ComplexArray, spectra: ComplexArray, part: _Octave
+    found: list[_Column], s: ComplexArray, spectra: ComplexArray, part: _Octave
 ) -> tuple[list[_Column], ComplexArray, ComplexArray]:
     """Modes that some channel shows above what all of them leave over, residues (nm, nr, ne), synthesised spectra.
 
     Modes beside the octave stay: filters leave some of them, which would go into the others.
-    Residues are fitted to the youngest ``correlation``, where a record of finite length errs least.
     """
-    rate = part.rate
     while True:
-        poles, n = np.array([c.pole for c in found], dtype=complex), len(found)
-        decay = np.exp(np.arange(1, len(correlation))[:, None] / rate * poles)
-        terms = np.concatenate([decay.real, -decay.imag], axis=1)
-        solution = np.linalg.lstsq(terms, correlation[1:].reshape(len(terms), -1), rcond=None)[0]
-        residues = ((solution[:n] + 1j * solution[n:]) / 2).reshape(n, *spectra.shape[1:])
-        p, c = (1 / (rate * (1 - np.exp((q - s[:, None]) / rate))) for q in (poles, poles.conj()))
-        start = (correlation[0] / 2 - residues.real.sum(axis=0) * 2) / rate  # lag zero holds the noise of sensors
-        synthesised = np.tensordot(p, residues, 1) + np.tensordot(c, residues.conj(), 1) + start
-        if not n:
+        poles = np.array([c.pole for c in found], dtype=complex)
+        residues, synthesised = _residues(poles, s, spectra, part)
+        if not found:
             return found, residues, synthesised
         left = np.abs(spectra - synthesised)
         line = np.argmin(np.abs(s.imag[:, None] - poles.imag), axis=0)
         around = [left[max(k - AROUND, 0) : k + AROUND + 1] for k in line]
-        noise = np.stack([np.sqrt(np.median(part**2, axis=0) / np.log(2)) for part in around])
-        own = np.abs(p[line, np.arange(n)])[:, None, None] * np.abs(residues)
+        noise = np.stack([np.sqrt(np.median(near**2, axis=0) / np.log(2)) for near in around])
+        own = np.abs(part.transforms(poles, s)[line, np.arange(line.size)])[:, None, None] * np.abs(residues)
         shown = np.max(own / np.where(noise > 0, noise, np.inf), axis=(1, 2))
         shown[~part.holds(np.abs(poles) / (2 * np.pi))] = np.inf
         if shown.min() >= VISIBLE:
             return found, residues, synthesised
         found = [c for k, c in enumerate(found) if k != int(np.argmin(shown))]
+
+
+def _residues(
+    poles: ComplexArray, s: ComplexArray, spectra: ComplexArray, part: _Octave
+) -> tuple[ComplexArray, ComplexArray]:
+    """Residues (nm, nr, ne) of the poles in the half-spectra, and what they make of these.
+
+    A line counts the less, the more is left over around it: a record of finite length errs most where modes are strong.
+    """
+    p, c = part.transforms(poles, s), part.transforms(poles.conj(), s)
+    tails = (s / np.abs(s[-1]))[:, None] ** -np.arange(TAILS)  # noise of a sensor, in lag zero; what is strong below
+    terms = np.concatenate([p + c, 1j * (p - c), tails], axis=1)
+    flat = spectra.reshape(s.size, -1)
+    scale = np.sqrt(np.mean(np.abs(flat) ** 2, axis=0))
+    weight = np.ones(s.size)
+    for _ in range(REWEIGHTED):
+        a, b = (x * weight[:, None] for x in (terms, flat))
+        solution = np.linalg.lstsq(np.concatenate([a.real, a.imag]), np.concatenate([b.real, b.imag]), rcond=None)[0]
+        synthesised = terms @ solution
+        left = np.mean(np.abs((flat - synthesised) / np.where(scale > 0, scale, 1.0)) ** 2, axis=1)
+        weight = 1 / np.sqrt(uniform_filter1d(left, 2 * AROUND + 1) + np.finfo(float).tiny)
+    residues = solution[: poles.size] + 1j * solution[poles.size : 2 * poles.size]
+    return residues.reshape(poles.size, *spectra.shape[1:]), synthesised.reshape(spectra.shape)
 
 
 def _modes(found: list[_Column], residues: ComplexArray, drawn: Chart) -> tuple[Mode, ...]:
