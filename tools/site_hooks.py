@@ -46,8 +46,8 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def _breakable(html: str) -> str:
-    """Long names may break after their underscores."""
-    return re.sub(r"(?<=[a-z0-9][_@])(?=[a-z])(?![^<]*>)", "<wbr>", html)
+    """Long names may break after their underscores and bars."""
+    return re.sub(r"(?<=[a-z0-9][_@])(?=[a-z])(?![^<]*>)|(?<=[A-Z]\|)(?=[A-Z])(?![^<]*>)", "<wbr>", html)
 
 
 def _table(found: re.Match[str]) -> str:
