@@ -16,16 +16,29 @@ FREQUENCY, DAMPING = np.array([5.2, 9.1, 9.6, 17.0]), np.array([0.01, 0.015, 0.0
 RATE, SECONDS, SENSORS = 64.0, 400, 6
 
 
-def responses() -> tuple[np.ndarray, np.ndarray]:
-    """Shapes (nm, nr) and accelerations (nr, nt) of white forces: each mode a recursion of one complex pole."""
+def running(
+    frequency: np.ndarray, damping: np.ndarray, rate: float, seconds: int, sensors: int, fading: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Shapes (nm, nr) and responses (nr, nt) without noise: each mode a recursion of one complex pole.
+
+    Forces are white, or fade with frequency as those of wind where ``fading`` is near one.
+    """
     rng = np.random.default_rng(3)
-    shapes = rng.normal(size=(FREQUENCY.size, SENSORS))
-    count, before = int(RATE * SECONDS), 4000
-    force = shapes @ rng.normal(size=(SENSORS, count + before))
-    pole = 2 * np.pi * FREQUENCY * (-DAMPING + 1j * np.sqrt(1 - DAMPING**2))
-    modal = [np.imag(lfilter([1], [1, -np.exp(p / RATE)], f))[before:] for p, f in zip(pole, force, strict=True)]
-    y = shapes.T @ np.array(modal)
-    return shapes, y + 0.02 * y.std(axis=1, keepdims=True) * rng.normal(size=y.shape)
+    shapes = rng.normal(size=(frequency.size, sensors))
+    count, before = int(rate * seconds), 4000
+    force = shapes @ lfilter([1], [1, -fading], rng.normal(size=(sensors, count + before)))
+    pole = 2 * np.pi * frequency * (-damping + 1j * np.sqrt(1 - damping**2))
+    modal = [np.imag(lfilter([1], [1, -np.exp(p / rate)], f))[before:] for p, f in zip(pole, force, strict=True)]
+    return shapes, shapes.T @ np.array(modal)
+
+
+def noisy(y: np.ndarray, share: float) -> np.ndarray:
+    return y + share * y.std(axis=1, keepdims=True) * np.random.default_rng(4).normal(size=y.shape)
+
+
+def responses() -> tuple[np.ndarray, np.ndarray]:
+    shapes, y = running(FREQUENCY, DAMPING, RATE, SECONDS, SENSORS)
+    return shapes, noisy(y, 0.02)
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +76,23 @@ def test_modes_of_a_running_structure_and_all_that_the_command_writes(twin, reco
     names = {path.name for path in (tmp_path / "out").iterdir()}
     kinds = ("modes.rrd", "modes.unv", "stabilisation.png", "indicators.png", "frf.png", "automac.png", "shapes.png")
     assert {"report.html", "modes.yaml", "modal.json", *(f"bridge_{kind}" for kind in kinds)} <= names
+
+
+def test_strong_low_modes_do_not_hide_weak_high_ones() -> None:
+    """A record that shows five octaves, the lowest mode a thousand times as strong as the highest."""
+    pytest.importorskip("pyoma2")
+    from twin.measure.operational import Running, identify_running
+
+    frequency, damping = np.array([1.5, 2.6, 9.0, 14.0, 31.0, 33.0, 58.0]), np.full(7, 0.01)
+    shapes, y = running(frequency, damping, 300.0, 120, 8, fading=0.99)
+    found = identify_running("mast", Running(np.zeros(0), noisy(y, 1e-4), 300.0), tuple("abcdefgh"), fmax=100.0)
+    f = np.array([m.frequency_hz for m in found.modes])
+    assert f.size == frequency.size, f
+    assert np.all(np.abs(f - frequency) < 4 * np.array([m.frequency_std_hz for m in found.modes]))
+    drawn = np.array([m.response_shape for m in found.modes])
+    assert np.diag(mac(drawn, shapes.astype(complex))).min() > 0.95
+    assert np.median(found.frac) > 0.99
+    assert found.missed_hz is None
 
 
 def test_universal_files_of_time_responses_say_the_same(tmp_path: Path, recording: Path) -> None:

@@ -41,12 +41,18 @@ def on_page_content(html: str, **_: Any) -> str:
     """Classes named as Sphinx does are shown by the name alone; what scrolls can be reached by keyboard."""
     html = re.sub(r":(?:class|func|meth|attr|mod):(?=<code>)", "", html)
     html = html.replace("<pre>", '<pre tabindex="0">')
+    html = re.sub(r"<h1.*?</h1>", lambda title: _breakable(title[0]), html, flags=re.DOTALL)
     return re.sub(r"<table>.*?</table>", _table, html, flags=re.DOTALL)
+
+
+def _breakable(html: str) -> str:
+    """Long names may break after their underscores and bars."""
+    return re.sub(r"(?<=[a-z0-9][_@])(?=[a-z])(?![^<]*>)|(?<=[A-Z]\|)(?=[A-Z])(?![^<]*>)", "<wbr>", html)
 
 
 def _table(found: re.Match[str]) -> str:
     """A table scrolls where it must, and its long names may break before that."""
-    table = re.sub(r"(?<=[a-z0-9][_@])(?=[a-z])(?![^<]*>)", "<wbr>", found[0])
+    table = _breakable(found[0])
     return f'<div class="md-typeset__scrollwrap" tabindex="0"><div class="md-typeset__table">{table}</div></div>'
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
 
 from tools.truth import milling as truth
 from twin.milling.cut import Cut, read_cut
@@ -208,14 +209,15 @@ def amplitude() -> None:
             depths, np.arange(len(blows)), 1e6 * size, norm=LogNorm(0.1, 2000), cmap="viridis", shading="nearest"
         )
         at, row = np.meshgrid(depths, np.arange(len(blows)))
-        ax.plot(at[chatter], row[chatter], "x", color="white", markersize=6, label="chatters")
+        edge = [Stroke(linewidth=3.2, foreground="black"), Normal()]  # seen on every colour, and in the legend
+        ax.plot(at[chatter], row[chatter], "x", color="white", markersize=6, label="chatters", path_effects=edge)
         ax.axvline(limit, color="#e8590c", linewidth=2.2, label="limit of the linear lobes")
         ax.set_title(f"{name}: linear limit {limit:.2f} mm", fontsize=10)
         ax.set_yticks(np.arange(len(blows)), [f"{blow:g}" for blow in blows])
         print(f"{name}: linear limit {limit:.2f} mm")
         for blow, row in zip(blows, chatter, strict=True):
             print(f"  blow {blow:g} N·s: chatters at", *(f"{depth:g}" for depth in depths[row]), "mm")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=9, facecolor="#8a8f98")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=9, frameon=False)
     figure.colorbar(shown, ax=figure.axes, label="settled change from turn to turn, µm")
     figure.supxlabel("axial depth of cut, mm", fontsize=10)
     figure.supylabel("blow before the cut, N·s", fontsize=10)

@@ -254,7 +254,7 @@ def _calibration(path: Path, cases: Sequence[Scored]) -> None:
         low, high = found.interval
         axes.plot([p, p], [low, high], color="C0", lw=1.2)
         axes.plot(p, found.value, "o", color="C0", ms=3 + 1.2 * np.sqrt(found.n))
-    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="probability claimed", ylabel="share that was right",
+    axes.set(xlim=(0, 1.06), ylim=(0, 1.06), xlabel="probability claimed", ylabel="share that was right",
              title=f"calibration error {error:.3f}")  # fmt: skip
     figure.savefig(path, dpi=130)
     plt.close(figure)

@@ -16,8 +16,10 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import qr
-from scipy.signal import decimate, detrend
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import decimate, detrend, firwin, oaconvolve
 
 from twin.errors import InputError
 from twin.measure.campaign import (
@@ -46,7 +48,10 @@ MOST_LAGS, FEWEST_LAGS = 30, 12  # block rows of the Hankel matrix
 SEGMENTS, FEWEST_SEGMENTS = 40, 10  # of the record, whose scatter gives deviations
 SEGMENT_LAGS = 20  # block rows that a segment is long at least
 HALF_SPECTRUM = 4096, 8  # most lags of a half-spectrum, and parts of a record that one is at most
+REWEIGHTED, TAILS = 4, 3  # fits of residues, and powers of 1/s beside the modes
+FEWEST_LINES = 16  # of a half-spectrum in the band
 AROUND = 8  # lines on either side of a mode, from whose median the noise there is told
+CUT, CUT_PERIODS = 0.85, 6  # a filter's corner over the lower end of an octave, its length in periods of that end
 LEFT_AT_END = 0.01  # of the exponential window of a half-spectrum
 ONE_MODE = 0.97  # MAC from which two columns within a bandwidth are one mode
 EXTRA = 'needs pyOMA2: pip install "twin[operational]"'
@@ -162,39 +167,110 @@ def identify_running(
     y, rate = _thinned(record, top)
     rms = np.sqrt(np.mean(y**2, axis=1))
     live = np.flatnonzero(rms > DEAD_CHANNEL * np.median(rms[rms > 0]))
-    scaled = y[live] / rms[live, None]
-    pivot = live[qr(scaled.T, mode="r", pivoting=True, check_finite=False)[1]]
-    outputs, references = pivot[:MOST_OUTPUTS], pivot[:MAX_REFERENCES]
+    count = min(MAX_REFERENCES, live.size)
     order = min(max_order, MOST_ORDER) // 2 * 2
-    lags = int(np.clip(max(np.ceil(order / references.size) + 1, FEWEST_LAGS), FEWEST_LAGS, MOST_LAGS))
-    if fmin is not None and fmin > 0:
-        lags = int(np.clip(np.ceil(rate / (2 * fmin)), lags, MOST_LAGS))
-    order = min(order, lags * references.size, (lags - 1) * outputs.size) // 2 * 2
-    segments = min(SEGMENTS, (y.shape[1] - 2 * lags) // (SEGMENT_LAGS * lags))
-    if segments < FEWEST_SEGMENTS:
-        need = (FEWEST_SEGMENTS * SEGMENT_LAGS + 2) * lags / rate
+    lags = int(np.clip(np.ceil(order / count) + 1, FEWEST_LAGS, MOST_LAGS))
+    need = FEWEST_SEGMENTS * SEGMENT_LAGS * lags + 2 * lags
+    if y.shape[1] < need:
         raise InputError(
-            source, f"postures/{name}/running/response", f"expected {need:.3g} s or more, found {y.shape[1] / rate:.3g}"
+            source,
+            f"postures/{name}/running/response",
+            f"expected {need / rate:.3g} s or more, found {y.shape[1] / rate:.3g}",
         )
-    low = rate / (2 * MOST_LAGS * SEGMENT_LAGS) if fmin is None else fmin
-    poles, deviations = _subspace(y[outputs] / rms[outputs, None], references.size, 1 / rate, lags, order, segments)
-    drawn = chart(poles)
-    found = _columns(drawn, deviations, low, top)
-    correlation = _correlations(y, references)
-    s, spectra = _half_spectra(correlation, rate, low, top)
-    found, residues, synthesised = _visible(found, correlation[: 2 * lags], s, spectra, rate)
+    step = rate / (2 * min(HALF_SPECTRUM[0], y.shape[1] // HALF_SPECTRUM[1]))
+    if fmin is not None and top - fmin < FEWEST_LINES * step:
+        band = f"from {fmin:g} to {top:g} Hz; lines are {step:.3g} Hz apart, up to {highest:.4g} Hz"
+        raise InputError(source, f"postures/{name}/running", f"expected {FEWEST_LINES} lines or more {band}")
+    parts = _octaves(y, rate, top, fmin, need)
+    references = _pivot(np.concatenate([_scaled(part.y[live]) for part in parts], axis=1), live)[:count]
+    modes: list[Mode] = []
+    frequency, measured, synthesised, charts = [], [], [], []
+    for part in parts:
+        outputs = _pivot(_scaled(part.y[live]), live)[:MOST_OUTPUTS]
+        poles, deviations = _subspace(_scaled(part.y[outputs]), count, lags, order, part)
+        drawn = chart(poles)
+        charts.append(_inside(drawn, part))
+        s, spectra = _half_spectra(_correlations(part, references), part)
+        found, residues, sum_of_modes = _visible(_columns(drawn, deviations), s, spectra, part)
+        modes += [m for m in _modes(found, residues, drawn) if part.holds(m.frequency_hz)]
+        frequency.append(s.imag / (2 * np.pi))
+        measured.append(spectra)
+        synthesised.append(sum_of_modes)
     return ModalResult(
         name,
         record.q_deg,
-        _modes(found, residues, drawn),
-        s.imag / (2 * np.pi),
-        spectra,
-        synthesised,
-        (drawn,),
+        tuple(sorted(modes, key=lambda m: m.frequency_hz)),
+        np.concatenate(frequency),
+        np.concatenate(measured),
+        np.concatenate(synthesised),
+        tuple(charts),
         label,
         tuple(label[r] for r in references),
         operational=True,
     )
+
+
+@dataclass(frozen=True)
+class _Octave:
+    """A part of the band: responses (nr, nt) in m/s² that hold it, ``rate`` and its ends ``low`` and ``high`` in Hz."""
+
+    y: FloatArray
+    rate: float
+    low: float
+    high: float
+
+    @property
+    def lags(self) -> int:
+        """Of the correlations whose transforms are half-spectra."""
+        return min(HALF_SPECTRUM[0], self.y.shape[1] // HALF_SPECTRUM[1])
+
+    def transforms(self, poles: ComplexArray, s: ComplexArray) -> ComplexArray:
+        """(nf, nm) half-spectra of sampled decays, which break off as the correlations do."""
+        step = (poles - s[:, None]) / self.rate
+        return np.asarray((1 - np.exp(self.lags * step)) / (self.rate * (1 - np.exp(step))), dtype=complex)
+
+    def holds(self, frequency: Any) -> NDArray[np.bool_]:
+        """Which frequencies, Hz, are inside."""
+        return np.asarray((frequency >= self.low) & (frequency < self.high))
+
+
+def _octaves(y: FloatArray, rate: float, top: float, fmin: float | None, need: int) -> list[_Octave]:
+    """The band in octaves, lowest first, each without what lies below and at a rate of its own.
+
+    Block rows that resolve a low mode would be too many at a high rate, and what is strong below would hide what is
+    weak above. A record of ``need`` samples is not halved any more: below its octave is one last part.
+    """
+    parts: list[_Octave] = []
+    high = top
+    while fmin is None or rate / 2 / USABLE > np.sqrt(2) * fmin:  # no part is narrower than half an octave
+        low = rate / 2 / USABLE
+        parts.insert(0, _Octave(_without_below(y, rate, low, need), rate, low, high))
+        high = low
+        if y.shape[1] // 2 < need:
+            break
+        y, rate = decimate(y, 2, ftype="fir", axis=1), rate / 2
+    lowest = rate / (2 * MOST_LAGS * SEGMENT_LAGS) if fmin is None else fmin
+    return [_Octave(_without_below(y, rate, lowest, need), rate, lowest, high), *parts]
+
+
+def _without_below(y: FloatArray, rate: float, low: float, need: int) -> FloatArray:
+    """Responses (nr, nt) without what is well below ``low`` Hz; with it where the record is too short for a filter."""
+    taps = int(CUT_PERIODS * rate / low) | 1 if low > 0 else y.shape[1]
+    if y.shape[1] - taps < need:
+        return y
+    window = firwin(taps, CUT * low, fs=rate, pass_zero=False)
+    return np.asarray(oaconvolve(y, window[None], mode="valid", axes=1))
+
+
+def _scaled(y: FloatArray) -> FloatArray:
+    """Every response (nr, nt) over its root mean square."""
+    rms = np.sqrt(np.mean(y**2, axis=1, keepdims=True))
+    return y / np.where(rms > 0, rms, 1.0)
+
+
+def _pivot(y: FloatArray, number: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The ``number`` of responses (nr, nt), the most independent first."""
+    return number[qr(y.T, mode="r", pivoting=True, check_finite=False)[1]]
 
 
 def _thinned(record: Running, top: float) -> tuple[FloatArray, float]:
@@ -208,9 +284,11 @@ def _thinned(record: Running, top: float) -> tuple[FloatArray, float]:
 
 
 def _subspace(
-    y: FloatArray, references: int, dt: float, lags: int, order: int, segments: int
+    y: FloatArray, references: int, lags: int, order: int, part: _Octave
 ) -> tuple[list[Poles], list[FloatArray]]:
-    """Poles of every even order, and (n, 2) deviations of their frequencies in Hz and damping ratios."""
+    """Poles of every even order, and (n, 2) deviations of frequencies in Hz and damping ratios."""
+    order = min(order, lags * references, (lags - 1) * len(y)) // 2 * 2
+    segments = min(SEGMENTS, (y.shape[1] - 2 * lags) // (SEGMENT_LAGS * lags))
     state = np.geterr()
     try:
         from pyoma2.functions import ssi
@@ -224,7 +302,7 @@ def _subspace(
         hankel, scatter = peer.build_hank(y, y[:references], lags, "cov", calc_unc=True, nb=segments)
         observability, a, c, _ = peer.SSI_fast(hankel, lags, order)
         _, _, shapes, poles, f_std, z_std, _ = peer.SSI_poles(
-            observability, a, c, order, dt, xi_max=DAMPING_RANGE[1], calc_unc=True, H=hankel, T=scatter
+            observability, a, c, order, 1 / part.rate, xi_max=DAMPING_RANGE[1], calc_unc=True, H=hankel, T=scatter
         )
     found, deviations = [], []
     for n in range(2, order + 1, 2):
@@ -247,8 +325,18 @@ class _Column:
     damping_std: float
 
 
-def _columns(drawn: Chart, deviations: list[FloatArray], low: float, top: float) -> list[_Column]:
-    """Columns of the chart within the band, each once, with the scatter over orders in their deviations."""
+def _inside(drawn: Chart, part: _Octave) -> Chart:
+    """The chart without poles beside the octave, which another octave's chart holds."""
+    poles, symbols = [], []
+    for found, marks in zip(drawn.poles, drawn.symbols, strict=True):
+        keep = part.holds(found.frequency)
+        poles.append(Poles(found.order, found.poles[keep], found.shape[keep], found.participation[keep]))
+        symbols.append("".join(mark for mark, stays in zip(marks, keep, strict=True) if stays))
+    return Chart(tuple(poles), tuple(symbols))
+
+
+def _columns(drawn: Chart, deviations: list[FloatArray]) -> list[_Column]:
+    """Columns of the chart, each once, with the scatter over orders in their deviations."""
     found: list[_Column] = []
     for cluster in sorted(clusters(drawn), key=lambda c: -c.count):
         members = []
@@ -258,7 +346,7 @@ def _columns(drawn: Chart, deviations: list[FloatArray], low: float, top: float)
                 if abs(poles.poles[n] - cluster.pole) < -cluster.pole.real:
                     members.append((poles.shape[n], *deviation[n]))
         frequency = abs(cluster.pole) / (2 * np.pi)
-        if not members or not low <= frequency <= top:
+        if not members:
             continue
         f_std, z_std = (float(np.median([m[k] for m in members])) for k in (1, 2))
         shape = members[len(members) // 2][0]
@@ -278,55 +366,72 @@ def _columns(drawn: Chart, deviations: list[FloatArray], low: float, top: float)
     return sorted(found, key=lambda c: abs(c.pole))
 
 
-def _correlations(y: FloatArray, references: Any) -> FloatArray:
+def _correlations(part: _Octave, references: Any) -> FloatArray:
     """Correlations (lag, nr, ne) of all responses with the references at positive lags, (m/s²)²."""
-    nt = y.shape[1]
+    nt = part.y.shape[1]
     size = 2 ** int(np.ceil(np.log2(2 * nt)))
-    whole = np.fft.rfft(y, size, axis=1)
-    lags = min(HALF_SPECTRUM[0], nt // HALF_SPECTRUM[1])
-    found = [np.fft.irfft(whole * whole[r].conj(), size, axis=1)[:, :lags].T / nt for r in references]
+    whole = np.fft.rfft(part.y, size, axis=1)
+    found = [np.fft.irfft(whole * whole[r].conj(), size, axis=1)[:, : part.lags].T / nt for r in references]
     return np.stack(found, axis=2)
 
 
-def _half_spectra(correlation: FloatArray, rate: float, low: float, top: float) -> tuple[ComplexArray, ComplexArray]:
+def _half_spectra(correlation: FloatArray, part: _Octave) -> tuple[ComplexArray, ComplexArray]:
     """Laplace points (nf,) and half-spectra (nf, nr, ne) of correlations under an exponential window."""
-    lags = correlation.shape[0]
+    lags, rate = part.lags, part.rate
     sigma = -np.log(LEFT_AT_END) * rate / lags
     window = np.exp(-sigma / rate * np.arange(lags))
     window[0] /= 2
     frequency = np.fft.rfftfreq(2 * lags, 1 / rate)
-    inside = (frequency >= low) & (frequency <= top)
+    inside = part.holds(frequency)
     spectra = np.fft.rfft(correlation * window[:, None, None], 2 * lags, axis=0)[inside] / rate
     return sigma + 2j * np.pi * frequency[inside], spectra
 
 
 def _visible(
-    found: list[_Column], correlation: FloatArray, s: ComplexArray, spectra: ComplexArray, rate: float
+    found: list[_Column], s: ComplexArray, spectra: ComplexArray, part: _Octave
 ) -> tuple[list[_Column], ComplexArray, ComplexArray]:
     """Modes that some channel shows above what all of them leave over, residues (nm, nr, ne), synthesised spectra.
 
-    Residues are fitted to the youngest ``correlation``, where a record of finite length errs least.
+    Modes beside the octave stay: filters leave some of them, which would go into the others.
     """
     while True:
-        poles, n = np.array([c.pole for c in found], dtype=complex), len(found)
-        decay = np.exp(np.arange(1, len(correlation))[:, None] / rate * poles)
-        terms = np.concatenate([decay.real, -decay.imag], axis=1)
-        solution = np.linalg.lstsq(terms, correlation[1:].reshape(len(terms), -1), rcond=None)[0]
-        residues = ((solution[:n] + 1j * solution[n:]) / 2).reshape(n, *spectra.shape[1:])
-        p, c = (1 / (rate * (1 - np.exp((q - s[:, None]) / rate))) for q in (poles, poles.conj()))
-        start = (correlation[0] / 2 - residues.real.sum(axis=0) * 2) / rate  # lag zero holds the noise of sensors
-        synthesised = np.tensordot(p, residues, 1) + np.tensordot(c, residues.conj(), 1) + start
-        if not n:
+        poles = np.array([c.pole for c in found], dtype=complex)
+        residues, synthesised = _residues(poles, s, spectra, part)
+        if not found:
             return found, residues, synthesised
         left = np.abs(spectra - synthesised)
         line = np.argmin(np.abs(s.imag[:, None] - poles.imag), axis=0)
         around = [left[max(k - AROUND, 0) : k + AROUND + 1] for k in line]
-        noise = np.stack([np.sqrt(np.median(part**2, axis=0) / np.log(2)) for part in around])
-        own = np.abs(p[line, np.arange(n)])[:, None, None] * np.abs(residues)
+        noise = np.stack([np.sqrt(np.median(near**2, axis=0) / np.log(2)) for near in around])
+        own = np.abs(part.transforms(poles, s)[line, np.arange(line.size)])[:, None, None] * np.abs(residues)
         shown = np.max(own / np.where(noise > 0, noise, np.inf), axis=(1, 2))
+        shown[~part.holds(np.abs(poles) / (2 * np.pi))] = np.inf
         if shown.min() >= VISIBLE:
             return found, residues, synthesised
         found = [c for k, c in enumerate(found) if k != int(np.argmin(shown))]
+
+
+def _residues(
+    poles: ComplexArray, s: ComplexArray, spectra: ComplexArray, part: _Octave
+) -> tuple[ComplexArray, ComplexArray]:
+    """Residues (nm, nr, ne) of the poles in the half-spectra, and what they make of these.
+
+    A line counts the less, the more is left over around it: a record of finite length errs most where modes are strong.
+    """
+    p, c = part.transforms(poles, s), part.transforms(poles.conj(), s)
+    tails = (s / np.abs(s[-1]))[:, None] ** -np.arange(TAILS)  # noise of a sensor, in lag zero; what is strong below
+    terms = np.concatenate([p + c, 1j * (p - c), tails], axis=1)
+    flat = spectra.reshape(s.size, -1)
+    scale = np.sqrt(np.mean(np.abs(flat) ** 2, axis=0))
+    weight = np.ones(s.size)
+    for _ in range(REWEIGHTED):
+        a, b = (x * weight[:, None] for x in (terms, flat))
+        solution = np.linalg.lstsq(np.concatenate([a.real, a.imag]), np.concatenate([b.real, b.imag]), rcond=None)[0]
+        synthesised = terms @ solution
+        left = np.mean(np.abs((flat - synthesised) / np.where(scale > 0, scale, 1.0)) ** 2, axis=1)
+        weight = 1 / np.sqrt(uniform_filter1d(left, 2 * AROUND + 1) + np.finfo(float).tiny)
+    residues = solution[: poles.size] + 1j * solution[poles.size : 2 * poles.size]
+    return residues.reshape(poles.size, *spectra.shape[1:]), synthesised.reshape(spectra.shape)
 
 
 def _modes(found: list[_Column], residues: ComplexArray, drawn: Chart) -> tuple[Mode, ...]:
