@@ -12,6 +12,7 @@ import pytest
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.described import described
+from twin.diagnose.hammer import _or_its_link
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import next_test
@@ -21,7 +22,7 @@ from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
 from twin.diagnose.search import Search, _about_the_same_axis, _best_of_each, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
-from twin.diagnose.verdict import elsewhere, judge, rival_of, strained
+from twin.diagnose.verdict import elsewhere, judge, missing_of, rival_of, strained
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
 from twin.identify.recorded import without_limits
@@ -544,6 +545,35 @@ def test_a_mass_that_hangs_and_one_that_swings_may_be_one() -> None:
         assert start[f"{key}.mass"] == pytest.approx(ends["payload@link1.mass"])
         assert start[f"{key}.frequency_hz"] == pytest.approx(ends["attached_resonator@link3.frequency_hz"])
         assert start["link2.mass"] == pytest.approx(ends["link2.mass"])
+
+
+@pytest.mark.parametrize(("more", "alone"), [(2.0, False), (20.0, True)])
+def test_a_mass_stands_beside_its_link_where_frfs_do_not_tell_them_apart(more: float, alone: bool) -> None:
+    """ln likelihood that FRFs gain by the payload: by less than 8 it only relieves the link's own numbers."""
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    load = entry_hypothesis(robot, "payload", "flange", CATALOGUE["payload"].typical(robot, "flange") or {})
+    tense = np.zeros(len(free))
+    tense[free.names.index("link3.mass")] = 10.0
+
+    def fit(hypothesis: Hypothesis, z: np.ndarray, cost: float) -> Fitted:
+        parameters = hypothesis.parameters(free)
+        return Fitted(hypothesis, parameters, z, parameters.values(z), robot, cost, 1.0, np.eye(len(z)), 1e4, True)
+
+    settled = fit(NONE, tense, 5050.0 + more)
+    best = fit(load, np.zeros(len(free) + len(load.own)), 5000.0)
+    decision, links = _or_its_link(Decision([best], [0.98], 0.01, 0.01), settled, robot)
+    if alone:
+        assert judge(decision) == "named"
+        assert not links
+        return
+    assert judge(decision) == "ambiguous"
+    assert decision.probability == [0.49, 0.49]
+    (missing,) = missing_of(decision, settled)
+    ((rival, probability),) = missing.rivals
+    assert (missing.first.key, rival.key, probability) == ("payload@flange", "parameter@link3.mass", 0.49)
+    assert rival.parameters["mass"]["value"] == pytest.approx(settled.values[free.names.index("link3.mass")])
+    assert {"link3.mass", "link3.com.x"} < links
 
 
 class Canyon(Objective):
