@@ -19,7 +19,7 @@ from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
 from twin.diagnose.many_postures import apart, judged
-from twin.diagnose.next_test import next_test, smallest_visible
+from twin.diagnose.next_test import WEIGH, next_test, smallest_visible
 from twin.diagnose.physical import as_written, physical
 from twin.diagnose.records import FrfRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor, recorded_error
@@ -361,6 +361,9 @@ def _next_test(given: Robot, answer: _Answer, few: Sample, seed: int) -> dict[st
     if answer.word != "ambiguous" and not (answer.word == "unexplained" and likely):
         return None
     rival = rival_of(decision) if answer.answered else None
+    if rival and answer.links:
+        names = [piece.key for fit in (decision.ranked[0], rival) for piece in fit.hypothesis.pieces]
+        return {"description": WEIGH, "separates": names, "posture_deg": None}
     return next_test(given, decision.ranked[0], rival or answer.base, few, seed)
 
 

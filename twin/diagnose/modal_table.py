@@ -16,6 +16,7 @@ import numpy as np
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together
+from twin.diagnose.next_test import WEIGH
 from twin.diagnose.physical import as_written
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
@@ -381,10 +382,7 @@ def next_test(finding: Finding) -> dict[str, object]:
     """What would tell the alternatives apart; between a payload and its link nothing short of weighing does."""
     names = [c.key for m in finding.missing for c in (m.first, *(rival for rival, _ in m.rivals))]
     if all(name.startswith("payload@") or name.endswith(".mass") for name in names):
-        text = (
-            "no vibration test tells a payload from its link's own inertia: weigh what the robot carries, or take it "
-        )
-        text += "off and repeat the test"
+        text = WEIGH
     else:
         text = (
             "a hammer test in these postures, each also with joint 1 turned by 60°: responses at several points tell "

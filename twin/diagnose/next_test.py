@@ -62,6 +62,12 @@ def smallest_visible(
     return found
 
 
+WEIGH = (
+    "no vibration test tells a payload from its link's own inertia: weigh what the robot carries, or take it off and "
+    "repeat the test"
+)
+
+
 def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: int = 0) -> dict[str, Any] | None:
     """The posture, brake state that best separates two fitted hypotheses, with the expected separation.
 
