@@ -17,7 +17,7 @@ from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, m
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import next_test
 from twin.diagnose.noise import pooled_variance, shared_lines
-from twin.diagnose.physical import physical
+from twin.diagnose.physical import as_written, physical
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
 from twin.diagnose.search import Search, _about_the_same_axis, _best_of_each, _taken_over, converge, explain, settle
@@ -739,11 +739,15 @@ def test_a_payload_on_a_light_wrist_may_have_an_inertia_that_a_body_can_have(kr9
     assert [p.log for p in own] == [True, False, False, False, True, True, True]
     # a fit may leave moments that break the triangle inequality: they are written as the nearest that do not
     fitted = Entry(effect="payload", site="flange", **{**point, "inertia": [1.0, 0.1, 0.1]})
-    (mended,) = physical(light.model_copy(update={"physics": [fitted]})).physics
+    robot = light.model_copy(update={"physics": [fitted]})
+    (mended,) = as_written(robot, light).physics
     assert CATALOGUE["payload"].check(light.values(fitted)) is not None
     assert CATALOGUE["payload"].check(light.values(mended)) is None
+    q = np.array([0.3, 1.2, -1.4])
+    masses = [linearise(assemble(without_limits(one), q, brakes="on")).M for one in (robot, as_written(robot, light))]
+    assert masses[0] == pytest.approx(masses[1], rel=1e-3)  # what is written is what the fit had
     fine = light.model_copy(update={"physics": [fitted.model_copy(update={"inertia": [0.3, 0.2, 0.2]})]})
-    assert physical(fine) is fine
+    assert as_written(fine, light).physics == fine.physics
 
 
 def test_a_damper_that_has_run_away_is_written_as_one_that_holds_its_joint(kr90: Robot) -> None:

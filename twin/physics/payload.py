@@ -6,6 +6,7 @@ import numpy as np
 
 from twin.physics.effect import Companion, Effect, Parameter, Values, axis_of, link_end
 from twin.physics.statements import LogView, Prior, Suspected
+from twin.robot.frames import nearest_body
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -57,7 +58,9 @@ class Payload(Effect):
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if values["mass"] > 0:
             body = f"link{self.carrier(mechanism.robot, site) + 1}"
-            mechanism.attach(body, values["mass"], np.array(values["com"]), _matrix(values["inertia"] or [0.0] * 3))
+            mechanism.attach(
+                body, values["mass"], np.array(values["com"]), nearest_body(_matrix(values["inertia"] or [0.0] * 3))
+            )
 
     def weight(self, values: Values) -> dict[str, Any]:
         inertia = {"inertia": values["inertia"]} if values.get("inertia") else {}

@@ -66,6 +66,18 @@ def inertia_matrix(six: Sequence[float]) -> np.ndarray:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], float)
 
 
+def nearest_body(inertia: np.ndarray, least: float = 0.0) -> np.ndarray:
+    """The inertia (3, 3) itself where a body can have it, else the nearest in second moments ∫x²dm.
+
+    ``least``: what is put in place of a negative moment, as a share of the sum of the others.
+    """
+    moment, basis = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    if moment[0] >= 0:
+        return inertia
+    second = (basis * np.maximum(moment, least * np.maximum(moment, 0).sum())) @ basis.T
+    return np.asarray(np.trace(second) * np.eye(3) - second)
+
+
 def inertia_six(matrix: np.ndarray) -> list[float]:
     """(xx, yy, zz, xy, xz, yz) of an inertia matrix (3, 3)."""
     return [float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
