@@ -41,8 +41,10 @@ def _size(path: str | Path) -> tuple[str, int]:
     """Kind of a recording, and how many values it holds."""
     import h5py  # --version and --help need none
 
+    from twin.measure.hdf5 import opened
+
     try:
-        with h5py.File(path) as file:
+        with opened(Path(path)) as file:
             kind = str(file.attrs.get("format", ""))
             group, name = ("runs", "position") if kind == "motion-log" else ("postures", "frf")
             sets = [part[name] for part in file.get(group, {}).values() if name in part]
