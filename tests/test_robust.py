@@ -439,7 +439,12 @@ def test_foreign_files_cut_short_are_refused(tmp_path: Path, suffix: str, twin: 
 
 @pytest.mark.parametrize(
     ("mode", "field"),
-    [("{frequency_hz: 10, damping_percent: 5428}", "damping_percent"), ("{frequency_hz: 10, damping: 2}", "damping")],
+    [
+        ("{frequency_hz: 10, damping_percent: 5428}", "damping_percent"),
+        ("{frequency_hz: 10, damping_percent: 1.0e-300}", "damping_percent"),
+        ("{frequency_hz: 10, damping: 2}", "damping"),
+        ("{frequency_hz: 4.1e+7}", "frequency_hz"),
+    ],
 )
 def test_modes_that_are_none_and_fields_unknown_are_refused(tmp_path: Path, mode: str, field: str) -> None:
     (tmp_path / "modes.yaml").write_text(f"postures: {{a: {{q_deg: [0, 0, 0], modes: [{mode}]}}}}\n")
@@ -450,6 +455,10 @@ def test_modes_that_are_none_and_fields_unknown_are_refused(tmp_path: Path, mode
 def test_a_joint_from_a_link_to_itself_and_speeds_of_no_machine_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.urdf").write_text(seeds.URDF.replace('<child link="upper"/>', '<child link="base"/>'))
     with pytest.raises(InputError, match="joint a1: expected two links"):
+        read_urdf(tmp_path / "a.urdf")
+    origin = '<origin xyz="0 0 0.3" rpy="0 0 0"/>'
+    (tmp_path / "a.urdf").write_text(seeds.URDF.replace(origin, 2 * origin))
+    with pytest.raises(InputError, match="joint a1: expected one <origin> in <joint>, found 2"):
         read_urdf(tmp_path / "a.urdf")
     (tmp_path / "sheet.yaml").write_text("max_speed: [1.0e+12, 120]\n")
     with pytest.raises(InputError, match="max_speed"):
