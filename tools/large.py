@@ -1,6 +1,6 @@
 """`python -m tools.large --out out/large`: peak memory and time of commands on large recordings of the six-axis KR90.
 
-Two hours of six axes at 1 kHz, of a KR90 with a load on its elbow, and a hammer test of 200 postures × 69 FRFs × 800
+Two hours of six axes at 1 kHz, of a KR90 with one-sided friction, and a hammer test of 200 postures × 69 FRFs × 800
 lines, of a KR90 on a base that tilts. A command that exceeds its memory limit, or ``--timeout``, is told as such.
 """
 
@@ -30,7 +30,7 @@ RATE_HZ, HOURS = 1000.0, 2.0
 PERIOD_S, HARMONICS = 20.0, 5
 MIDDLE_DEG, SWING = (0, 80, -60, 0, 30, 0), 0.18  # rad of each harmonic
 ENCODER, TORQUE_NOISE = 1e-6, 0.01  # rad; of the RMS of an axis
-LOAD = {"effect": "payload", "site": "link3", "mass": 20.0, "com": [0.0, 0.1, 0.0]}
+ONE_SIDED = {"effect": "asymmetric_friction", "site": "joint2", "torque_difference": 80.0, "viscous_difference": 60.0}
 POSTURES, LINES, SENSORS, BLOWS = 200, 800, 3, 23
 NOISE = 3e-3  # of the RMS of an FRF
 SPRINGS = 0.3  # prior deviations that springs and dampers are off
@@ -48,11 +48,11 @@ JOBS = (  # command, recording, options, limit in GiB
 
 
 def write_log(path: Path, hours: float) -> None:
-    """Multisines on every axis, and what the drives of a loaded KR90 give, of one period over and over; in parts."""
+    """Multisines on every axis, and torque of a KR90 whose friction differs by direction; one period over and over."""
     rng = np.random.default_rng(0)
     count, period = round(hours * 3600 * RATE_HZ), round(PERIOD_S * RATE_HZ)
     described = load_robot("kr90_six")
-    robot = described.model_copy(update={"physics": [*described.physics, Entry.model_validate(LOAD)]})
+    robot = described.model_copy(update={"physics": [*described.physics, Entry.model_validate(ONE_SIDED)]})
     turns = 2 * np.pi / PERIOD_S * np.arange(1, HARMONICS + 1)[:, None]
     time = np.arange(period) / RATE_HZ
     angle = turns * time[:, None, None] + rng.uniform(0, 2 * np.pi, (HARMONICS, robot.axis_count))
