@@ -109,7 +109,7 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
         entry = value.get(name)
         if entry is not None and not _is_number(entry):
             raise InputError(path, f"{where}.{name}", f"expected a number, found {entry!r}")
-        if entry is not None and (problem := implausible(entry, unit, scale=True)):
+        if entry is not None and (problem := implausible(entry, unit, scale="_std_" not in name)):
             raise InputError(path, f"{where}.{name}", problem)
         return None if entry is None else float(entry)
 
