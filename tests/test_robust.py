@@ -460,7 +460,7 @@ def test_a_joint_from_a_link_to_itself_and_speeds_of_no_machine_are_refused(tmp_
     (tmp_path / "a.urdf").write_text(seeds.URDF.replace(origin, 2 * origin))
     with pytest.raises(InputError, match="joint a1: expected one <origin> in <joint>, found 2"):
         read_urdf(tmp_path / "a.urdf")
-    (tmp_path / "sheet.yaml").write_text("max_speed: [1.0e+12, 120]\n")
+    (tmp_path / "sheet.yaml").write_text("max_speed: [1.2e+5, 120]\n")
     with pytest.raises(InputError, match="max_speed"):
         read_sheet(tmp_path / "sheet.yaml")
 
@@ -496,6 +496,7 @@ def test_what_a_recording_says_twice_must_agree(tmp_path: Path, frf: Path) -> No
     fine = 1e-6 * np.arange(1, lines + 1)
     for changed, problem in (
         (replace(posture, record_s=1.0, frequency=fine), "frequency: expected lines as far apart as records of 1 s"),
+        (replace(posture, frequency=1e4 * posture.frequency), "frequency: expected lines up to 50000 Hz, found"),
         (replace(posture, hits=replace(hits, sample_rate_hz=top)), "hits: sample_rate_hz: expected twice the highest"),
         (replace(posture, hits=replace(hits, force=np.ones_like(force))), "hits/force: expected blows at every point"),
     ):

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin.errors import InputError
 from twin.files import replacing
 from twin.measure.hdf5 import Node, opened
-from twin.ranges import ill_named, implausible
+from twin.ranges import FASTEST_HZ, ill_named, implausible
 
 FORMAT, VERSION = "frf-campaign", 1
 
@@ -329,6 +329,8 @@ def _check_axis(source: str | Path, field: str, frequency: FloatArray) -> int:
         raise InputError(source, f"{field}/frequency", f"expected Hz from 0 upwards, found {frequency[0]:g}")
     if problem := implausible(float(frequency[-1]), "Hz", True):
         raise InputError(source, f"{field}/frequency", problem)
+    if (highest := float(frequency[-1])) > FASTEST_HZ:
+        raise InputError(source, f"{field}/frequency", f"expected lines up to {FASTEST_HZ:g} Hz, found {highest:g}")
     step = np.diff(frequency)
     if (step <= 0).any():
         raise InputError(source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted")

@@ -13,10 +13,9 @@ from twin.errors import InputError
 from twin.files import writing
 from twin.measure.campaign import FloatArray
 from twin.measure.modal import ModalResult
-from twin.ranges import COUNTS, ill_named, implausible
+from twin.ranges import FASTEST_HZ, ill_named, implausible
 from twin.yamlfile import read_yaml
 
-FASTEST_HZ = COUNTS["sample_rate_hz"][1] / 2  # of a mode: no faster sampling is known here
 CRITICAL = 100.0  # per cent: what is damped more does not oscillate and has no frequency
 
 

@@ -21,6 +21,7 @@ from twin.robot.description import (
     Positive,
     Ratio,
     Speed,
+    SpeedOfSheet,
     Stiffness,
     Torque,
     Vector,
@@ -63,7 +64,7 @@ class Sheet(Data):
     reach: Positive | None = None
     mass: Mass | None = None
     link_masses: list[Mass] | None = None
-    max_speed: list[Speed] | None = None
+    max_speed: list[SpeedOfSheet] | None = None
     max_acceleration: list[Acceleration] | None = None
     max_torque: list[Torque] | None = None
     gear_ratio: list[Ratio] | None = None
