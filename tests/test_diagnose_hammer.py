@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tools.large import hammer_test
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.described import described
 from twin.diagnose.hammer import _or_its_link
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
-from twin.diagnose.next_test import next_test
+from twin.diagnose.next_test import SEEN, next_test, smallest_visible
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.physical import as_written, physical
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, recorded_error
@@ -25,7 +26,7 @@ from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, judge, missing_of, rival_of, strained
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
-from twin.identify.recorded import without_limits
+from twin.identify.recorded import prepare, without_limits
 from twin.measure.campaign import Campaign, FloatArray, PostureFRF, Quantity, read_campaign
 from twin.model.linear import linearise
 from twin.model.modes import modes
@@ -284,6 +285,31 @@ def test_of_two_that_turn_about_one_axis_neither_is_tried_twice(tmp_path: Path) 
         len({piece.key for piece in fit.hypothesis.pieces}) == len(fit.hypothesis.pieces)
         for fit in search.fits.values()
     )
+
+
+def test_what_is_left_at_size_nought_has_no_smallest_size() -> None:
+    """A slab without mass still stands on its springs: a gram of it would seem to show. A load grows with its mass."""
+    robot = load_robot("kr90_six")
+    free, sample = (
+        free_parameters(robot, tolerances=False),
+        Sample(tuple(prepare(hammer_test(1, 60, 2), robot).values())),
+    )
+    slab = {"mass": 3000.0, "inertia": [900.0, 900.0, 1500.0], "z": 5e7, "rx": 3e7, "damping_ratio": 0.03}
+    load = {"mass": 20.0, "com": [0.0, 0.0, 0.0]}
+    among = [[entry_hypothesis(robot, *one)] for one in (("floor_mode", "base", slab), ("payload", "link3", load))]
+    fit: Any = SimpleNamespace(parameters=free, z=np.zeros(len(free)))
+    (seen,) = smallest_visible(robot, fit, sample, among)
+    assert (seen["effect"], seen["site"]) == ("payload", "link3")
+    assert 0.1 < seen["value"] < 100
+    objective = Objective(robot, free, sample)
+    residual, J = objective.jacobian(fit.z)
+    heavier = among[1][0]
+    changed = Objective(heavier.robot(robot), heavier.parameters(free), sample)
+    size = heavier.of_size(fit.z, seen["value"] / 20.0)
+    shown = changed.residual(size) - residual
+    across = J @ shown
+    left = shown @ shown - across @ np.linalg.solve(J @ J.T + np.eye(len(J)), across)
+    assert left / 2 == pytest.approx(SEEN, rel=0.1)
 
 
 def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_path: Path) -> None:

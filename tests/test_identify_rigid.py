@@ -10,6 +10,7 @@ import pytest
 
 from tools.coverage_rigid import study
 from twin.commands.example import EXAMPLES
+from twin.commands.simulate import simulate
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
 from twin.identify.rigid import (
@@ -421,6 +422,22 @@ def test_a_rigid_linear_axis_is_replayed() -> None:
     found = compare_log(MotionLog({"a": MotionRun("a", time, q, RATE, force)}), carriage, stepped=True)
     assert found.parts[0]["error"] < 5e-3
     assert found.parts[0]["stepped_error"] < 0.01
+
+
+def test_what_coupled_drives_recorded_in_the_simulation_is_their_own(kr90: Robot) -> None:
+    """A log holds motors: compared and followed again, what joint3's drive does to joint2 is no error."""
+    data = kr90.model_dump(mode="json")
+    data["drives"][2]["coupling"] = {"joint2": 0.5}
+    robot, time = parse_robot(data), np.arange(750) / RATE
+    q = np.array([0.0, 1.3, -1.5]) + 0.3 * np.sin(3.0 * time[:, None] + np.arange(3))
+    path = MotionLog({"a": MotionRun("a", time, q, RATE)})
+    log = simulate(np.rad2deg(q[0]), robot=robot, hammer=False, trajectory=path).log
+    assert np.abs(log.runs["a"].position - q)[:, 2].max() > 0.1
+    found = compare_log(log, robot, as_is=True, stepped=True)
+    assert max(part["error"] for part in found.parts) < 0.01
+    assert max(part["stepped_error"] for part in found.parts) < 0.02
+    again = simulate(np.rad2deg(q[0]), robot=robot, hammer=False, trajectory=log).log
+    np.testing.assert_allclose(again.runs["a"].position, log.runs["a"].position, atol=2e-3)
 
 
 def test_the_nearest_robot_that_can_exist(kr90: Robot) -> None:

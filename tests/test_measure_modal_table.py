@@ -27,7 +27,7 @@ def test_numbers_with_exponents_are_numbers_and_on_is_a_word(tmp_path: Path) -> 
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    modes = (TableMode(6.1e-5, 2e-4, 1e-9, 1e-12, {"21Z+": 1 + 0j, "4Y-": 1e-7 - 2j}), TableMode(1.5e6))
+    modes = (TableMode(6.1e-5, 2e-4, 1e-9, 1e-12, {"21Z+": 1 + 0j, "4Y-": 1e-7 - 2j}), TableMode(4.5e4))
     table = ModalTable({"on": TablePosture(np.array([1e-9, -170.25]), modes), "none": TablePosture(np.zeros(1), ())})
     write_modal_table(tmp_path / "t.yaml", table)
     back = read_modal_table(tmp_path / "t.yaml")

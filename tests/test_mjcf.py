@@ -11,7 +11,7 @@ from conftest import POSTURES
 
 from twin.model.linear import linearise
 from twin.model.modes import modes
-from twin.robot.description import SHIPPED, Robot, load_robot
+from twin.robot.description import SHIPPED, Robot, load_robot, parse_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
 
@@ -96,7 +96,7 @@ def test_what_mujoco_has_natively_is_written_natively(with_entry, milling: np.nd
         assert "dcmotor" in xml(effect, "joint2", **values)
     assert "springref" in xml("cable_stiffness", "joint2", stiffness=100, rest=0.3)
     assert re.search(
-        r'<fixed name="joint2.coupling" armature="5"',
+        r'<fixed name="joint2.coupling1" armature="5"',
         xml("joint_coupling", "joint2", **{"from": "joint3", "ratio": 0.5, "inertia": 5}),
     )
     assert 'delay="0.002"' in xml("time_delay", "sensor:21X+", delay=0.002)
@@ -105,6 +105,17 @@ def test_what_mujoco_has_natively_is_written_natively(with_entry, milling: np.nd
     )
     assert '"link3.tip"' in xml("link_flexibility", "link3.y", stiffness=1e6, damping=10)
     assert '"base.rx"' in xml("base_compliance", "base.rx", stiffness=1e7, damping=10)
+
+
+def test_two_drives_that_turn_with_one_axis_are_two_tendons(kr90: Robot) -> None:
+    """Found by a log of the six-axis robot: joint4 by joint5 and by joint6."""
+    data = kr90.model_dump(mode="json")
+    for number, drive in enumerate(("joint2", "joint3"), 1):
+        coupling = {"effect": "joint_coupling", "site": "joint1", "from": drive, "ratio": 0.1, "inertia": 5.0 * number}
+        data["physics"].append(coupling)
+    model = build_spec(assemble(parse_robot(data), kr90.angles(POSTURES["upright"]), drives="servo")).compile()
+    tendons = [model.tendon(f"joint1.coupling{number}").id for number in (1, 2)]
+    assert model.tendon_armature[tendons].tolist() == [5, 10]
 
 
 def test_model_names_do_not_depend_on_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

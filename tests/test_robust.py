@@ -2,6 +2,7 @@
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -27,16 +28,20 @@ from twin.diagnose.joint import Knowledge
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError, NumericalError, numbers_of
 from twin.importing import matlab
-from twin.measure.campaign import read_campaign, write_campaign
+from twin.measure import hdf5
+from twin.measure.campaign import Hits, check_campaign, read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
+from twin.measure.recordings import read_recordings
+from twin.measure.uff import read_uff, write_uff
 from twin.milling.cut import read_cut
 from twin.milling.stability import collocate
+from twin.milling.tool_point import with_tool
 from twin.model.parameters import free_parameters
 from twin.physics import CATALOGUE
 from twin.ranges import ill_named
 from twin.robot.datasheet import read_sheet, read_tools
-from twin.robot.description import Robot
+from twin.robot.description import Robot, parse_robot
 from twin.robot.urdf import read_urdf
 from twin.stopping import TIMED_OUT, Stopped, hold, stoppable
 from twin.yamlfile import read_yaml
@@ -213,6 +218,31 @@ def test_a_file_that_ends_its_reader_is_refused(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(matlab, "_loaded", lambda path: os.kill(os.getpid(), signal.SIGKILL))
     with pytest.raises(InputError, match=r"a\.mat: cannot be read: the file is damaged"):
         matlab._variables(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize("harm", [lambda: os.kill(os.getpid(), signal.SIGKILL), lambda: any(iter(int, 1))])
+def test_a_recording_that_ends_or_hangs_its_reader_is_refused(
+    tmp_path: Path, frf: Path, monkeypatch: pytest.MonkeyPatch, harm: Callable[[], Any]
+) -> None:
+    """As damaged HDF5 does inside its library, where no signal is heard."""
+    file = tmp_path / "damaged.h5"
+    shutil.copy(frf, file)
+    monkeypatch.setattr(hdf5, "LOOKED_S", 0)
+    monkeypatch.setattr(hdf5.h5py.h5o, "get_info", lambda place: harm())
+    with pytest.raises(InputError, match=r"damaged\.h5: the file is damaged"):
+        read_recordings([file])
+
+
+def test_an_attribute_of_an_impossible_type_is_refused_by_name(tmp_path: Path) -> None:
+    """Its datatype claims 3.6 GB for a character of 8 bits."""
+    file = tmp_path / "a.h5"
+    with h5py.File(file, "w") as made:
+        made.attrs["format"] = "motion-log"
+    of_eight_bits = b"\1\0\0\0\0\0\x08\0"
+    assert file.read_bytes().count(of_eight_bits) == 1
+    file.write_bytes(file.read_bytes().replace(of_eight_bits, b"\1\0\0\xd8\0\0\x08\0"))
+    with pytest.raises(InputError, match=r"a\.h5: format: expected a number or text"):
+        read_recordings([file])
 
 
 def test_counts_of_hundreds_of_digits_are_refused(twin: Twin) -> None:
@@ -409,7 +439,12 @@ def test_foreign_files_cut_short_are_refused(tmp_path: Path, suffix: str, twin: 
 
 @pytest.mark.parametrize(
     ("mode", "field"),
-    [("{frequency_hz: 10, damping_percent: 5428}", "damping_percent"), ("{frequency_hz: 10, damping: 2}", "damping")],
+    [
+        ("{frequency_hz: 10, damping_percent: 5428}", "damping_percent"),
+        ("{frequency_hz: 10, damping_percent: 1.0e-300}", "damping_percent"),
+        ("{frequency_hz: 10, damping: 2}", "damping"),
+        ("{frequency_hz: 4.1e+7}", "frequency_hz"),
+    ],
 )
 def test_modes_that_are_none_and_fields_unknown_are_refused(tmp_path: Path, mode: str, field: str) -> None:
     (tmp_path / "modes.yaml").write_text(f"postures: {{a: {{q_deg: [0, 0, 0], modes: [{mode}]}}}}\n")
@@ -421,7 +456,11 @@ def test_a_joint_from_a_link_to_itself_and_speeds_of_no_machine_are_refused(tmp_
     (tmp_path / "a.urdf").write_text(seeds.URDF.replace('<child link="upper"/>', '<child link="base"/>'))
     with pytest.raises(InputError, match="joint a1: expected two links"):
         read_urdf(tmp_path / "a.urdf")
-    (tmp_path / "sheet.yaml").write_text("max_speed: [1.0e+12, 120]\n")
+    origin = '<origin xyz="0 0 0.3" rpy="0 0 0"/>'
+    (tmp_path / "a.urdf").write_text(seeds.URDF.replace(origin, 2 * origin))
+    with pytest.raises(InputError, match="joint a1: expected one <origin> in <joint>, found 2"):
+        read_urdf(tmp_path / "a.urdf")
+    (tmp_path / "sheet.yaml").write_text("max_speed: [1.2e+5, 120]\n")
     with pytest.raises(InputError, match="max_speed"):
         read_sheet(tmp_path / "sheet.yaml")
 
@@ -436,3 +475,52 @@ def test_a_long_wait_is_told_beforehand(
     assert found.code == 0
     assert found.err.startswith("twin: about 3 minutes for a recording of this size")
     assert effort.expected_s("identify", [tmp_path / "none.h5", Path(__file__)]) == 0
+
+
+@pytest.mark.parametrize("option", [("--place-turn-deg", "-1e300"), ("--place", "0", "1e7", "0")])
+def test_a_place_beyond_reason_is_refused(twin: Twin, option: tuple[str, ...]) -> None:
+    found = twin("map", "--robot", "kr90", "--random", "1", *option)
+    assert (found.code, found.err.count("\n")) == (2, 1)
+    assert found.err.startswith(f"twin: {option[0]}: ")
+    assert "expected a plausible number" in found.err
+
+
+def test_what_a_recording_says_twice_must_agree(tmp_path: Path, frf: Path) -> None:
+    """Lines a millionth of a hertz apart from records of a second, blows sampled too slowly for their FRFs."""
+    campaign = read_campaign(frf)
+    posture = next(iter(campaign.postures.values()))
+    lines, blows = posture.frf.shape[0], np.zeros((posture.frf.shape[2], 1, 64))
+    force, response = blows.copy(), np.zeros((posture.frf.shape[2], 1, posture.frf.shape[1], 64))
+    force[..., 3], top = 1.0, posture.frequency[-1]
+    hits = Hits(force, response, 4 * top, 0.0, True)
+    fine = 1e-6 * np.arange(1, lines + 1)
+    for changed, problem in (
+        (replace(posture, record_s=1.0, frequency=fine), "frequency: expected lines as far apart as records of 1 s"),
+        (replace(posture, frequency=1e4 * posture.frequency), "frequency: expected lines up to 50000 Hz, found"),
+        (replace(posture, hits=replace(hits, sample_rate_hz=top)), "hits: sample_rate_hz: expected twice the highest"),
+        (replace(posture, hits=replace(hits, force=np.ones_like(force))), "hits/force: expected blows at every point"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            check_campaign("a.h5", replace(campaign, postures={"a": changed}))
+    check_campaign("a.h5", replace(campaign, postures={"a": replace(posture, hits=hits)}))
+
+
+def test_a_node_that_is_struck_has_a_place(tmp_path: Path, frf: Path) -> None:
+    write_uff(tmp_path / "a.unv", read_campaign(frf))
+    text = (tmp_path / "a.unv").read_text().splitlines(keepends=True)
+    nodes = text.index(next(line for line in text if line.strip() == "15"))
+    (tmp_path / "a.unv").write_text("".join(text[: nodes + 1] + text[nodes + 2 :]))
+    with pytest.raises(InputError, match=r"node 1: expected its coordinates in the data set of nodes"):
+        read_uff(tmp_path / "a.unv")
+
+
+def test_gears_and_tools_of_no_robot_and_names_that_cannot_be_shown_are_refused(tmp_path: Path, kr90: Robot) -> None:
+    data = kr90.model_dump(mode="json")
+    data["drives"][0]["gear_ratio"] *= 1e-6
+    with pytest.raises(InputError, match=r"drives\[0\]\.gear_ratio: .* at least 0\.01"):
+        parse_robot(data)
+    with pytest.raises(InputError, match=r"tool\.mass_kg: expected kg, no more than the robot's links weigh"):
+        with_tool(kr90, read_cut({"tool": {"mass_kg": 12_000}}))
+    (tmp_path / "tool.yaml").write_text('name: "\\a"\nmass: 3\ncom: [0, 0, 0.1]\n')
+    with pytest.raises(InputError, match=r"name: expected names"):
+        read_tools(tmp_path / "tool.yaml")

@@ -1,7 +1,7 @@
 """`python -m tools.large --out out/large`: peak memory and time of commands on large recordings of the six-axis KR90.
 
-Two hours of six axes at 1 kHz, of a pendulum's torques, and a hammer test of 200 postures × 69 FRFs × 800 lines, of a
-KR90 on a base that tilts. A command that exceeds its memory limit, or ``--timeout``, is told as such.
+Two hours of six axes at 1 kHz, of a KR90 with one-sided friction, and a hammer test of 200 postures × 69 FRFs × 800
+lines, of a KR90 on a base that tilts. A command that exceeds its memory limit, or ``--timeout``, is told as such.
 """
 
 import argparse
@@ -21,9 +21,16 @@ from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import prepare
 from twin.measure.campaign import Campaign, Channels, PostureFRF, write_campaign
 from twin.model.parameters import free_parameters, independent
+from twin.model.regressor import coupling_matrix
+from twin.model.replay import inverse_dynamics, recorded_torque
+from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot
 
 RATE_HZ, HOURS = 1000.0, 2.0
+PERIOD_S, HARMONICS = 20.0, 5
+MIDDLE_DEG, SWING = (0, 80, -60, 0, 30, 0), 0.18  # rad of each harmonic
+ENCODER, TORQUE_NOISE = 1e-6, 0.01  # rad; of the RMS of an axis
+ONE_SIDED = {"effect": "asymmetric_friction", "site": "joint2", "torque_difference": 80.0, "viscous_difference": 60.0}
 POSTURES, LINES, SENSORS, BLOWS = 200, 800, 3, 23
 NOISE = 3e-3  # of the RMS of an FRF
 SPRINGS = 0.3  # prior deviations that springs and dampers are off
@@ -41,25 +48,31 @@ JOBS = (  # command, recording, options, limit in GiB
 
 
 def write_log(path: Path, hours: float) -> None:
-    """Multisines on every axis, and torque of a pendulum with friction; written in parts."""
+    """Multisines on every axis, and torque of a KR90 whose friction differs by direction; one period over and over."""
     rng = np.random.default_rng(0)
-    count, axes = round(hours * 3600 * RATE_HZ), 6
-    phase, rate = rng.uniform(0, 6, (5, axes)), 2 * np.pi * 0.05 * np.arange(1, 6)[:, None]
-    middle = np.deg2rad([0, 100, -100, 0, 30, 0])
+    count, period = round(hours * 3600 * RATE_HZ), round(PERIOD_S * RATE_HZ)
+    described = load_robot("kr90_six")
+    robot = described.model_copy(update={"physics": [*described.physics, Entry.model_validate(ONE_SIDED)]})
+    turns = 2 * np.pi / PERIOD_S * np.arange(1, HARMONICS + 1)[:, None]
+    time = np.arange(period) / RATE_HZ
+    angle = turns * time[:, None, None] + rng.uniform(0, 2 * np.pi, (HARMONICS, robot.axis_count))
+    position = np.deg2rad(MIDDLE_DEG) + SWING * np.sin(angle).sum(1)
+    velocity, acceleration = (turns * np.cos(angle)).sum(1), -(turns**2 * np.sin(angle)).sum(1)
+    torque = inverse_dynamics(robot, Motion(time, position, SWING * velocity, SWING * acceleration))
+    torque = recorded_torque(robot, time, torque)
+    exact = {"position": position @ coupling_matrix(robot).T, "torque": torque}
+    noise = {"position": ENCODER, "torque": TORQUE_NOISE * np.sqrt(np.mean(torque**2, axis=0))}
     with h5py.File(path, "w") as file:
         file.attrs.update({"format": "motion-log", "version": 1, "robot": "kr90_six"})
         run = file.create_group("runs/long")
         run.attrs["sample_rate_hz"] = RATE_HZ
         run["time"] = np.arange(count) / RATE_HZ
-        sets = {name: run.create_dataset(name, (count, axes), "f8") for name in ("position", "torque")}
-        for first in range(0, count, 1 << 18):
-            t = np.arange(first, min(first + (1 << 18), count)) / RATE_HZ
-            angle = rate * t[:, None, None] + phase
-            q, v, a = (0.06 * part.sum(1) for part in (np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle)))
-            sets["position"][first : first + len(t)] = middle + q
-            torque = 300 * a + 2000 * np.sin(middle + q) + 200 * np.tanh(v / 0.01) + rng.normal(0, 20, q.shape)
-            sets["torque"][first : first + len(t)] = torque
-        sets["position"].attrs["unit"], sets["torque"].attrs["unit"] = "rad", "N·m"
+        for name, unit in (("position", "rad"), ("torque", "N·m")):
+            data = run.create_dataset(name, (count, robot.axis_count), "f8")
+            data.attrs["unit"] = unit
+            for first in range(0, count, period):
+                some = exact[name][: count - first]
+                data[first : first + period] = some + noise[name] * rng.normal(size=some.shape)
 
 
 def tilting() -> Robot:

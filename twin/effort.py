@@ -10,7 +10,7 @@ SECONDS = {  # per sample and axis, or per line and channel, on one core: `pytho
     ("compare", "motion-log"): 2.6e-6,
     ("identify", "motion-log"): 2.8e-6,
     ("compare", "frf-campaign"): 2.0e-6,
-    ("diagnose", "motion-log"): 1e-5,  # at least: it was not run to its end
+    ("diagnose", "motion-log"): 1e-5,  # two processes
     ("fit", "frf-campaign"): 3.6e-4,  # of 12 postures, one start, a model that lacks something; taken to hold for more
     ("diagnose", "frf-campaign"): 3.4e-4,  # of 8 postures
 }
@@ -41,8 +41,10 @@ def _size(path: str | Path) -> tuple[str, int]:
     """Kind of a recording, and how many values it holds."""
     import h5py  # --version and --help need none
 
+    from twin.measure.hdf5 import opened
+
     try:
-        with h5py.File(path) as file:
+        with opened(Path(path)) as file:
             kind = str(file.attrs.get("format", ""))
             group, name = ("runs", "position") if kind == "motion-log" else ("postures", "frf")
             sets = [part[name] for part in file.get(group, {}).values() if name in part]

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -59,6 +60,41 @@ def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator
         for worker in workers:
             worker.terminate()
             worker.join()
+
+
+def apart(function: Callable[[], T]) -> T:
+    """What a function returns, run in a forked process where there are such: some input ends the library that reads it.
+
+    Raises:
+        EOFError: the process ended before the function did.
+    """
+    if sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
+        return function()
+    context = get_context("fork")
+    reader, writer = context.Pipe(duplex=False)
+    child = context.Process(target=_send, args=(function, writer), daemon=True)
+    child.start()
+    writer.close()
+    try:
+        result, error = reader.recv()
+    finally:
+        child.kill()
+        child.join()
+        reader.close()
+    if error is not None:
+        raise error
+    found: T = result
+    return found
+
+
+def _send(function: Callable[[], Any], writer: Connection) -> None:
+    as_worker()
+    result, error = None, None
+    try:
+        result = function()
+    except Exception as raised:
+        error = raised
+    writer.send((result, error))
 
 
 def _work(function: Callable[[int], Any], shares: range, writer: Connection, readers: list[Connection]) -> None:

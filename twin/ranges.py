@@ -22,11 +22,13 @@ RANGES = {  # unit → least of what is a scale (a mass, a spring), largest magn
     "m/s²": (1e-15, 1e8),
     "Hz": (1e-6, 1e8),
     "1/s": (1e-9, 1e4),
-    "rad/s": (1e-6, 1e6),
+    "rad/s": (1e-6, 1e4),
+    "°/s, m/s on a linear axis": (1e-5, 1e5),
     "rad/s²": (1e-15, 1e9),
     "s": (1e-12, 1e10),
     "rad": (1e-15, 1e7),
     "%": (1e-12, 1e4),
+    "motor turns per turn, rad/m on a linear axis": (1e-2, 1e7),  # from a rack alone to a screw behind a gear
     "1": (1e-18, 1e18),
 }
 ANY = (1e-30, 1e18)  # of a unit that is not listed
@@ -56,6 +58,8 @@ COUNTS = {  # smallest and largest of what is asked for
     "lobes": (0, 10_000),
     "random": (1, 10_000_000),
 }
+
+FASTEST_HZ = COUNTS["sample_rate_hz"][1] / 2  # of a mode or an FRF: no faster sampling is known here
 
 UNSEEN = r"\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"  # control, direction of writing, no width
 NAME = rf"^[^/\\${UNSEEN}]*[^/\\${UNSEEN}.\s][^/\\${UNSEEN}]*$"

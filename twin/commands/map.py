@@ -23,7 +23,7 @@ from twin.milling.postures import tool_place
 from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
-from twin.ranges import FASTEST_RPM, LONGEST_SPACING_M, check_count
+from twin.ranges import FASTEST_RPM, LONGEST_SPACING_M, check_count, implausible
 from twin.result import Result, written
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
@@ -255,15 +255,17 @@ def _check_finite(
     box: Sequence[float] | None,
     near_deg: Sequence[float] | None,
 ) -> None:
-    turns = {
-        "--place-turn-deg": (place_turn_deg,),
-        "--place": place or (),
-        "--box": box or (),
-        "--near": near_deg or (),
+    given = {
+        "--place-turn-deg": ((np.deg2rad(place_turn_deg),), "rad"),
+        "--place": (place or (), "m"),
+        "--box": (box or (), "m"),
+        "--near": (np.deg2rad(near_deg or ()), "rad"),
     }
-    for option, numbers in turns.items():
-        if bad := next((number for number in numbers or () if not np.isfinite(number)), None):
-            raise InputError(option, f"{bad:g}", "expected finite numbers")
+    for option, (numbers, unit) in given.items():
+        for number in numbers:
+            problem = implausible(number, unit) if np.isfinite(number) else "expected finite numbers"
+            if problem:
+                raise InputError(option, f"{number:g}", problem)
 
 
 def _at_tips(

@@ -15,6 +15,7 @@ from twin.measure.motion_log import MotionLog, MotionRun, require_axes, write_mo
 from twin.model.hammer import HammerTest
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import Modes, modes
+from twin.model.regressor import coupling_matrix
 from twin.model.replay import Replay, inverse_dynamics, motion_of, recorded_torque, replay
 from twin.model.simulated_test import simulated_test
 from twin.parallel import Progress, silent
@@ -59,9 +60,10 @@ class Simulation(Result):
     @property
     def log(self) -> MotionLog:
         """The replays as a motion log: what the twin's motors and encoders did."""
+        turns = coupling_matrix(self.robot).T
         runs = {
             name: MotionRun(
-                name, r.replay.time, r.replay.position, r.run.sample_rate_hz, r.replay.torque,
+                name, r.replay.time, r.replay.position @ turns, r.run.sample_rate_hz, r.replay.torque,
                 link_position=r.replay.link_position,
             )
             for name, r in self.replays.items()
@@ -203,6 +205,7 @@ def simulate(
             raw_hits=case.hammer.raw_hits, progress=progress,
         )  # fmt: skip
     for name, run in runs.runs.items() if runs else ():
+        run = _of_axes(case.robot, run)
         tick = progress(f"replay {name}", len(run.time))
         stepped = replay(case.robot, run, progress=tick, source=runs.source if runs else "")
         exact = recorded_torque(case.robot, run.time, inverse_dynamics(case.robot, motion_of(run)))
@@ -211,6 +214,16 @@ def simulate(
         with Outputs(out, "simulate") as outputs:
             _write(found, outputs, movie)
     return found
+
+
+def _of_axes(robot: Robot, run: MotionRun) -> MotionRun:
+    """A run to be followed: a recording holds its motors, a trajectory is of the axes already."""
+    if run.torque is None:
+        return run
+    back = np.linalg.inv(coupling_matrix(robot)).T
+    motion = {"position": run.position, "velocity": run.velocity, "acceleration": run.acceleration}
+    turned: dict[str, Any] = {name: None if values is None else values @ back for name, values in motion.items()}
+    return replace(run, **turned)
 
 
 def _write(found: Simulation, name: Outputs, movie: bool) -> None:

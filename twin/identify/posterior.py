@@ -21,6 +21,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.files import replacing
+from twin.measure.hdf5 import opened
 from twin.model.parameters import Kind, Parameter, Parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
@@ -144,16 +145,13 @@ def load_posterior(path: str | Path) -> Posterior:
     Raises:
         InputError: not such a file.
     """
-    try:
-        with h5py.File(path) as file:
-            if file.attrs.get("format") != "twin-posterior":
-                raise InputError(path, "format", "expected twin-posterior, as twin fit and twin diagnose write it")
-            covariance = file["covariance"][()]
-            words = {field: file[field].asstr()[()] for field in ("name", "unit", "kind", "source")}
-            scatter = float(file.attrs.get("damping_scatter", 0.0)), int(file.attrs.get("damping_freedom", 100))
-            log, mean, z, information = (file[field][()] for field in ("log", "mean", "z", "information"))
-    except (OSError, KeyError) as error:
-        raise InputError(path, "", f"not a posterior that twin fit or twin diagnose wrote ({error})") from error
+    with opened(Path(path), "not a posterior that twin fit or twin diagnose wrote") as file:
+        if file.attrs.get("format") != "twin-posterior":
+            raise InputError(path, "format", "expected twin-posterior, as twin fit and twin diagnose write it")
+        covariance = file["covariance"][()]
+        words = {field: file[field].asstr()[()] for field in ("name", "unit", "kind", "source")}
+        scatter = float(file.attrs.get("damping_scatter", 0.0)), int(file.attrs.get("damping_freedom", 100))
+        log, mean, z, information = (file[field][()] for field in ("log", "mean", "z", "information"))
     deviation = np.sqrt(np.diag(covariance))
     items = [
         Parameter(name, unit, kind, bool(log[k]), float(mean[k]), float(deviation[k]), source)

@@ -1,9 +1,6 @@
 """MATLAB .mat: up to v7 through SciPy, v7.3 (an HDF5 file) through h5py. Structures are flattened with dots."""
 
-import sys
 from collections.abc import Iterator
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +10,8 @@ import scipy.io
 
 from twin.errors import InputError
 from twin.importing.tables import Channel, Table, columns
-from twin.stopping import as_worker
+from twin.measure.hdf5 import opened
+from twin.parallel import apart
 
 
 def read(path: Path) -> list[Table]:
@@ -26,30 +24,10 @@ def read(path: Path) -> list[Table]:
 
 def _variables(path: Path) -> list[tuple[str, Any]]:
     """Read in a process of its own where there are such: some damaged files end the process that reads them."""
-    if sys.platform != "linux":
-        return list(_loaded(path))
-    reader, writer = get_context("fork").Pipe(duplex=False)
-    child = get_context("fork").Process(target=_send, args=(path, writer), daemon=True)
-    child.start()
-    writer.close()
     try:
-        found = reader.recv()
+        return apart(lambda: list(_loaded(path)))
     except EOFError:
         raise InputError(path, "", "cannot be read: the file is damaged") from None
-    finally:
-        child.kill()
-        child.join()
-    if isinstance(found, Exception):
-        raise found
-    return list(found)
-
-
-def _send(path: Path, writer: Connection) -> None:
-    as_worker()
-    try:
-        writer.send(list(_loaded(path)))
-    except Exception as error:
-        writer.send(error)
 
 
 def _loaded(path: Path) -> Iterator[tuple[str, Any]]:
@@ -80,6 +58,6 @@ def _hdf5(path: Path) -> Iterator[tuple[str, Any]]:
         if np.asarray(values).dtype.kind in "iufcb":
             found.append((name.replace("/", "."), np.asarray(values).T))
 
-    with h5py.File(path) as file:
+    with opened(path) as file:
         file.visititems(visit)
     yield from found

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.errors import InputError
 from twin.files import replacing
-from twin.measure.hdf5 import Node, undamaged
-from twin.ranges import ill_named, implausible
+from twin.measure.hdf5 import Node, opened
+from twin.ranges import FASTEST_HZ, ill_named, implausible
 
 FORMAT, VERSION = "frf-campaign", 1
 
@@ -36,6 +36,7 @@ VARIANCE_FLOOR_QUANTILE = 0.3
 SENSOR_FLOOR = 1e-4  # of the median RMS accelerance of all channels: amplitude a sensor cannot resolve
 ACCELERANCE = (1e-10, 1e6)  # m/s² per newton at the highest peak: a thousandth of a building, and a gram that rings
 LEAST_COHERENCE = 1e-6  # less is none
+MOST_PADDING = 100  # times as long as its record may a record have been made by zeros
 MOST_AVERAGES = 100_000  # blows, or records of a shaker
 DEAD_CHANNEL = 1e-6  # of the same: a channel below it carries no signal
 
@@ -306,6 +307,15 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
     for name, length in (("pulse_s", posture.pulse_s), ("record_s", posture.record_s)):
         if length is not None and not 0 < length < np.inf:
             raise InputError(source, f"{field}: {name}", f"expected seconds above 0, found {length:g}")
+    spacing = float(np.diff(posture.frequency).mean())
+    if posture.record_s is not None and spacing * posture.record_s * MOST_PADDING < 1:
+        problem = f"expected lines as far apart as records of {posture.record_s:g} s tell, found {spacing:g} Hz"
+        raise InputError(source, f"{field}/frequency", problem)
+    if posture.hits is not None and posture.frequency[-1] > (1 + 1e-6) * posture.hits.sample_rate_hz / 2:
+        problem = (
+            f"expected twice the highest line ({posture.frequency[-1]:g} Hz), found {posture.hits.sample_rate_hz:g}"
+        )
+        raise InputError(source, f"{field}/hits: sample_rate_hz", problem)
     _check_rate(source, field, posture.exponential_window_rate)
 
 
@@ -319,6 +329,8 @@ def _check_axis(source: str | Path, field: str, frequency: FloatArray) -> int:
         raise InputError(source, f"{field}/frequency", f"expected Hz from 0 upwards, found {frequency[0]:g}")
     if problem := implausible(float(frequency[-1]), "Hz", True):
         raise InputError(source, f"{field}/frequency", problem)
+    if (highest := float(frequency[-1])) > FASTEST_HZ:
+        raise InputError(source, f"{field}/frequency", f"expected lines up to {FASTEST_HZ:g} Hz, found {highest:g}")
     step = np.diff(frequency)
     if (step <= 0).any():
         raise InputError(source, f"{field}/frequency", "expected a strictly increasing axis, found it unsorted")
@@ -334,7 +346,7 @@ def _check_axis(source: str | Path, field: str, frequency: FloatArray) -> int:
 
 def _check_hits(source: str | Path, field: str, hits: Hits, nr: int, ne: int) -> None:
     _check_array(source, f"{field}/hits/force", hits.force, (ne, None, None), "excitation, hit, sample")
-    if not hits.force.any(axis=(1, 2)).all():
+    if not (hits.force != hits.force[..., :1]).any(axis=(1, 2)).all():
         raise InputError(source, f"{field}/hits/force", "expected blows at every point, some have no force at all")
     shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
     _check_array(source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample")
@@ -364,11 +376,7 @@ def read_campaign(path: str | Path) -> Campaign:
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "", "expected a file, there is none")
-    try:
-        file = h5py.File(path, "r")
-    except OSError:
-        raise InputError(path, "", "expected an HDF5 file") from None
-    with file, undamaged(path):
+    with opened(path) as file:
         root = Node(path, file)
         if root.text("format") != FORMAT:
             raise InputError(path, "format", f'expected "{FORMAT}", found {root.text("format")!r}')

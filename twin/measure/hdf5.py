@@ -1,8 +1,11 @@
 """Reading HDF5 that others wrote: what is missing, malformed or in another unit becomes one clear line."""
 
 import re
+import sys
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import InputError
+from twin.parallel import apart
 from twin.ranges import check_array, check_size
 
 _DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a factor
@@ -86,6 +90,77 @@ def undamaged(source: Path) -> Iterator[None]:
         raise InputError(source, "", f"the file is damaged, expected it whole ({error})") from error
 
 
+LOOKED_S = 2  # of CPU for one object of a file: more hangs
+READ = 1 << 20  # bytes of a data set that are read to look whether they can be; of a larger one its chunks are counted
+
+
+@contextmanager
+def opened(path: Path, expected: str = "expected an HDF5 file") -> Iterator[h5py.File]:
+    """An HDF5 file, to read. A process of its own goes through it before: some damaged files end or hang their reader.
+
+    Raises:
+        InputError: no HDF5 (``expected`` is said), or damaged.
+    """
+    if not h5py.is_hdf5(path):
+        raise InputError(path, "", expected)
+    at = path.stat()
+    if not _readable(path.absolute(), at.st_size, at.st_mtime_ns):
+        raise InputError(path, "", "the file is damaged, expected it whole")
+    try:
+        file = h5py.File(path)
+    except OSError as error:
+        raise InputError(path, "", expected) from error
+    with file, undamaged(path):
+        yield file
+
+
+@cache
+def _readable(path: Path, size: int, changed_ns: int) -> bool:
+    """Whether the process that goes through a file of this size and date lives."""
+    try:
+        return apart(lambda: _gone_through(path))
+    except EOFError:
+        return False
+
+
+def _gone_through(path: Path) -> bool:
+    """What the library refuses is no matter here: whoever reads it is told then, with the name of the field."""
+    met: set[int] = set()
+
+    def look(item: Any) -> None:
+        _allow(LOOKED_S)
+        with suppress(Exception):
+            if (place := h5py.h5o.get_info(item.id).addr) in met:
+                return
+            met.add(place)
+            for name in item.attrs:
+                with suppress(Exception):
+                    item.attrs[name]
+            if isinstance(item, h5py.Dataset):
+                if item.nbytes <= READ:
+                    item[()]
+                elif item.chunks:
+                    item.id.get_num_chunks()
+                return
+            for name in item:
+                with suppress(Exception):
+                    look(item[name])
+
+    with suppress(Exception), h5py.File(path) as file:
+        look(file["/"])
+    return True
+
+
+def _allow(seconds: int) -> None:
+    """End this process after so many more seconds of CPU."""
+    if sys.platform != "win32":
+        import resource
+
+        most = resource.getrlimit(resource.RLIMIT_CPU)[1]
+        soon = int(time.process_time()) + 1 + seconds
+        resource.setrlimit(resource.RLIMIT_CPU, (soon if most < 0 else min(soon, most), most))
+
+
 class Node:
     """A group or dataset of an open file; every reading method raises :class:`InputError` for what it cannot read."""
 
@@ -100,7 +175,7 @@ class Node:
         """Plain value, None where absent."""
         try:
             return _plain(self.item.attrs[name]) if name in self.item.attrs else None
-        except (OSError, TypeError, ValueError) as error:
+        except (OSError, TypeError, ValueError, RuntimeError) as error:
             raise self.fail(f"{self.field}: {name}".strip(": "), f"expected a number or text ({error})") from error
 
     def text(self, name: str) -> str | None:

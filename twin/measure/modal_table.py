@@ -13,7 +13,7 @@ from twin.errors import InputError
 from twin.files import writing
 from twin.measure.campaign import FloatArray
 from twin.measure.modal import ModalResult
-from twin.ranges import ill_named, implausible
+from twin.ranges import FASTEST_HZ, ill_named, implausible
 from twin.yamlfile import read_yaml
 
 CRITICAL = 100.0  # per cent: what is damped more does not oscillate and has no frequency
@@ -108,13 +108,15 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
         entry = value.get(name)
         if entry is not None and not _is_number(entry):
             raise InputError(path, f"{where}.{name}", f"expected a number, found {entry!r}")
-        if entry is not None and (problem := implausible(entry, unit, scale=name == "frequency_hz")):
+        if entry is not None and (problem := implausible(entry, unit, scale="_std_" not in name)):
             raise InputError(path, f"{where}.{name}", problem)
         return None if entry is None else float(entry)
 
     frequency = number("frequency_hz", "Hz")
     if frequency is None or frequency <= 0:
         raise InputError(path, f"{where}.frequency_hz", f"expected Hz above 0, found {value.get('frequency_hz')!r}")
+    if frequency > FASTEST_HZ:
+        raise InputError(path, f"{where}.frequency_hz", f"expected a mode up to {FASTEST_HZ:g} Hz, found {frequency:g}")
     damping = number("damping_percent", "%")
     if damping is not None and not 0 <= damping < CRITICAL:
         expected = f"expected per cent of critical damping, 0 to below {CRITICAL:g}, found {damping:g}"

@@ -14,7 +14,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.files import replacing, writing
 from twin.measure.campaign import FloatArray
-from twin.measure.hdf5 import Node, undamaged
+from twin.measure.hdf5 import Node, opened
 from twin.measure.signals import resample
 from twin.ranges import check_array, ill_named, implausible
 
@@ -83,11 +83,7 @@ def read_motion_log(path: str | Path) -> MotionLog:
         raise InputError(path, "", "no such file")
     if path.suffix.lower() == ".csv":
         return _read_csv(path)
-    try:
-        file = h5py.File(path)
-    except OSError as error:
-        raise InputError(path, "", "not an HDF5 file") from error
-    with file, undamaged(path):
+    with opened(path) as file:
         root = Node(path, file)
         kind = root.text("format")
         if kind not in ("motion-log", "trajectory"):

@@ -33,7 +33,7 @@ from twin.measure.campaign import (
     check_channels,
     read_channels,
 )
-from twin.measure.hdf5 import Node, undamaged
+from twin.measure.hdf5 import Node, opened
 from twin.measure.modal import HELD_DAMPING, HELD_FREQUENCY, MAX_REFERENCES, ModalResult, Mode
 from twin.measure.modal_choice import VISIBLE
 from twin.measure.poles import Poles
@@ -105,7 +105,7 @@ def read_running(paths: str | Path | Sequence[str | Path]) -> tuple[Campaign, di
 
 
 def _from_hdf5(path: Path) -> tuple[Channels, str | None, tuple[tuple[int, ...], ...], dict[str, Running]]:
-    with h5py.File(path, "r") as file, undamaged(path):
+    with opened(path) as file:
         root = Node(path, file)
         if root.text("format") != FORMAT:
             raise InputError(path, "format", f'expected "{FORMAT}", found {root.text("format")!r}')

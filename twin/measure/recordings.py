@@ -6,12 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import h5py
-
 from twin.errors import InputError
 from twin.measure.campaign import Campaign
 from twin.measure.campaign import read_campaign as read_hdf5
-from twin.measure.hdf5 import Node
+from twin.measure.hdf5 import Node, opened
 from twin.measure.modal_table import ModalTable, read_modal_table
 from twin.measure.motion_log import MotionLog, read_motion_log, write_motion_log
 from twin.measure.spectra import HitTable, with_frfs
@@ -181,13 +179,8 @@ def recording_kind(path: str | Path) -> Kind:
         return "frf-campaign"
     if suffix in TABLES:
         return "modal-table"
-    try:
-        with h5py.File(path) as file:
-            kind = Node(path, file).text("format")
-    except OSError as error:
-        raise InputError(
-            path, "", "expected a hammer test (HDF5, UFF), a modal table (YAML) or a motion log (HDF5, CSV)"
-        ) from error
+    with opened(path, "expected a hammer test (HDF5, UFF), a modal table (YAML) or a motion log (HDF5, CSV)") as file:
+        kind = Node(path, file).text("format")
     if kind == "trajectory":
         raise InputError(path, "format", "is a trajectory, without torque: nothing was recorded")
     if kind not in ("motion-log", "frf-campaign"):

@@ -95,11 +95,12 @@ def read_uff(
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     source = files[0]
     groups: dict[str, _Functions] = {}
-    nodes = dict(points or {})
+    nodes, placed = dict(points or {}), False
     lines: list[tuple[int, ...]] = []
     for file in files:
         for number, dataset in enumerate(_datasets(file), 1):
             if dataset.get("type") in (15, 2411) and points is None:
+                placed = True
                 nodes |= _points(file, number, dataset)
             elif dataset.get("type") == 82:
                 lines += _polylines(dataset["nodes"])
@@ -118,6 +119,10 @@ def read_uff(
         raise InputError(source, "", "expected data sets 58 with frequency response functions, there is none")
     response, excitation = _labels(groups.values(), 0), _labels(groups.values(), 1)
     bodies = {node: body for group in groups.values() for node, body in group.bodies.items()}
+    if placed and (lost := sorted(set(bodies) - set(nodes))):
+        raise InputError(
+            source, f"node {lost[0]}", "expected its coordinates in the data set of nodes, they are missing"
+        )
     nodes |= {n: Point(bodies[n], nodes[n].position if n in nodes else np.zeros(3)) for n in bodies if points is None}
     campaign = Campaign(
         _channels(response, nodes),

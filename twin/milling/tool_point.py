@@ -84,6 +84,9 @@ def real_modes(frequency_hz: Any, damping_percent: Any, shape: Any) -> ToolModes
 
 def with_tool(robot: Robot, cut: Cut) -> Robot:
     """The robot with spindle and tool fused to its flange, and test points ``toolX+ …`` at the tip."""
+    if cut.tool.mass_kg > (most := sum(link.inertial[0] for link in robot.links)):
+        problem = f"expected kg, no more than the robot's links weigh ({most:.0f}), found {cut.tool.mass_kg:g}"
+        raise InputError(cut.source, "tool.mass_kg", problem)
     payload = cut.tool.payload(robot)
     body, tip = f"link{robot.axis_count}", [float(value) for value in cut.tool.tip(robot)]
     directions = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

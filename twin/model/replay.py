@@ -12,6 +12,7 @@ from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.linear import linearise
 from twin.model.modes import state_matrix_poles
+from twin.model.regressor import coupling_matrix
 from twin.physics import CATALOGUE, effect_of
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
@@ -32,7 +33,7 @@ class Replay:
 
     Attributes:
         time: (nt,) s.
-        position: (nt, n) motors at the gear output, rad (m).
+        position: (nt, n) axes before their springs, rad (m); where drives are coupled, motors turn by ``C q``.
         link_position: (nt, n) motor plus the deflection about z, rad (m).
         torque: (nt, n) of the drives at the gear output, N·m (N), mean over the sample before each instant.
         deflections: elastic joint → (nt,) deflection, rad (m).
@@ -234,7 +235,10 @@ def _track(
 
 
 def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Torque (nt, n) as the controller records it: with the torque constants and the delay of the robot's entries."""
+    """Torque (nt, n) of the axes as the controller records it: of the motors, which a coupling turns with other axes
+    (τ_q = Cᵀ τ_θ), with the torque constants and the delay of the robot's entries.
+    """
+    torque = torque @ np.linalg.inv(coupling_matrix(robot))
     chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(robot.axis_count))
     for entry in robot.physics:
         CATALOGUE[entry.effect].record(chain, entry.site, robot.values(entry))

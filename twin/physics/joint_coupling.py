@@ -74,8 +74,9 @@ class JointCoupling(Effect):
                 raise InputError(mechanism.robot.name, f"joint_coupling@{site}", message)
             rotor.armature = max(0.0, own[0] - values["inertia"])
             driving.damping[0], driving.frictionloss = max(0.0, own[1] - viscous), max(0.0, own[2] - coulomb)
+            number = 1 + sum(tendon.name.startswith(f"{site}.coupling") for tendon in mechanism.tendons)
             mechanism.tendon(
-                f"{site}.coupling",
+                f"{site}.coupling{number}",
                 {driving.name: 1.0, driven.name: values["ratio"]},
                 armature=values["inertia"],
                 damping=viscous,

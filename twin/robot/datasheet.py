@@ -9,7 +9,7 @@ import trimesh
 from pydantic import Field, ValidationError, model_validator
 
 from twin.errors import InputError
-from twin.ranges import FARTHEST_M
+from twin.ranges import FARTHEST_M, ill_named
 from twin.robot.description import (
     Acceleration,
     Data,
@@ -19,7 +19,9 @@ from twin.robot.description import (
     Number,
     Placement,
     Positive,
+    Ratio,
     Speed,
+    SpeedOfSheet,
     Stiffness,
     Torque,
     Vector,
@@ -62,10 +64,10 @@ class Sheet(Data):
     reach: Positive | None = None
     mass: Mass | None = None
     link_masses: list[Mass] | None = None
-    max_speed: list[Speed] | None = None
+    max_speed: list[SpeedOfSheet] | None = None
     max_acceleration: list[Acceleration] | None = None
     max_torque: list[Torque] | None = None
-    gear_ratio: list[Number] | None = None
+    gear_ratio: list[Ratio] | None = None
     rotor_inertia: list[Positive] | None = None
     stiffness: list[Stiffness] | None = None
     gears: list[Gear] | None = None
@@ -97,6 +99,8 @@ class Tool(Placement):
 
     @model_validator(mode="after")
     def _complete(self) -> "Tool":
+        if wrong := ill_named(self.name):
+            raise ValueError(f"name: {wrong}")
         if self.com is not None and max(map(abs, self.com)) > FARTHEST_M:
             raise ValueError(f"com: expected metres in the flange's frame, up to {FARTHEST_M:g}")
         if self.mesh is None and (self.mass is None or self.com is None):

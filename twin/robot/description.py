@@ -55,8 +55,10 @@ Moment = Annotated[_Finite, _within("kg·m²")]
 Stiffness = Annotated[_Finite, Field(gt=0), _within("N·m/rad", scale=True)]
 Damping = Annotated[_Finite, Field(ge=0), _within("N·m·s/rad")]
 Speed = Annotated[_Finite, Field(gt=0), _within("rad/s", scale=True)]
+SpeedOfSheet = Annotated[_Finite, Field(gt=0), _within("°/s, m/s on a linear axis", scale=True)]
 Acceleration = Annotated[_Finite, Field(gt=0), _within("rad/s²", scale=True)]
 Torque = Annotated[_Finite, Field(gt=0), _within("N·m", scale=True)]
+Ratio = Annotated[_Finite, _within("motor turns per turn, rad/m on a linear axis", scale=True)]
 Vector = tuple[Length, Length, Length]
 Quaternion = tuple[Number, Number, Number, Number]
 Inertia = tuple[Moment, Moment, Moment, Moment, Moment, Moment]
@@ -186,7 +188,7 @@ class Drive(Data):
     ``coupling`` names axes that turn this motor too: {joint5: 1.0} means motor position/ratio = q_this + 1.0 q₅.
     """
 
-    gear_ratio: Number = 1.0
+    gear_ratio: Ratio = 1.0
     rotor_inertia: Annotated[Moment, Field(ge=0)] = 0.0
     rotor_mass: MassIfAny = 0.0
     coupling: dict[str, Number] = {}

@@ -68,7 +68,7 @@ def read_urdf(path: str | Path) -> Tree:
             raise InputError(path, f"link {link}", "appears twice")
         where = f"link {link}"
         tree.parts[link] = Part(
-            _inertial(path, where, element.find("inertial")),
+            _inertial(path, where, _one(path, where, element, "inertial")),
             _shapes(tree, where, element.findall("visual")),
             _shapes(tree, where, element.findall("collision")),
         )
@@ -76,12 +76,20 @@ def read_urdf(path: str | Path) -> Tree:
     return tree
 
 
+def _one(path: Path, where: str, element: ElementTree.Element, tag: str) -> ElementTree.Element | None:
+    """The only child of that name; of two, neither is known to be meant."""
+    found = element.findall(tag)
+    if len(found) > 1:
+        raise InputError(path, where, f"expected one <{tag}> in <{element.tag}>, found {len(found)}")
+    return found[0] if found else None
+
+
 def _inertial(path: Path, where: str, inertial: ElementTree.Element | None) -> Inertial:
     if inertial is None:
         return Part().inertial
-    mass = float(_numbers(path, where, inertial.find("mass"), "value", [0.0])[0])
+    mass = float(_numbers(path, where, _one(path, where, inertial, "mass"), "value", [0.0])[0])
     placement = _origin(path, where, inertial)
-    terms = inertial.find("inertia")
+    terms = _one(path, where, inertial, "inertia")
     six = [float(_numbers(path, where, terms, f"i{ij}", [0.0])[0]) for ij in ("xx", "yy", "zz", "xy", "xz", "yz")]
     inertia = placement[:3, :3] @ inertia_matrix(six) @ placement[:3, :3].T
     return mass, placement[:3, 3], inertia
@@ -90,7 +98,7 @@ def _inertial(path: Path, where: str, inertial: ElementTree.Element | None) -> I
 def _shapes(tree: Tree, where: str, elements: list[ElementTree.Element]) -> list[Shape]:
     found = []
     for element in elements:
-        geometry = element.find("geometry")
+        geometry = _one(tree.path, where, element, "geometry")
         for solid in () if geometry is None else geometry:
             if solid.tag == "mesh":
                 file = _mesh_file(tree.path, _attribute(tree.path, solid, "filename", where))
@@ -153,25 +161,25 @@ def _joint(path: Path, element: ElementTree.Element) -> Joint:
     kind = _attribute(path, element, "type", where)
     if kind not in ("revolute", "continuous", "prismatic", "fixed"):
         raise InputError(path, where, f"expected revolute, continuous, prismatic or fixed, found {kind!r}")
-    mimic = element.find("mimic")
+    mimic = _one(path, where, element, "mimic")
     follows = None
     if mimic is not None:
         leader = _attribute(path, mimic, "joint", where)
         follows = leader, float(_numbers(path, where, mimic, "multiplier", [1.0])[0])
     ends = []
     for tag in ("parent", "child"):
-        end = element.find(tag)
+        end = _one(path, where, element, tag)
         if end is None:
             raise InputError(path, where, f"<{tag} link=…> is missing")
         ends.append(_attribute(path, end, "link", where))
     if ends[0] == ends[1]:
         raise InputError(path, where, f"expected two links, it leads from {ends[0]!r} to itself")
-    axis = _numbers(path, where, element.find("axis"), "xyz", [1.0, 0.0, 0.0])
+    axis = _numbers(path, where, _one(path, where, element, "axis"), "xyz", [1.0, 0.0, 0.0])
     if kind == "fixed":
         axis = np.array([1.0, 0.0, 0.0])  # of no consequence; files write zeros
     elif norm(axis) < 1e-6:
         raise InputError(path, where, "axis must not be the zero vector")
-    limit, dynamics = element.find("limit"), element.find("dynamics")
+    limit, dynamics = (_one(path, where, element, tag) for tag in ("limit", "dynamics"))
     position = None
     if kind in ("revolute", "prismatic") and limit is not None and {"lower", "upper"} & set(limit.keys()):
         low, high = (float(_numbers(path, where, limit, bound, [0.0])[0]) for bound in ("lower", "upper"))
@@ -215,7 +223,7 @@ def _numbers(path: Path, where: str, element: ElementTree.Element | None, key: s
 
 
 def _origin(path: Path, where: str, element: ElementTree.Element) -> np.ndarray:
-    origin = element.find("origin")
+    origin = _one(path, where, element, "origin")
     placement = np.eye(4)
     placement[:3, :3] = Rotation.from_euler("xyz", _numbers(path, where, origin, "rpy", [0.0] * 3)).as_matrix()
     placement[:3, 3] = _numbers(path, where, origin, "xyz", [0.0] * 3)
