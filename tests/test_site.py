@@ -73,7 +73,7 @@ def h5_names(path: Path) -> set[str]:
 def test_the_formats_page_names_all_that_files_hold(tmp_path: Path) -> None:
     page = set(re.findall(r"`(?:\w+/)?(\w+)(?:=\S*)?`", (DOCS / "formats.md").read_text()))
     one = Channels(("21Z+",), ("link3",), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
-    hits = Hits(np.ones((1, 2, 8)), np.ones((1, 2, 1, 8)), 100.0)
+    hits = Hits(np.tile(np.arange(8.0), (1, 2, 1)), np.ones((1, 2, 1, 8)), 100.0)
     line = np.ones((2, 1, 1))
     posture = PostureFRF(
         "p", np.zeros(3), "on", np.array([1.0, 2.0]), line.astype(complex), "accelerance", line, 5, 300.0, 1.0, hits,
