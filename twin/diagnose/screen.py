@@ -48,7 +48,7 @@ FOLLOWED = 25  # iterations from the description where the current model is far 
 SCANNED_KEPT = 3
 PLACED = 0.15  # m between the places of a light mass, half a prior deviation of its position
 TANGENT_SIZE = 1e-6  # of the usual size, where the derivative with respect to it is taken
-ALIKE = 1e-9  # share of a change's square: so much is left of what the current model can imitate, and of rounding
+IMITATED = 1e-9  # share of a change's square: so much is left of what the current model can imitate, and of rounding
 LEAST_SIZE = 1e-4  # of the usual size: less is nothing
 PARTS = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
 INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
@@ -624,7 +624,7 @@ class _Scan:
 
 def _signed_gain(along: FloatArray, whole: FloatArray, left: FloatArray) -> FloatArray:
     """χ² that a change gains at its best amplitude, negative where that is; none where little of the whole is left."""
-    return np.where(left > ALIKE * whole, along * np.abs(along) / np.maximum(left, 1e-300), 0.0)
+    return np.where(left > IMITATED * whole, along * np.abs(along) / np.maximum(left, 1e-300), 0.0)
 
 
 def _with_point(channels: Channels, body: str, place: Sequence[float]) -> Channels:
