@@ -17,16 +17,6 @@ from twin.robot.description import Robot, load_robot, parse_robot
 POSTURES = {"milling": (0, 70, -100), "upright": (0, 135, -100), "rigid": (0, 135, -140)}
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of a file that share a fixture go to one worker (``--dist loadgroup``), which makes it once."""
-    for item in items:
-        fixtures = getattr(item, "_fixtureinfo", None)
-        made = fixtures.name2fixturedefs.values() if fixtures else ()
-        if any(one.scope == "module" for some in made for one in some):
-            item.add_marker(pytest.mark.xdist_group(Path(item.path).stem))
-
-
 @pytest.fixture(scope="session")
 def kr90() -> Robot:
     return load_robot("kr90")

@@ -30,7 +30,6 @@ VERDICTS = {  # that a tutorial shows
 }
 
 
-@pytest.mark.xdist_group("notebooks")  # groups begin first: the longest tests of all are not the last
 @pytest.mark.parametrize("page", notebooks.PAGES)
 def test_a_tutorial_runs_as_a_notebook_and_finds_what_was_concealed(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
