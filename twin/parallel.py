@@ -62,7 +62,7 @@ def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator
             worker.join()
 
 
-def apart(function: Callable[[], T]) -> T:
+def isolated(function: Callable[[], T]) -> T:
     """What a function returns, run in a forked process where there are such: some input ends the library that reads it.
 
     Raises:

@@ -139,7 +139,7 @@ def _prior(hypothesis: Hypothesis, sites: Mapping[str, int], none: float) -> flo
 def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> FloatArray:
     """What ln evidence fits gain over the base model, the last of ``unseen``, by recordings that none was fitted to.
 
-    Those out of the race gain what the best does.
+    Hypotheses far behind the best are given what the best one gains.
     """
     if not len(gains):
         return gains

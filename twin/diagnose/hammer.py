@@ -273,7 +273,7 @@ def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Deci
     Vibrations show the whole that moves. Where a link's own numbers explain it as well, if further from the description
     than their tolerance, half of the probability of the mass is theirs: weighing tells.
     """
-    first, *others = decision.ranked
+    first = decision.ranked[0]
     pieces = first.hypothesis.pieces
     known: dict[frozenset[str], Fitted] = {frozenset(): settled}
     known |= {fit.hypothesis.identity: fit for fit in decision.ranked}
@@ -285,8 +285,14 @@ def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Deci
         name = f"link{link + 1}.mass"
         number = Hypothesis("parameter", name, scale=((name, 1.0),))
         rival = replace(rest, hypothesis=together(*(p for p in pieces if p is not piece), number))
-        half, *probability = 0.5 * decision.probability[0], *decision.probability[1:]
-        shared = replace(decision, ranked=[first, rival, *others], probability=[half, half, *probability])
+        same = {first.hypothesis.identity, rival.hypothesis.identity}  # the number may have been fitted by itself, too
+        told = list(zip(decision.ranked, decision.probability, strict=True))
+        half = 0.5 * sum(p for fit, p in told if fit.hypothesis.identity in same)
+        others = [(fit, p) for fit, p in told if fit.hypothesis.identity not in same]
+        shared = replace(
+            decision, ranked=[first, rival, *(fit for fit, _ in others)],
+            probability=[half, half, *(p for _, p in others)],
+        )  # fmt: skip
         return shared, frozenset(p.name for p in rest.parameters if p.name.startswith(f"link{link + 1}."))
     return decision, frozenset()
 

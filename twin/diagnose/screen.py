@@ -493,7 +493,7 @@ class _Scan:
             alike.setdefault(tuple(own.items()), []).append(hypothesis)
         scores: dict[str, tuple[float, Hypothesis]] = {}
         for some in alike.values():
-            gains = self._gains(some, 1.0)
+            gains = self._gains(some)
             words, k = some[0].entries[0].values["axis"], int(np.argmax(gains))
             if words not in scores or gains[k] > scores[words][0]:
                 scores[words] = float(gains[k]), some[k]
@@ -570,13 +570,13 @@ class _Scan:
             self.seen[site, place] = self._receptance(site, place)
         return self.seen[site, place]
 
-    def _gains(self, variants: Sequence[Hypothesis], share: float) -> FloatArray:
+    def _gains(self, variants: Sequence[Hypothesis]) -> FloatArray:
         """What each promises (m,), its amplitude free and signed: resonators that differ in frequency alone."""
         own = self.linear.own
         along, across = np.zeros(len(variants)), np.zeros(len(variants))
         shares = np.zeros((len(variants), len(own)))
         for k, columns in enumerate(self.columns):
-            held, sprung, factor = self._secants(variants, share, k)
+            held, sprung, factor = self._secants(variants, k)
             flat = np.stack([held, sprung], axis=1).reshape(len(held), 2, -1)
             seen = flat @ columns  # (nf, 2, 1 + n)
             products = flat.conj() @ flat.swapaxes(1, 2)  # (nf, 2, 2)
@@ -588,13 +588,11 @@ class _Scan:
         along -= shares @ own
         return _signed_gain(along, across, across - np.sum(shares**2, axis=1))
 
-    def _secants(
-        self, variants: Sequence[Hypothesis], share: float, k: int
-    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Change of the weighted FRFs of a recording over ``share``, by resonators of so much of their usual mass: what
-        all have in common (nf, nr, ne), and what each (m, nf) multiplies (nf, nr, ne)."""
+    def _secants(self, variants: Sequence[Hypothesis], k: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Change of the weighted FRFs of a recording by resonators of their usual mass: what all have in common
+        (nf, nr, ne), and what each (m, nf) multiplies (nf, nr, ne)."""
         values = variants[0].entries[0].values
-        mass, place = share * values["mass"], tuple(values["position"])
+        mass, place = values["mass"], tuple(values["position"])
         r, X, weight = self.sample.recordings[k], self._at(variants[0].site, place)[k], self.objective.weight[k]
         nr, ne = len(r.setup.response.label), len(r.setup.excitation.label)
         out, into, own = X[:, :nr, ne:], X[:, nr:, :ne], X[:, nr:, ne:]
@@ -604,7 +602,7 @@ class _Scan:
         omega = 2 * np.pi * np.array([h.entries[0].values["frequency_hz"] for h in variants])[:, None]
         give = 1 / (mass * (2 * values["damping_ratio"] * omega * r.s + omega**2))  # δ
         sprung = (out @ held[:, :, [e]]) @ (held[:, [e]] @ into)
-        scale = weight * (r.s**r.power / share)[:, None, None]
+        scale = weight * (r.s**r.power)[:, None, None]
         return -scale * (out @ held @ into), scale * sprung, np.asarray(give / (1 + give * held[:, e, e]))
 
     def _receptance(self, body: str, place: tuple[float, ...]) -> list[ComplexArray]:

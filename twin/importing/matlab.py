@@ -11,7 +11,7 @@ import scipy.io
 from twin.errors import InputError
 from twin.importing.tables import Channel, Table, columns
 from twin.measure.hdf5 import opened
-from twin.parallel import apart
+from twin.parallel import isolated
 
 
 def read(path: Path) -> list[Table]:
@@ -25,7 +25,7 @@ def read(path: Path) -> list[Table]:
 def _variables(path: Path) -> list[tuple[str, Any]]:
     """Read in a process of its own where there are such: some damaged files end the process that reads them."""
     try:
-        return apart(lambda: list(_loaded(path)))
+        return isolated(lambda: list(_loaded(path)))
     except EOFError:
         raise InputError(path, "", "cannot be read: the file is damaged") from None
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import InputError
-from twin.parallel import apart
+from twin.parallel import isolated
 from twin.ranges import check_array, check_size
 
 _DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a factor
@@ -118,7 +118,7 @@ def opened(path: Path, expected: str = "expected an HDF5 file") -> Iterator[h5py
 def _readable(path: Path, size: int, changed_ns: int) -> bool:
     """Whether the process that goes through a file of this size and date lives."""
     try:
-        return apart(lambda: _gone_through(path))
+        return isolated(lambda: _gone_through(path))
     except EOFError:
         return False
 
