@@ -93,6 +93,9 @@ def cases(archive: Path) -> None:
 
 
 if __name__ == "__main__":
-    folder = Path(sys.argv[1])
-    cases(next(folder.glob("vibration_toolbox-0.6.10*.whl")))
-    mast(next(folder.glob("modalyzer-1.2.2.tar.gz")))
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+    for pattern, shown in (("vibration_toolbox-0.6.10*.whl", cases), ("modalyzer-1.2.2.tar.gz", mast)):
+        archive = next(folder.glob(pattern), None)
+        if archive is None:
+            sys.exit(f"{folder}: expected {pattern}, download it as the head of this file says")
+        shown(archive)

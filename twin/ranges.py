@@ -27,6 +27,7 @@ RANGES = {  # unit → least of what is a scale (a mass, a spring), largest magn
     "rad/s²": (1e-15, 1e9),
     "s": (1e-12, 1e10),
     "rad": (1e-15, 1e7),
+    "°": (1e-13, 6e8),
     "%": (1e-12, 1e4),
     "motor turns per turn, rad/m on a linear axis": (1e-2, 1e7),  # from a rack alone to a screw behind a gear
     "1": (1e-18, 1e18),

@@ -256,10 +256,10 @@ def _check_finite(
     near_deg: Sequence[float] | None,
 ) -> None:
     given = {
-        "--place-turn-deg": ((np.deg2rad(place_turn_deg),), "rad"),
+        "--place-turn-deg": ((place_turn_deg,), "°"),
         "--place": (place or (), "m"),
         "--box": (box or (), "m"),
-        "--near": (np.deg2rad(near_deg or ()), "rad"),
+        "--near": (near_deg or (), "°"),
     }
     for option, (numbers, unit) in given.items():
         for number in numbers:
