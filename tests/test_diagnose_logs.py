@@ -41,7 +41,6 @@ from twin.diagnose.torque_fit import (
     with_doubts,
 )
 from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
-from twin.diagnose.torque_locate import around_reversals, state_map
 from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_once, seen_at_rest_only, too_narrow
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Missing, Verdict
@@ -632,16 +631,8 @@ def test_evidence_is_about_the_joint_that_an_answer_acts_on(drifting: Finding) -
     assert "the torque of joint3 in run" in other
 
 
-def test_maps_show_what_was_missed(drifting: Finding) -> None:
-    """Without the hose pack the refitted model misses joint 1 along its position; with it the map is flat."""
-    size = {}
-    for stage in ("before", "after"):
-        along, rate, mean = state_map(drifting.records, stage, 0)  # type: ignore[arg-type]
-        assert mean.shape == (len(along) - 1, len(rate) - 1)
-        size[stage] = np.sqrt(np.nanmean(mean**2))
-    assert size["after"] < 0.7 * size["before"]
-    lags, mean = around_reversals(drifting.records, "after", 0)  # type: ignore[arg-type]
-    assert len(lags) == len(mean)
+def test_the_joint_that_was_missed_is_shown(drifting: Finding) -> None:
+    """Without the hose pack the refitted model misses joint 1 most."""
     assert drifting.sites["joint1"] == max(drifting.sites.values())
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.records import LogRecord, Stage
+from twin.diagnose.records import LogRecord
 from twin.diagnose.torque_fit import base_of
 from twin.diagnose.torque_laws import entry_torque
 from twin.diagnose.torque_search import Search
@@ -120,60 +120,3 @@ def _spot(source: str, run: str, joint: int, low: float, high: float, share: flo
         "recording": source, "posture": None, "run": run, "site": f"joint{joint + 1}",
         "band_hz": [round(low, 3), round(high, 3)], "channels": [], "share": share,
     }  # fmt: skip
-
-
-# --- maps of the residual, for figures ------------------------------------------------------------------------------
-
-
-def state_map(
-    records: Sequence[LogRecord], stage: Stage, joint: int, bins: int = 24
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean residual over a joint's position and velocity: edges (b + 1,) of each, map (b, b), NaN where none is."""
-    q, v, rest = _rows(records, stage, joint)
-    sums, along, rate = np.histogram2d(q, v, bins, weights=rest)
-    count, _, _ = np.histogram2d(q, v, [along, rate])
-    with np.errstate(invalid="ignore"):
-        return along, rate, np.where(count > 0, sums / count, np.nan)
-
-
-def load_map(
-    records: Sequence[LogRecord], stage: Stage, joint: int, bins: int = 24
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean residual over the recorded torque's size, for each direction of motion: middles (b,), up (b,), down (b,)."""
-    size = np.concatenate([np.abs(r.measured[r.valid, joint]) for r in records])
-    _, v, rest = _rows(records, stage, joint)
-    edges = np.quantile(size, np.linspace(0, 1, bins + 1))
-    place = np.clip(np.searchsorted(edges, size, side="right") - 1, 0, bins - 1)
-    means = [
-        np.array([rest[(place == k) & (v * sense > 0)].mean() if np.any((place == k) & (v * sense > 0)) else np.nan
-                  for k in range(bins)])
-        for sense in (1, -1)
-    ]  # fmt: skip
-    return 0.5 * (edges[1:] + edges[:-1]), means[0], means[1]
-
-
-def around_reversals(
-    records: Sequence[LogRecord], stage: Stage, joint: int, reach_s: float = 0.5
-) -> tuple[FloatArray, FloatArray]:
-    """Mean residual about the moments at which a joint turns back, in the new direction: lags (s), mean."""
-    rate = (len(records[0].time) - 1) / (records[0].time[-1] - records[0].time[0])
-    reach = max(1, int(reach_s * rate))
-    cut = []
-    for record in records:
-        rest = (record.measured - record.predicted[stage])[:, joint]
-        sign = np.sign(record.velocity[:, joint])
-        for k in np.flatnonzero(sign[1:] * sign[:-1] < 0) + 1:
-            if reach <= k < len(rest) - reach and record.valid[k - reach : k + reach + 1].all():
-                cut.append(sign[k] * rest[k - reach : k + reach + 1])
-    lags = np.arange(-reach, reach + 1) / rate
-    return lags, np.mean(cut, axis=0) if cut else np.full(len(lags), np.nan)
-
-
-def _rows(records: Sequence[LogRecord], stage: Stage, joint: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and residual (rows,) of a joint at the rows that count."""
-    parts = [
-        (r.position[r.valid, joint], r.velocity[r.valid, joint], (r.measured - r.predicted[stage])[r.valid, joint])
-        for r in records
-    ]
-    q, v, rest = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return q, v, rest

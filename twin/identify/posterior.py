@@ -11,7 +11,6 @@ a model (modes in an unseen posture, a depth of cut) can be given with its inter
 A scale enters M, C or K linearly: the likelihood is normal in values, the prior in logarithms.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -187,8 +186,3 @@ def _present(parameter: Parameter, keys: set[str], sprung: set[str]) -> bool:
     if parameter.kind == "spring" and not parameter.site.endswith(".z"):
         return parameter.site in sprung
     return True
-
-
-def names_of(posteriors: Sequence[Posterior]) -> list[str]:
-    """All names in some posteriors, in order of appearance."""
-    return list(dict.fromkeys(name for posterior in posteriors for name in posterior.parameters.names))

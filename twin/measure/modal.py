@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from twin.errors import InputError
 from twin.measure.campaign import (
-    Campaign,
     ComplexArray,
     FloatArray,
     PostureFRF,
@@ -262,23 +261,6 @@ def identify_modes(
         if posture.coherence is None
         else np.median(posture.coherence[inside].reshape(np.count_nonzero(inside), -1), axis=1),
     )
-
-
-def identify_campaign(
-    campaign: Campaign,
-    fmin: float | None = None,
-    fmax: float | None = None,
-    max_order: int = MAX_ORDER,
-    *,
-    method: Method = "plscf",
-    source: str = "",
-) -> dict[str, ModalResult]:
-    """:func:`identify_modes` for every posture of a campaign."""
-    labels = campaign.response.label, campaign.excitation.label
-    return {
-        name: identify_modes(posture, fmin, fmax, max_order, method=method, labels=labels, source=source)
-        for name, posture in campaign.postures.items()
-    }
 
 
 def modal_report(results: dict[str, ModalResult]) -> dict[str, Any]:

@@ -65,27 +65,6 @@ def resample(time: FloatArray, signal: FloatArray, instants: FloatArray) -> Floa
     return CubicSpline(time, signal)(instants)
 
 
-def delay_between(reference: FloatArray, other: FloatArray, sample_rate_hz: float) -> float:
-    """How late, in s, ``other`` (nt,) is against ``reference`` (nt,), to a fraction of a sample.
-
-    From the phase of the cross-spectrum, weighted as least squares asks: Re Σ ω² |S| … about the largest correlation.
-    """
-    a, b = (x - np.mean(x) for x in (np.asarray(reference, float), np.asarray(other, float)))
-    size = 2 * scipy.fft.next_fast_len(len(a), real=True)
-    cross = np.conj(scipy.fft.rfft(a, size)) * scipy.fft.rfft(b, size)
-    correlation = scipy.fft.irfft(cross, size)
-    whole = int(np.argmax(correlation))
-    whole -= size if whole > size // 2 else 0
-    omega = 2 * np.pi * np.arange(len(cross)) / size
-    late = float(whole)
-    for _ in range(20):  # Newton's method on the correlation between samples
-        turned = cross * np.exp(1j * omega * late)
-        slope, curve = -np.sum(omega * turned.imag), -np.sum(omega**2 * turned.real)
-        step = -slope / curve if curve < 0 else 0.0
-        late += float(np.clip(step, -1, 1))
-    return late / sample_rate_hz
-
-
 def advance(signal: FloatArray, sample_rate_hz: float, delay_s: float) -> FloatArray:
     """A channel (nt, …) that is late by ``delay_s``, put right: its value at t + delay, the ends held."""
     if delay_s == 0:

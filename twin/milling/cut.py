@@ -114,7 +114,7 @@ class Coefficients(Data):
         kte_n_per_m, kre_n_per_m, kae_n_per_m: the same of the edge, N/m.
         process_damping_n_per_m: force of the flank against motion into the work, per depth and per ratio of that
             motion's speed to the cutting speed, N/m; ``process_friction``: tangential over radial part of it.
-        deviation_percent: standard deviation of each shear coefficient; ``edge_deviation_percent`` of each edge one.
+        deviation_percent: standard deviation of each shear coefficient; edge coefficients do not move the limit.
         source: where they come from.
     """
 
@@ -127,7 +127,6 @@ class Coefficients(Data):
     process_damping_n_per_m: NonNegative = 0.0
     process_friction: Annotated[Number, Field(ge=0, le=1)] = 0.0
     deviation_percent: Annotated[Number, Field(ge=0, le=100)] = 0.0
-    edge_deviation_percent: Annotated[Number, Field(ge=0, le=100)] = 0.0
     source: str = ""
 
     @model_validator(mode="after")

@@ -22,7 +22,6 @@ from twin.robot.frames import inertia_matrix, inertia_six, matrix_of
 INERTIAL = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 """Parameters of a link: mass kg, first moments kg·m, inertia kg·m² about the origin of its frame, I_xy = −Σ m x y."""
 _UNITS = ("kg", "kg·m", "kg·m", "kg·m", *["kg·m²"] * 6)
-ROTOR_BODY = ("mass", "Ixx", "Iyy", "Izz")
 
 
 @dataclass(frozen=True)
