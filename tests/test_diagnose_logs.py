@@ -84,6 +84,17 @@ def test_a_complete_model_is_adequate_in_spite_of_ordinary_ripple_and_a_gas_law(
     assert found.error["before"]["held_out"] < 1.3 * found.error["noise_floor"]
 
 
+def test_the_zero_of_a_current_sensor_is_no_physics(tmp_path: Path, kr90: Robot) -> None:
+    """A constant of 80 N·m in all runs of joint 3, 0.5 % of its drive's range, is what such sensors have."""
+    robot = kr90.model_copy(deep=True)
+    robot.axes[2].limits.torque = 16e3  # type: ignore[union-attr]
+    log = recorded(tmp_path, "--ripple", "1.5", "--compensator", "gas")
+    for run in log.runs.values():
+        assert run.torque is not None
+        run.torque[:, 2] += 80.0
+    assert diagnose_log(log, robot).word == "adequate"
+
+
 def test_a_hose_pack_is_named_measured_and_put_back(drifting: Finding) -> None:
     (missing,) = drifting.missing
     assert missing.first.key == "cable_stiffness@joint1"

@@ -542,7 +542,7 @@ def predicted_torque(base: Base, k: int, z: FloatArray, entries: Sequence[Entry]
     model_torque(run, state, entries)
     predicted = state.recorded(run)
     rest = (run.torque - predicted)[valid]
-    weight = base.offset**2 * len(rest)
+    weight = (base.offset[:, k] ** 2).sum(axis=1) * len(rest)
     level = np.var(rest, axis=0)
     return np.asarray(predicted + rest.mean(axis=0) * weight / (weight + level))
 

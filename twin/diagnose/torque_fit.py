@@ -59,6 +59,8 @@ PRESLIDING_TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.g
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
 PRESLIDING = 0.5  # share of dry friction that does, per travel, common to all joints
 APART = 5e-4  # and of one joint alone
+ZERO = 0.005  # of its range: deviation of a current sensor's zero (0.2 to 1 % in data sheets of Hall sensors)
+DRIFT = 0.01  # of a joint's RMS torque: deviation of that zero from run to run
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,8 @@ class Base:
             after its columns; ``spread`` (p, z) their change per prior deviation.
         parameters: (z + ripple + offsets) free numbers, offsets of the runs last.
         ripple: (m, n, 2 RIPPLE_ORDERS) per run, sines and cosines of each joint's angle, of ordinary size.
-        offset: (n,) their prior deviation; ``friction`` (n,) a joint's dry friction as described, N·m (N).
+        offset: (n, runs, runs) torque of every run per unit of the offsets of all, N·m (N): see :func:`_offsets`;
+            ``friction`` (n,) a joint's dry friction as described, N·m (N).
         sliding: (n,) N·m (N), dry friction whose presliding is ordinary: alike at all joints it is a tolerance of
             sgn q̇, at one joint it is ``hysteresis``.
         presliding: (m, n, travels) per run, torque of a bristle that turns round less its sign, times ``sliding``;
@@ -127,8 +130,7 @@ class Base:
     def design(self, k: int, joint: int) -> FloatArray:
         """Torque (m, a) of a joint in run k per unit of the numbers that can act on it."""
         presliding = self.presliding[k][:, joint]
-        offsets = np.zeros((len(presliding), len(self.runs)))
-        offsets[:, k] = self.offset[joint]
+        offsets = np.broadcast_to(self.offset[joint, k], (len(presliding), len(self.runs)))
         rows = self.matrix[k][:, joint] @ self.spread
         return np.concatenate(
             [rows, PRESLIDING * presliding, self.ripple[k][:, joint], APART * presliding, offsets], axis=1
@@ -172,7 +174,7 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
     """
     robot = regressor.robot
     scale = np.sqrt(np.mean(np.concatenate([r.torque[r.valid] for r in runs]) ** 2, axis=0))
-    offset = 0.01 * scale  # zero of a joint's current sensor
+    offset = _offsets(robot, runs)
     matrices, known = _matrices(regressor, runs)
     links, covariance = link_parameters(robot)
     numbers = numbers_of(robot)
@@ -200,6 +202,22 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
         offset, np.maximum(USUAL_SHARE * scale, described), ripple, np.zeros(robot.axis_count), none, none,
     )  # fmt: skip
     return _sliding(base, sliding)
+
+
+def _offsets(robot: Robot, runs: Sequence[Run]) -> FloatArray:
+    """Prior of the zeros of the joints' current sensors, as factors (n, runs, runs) of its covariance, N·m (N).
+
+    A sensor has one zero, to ``ZERO`` of its range, and every run adds ``DRIFT`` of the joint's RMS torque: a constant
+    of all runs is so no friction that depends on the direction.
+    """
+    torque = np.concatenate([r.torque[r.valid] for r in runs])
+    limits = [axis.limits.torque if axis.limits else None for axis in robot.axes]
+    reached = np.abs(torque).max(axis=0)
+    common = ZERO * np.array([limit or most for limit, most in zip(limits, reached, strict=True)])
+    own = DRIFT * np.sqrt(np.mean(torque**2, axis=0))
+    least = np.maximum(own, 1e-12)  # of an axis without torque
+    covariance = common[:, None, None] ** 2 + least[:, None, None] ** 2 * np.eye(len(runs))
+    return np.asarray(np.linalg.cholesky(covariance))
 
 
 def _matrices(regressor: Regressor, runs: Sequence[Run]) -> tuple[list[FloatArray], list[FloatArray]]:
@@ -247,8 +265,10 @@ def _ordinary(runs: Sequence[Run], waves: FloatArray, offset: FloatArray) -> lis
         for k in range(waves.shape[1])
     ]
     offsets = [
-        Parameter(f"torque_offset@joint{j}.{run.name}", "N·m", "gain", False, 0.0, float(max(offset[j - 1], 1e-12)))
-        for run in runs
+        Parameter(
+            f"torque_offset@joint{j}.{run.name}", "N·m", "gain", False, 0.0, float(np.linalg.norm(offset[j - 1, k]))
+        )
+        for k, run in enumerate(runs)
         for j in joints
     ]
     common = len(PRESLIDING_TRAVELS["revolute"])
