@@ -28,6 +28,7 @@ DRAWS = 60
 WIDEST = 3.0  # of τ, and of one mode's ln damping: a factor of twenty
 KNOWN = 0.3  # deviation of ln damping to which an FRF must hold a mode that counts
 GAIN = 0.1  # deviation of a channel's gain, beyond what was estimated with the described damping
+EXACT = 1e-9  # added to χ², which may be nought
 STEPS = 40  # of least squares, at most
 UNKNOWN = 0.46, 12
 """τ and m where no posture tells: of the KR90's Table 7 (Huynh et al. 2020), each posture foretold from the two others
@@ -169,8 +170,11 @@ def _modal_misses(seen: Observed, r: Recorded) -> tuple[np.ndarray, np.ndarray, 
     prior = np.concatenate([np.full(2 * nm, 1 / WIDEST), np.ones(pairs), np.full(len(seen.gain), 1 / GAIN)])
     damp, stiff = (size**2)[:, None, None] * outer, (w**2)[:, None, None] * outer
 
-    def at(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weighted residual and its derivatives, prior included."""
+    def at(z: np.ndarray) -> np.ndarray:
+        """Derivatives of the weighted residual, prior included, and in the last column itself: rotated, as a triangle.
+
+        Least squares asks for products of these columns alone, which a rotation of the rows leaves as they are.
+        """
         grown, tuned = np.exp(z[:nm])[:, None, None], np.exp(2 * z[nm : 2 * nm])[:, None, None]
         more = (damp * (grown - 1)).sum(axis=0) + (cross * z[coupled, None, None]).sum(axis=0)
         gain = seen.gain * np.exp(z[coupled.stop :])
@@ -181,22 +185,26 @@ def _modal_misses(seen: Observed, r: Recorded) -> tuple[np.ndarray, np.ndarray, 
         slope["gain"][coupled.stop :] = np.diag(gain)
         rate = Observed.of(slope.values())
         H, slopes = frf_slopes(now, rate, r.s, r.power)
-        rest, A = (H - r.frf)[used] * weight, slopes[:, used] * weight
-        return np.concatenate([rest.real, rest.imag, prior * z]), np.hstack([A.real, A.imag, np.diag(prior)]).T
+        rows = np.concatenate([slopes[:, used], (H - r.frf)[None, used]]) * weight
+        rows = np.ascontiguousarray(rows).view(float)
+        held = np.vstack([np.diag(prior), prior * z])
+        square = rows @ rows.T + held @ held.T
+        square[-1, -1] += EXACT
+        return np.linalg.cholesky(square).T
 
-    kept_at: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    kept_at: dict[bytes, np.ndarray] = {}
 
-    def known(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def known(z: np.ndarray) -> np.ndarray:
         if z.tobytes() not in kept_at:
             kept_at.clear()
             kept_at[z.tobytes()] = at(z)
         return kept_at[z.tobytes()]
 
     found = least_squares(
-        lambda z: known(z)[0], np.zeros(count), lambda z: known(z)[1], bounds=(-WIDEST, WIDEST), x_scale="jac",
+        lambda z: known(z)[:, -1], np.zeros(count), lambda z: known(z)[:, :-1], bounds=(-WIDEST, WIDEST), x_scale="jac",
         max_nfev=STEPS, ftol=1e-6, xtol=1e-6,
     )  # fmt: skip
-    chi2 = float(np.sum(found.fun[: 2 * used.sum()] ** 2)) / (2 * used.sum())
+    chi2 = float(found.fun @ found.fun - np.sum((prior * found.x) ** 2)) / (2 * used.sum())
     deviation = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * max(1.0, chi2))
     return w, ratio, found.x[:nm], deviation[:nm]
 
