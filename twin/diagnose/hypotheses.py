@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from twin.measure.campaign import Brakes, Channels, FloatArray
-from twin.model.parameters import Parameter, Parameters, Sprung, independent, join
+from twin.model.parameters import Kind, Parameter, Parameters, Sprung, independent, join
 from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
 from twin.physics.effect import Companion, Effect
-from twin.physics.effect import Parameter as Quantity
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import axis_placement, matrix_of
 
@@ -132,22 +131,20 @@ def entry_hypothesis(base: Robot, effect: str, site: str, values: dict[str, Any]
     same = sum(other.effect == effect and other.site == site for other in base.physics)
     key = f"{effect}@{site}" + (f"#{same + 1}" if same else "")
     own: list[Parameter] = []
-    for quantity in CATALOGUE[effect].parameters:
+    law = CATALOGUE[effect]
+    kind: Kind = "spring" if law.hinge else "entry"
+    for quantity in law.parameters:
         if quantity.word or not quantity.spread or quantity.name not in values:
             continue
         given = values[quantity.name]
         numbers = given if quantity.length else [given]
         for k, number in enumerate(numbers):
             name = f"{key}.{quantity.name}" + (f"[{k}]" if quantity.length else "")
-            if CATALOGUE[effect].hinge:
+            if law.hinge:
                 name = f"{site}.{quantity.name}"
-            own.append(_parameter(effect, name, quantity, float(number)))
+            width = law.deviation(base, site, quantity, k)
+            own.append(Parameter(name, quantity.unit, kind, quantity.log, float(number), width, "usual size"))
     return Hypothesis(effect, site, (entry,), tuple(own))
-
-
-def _parameter(effect: str, name: str, quantity: Quantity, centre: float) -> Parameter:
-    kind = "spring" if CATALOGUE[effect].hinge else "entry"
-    return Parameter(name, quantity.unit, kind, quantity.log, centre, quantity.spread, "usual size")  # type: ignore[arg-type]
 
 
 def sites(effect: str, axes: int, response: Channels, excitation: Channels) -> list[str]:

@@ -237,6 +237,10 @@ class Effect:
         """
         return None
 
+    def deviation(self, robot: "Robot", site: str, parameter: "Parameter", item: int) -> float:
+        """Prior deviation of a number, or of an ``item`` of a list, at a site; what is usual anywhere by default."""
+        return parameter.spread
+
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
         """Parameters to start a search from, where one typical entry is not enough (a frequency, an axis)."""
         typical = self.typical(robot, site)

@@ -68,7 +68,9 @@ class Payload(Effect):
 
     def suspected(self, view: LogView) -> list[Suspected]:
         typical = self.typical(view.robot, view.site)
-        own = [Prior("mass", typical["mass"]), *(Prior(f"com[{k}]", 0.2, typical["com"][k]) for k in range(3))]
+        place = next(p for p in self.parameters if p.name == "com")
+        width = [self.deviation(view.robot, view.site, place, k) for k in range(3)]
+        own = [Prior("mass", typical["mass"]), *(Prior(f"com[{k}]", width[k], typical["com"][k]) for k in range(3))]
         return [Suspected({"mass": 0.0, "com": typical["com"]}, own, [[0.0, *typical["com"]]])]
 
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
@@ -85,9 +87,15 @@ class Payload(Effect):
         return [point, {**point, "inertia": [cube] * 3}] if shows else [point]
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any]:
-        """2 % of the links' mass, where the next joint (the flange) is."""
-        mass = 0.02 * sum(link.inertial[0] for link in robot.links)
-        return {"mass": mass, "com": link_end(robot, self.carrier(robot, site))}
+        """2 % of the links' mass, at the flange or in the middle of the link."""
+        mass, end = 0.02 * sum(link.inertial[0] for link in robot.links), link_end(robot, self.carrier(robot, site))
+        return {"mass": mass, "com": end if site == "flange" else [0.5 * value for value in end]}
+
+    def deviation(self, robot: "Robot", site: str, parameter: Parameter, item: int) -> float:
+        """Of a place on a link: anywhere from joint to joint alike (a twelfth of the square), and as far beside it."""
+        if parameter.name != "com" or site == "flange":
+            return parameter.spread
+        return float(np.hypot(parameter.spread, link_end(robot, self.carrier(robot, site))[item] / np.sqrt(12)))
 
 
 def _matrix(inertia: list[float]) -> np.ndarray:
