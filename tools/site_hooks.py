@@ -56,7 +56,7 @@ def on_page_content(html: str, **_: Any) -> str:
 def _typeset(part: str) -> str:
     """Indices, powers and units of plain text as they are printed; an option in one piece."""
     if part.startswith("<pre"):
-        return _indices(part) if "<span" not in part and FORMULA.search(part) else part
+        return _indices(part) if "<span class" not in part and FORMULA.search(part) else part
     if part.startswith("<code"):
         return re.sub(r"(?<![\w-])(?:--|…_)[\w-]+", r'<span class="whole">\g<0></span>', part)
     if part.startswith("<"):
