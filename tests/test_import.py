@@ -14,6 +14,7 @@ import nptdms
 import numpy as np
 import pytest
 import pyuff
+import rosbags.rosbag1
 import rosbags.rosbag2
 import rosbags.typesys
 import scipy.io
@@ -193,6 +194,21 @@ def bag(path: Path, cell: Recorded, plugin: Any = rosbags.rosbag2.StoragePlugin.
     return JOINT_STATES
 
 
+def bag1(path: Path, cell: Recorded) -> dict[str, Any]:
+    """A bag of ROS 1: one file, its messages of another format."""
+    store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS1_NOETIC)
+    types = store.types
+    names = [f"joint_a{i + 1}" for i in range(cell.axes)]
+    with rosbags.rosbag1.Writer(path) as writer:
+        topic = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        for t, q, tau in zip(cell.time, cell.q, cell.tau, strict=True):
+            ns = round(t * 1e9)
+            header = types["std_msgs/msg/Header"](0, types["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9), "")
+            message = types["sensor_msgs/msg/JointState"](header, names, q, q[:0], tau)
+            writer.write(topic, ns, store.serialize_ros1(message, topic.msgtype))
+    return JOINT_STATES
+
+
 JOINT_STATE_MSG = """std_msgs/Header header
 string[] name
 float64[] position
@@ -235,6 +251,7 @@ LOGS = {
     "v73.mat": mat73_log,
     "log.tdms": tdms_log,
     "bag": bag,
+    "ros1.bag": bag1,
     "joints.mcap": mcap,
 }
 
