@@ -74,7 +74,7 @@ class Described(Result):
             rows = _together([_row(item) for item in self.assumed if item.settled_by == kind])
             if rows:
                 header = ("field", "value", "unit", "within", "source")
-                tables.append(Table(header, rows, (1, 3), title=f"Assumed; settled by {test}"))
+                tables.append(Table(header, rows, (3,), title=f"Assumed; settled by {test}"))
         return tables
 
     def __str__(self) -> str:
