@@ -14,6 +14,7 @@ import nptdms
 import numpy as np
 import pytest
 import pyuff
+import rosbags.rosbag1
 import rosbags.rosbag2
 import rosbags.typesys
 import scipy.io
@@ -193,6 +194,21 @@ def bag(path: Path, cell: Recorded, plugin: Any = rosbags.rosbag2.StoragePlugin.
     return JOINT_STATES
 
 
+def bag1(path: Path, cell: Recorded) -> dict[str, Any]:
+    """A bag of ROS 1: one file, its messages of another format."""
+    store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS1_NOETIC)
+    types = store.types
+    names = [f"joint_a{i + 1}" for i in range(cell.axes)]
+    with rosbags.rosbag1.Writer(path) as writer:
+        topic = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        for t, q, tau in zip(cell.time, cell.q, cell.tau, strict=True):
+            ns = round(t * 1e9)
+            header = types["std_msgs/msg/Header"](0, types["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9), "")
+            message = types["sensor_msgs/msg/JointState"](header, names, q, q[:0], tau)
+            writer.write(topic, ns, store.serialize_ros1(message, topic.msgtype))
+    return JOINT_STATES
+
+
 JOINT_STATE_MSG = """std_msgs/Header header
 string[] name
 float64[] position
@@ -235,6 +251,7 @@ LOGS = {
     "v73.mat": mat73_log,
     "log.tdms": tdms_log,
     "bag": bag,
+    "ros1.bag": bag1,
     "joints.mcap": mcap,
 }
 
@@ -416,7 +433,8 @@ def test_a_slip_of_units_in_frfs_is_named(
         ({"torque": {"channels": "tau*", "unit": "Nm", "factor": 1e3}}, "look like N·mm"),
         ({"torque": {"channels": "tau*", "unit": "Nm", "factor": 1e-4}}, "look like kN·m"),
         ({"position": {"channels": "q*", "unit": "deg"}}, "look like rad, declared degrees"),
-        ({"torque": {"channels": "tau*", "unit": "Nm"}}, "look like lbf·in, declared N·m"),
+        ({"torque": {"channels": "tau*", "unit": "N·m"}}, "look like lbf·in, declared N·m"),
+        ({"torque": {"channels": "tau*", "unit": "lbf·in", "factor": LBF * 0.0254}}, "look like N·m, declared lbf·in"),
         ({"torque": {"channels": "tau*", "unit": "ask"}}, "never guessed"),
         ({"torque": {"channels": "tau*", "unit": "rad"}}, "expected a unit of torque"),
         ({"torque": {"channels": "moment*", "unit": "Nm"}}, "fits no channel"),

@@ -12,7 +12,8 @@ import nbformat
 import numpy as np
 import pytest
 
-from tools import effect_pages, notebooks
+from tools import effect_pages, notebooks, site_hooks
+from twin.cli import app
 from twin.commands.posture_file import Hammer
 from twin.identify.posterior import FILE
 from twin.measure.campaign import Campaign, Channels, Hits, PostureFRF, write_campaign
@@ -102,3 +103,24 @@ def test_every_effect_has_a_page_with_its_signature() -> None:
             shown = next(values for label, values in curves.items() if label != "without")
             assert np.abs(shown - curves["without"]).max() > 0, name
     assert [name for name, figures in drawn.items() if not figures] == []
+
+
+def test_formulas_of_plain_text_are_set_and_code_is_left_alone() -> None:
+    page = "<p>F_c of |H|²_rms, e^(−σ_w t), 1e-9 and 2.4e8 at 30 Hz</p><pre>F_c 1e-9</pre>"
+    page += "<p><code>a_b --grid</code></p>"
+    assert site_hooks.on_page_content(page) == (
+        "<p>F<sub>c</sub> of |H|²<sub>rms</sub>, e<sup>−σ<sub>w</sub> t</sup>, 10<sup>−9</sup> and "
+        "2.4\u00a0×\u00a010<sup>8</sup> at 30\u00a0Hz</p>"
+        '<pre tabindex="0">F_c 1e-9</pre><p><code>a_b <span class="whole">--grid</span></code></p>'
+    )
+
+
+def test_examples_of_the_help_fit_a_terminal_of_80_columns() -> None:
+    examples = [
+        line
+        for command in app.registered_commands
+        for block in re.findall(r"```\w*\n(.*?)```", command.callback.__doc__ or "", re.DOTALL)
+        for line in block.splitlines()
+    ]
+    assert len(examples) > 30
+    assert [line for line in examples if len(line.removeprefix("    ")) > 76] == []

@@ -28,7 +28,7 @@ from twin.physics import CATALOGUE
 from twin.physics.effect import Effect, Parameter, Values, axis_of
 from twin.physics.joint_law import USUAL_DEFLECTION
 from twin.physics.motion import Motion
-from twin.report.figures import save
+from twin.report.figures import phase_deg, save
 from twin.robot.description import Entry, Robot, load_robot, parse_robot
 from twin.robot.mechanism import assemble
 
@@ -159,7 +159,7 @@ def _file(name: str, kind: str) -> str:
 def _row(p: Parameter) -> str:
     size = {0: "", -1: "[ ]"}.get(p.length, f"[{p.length}]")
     null = "" if p.word or p.length < 0 or (p.positive and p.null == 0) else "∞" if p.null == np.inf else f"{p.null:g}"
-    may = ["> 0" if p.positive else "≥ 0" if p.nonnegative else "", "left out" if p.optional else ""]
+    may = ["> 0" if p.positive else "≥ 0" if p.nonnegative else "any" * (not p.word), "left out" if p.optional else ""]
     return f"| `{p.name}`{size} | {p.unit} | {null} | {', '.join(filter(None, may))} |"
 
 
@@ -169,9 +169,10 @@ def _aliases(effect: Effect, examples: dict[str, Example]) -> str:
     named = list(dict.fromkeys(f"`{c.effect}` at `{c.site}`" for _, c in here if (c.effect, c.site) not in itself))
     if not named:
         return (
-            "The file states no rival. [Reading a diagnosis](../diagnosis.md) lists what no recording can tell apart."
+            "The effect names no rival of its own. [Diagnosis](../diagnosis.md#what-recordings-can-never-tell-apart) "
+            "lists what no recording can tell apart."
         )
-    return f"At `{here[0][0].entry.site}` a diagnosis also judges, in any case: {', '.join(named)}."
+    return f"At `{here[0][0].entry.site}` a diagnosis always compares it with {', '.join(named)}."
 
 
 def _tests(effect: Effect) -> str:
@@ -182,7 +183,7 @@ def _tests(effect: Effect) -> str:
         tests.insert(0, CHANNEL_TEST if type(effect).record is not Effect.record else HAMMER_TEST)
     if effect.ordinary:
         return f"It is not searched for as an effect: {effect.ordinary}."
-    return "\n".join(f"- {test[0].upper()}{test[1:]}." for test in tests) or "The file states none."
+    return "\n".join(f"- {test[0].upper()}{test[1:]}." for test in tests) or "The effect names no test of its own."
 
 
 def _kinds(effect: Effect) -> str:
@@ -346,7 +347,7 @@ def _frf(example: Example) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (3, 1)})
     for H, style, label in zip(found, (WITHOUT, WITH), ("without", f"with {example.title}"), strict=True):
         upper.semilogy(FREQUENCY, np.abs(H[:, i, j]), label=label, **style)
-        lower.plot(FREQUENCY, np.degrees(np.angle(H[:, i, j])), **style)
+        lower.plot(FREQUENCY, phase_deg(H[:, i, j]), **style)
     upper.set_ylabel("accelerance, m/(s²·N)")
     lower.set_ylabel("phase, °")
     lower.set_yticks([-180, 0, 180])

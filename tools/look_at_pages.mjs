@@ -17,7 +17,7 @@ const puppeteer = (await import(pathToFileURL(require.resolve("puppeteer-core"))
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
 
 const WIDTHS = [1280, 390]; // pixels: a screen, a telephone
-const TALLEST = 12000; // pixels of a picture
+const TALLEST = 12000; // pixels of a picture: what is taller goes on in another
 const [out, ...given] = process.argv.slice(2).reverse().map((path) => resolve(path));
 const pages = given.flatMap((path) => (statSync(path).isDirectory() ? inside(path) : [path]));
 const root = given.length === 1 && statSync(given[0]).isDirectory() ? given[0] : null;
@@ -25,6 +25,14 @@ mkdirSync(out, { recursive: true });
 
 function inside(folder) {
   return readdirSync(folder, { recursive: true }).filter((name) => name.endsWith(".html")).map((name) => join(folder, name));
+}
+
+async function pictures(page, name, width) {
+  const tall = await page.evaluate(() => document.documentElement.scrollHeight);
+  for (let y = 0, k = 1; y < tall; y += TALLEST, k += 1) {
+    const clip = { x: 0, y, width, height: Math.min(tall - y, TALLEST) };
+    await page.screenshot({ path: join(out, `${name}${k > 1 ? `-${k}` : ""}.png`), clip, captureBeyondViewport: true });
+  }
 }
 
 const browser = await puppeteer.launch({
@@ -42,9 +50,9 @@ for (const path of pages) {
   for (const width of WIDTHS) {
     await page.setViewport({ width, height: 900 });
     await page.goto(pathToFileURL(path), { waitUntil: "load" });
-    const [wide, tall] = await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.scrollHeight]);
+    const wide = await page.evaluate(() => document.documentElement.scrollWidth);
     if (wide > width) found.add(`${wide} pixels wide in a window of ${width}`);
-    await page.screenshot({ path: join(out, `${name}-${width}.png`), clip: { x: 0, y: 0, width, height: Math.min(tall, TALLEST) }, captureBeyondViewport: true });
+    await pictures(page, `${name}-${width}`, width);
   }
   await page.pdf({ path: join(out, `${name}.pdf`), format: "A4", printBackground: true });
   for (const scheme of ["light", "dark"]) {
@@ -58,7 +66,7 @@ for (const path of pages) {
         found.add(`${scheme}: ${impact}: ${id}, ${nodes.length} times, as ${nodes[0].html.slice(0, 160)}`);
       }
     }
-    if (scheme === "dark") await page.screenshot({ path: join(out, `${name}-dark.png`) });
+    if (scheme === "dark") await pictures(page, `${name}-dark`, WIDTHS[0]);
   }
   await page.close();
   faults += found.size;

@@ -1,4 +1,4 @@
-"""What mkdocs does to every page: names without the roles of docstrings, nothing from elsewhere, usable by keyboard."""
+"""What mkdocs does to every page: formulas are set, nothing comes from elsewhere, all can be used by keyboard."""
 
 import re
 from collections.abc import Iterator
@@ -37,12 +37,44 @@ def _named(nav: Any) -> Iterator[tuple[str, str]]:
             yield from [(inside, title)] if isinstance(inside, str) else _named(inside)
 
 
+UNITS = "%|°|Hz|kHz|N·m|N·s|N/m|kN|N|µrad|mrad|rad|µm|mm|m|kg|ms|s|min|rpm|GiB|MB"
+LONG = 60  # characters of a cell, from which its column must not be a narrow one
+FORMULA = re.compile("[Σ√½∝χσρ]")
+LETTER = r"(?:(?<![\w.])[A-Za-zΑ-Ωα-ω]̂?[²³]?|\|²?)"
+
+
 def on_page_content(html: str, **_: Any) -> str:
     """Classes named as Sphinx does are shown by the name alone; what scrolls can be reached by keyboard."""
     html = re.sub(r":(?:class|func|meth|attr|mod):(?=<code>)", "", html)
+    html = "".join(map(_typeset, re.split(r"(<pre.*?</pre>|<code.*?</code>|<[^>]+>)", html, flags=re.DOTALL)))
     html = html.replace("<pre>", '<pre tabindex="0">')
+    html = re.sub(r"<p>(<img[^>]*>)</p>", r'<p class="picture" tabindex="0">\1</p>', html)
     html = re.sub(r"<h1.*?</h1>", lambda title: _breakable(title[0]), html, flags=re.DOTALL)
     return re.sub(r"<table>.*?</table>", _table, html, flags=re.DOTALL)
+
+
+def _typeset(part: str) -> str:
+    """Indices, powers and units of plain text as they are printed; an option in one piece."""
+    if part.startswith("<pre"):
+        return _indices(part) if "<span class" not in part and FORMULA.search(part) else part
+    if part.startswith("<code"):
+        return re.sub(r"(?<![\w-])(?:--|…_)[\w-]+", r'<span class="whole">\g<0></span>', part)
+    if part.startswith("<"):
+        return part
+    part = re.sub(r"(?<![\w.])(\d(?:\.\d+)?)e[+]?([−-]?)0*(\d+)\b", _power, part)
+    part = re.sub(r"\be\^(?:\(([^)]*)\)|\{([^}]*)\})", lambda e: f"e<sup>{e[1] or e[2]}</sup>", part)
+    return re.sub(rf"(?<=\d) (?=(?:{UNITS})(?![\w·/]))", "\u00a0", _indices(part))
+
+
+def _indices(text: str) -> str:
+    """F_c, y_{k−1} and χ²_best with their indices below the line."""
+    return re.sub(rf"({LETTER})_(?:([a-z]+)|\{{([^}}]+)\}})(?!\w)", lambda x: f"{x[1]}<sub>{x[2] or x[3]}</sub>", text)
+
+
+def _power(number: re.Match[str]) -> str:
+    """1e-9 and 6.1e6 as powers of ten."""
+    first = "" if number[1] == "1" else f"{number[1]}\u00a0×\u00a0"
+    return f"{first}10<sup>{'−' if number[2] else ''}{number[3]}</sup>"
 
 
 def _breakable(html: str) -> str:
@@ -51,8 +83,14 @@ def _breakable(html: str) -> str:
 
 
 def _table(found: re.Match[str]) -> str:
-    """A table scrolls where it must, and its long names may break before that."""
-    table = _breakable(found[0])
+    """A table scrolls where it must, and its long names may break before that; a column of sentences is wide."""
+    rows = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in found[0].split("</tr>")]
+    longest = [
+        max(len(re.sub("<[^>]*>", "", cell)) for cell in column) for column in zip(*filter(None, rows), strict=False)
+    ]
+    columns = iter(longest if len(longest) > 3 else [])
+    table = re.sub("<th(?=[ >])", lambda head: head[0] + ' class="long"' * (next(columns, 0) > LONG), found[0])
+    table = _breakable(table)
     return f'<div class="md-typeset__scrollwrap" tabindex="0"><div class="md-typeset__table">{table}</div></div>'
 
 

@@ -8,6 +8,7 @@ import inspect
 import re
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import mkdocs_gen_files
 import typer
@@ -35,14 +36,15 @@ def commands() -> str:
     context = typer.Context(root, info_name="twin")
     general = (
         "`twin COMMAND --help` says the same. `twin -q COMMAND` prints one line, `twin -v COMMAND` every file it "
-        "wrote. `twin --install-completion` completes in your shell. Bad input ends in one line and exit code 2."
+        "wrote. `twin --install-completion` makes your shell complete commands. Bad input ends in one line and exit "
+        "code 2."
     )
     parts = ["# Commands", general]
     for name, command in root.commands.items():  # type: ignore[attr-defined]
         parts += [f"## twin {name}", inspect.cleandoc(command.help or "")]
-        records = [record for p in command.params if (record := p.get_help_record(context))]
-        rows = [f"| <code>{_written(name)}</code> | {_cell(said)} |" for name, said in records]
-        parts.append("\n".join(["| argument or option | |", "|---|---|", *rows]))
+        records = [(p, record) for p in command.params if (record := p.get_help_record(context))]
+        rows = [f"| <code>{_written(_called(p, name))}</code> | {_cell(said)} |" for p, (name, said) in records]
+        parts.append("\n".join(["| argument or option | meaning |", "|---|---|", *rows]))
     return "\n\n".join(parts) + "\n"
 
 
@@ -64,6 +66,11 @@ def changelog() -> str:
 
 
 KINDS = {"int range": "N", "int": "N", "float": "NUMBER", "str": "TEXT", "path": "PATH", "list[Path]": "PATH"}
+
+
+def _called(parameter: Any, name: str) -> str:
+    """An argument by its name alone, an option with the kind of its value."""
+    return (parameter.param_type_name == "argument" and parameter.metavar) or name
 
 
 def _written(option: str) -> str:

@@ -2,6 +2,7 @@
 
 import inspect
 import io
+import math
 import os
 import sys
 import warnings
@@ -33,29 +34,52 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+
+def _within(low: float, high: float = math.inf) -> Callable[[Any], Any]:
+    """A check that keeps the range out of the help's columns, where it would take the room of the words."""
+
+    def check(value: Any) -> Any:
+        if value is not None and not low <= value <= high:
+            raise typer.BadParameter(f"{value} is not in the range {low:g} to {high:g}")
+        return value
+
+    return check
+
+
+def _count(*names: str, low: int = 1, **more: Any) -> Any:
+    return typer.Option(*names, metavar="N", callback=_within(low), **more)
+
+
+def _flag(name: str, help: str) -> Any:
+    """An option without a value: its help shows none."""
+    return typer.Option(name, metavar="", help=help)
+
+
 Robot = Annotated[
     str | None,
     typer.Option(
         "--robot",
-        help="Shipped name (kr90, kr90_six …), a robot.yaml or a URDF; wins over the robot a file names.",
+        metavar="ROBOT",
+        help="Shipped name (kr90, kr90_identified, kr90_six), robot.yaml or URDF. It replaces the robot that a file "
+        "names.",
         show_default="the file's, else kr90",
     ),
 ]
 Without = Annotated[
     list[str] | None,
     typer.Option(
-        "--without", metavar="EFFECT[@SITE]", help="Remove physics entries from the robot; may be given several times."
+        "--without", metavar="EFFECT[@SITE]", help="Take physics entries out of the robot; may be given several times."
     ),
 ]
-Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for everything that is written.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else on standard output.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random choice.")]
-NoSeed = Annotated[int, typer.Option("--seed", min=0, help="Every command takes it; nothing here is random.")]
+Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder.")]
+Json = Annotated[bool, _flag("--json", "Print the result as JSON, and nothing else on standard output.")]
+Seed = Annotated[int, _count("--seed", low=0, help="Seed of all random numbers.")]
+NoSeed = Annotated[int, _count("--seed", low=0, help="Without effect: this command draws no random numbers.")]
 Timeout = Annotated[
     float | None,
     typer.Option(
-        "--timeout", min=0.001, max=1e8, metavar="SECONDS", help="End after so long, with nothing half-written.",
-        show_default=False,
+        "--timeout", metavar="SECONDS", help="Stop after this time; no file is left half-written.",
+        show_default="none", callback=_within(0.001, 1e8),
     ),
 ]  # fmt: skip
 
@@ -105,10 +129,17 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", help="Print the version and stop.", is_eager=True, callback=_print_version)
+        bool,
+        typer.Option(
+            "--version", metavar="", help="Print the version and stop.", is_eager=True, callback=_print_version
+        ),
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress; of a result its first line.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Also name every file that was written.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", metavar="", help="No progress bars; print only the first line.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", metavar="", help="Also list every file that was written.")
+    ] = False,
 ) -> None:
     if quiet and verbose:
         raise InputError("--quiet", "", "and --verbose exclude each other")
@@ -129,9 +160,11 @@ def _bars() -> AbstractContextManager[Progress]:
 def describe(
     drawing: Annotated[Path, typer.Argument(metavar="URDF|MJCF", help="The robot's links and joints.")],
     sheet: Annotated[
-        Path | None, typer.Option(help="sheet.yaml: payload, reach, masses, speeds, torques, gears.")
+        Path | None, typer.Option(metavar="FILE", help="sheet.yaml: payload, reach, masses, speeds, torques, gears.")
     ] = None,
-    tool: Annotated[Path | None, typer.Option(help="tool.yaml: what is on the flange, by numbers or by mesh.")] = None,
+    tool: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="tool.yaml: the tool on the flange, as numbers or as a mesh.")
+    ] = None,
     without: Without = None,
     out: Out = None,
     json: Json = False,
@@ -140,15 +173,21 @@ def describe(
     """A robot that can be simulated, fitted and diagnosed, from a URDF or MJCF and a data sheet of a few lines.
 
     Axes, limits, masses, meshes and collision shapes are kept. Gear ratios, rotors, friction, stiffness and damping
-    come from the sheet, or from scaling laws over published robots: these are listed as assumed, each with its
-    source, how far it may be off and the test that would settle it. Impossible inertias are repaired, side branches
-    welded, closed loops reduced, and all that is said.
+    come from the sheet, or from scaling laws over published robots. The latter are listed as assumed, each with its
+    source, its uncertainty and the test that would measure it. Impossible inertias are repaired, side branches are
+    welded and closed loops are reduced. Each such change is printed.
 
     ```yaml
-    payload: 10                        # sheet.yaml; every key may be left out
+    # sheet.yaml; every key may be left out
+    payload: 10                                   # kg
     max_speed: [120, 120, 180, 180, 180, 180]     # °/s, one per axis
     max_torque: [330, 330, 150, 54, 54, 54]       # N·m at the joint
-    gears: [strain_wave, strain_wave, strain_wave, strain_wave, strain_wave, strain_wave]
+    gear_ratio: [101, 101, 101, 101, 101, 101]    # motor turns per joint turn
+    ```
+
+    ```
+    twin describe arm.urdf
+    twin describe arm.urdf --sheet sheet.yaml --tool tool.yaml -o out/arm
     ```
 
     Writes robot.yaml, robot.xml (MJCF), meshes, report.html and describe.json into the output folder, out/DRAWING by
@@ -161,10 +200,10 @@ def describe(
 
 @command()
 def simulate(
-    posture: Annotated[Path, typer.Argument(help="posture.yaml: robot, posture, hammer, replay.")],
+    posture: Annotated[Path, typer.Argument(metavar="POSTURE", help="posture.yaml: robot, posture, hammer, replay.")],
     robot: Robot = None,
     without: Without = None,
-    movie: Annotated[bool, typer.Option("--movie", help="Also write the modes in motion as modes.gif.")] = False,
+    movie: Annotated[bool, _flag("--movie", "Also write the animated modes as modes.gif.")] = False,
     out: Out = None,
     json: Json = False,
     seed: Seed = 0,
@@ -178,8 +217,13 @@ def simulate(
     ```yaml
     robot: kr90                       # or a path, relative to this file
     posture: {name: milling, q_deg: [0, 70, -100], brakes: "on"}
-    hammer: {force_n: 300, hits: 3}   # left out: 3 hits; false: modes only
-    replay: trajectory.h5             # optional motion log or trajectory
+    hammer: {force_n: 300, hits: 3}   # the default; false: modes only
+    replay: trajectory.h5             # optional: motion log or trajectory
+    ```
+
+    ```
+    twin simulate posture.yaml
+    twin simulate posture.yaml --robot out/fit/robot.yaml -o out/fitted
     ```
     """
     if out is None and not json:
@@ -191,30 +235,44 @@ def simulate(
 
 @command()
 def modal(
-    recordings: Annotated[list[Path], typer.Argument(help="measured_frf.h5, or universal files (.uff, .unv).")],
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING", help="A hammer test (.h5), or universal files (.uff, .unv).")
+    ],
     robot: Robot = None,
     without: Without = None,
-    fmin: Annotated[float | None, typer.Option(help="Lower end of the band, Hz.")] = None,
-    fmax: Annotated[float | None, typer.Option(help="Upper end of the band, Hz.")] = None,
-    max_order: Annotated[int, typer.Option(help="Highest order of the stabilisation chart.")] = 60,
-    method: Annotated[str, typer.Option(help="Estimator of the chart: plscf or lsce (the paper's).")] = "plscf",
+    fmin: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Lower end of the band, Hz.", show_default="the first line")
+    ] = None,
+    fmax: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Upper end of the band, Hz.", show_default="the last line")
+    ] = None,
+    max_order: Annotated[int, typer.Option(metavar="N", help="Highest order of the stabilisation chart.")] = 60,
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="Estimator of the chart: plscf, or lsce as in the paper.")
+    ] = "plscf",
     operational: Annotated[
-        bool, typer.Option("--operational", help="The recording holds responses alone (needs twin[operational]).")
+        bool, _flag("--operational", "The recording holds responses only (needs twin[operational]).")
     ] = False,
     out: Out = None,
     json: Json = False,
     seed: NoSeed = 0,
 ) -> None:
-    """Modes of a measured hammer or shaker test, with standard deviations, not told how many.
+    """Modes of a measured hammer or shaker test, with standard deviations. Their number is found, not given.
 
-    Any structure: axis positions and a robot are needed only to draw shapes on the robot.
+    It works on any structure: axis positions and a robot are needed only to draw shapes on the robot.
 
     Takes one or several postures and force levels. Prints frequencies and damping ratios (exponential windows taken
     out) and writes modes.yaml (modal table), UFF 55 shapes, stabilisation charts, FRF overlays, MAC, shapes on the
-    robot and modal.json into the output folder, out/RECORDING by default. What the data do not hold is said to be so.
+    robot and modal.json into the output folder, out/RECORDING by default. Remarks say what the data do not determine.
 
-    With --operational, modes of a structure that runs: universal files with time responses, or frf-campaign HDF5 with
-    postures/NAME/running/response. Nothing is known of the excitation, so it must be broad.
+    With --operational: modes of a structure in operation. It reads universal files with time responses, or
+    frf-campaign HDF5 with postures/NAME/running/response. The excitation is not measured, so it must be broadband.
+
+    ```
+    twin modal measured_frf.h5 --fmax 60
+    twin modal a.unv b.unv -o out/modal
+    twin modal running.h5 --operational
+    ```
     """
     if method not in ("plscf", "lsce"):
         raise InputError("--method", method, "expected plscf or lsce")
@@ -237,30 +295,32 @@ HoldOut = Annotated[
 @command()
 def fit(
     recordings: Annotated[
-        list[Path], typer.Argument(help="measured_frf.h5, a modal table (.yaml), or universal files (.uff, .unv).")
+        list[Path],
+        typer.Argument(metavar="RECORDING", help="Hammer tests (.h5, .uff, .unv) or modal tables (.yaml)."),
     ],
     robot: Robot = None,
     without: Without = None,
     hold_out: HoldOut = None,
     leave_one_out: Annotated[
-        bool, typer.Option("--leave-one-out", help="Also predict every posture from a fit to the others.")
+        bool, _flag("--leave-one-out", "Also predict every posture from a fit to the others.")
     ] = False,
     objective: Annotated[
-        str, typer.Option(help="posterior; on modal tables also paper (Eq. 23, weights 100 and 1).")
+        str,
+        typer.Option(metavar="NAME", help="posterior; of modal tables also paper (Eq. 23, weights 100 and 1)."),
     ] = "posterior",
     band: Annotated[
-        tuple[float, float] | None, typer.Option(help="Lines used, Hz.", metavar="LOW HIGH", show_default="all")
+        tuple[float, float] | None,
+        typer.Option(help="Frequency band of the lines used, Hz.", metavar="LOW HIGH", show_default="all"),
     ] = None,
-    tolerances: Annotated[
-        bool,
-        typer.Option(help="Masses, centres of mass, inertias, angles and gains free within the robot's tolerances."),
-    ] = True,
-    starts: Annotated[int, typer.Option(min=1, help="Starting points, whose results must agree.")] = 4,
+    no_tolerances: Annotated[
+        bool, _flag("--no-tolerances", "Keep masses, centres of mass, inertias, angles and gains as described.")
+    ] = False,
+    starts: Annotated[int, _count(help="Number of starting points; their results must agree.")] = 4,
     out: Out = None,
     json: Json = False,
     seed: Seed = 0,
 ) -> None:
-    """Joint stiffness and damping from measured FRFs, with intervals, and what the data do not hold.
+    """Joint stiffness and damping from measured FRFs, with intervals, and what the data do not determine.
 
     Maximum-posterior fit of every spring and damper, over all postures and force levels at once. Masses, centres of
     mass, inertias, posture angles and channel gains are free within the robot's tolerances. Priors and tolerances are
@@ -274,10 +334,10 @@ def fit(
     twin fit modes.yaml --objective paper        # the paper's Eq. 23
     ```
 
-    The data do not hold numbers in ( ): these are bounds, or mostly the prior. The command writes robot.yaml, robot.xml
-    (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default. With --json, files are
-    written only where --out says so. Next: twin compare judges the new robot on other recordings, and twin diagnose
-    looks for physics it lacks.
+    A number in ( ) is not determined by the data: it is a bound, or mostly the prior. The command writes robot.yaml,
+    robot.xml (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default. With --json,
+    files are written only where --out says so. Next: twin compare judges the new robot on other recordings, and
+    twin diagnose looks for physics it lacks.
     """
     if objective not in ("posterior", "paper"):
         raise InputError("--objective", objective, "expected posterior or paper")
@@ -286,7 +346,7 @@ def fit(
     with _bars() as progress:
         found = twin.fit(
             recordings, robot=robot, without=without, hold_out=hold_out, leave_one_out=leave_one_out,
-            objective="paper" if objective == "paper" else "posterior", band_hz=band, tolerances=tolerances,
+            objective="paper" if objective == "paper" else "posterior", band_hz=band, tolerances=not no_tolerances,
             starts=starts, out=out, seed=seed, progress=progress,
         )  # fmt: skip
     _show(found, json)
@@ -296,16 +356,16 @@ def fit(
 def excite(
     robot: Robot = None,
     without: Without = None,
-    count: Annotated[int, typer.Option(min=1, help="How many different trajectories.")] = 6,
-    harmonics: Annotated[int, typer.Option(min=1, help="Of the Fourier series.")] = 5,
-    base_hz: Annotated[float, typer.Option(help="Fundamental frequency, Hz.")] = 0.1,
-    rest: Annotated[
-        bool, typer.Option("--rest", help="Start and end at rest, so that a controller can run them.")
-    ] = False,
-    criterion: Annotated[str, typer.Option(help="condition (number) or d-optimal.")] = "condition",
-    periods: Annotated[int, typer.Option(min=1, help="Repetitions of a period in the files.")] = 1,
-    sample_rate_hz: Annotated[float, typer.Option(help="Of the files, Hz.")] = 250.0,
-    krl: Annotated[bool, typer.Option("--krl", help="Also write KUKA spline programs; implies --rest.")] = False,
+    count: Annotated[int, _count(help="Number of different trajectories.")] = 6,
+    harmonics: Annotated[int, _count(help="Number of harmonics of the Fourier series.")] = 5,
+    base_hz: Annotated[float, typer.Option(metavar="HZ", help="Fundamental frequency, Hz.")] = 0.1,
+    rest: Annotated[bool, _flag("--rest", "Start and end at rest, so that a controller can run them.")] = False,
+    criterion: Annotated[
+        str, typer.Option(metavar="NAME", help="What is optimised: condition (number) or d-optimal.")
+    ] = "condition",
+    periods: Annotated[int, _count(help="Number of periods in the files.")] = 1,
+    sample_rate_hz: Annotated[float, typer.Option(metavar="HZ", help="Sampling rate of the files, Hz.")] = 250.0,
+    krl: Annotated[bool, _flag("--krl", "Also write KUKA spline programs; implies --rest.")] = False,
     out: Out = None,
     json: Json = False,
     seed: Seed = 0,
@@ -314,7 +374,12 @@ def excite(
 
     Fourier series of minimum condition number (or D-optimal) under position, velocity, acceleration and workspace
     limits (of a robot that states them). Writes trajectory.h5, CSV, figures and excite.json into the output folder,
-    out/excite by default; a posture file replays trajectory.h5, a controller runs the CSV or KRL.
+    out/excite by default. A posture file replays trajectory.h5; a controller runs the CSV or KRL.
+
+    ```
+    twin excite --robot kr90 --count 1
+    twin excite --robot out/arm/robot.yaml --krl -o out/motions
+    ```
     """
     if criterion not in ("condition", "d-optimal"):
         raise InputError("--criterion", criterion, "expected condition or d-optimal")
@@ -331,14 +396,18 @@ def excite(
 
 @command()
 def identify(
-    log: Annotated[Path, typer.Argument(help="A motion log: HDF5, or CSV with header time,q1..qn,tau1..taun.")],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="A motion log: HDF5, or CSV with the header time,q1..qn,tau1..taun.")
+    ],
     robot: Robot = None,
     without: Without = None,
     hold_out: HoldOut = None,
     low_pass: Annotated[
-        tuple[float, float], typer.Option(metavar="PASS STOP", help="Low-pass of torque and columns, Hz.")
+        tuple[float, float], typer.Option(metavar="PASS STOP", help="Low-pass filter of torques and regressor, Hz.")
     ] = (3.0, 4.0),
-    weighting: Annotated[str, typer.Option(help="joint (by each joint's noise) or none.")] = "joint",
+    weighting: Annotated[
+        str, typer.Option(metavar="NAME", help="Weights: joint (by the noise of each joint) or none.")
+    ] = "joint",
     out: Out = None,
     json: Json = False,
     seed: NoSeed = 0,
@@ -350,6 +419,11 @@ def identify(
     out, or contiguous blocks if there is one run only. The command writes robot.yaml, robot.xml, figures and
     identify.json into the output folder, out/LOG by default. Dropped, jittered or saturated samples are repaired with a
     note, or refused.
+
+    ```
+    twin identify log.h5
+    twin identify log.h5 --robot out/arm/robot.yaml --hold-out run3
+    ```
     """
     if weighting not in ("joint", "none"):
         raise InputError("--weighting", weighting, "expected joint or none")
@@ -365,19 +439,24 @@ def identify(
 
 @command()
 def compare(
-    recordings: Annotated[list[Path], typer.Argument(help="Hammer tests, modal tables and motion logs.")],
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RECORDING", help="Hammer tests (.h5, .uff, .unv), motion logs (.h5, .csv), modal tables (.yaml)."
+        ),
+    ],
     robot: Robot = None,
     without: Without = None,
     as_is: Annotated[
-        bool, typer.Option("--as-is", help="Re-estimate nothing, not even posture angles, gains and offsets.")
+        bool, _flag("--as-is", "Estimate nothing again, not even posture angles, gains and offsets.")
     ] = False,
-    low_pass: Annotated[tuple[float, float], typer.Option(metavar="PASS STOP", help="Low-pass of torques, Hz.")] = (
+    low_pass: Annotated[
+        tuple[float, float], typer.Option(metavar="PASS STOP", help="Low-pass filter of torques, Hz.")
+    ] = (
         3.0,
         4.0,
     ),
-    stepped: Annotated[
-        bool, typer.Option("--stepped", help="Also replay motion logs in MuJoCo's time stepping.")
-    ] = False,
+    stepped: Annotated[bool, _flag("--stepped", "Also replay motion logs in MuJoCo's time stepping.")] = False,
     out: Out = None,
     json: Json = False,
     seed: NoSeed = 0,
@@ -409,7 +488,8 @@ def diagnose(
     recordings: Annotated[
         list[Path],
         typer.Argument(
-            help="Hammer tests (.h5, .uff, .unv), motion logs (.h5, .csv), modal tables (.yaml), of one robot."
+            metavar="RECORDING",
+            help="Hammer tests (.h5, .uff, .unv), motion logs (.h5, .csv), modal tables (.yaml), of one robot.",
         ),
     ],
     robot: Robot = None,
@@ -419,7 +499,7 @@ def diagnose(
     json: Json = False,
     seed: Seed = 0,
 ) -> None:
-    """What physics a model leaves out: find it, name it, say how sure, write it into the model and show the proof.
+    """What physics does a model lack? Finds it, names it, says how sure, and writes it into the model.
 
     The model is fitted as it is. Then every effect is tried at every site that the recordings can show, and the most
     promising are fitted. Postures or runs that were not used judge them. The verdict is one of
@@ -427,14 +507,20 @@ def diagnose(
     - **adequate**: nothing is missing that these recordings could show;
     - **named**: each thing missing is one effect at one site, and stands out;
     - **ambiguous**: the recordings cannot tell several answers apart; a test that would is proposed;
-    - **located**: the site is clear, no known effect fits; a law is given by its formula;
-    - **unexplained**: a mismatch beyond noise that is none of these.
+    - **located**: the site is clear, but no known effect fits; a law is given by its formula;
+    - **unexplained**: there is a mismatch beyond noise, and it is none of these.
 
     Several recordings get one model. The command writes the new robot.yaml and robot.xml (always), diagnosis.json, the
     report diagnosis.html, figures, and the modes before and after (see twin view) into the output folder,
     out/RECORDING by default. With --json, files are written only where --out says so.
 
-    Try it on what is known: twin diagnose frf.h5 --without transverse_compliance@joint1.x conceals a soft bearing.
+    ```
+    twin diagnose measured_frf.h5
+    twin diagnose log.h5 --robot out/arm/robot.yaml --hold-out run3
+    twin diagnose measured_frf.h5 log.h5     # one model of both
+    ```
+
+    To try it, take an entry out of the robot first: --without transverse_compliance@joint1.x conceals a soft bearing.
     """
     if out is None and not json:
         out = Path("out") / recordings[0].stem
@@ -459,30 +545,34 @@ def lobes(
     cut: Annotated[
         Path | None,
         typer.Option(
-            help="cut.yaml: tool, coefficients, immersion.", show_default="the posture file's, else a usual cut"
+            metavar="FILE",
+            help="cut.yaml: tool, coefficients, immersion.",
+            show_default="the posture file's, else a usual cut",
         ),
     ] = None,
     q: Annotated[
         str | None,
         typer.Option(
-            "--q", metavar="Q1,Q2,…", help="Posture of a robot, degrees.", show_default="middle of the limits"
+            "--q",
+            metavar="Q1,Q2,…",
+            help="Posture of a robot, degrees (m on a linear axis).",
+            show_default="middle of the limits",
         ),
     ] = None,
     posture: Annotated[
-        str | None, typer.Option(help="Which posture of a hammer test.", show_default="the first")
+        str | None, typer.Option(metavar="NAME", help="Which posture of a hammer test.", show_default="the first")
     ] = None,
     rpm: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="LOW HIGH", help="Spindle speeds.", show_default="the cut's")
+        tuple[float, float] | None,
+        typer.Option(metavar="LOW HIGH", help="Range of spindle speeds, rpm.", show_default="the cut's"),
     ] = None,
-    draws: Annotated[int, typer.Option(min=0, help="Draws of the posterior for the depth that is 90 % sure.")] = 100,
+    draws: Annotated[int, _count(low=0, help="Robots drawn from the posterior for the 90 % depth; 0 for none.")] = 100,
     in_time: Annotated[
         int,
-        typer.Option(
-            "--in-time", min=0, metavar="N", help="Also step the cut in MuJoCo at N speeds, nonlinear joints and all."
-        ),
+        _count("--in-time", low=0, help="Also step the cut in MuJoCo at N speeds, with nonlinear joints."),
     ] = 0,
     blow: Annotated[
-        float, typer.Option(metavar="N·S", help="Blow on the tip before each cut in time; else from rest.")
+        float, typer.Option(metavar="N·S", help="Impulse on the tip before each cut in time, N·s; 0: from rest.")
     ] = 0.0,
     out: Out = None,
     json: Json = False,
@@ -490,33 +580,34 @@ def lobes(
 ) -> None:
     """How deep a robot may cut in a posture, at every spindle speed, and how sure.
 
-    Solves the delay equation of milling with the full FRF at the tool's tip, all modes and cross terms, by a spectral
-    method; Hopf, flip and low-frequency mode coupling are one calculation. Of a robot that twin fit or twin diagnose
+    Solves the delay equation of milling with the full FRF at the tool tip, all modes and cross terms, by a spectral
+    method. Hopf, flip and low-frequency mode coupling are one calculation. For a robot that twin fit or twin diagnose
     wrote, it gives the depth that is stable with 90 % probability, cutting coefficients included.
 
     ```yaml
-    robot: out/measured_frf/robot.yaml                  # posture.yaml
+    # posture.yaml
+    robot: out/measured_frf/robot.yaml
     posture: {name: milling, q_deg: [0, 70, -100]}
-    cut:                                                # or the path of a cut.yaml
-      tool: {diameter_m: 0.016, teeth: 2, helix_deg: 30, overhang_m: 0.25, mass_kg: 12}
-      coefficients: aluminium_7075                      # or kt_n_per_m2: 6.0e8, kr_n_per_m2: 1.8e8 …
-      immersion: 0.5                                    # radial depth over diameter
+    cut:                            # or the path of a cut.yaml
+      tool: {diameter_m: 0.016, teeth: 2, helix_deg: 30, mass_kg: 12}
+      coefficients: aluminium_7075  # or numbers: kt_n_per_m2: 6.0e8 …
+      immersion: 0.5                # radial depth over diameter
       milling: down
       feed_per_tooth_m: 1.0e-4
-      feed_direction: [1, 0, 0]                         # in the robot's base frame
+      feed_direction: [1, 0, 0]     # in the robot's base frame
       spindle_rpm: [1000, 12000]
     ```
 
     ```
     twin lobes posture.yaml
     twin lobes out/measured_frf --q 0,70,-100 --cut cut.yaml
-    twin lobes tool_frf.h5 --cut cut.yaml               # no model: straight from the measured FRF
-    twin lobes posture.yaml --in-time 3                 # amplitudes, slip, gaps: where linear lobes lie
-    twin lobes posture.yaml --in-time 3 --blow 5        # the same after a blow of 5 N·s on the tip
+    twin lobes tool_frf.h5 --cut cut.yaml         # a measured FRF, no model
+    twin lobes posture.yaml --in-time 3           # with gaps and slip
+    twin lobes posture.yaml --in-time 3 --blow 5  # after a blow of 5 N·s
     ```
 
     Prints limits and writes lobes.json and lobes.png (chart, frequency at the limit, forced vibration and surface
-    location error of the safe cut) into the output folder, out/GIVEN by default; with --json, files are written only
+    location error of the safe cut) into the output folder, out/GIVEN by default. With --json, files are written only
     where --out says so. docs/milling.md explains every number. Next: twin map does the same over the workspace.
     """
     if out is None and not json:
@@ -533,54 +624,63 @@ def lobes(
 @command("map")
 def map_(
     cut: Annotated[
-        Path | None, typer.Argument(help="cut.yaml: tool, coefficients, immersion.", show_default="a usual cut")
+        Path | None,
+        typer.Argument(metavar="CUT", help="cut.yaml: tool, coefficients, immersion.", show_default="a usual cut"),
     ] = None,
     robot: Robot = None,
     without: Without = None,
     random: Annotated[
-        int | None, typer.Option("--random", metavar="N", help="N postures at random.", show_default="1000")
+        int | None, typer.Option("--random", metavar="N", help="Number of random postures.", show_default="1000")
     ] = None,
     grid: Annotated[
         tuple[int, int, int] | None,
-        typer.Option("--grid", metavar="NX NY NZ", help="Tip positions on a grid in --box.", show_default=False),
+        typer.Option(
+            "--grid", metavar="NX NY NZ", help="Instead: a grid of tip positions in --box.", show_default=False
+        ),
     ] = None,
     posture_grid: Annotated[
         str | None,
-        typer.Option("--posture-grid", metavar="N1,N2,…", help="Positions of every axis.", show_default=False),
+        typer.Option(
+            "--posture-grid", metavar="N1,N2,…", help="Instead: so many positions of each axis.", show_default=False
+        ),
     ] = None,
     path: Annotated[
-        Path | None, typer.Option("--path", help="A tool path: .csv, G-code or APT.", show_default=False)
+        Path | None,
+        typer.Option("--path", metavar="FILE", help="Instead: a tool path (.csv, G-code or APT).", show_default=False),
     ] = None,
     box: Annotated[
         tuple[float, float, float, float, float, float] | None,
         typer.Option(
-            "--box", metavar="X0 X1 Y0 Y1 Z0 Z1", help="Of --grid, m, base frame.", show_default="the robot's workspace"
+            "--box",
+            metavar="SIX NUMBERS",
+            help="Region of --grid in the base frame, m: x0 x1 y0 y1 z0 z1.",
+            show_default="the robot's workspace",
         ),
     ] = None,
     place: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(
-            "--place", metavar="X Y Z", help="Where the path's origin is, m, base frame.", show_default="0 0 0"
-        ),
+        typer.Option("--place", metavar="X Y Z", help="Origin of the path in the base frame, m.", show_default="0 0 0"),
     ] = None,
-    place_turn_deg: Annotated[float, typer.Option(help="How the path is turned about z, degrees.")] = 0.0,
+    place_turn_deg: Annotated[float, typer.Option(metavar="DEG", help="Rotation of the path about z, degrees.")] = 0.0,
     near: Annotated[
         str | None,
+        typer.Option("--near", metavar="Q1,Q2,…", help="Find postures near this one, degrees.", show_default=False),
+    ] = None,
+    spacing: Annotated[float, typer.Option(metavar="M", help="Distance between points of a path, m.")] = 0.01,
+    spindle_rpm: Annotated[
+        float | None,
         typer.Option(
-            "--near", metavar="Q1,Q2,…", help="Posture found ones should be near, degrees.", show_default=False
+            metavar="RPM", help="Spindle speed of the closed form, rpm.", show_default="the least depth of all speeds"
         ),
     ] = None,
-    spacing: Annotated[float, typer.Option(help="Of points along a path, m.")] = 0.01,
-    spindle_rpm: Annotated[
-        float | None, typer.Option(help="Speed of the closed form.", show_default="the least of all speeds")
-    ] = None,
     lobes: Annotated[
-        int, typer.Option(metavar="N", help="Full lobes at N speeds of the cut's range, instead of the closed form.")
+        int, typer.Option(metavar="N", help="Full lobes at N spindle speeds instead of the closed form; 0 for none.")
     ] = 0,
-    draws: Annotated[int, typer.Option(help="Robots drawn from the posterior; 0 for none.")] = 50,
-    processes: Annotated[int | None, typer.Option(min=1, help="Of this machine.", show_default="its cores")] = None,
+    draws: Annotated[int, typer.Option(metavar="N", help="Robots drawn from the posterior; 0 for none.")] = 50,
+    processes: Annotated[int | None, _count(help="Number of processes.", show_default="cores of this machine")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler: tcp://HOST:8786.", show_default=False)
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Of a Dask scheduler: tcp://HOST:8786.", show_default="none"),
     ] = None,
     out: Out = None,
     json: Json = False,
@@ -589,18 +689,19 @@ def map_(
     """How deep the robot may cut, where, and how sure: modes, compliance and depth over its workspace or a tool path.
 
     With a robot.yaml that twin fit or twin diagnose wrote (posterior.h5 beside it), every depth comes with the one
-    that is stable with 90 % probability. Robots of up to four axes hold the tip's place; from five on the tool's
-    direction too, and what is free of the turn about the tool is swept for the best depth.
+    that is stable with 90 % probability. Robots of up to four axes keep the position of the tip. Robots of five or
+    more axes keep the direction of the tool too; its free rotation about the tool axis is chosen for the best depth.
 
     ```
-    twin map cut.yaml                                   # 1000 postures at random
+    twin map cut.yaml                          # 1000 random postures
     twin map cut.yaml --grid 30 1 20 --spindle-rpm 3000
-    twin map cut.yaml --path part.nc --place 1.6 0 0.9 --robot out/frf/robot.yaml
-    twin map cut.yaml --random 200 --lobes 60           # full lobes, not the closed form
+    twin map cut.yaml --path part.nc --place 1.6 0 0.9
+    twin map cut.yaml --robot out/frf/robot.yaml
+    twin map cut.yaml --random 200 --lobes 60  # full lobes
     ```
 
-    Writes map.h5, figures, map.rrd (see twin view) and map.json into the output folder, out/map by default; with
-    --json, files are written only where --out says so. An interrupted map goes on when it is asked for again.
+    Writes map.h5, figures, map.rrd (see twin view) and map.json into the output folder, out/map by default. With
+    --json, files are written only where --out says so. The same command continues an interrupted map.
     """
     from twin.commands.map import make_map as run
 
@@ -628,7 +729,7 @@ def _numbers(option: str, text: str, kind: type[int] | type[float]) -> list[Any]
 
 @command()
 def view(
-    path: Annotated[Path, typer.Argument(help="An output folder, a .rrd, a robot or a recording.")],
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="An output folder, a .rrd, a robot or a recording.")],
     robot: Robot = None,
     without: Without = None,
     out: Annotated[
@@ -639,8 +740,14 @@ def view(
 ) -> None:
     """Look at modes, replays and robots in the rerun viewer.
 
-    Opens the animations of an output folder or a .rrd. A robot is shown in its middle posture, a hammer test or modal
-    table in its first, moving in the model's modes; a motion log is replayed.
+    Opens the animations of an output folder or a .rrd. A robot is shown in the middle of its limits. A hammer test or
+    a modal table is shown in its first posture, moving in the modes of the model. A motion log is replayed.
+
+    ```
+    twin view out/milling
+    twin view out/campaign                # models before and after
+    twin view out/arm/robot.yaml -o arm.rrd
+    ```
     """
     from twin.commands.view import view as run
 
@@ -654,25 +761,24 @@ def view(
 
 @command("import")
 def import_(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE…", help="Files of one kind, or bags (folders).")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Files of one kind, or bags (folders).")],
     map_file: Annotated[
-        Path | None, typer.Option("--map", metavar="FILE", help="map.yaml: which channel becomes what, in which unit.")
+        Path | None, typer.Option("--map", metavar="FILE", help="map.yaml: channels and their units.")
     ] = None,
-    guess: Annotated[
-        bool, typer.Option("--guess", help="Print the map that the names suggest, to be corrected.")
-    ] = False,
+    guess: Annotated[bool, _flag("--guess", "Print a map made from the channel names, to be corrected.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="campaign.h5 or log.h5 to write.")
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write: campaign.h5 or log.h5.")
     ] = None,
     json: Json = False,
     seed: NoSeed = 0,
 ) -> None:
     """Foreign recordings: UFF, MATLAB, CSV, WAV, TDMS, KUKA traces, UR RTDE, ROS bags, MCAP.
 
-    A map says which channel becomes what, and in which unit. Units are declared, never guessed.
+    A map says which channel becomes what, and in which unit. Units are declared, never guessed. docs/import.md explains
+    every field.
 
     ```
-    twin import trace.dat --guess > map.yaml      # then replace every ask
+    twin import trace.dat --guess > map.yaml  # then replace every `ask`
     twin import trace.dat --map map.yaml -o log.h5
     ```
     """
@@ -698,7 +804,7 @@ def import_(
 
 @command()
 def example(
-    name: Annotated[str, typer.Argument(help="Which one: cell or arm.")] = "cell",
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Which one: cell or arm.")] = "cell",
     out: Out = None,
     json: Json = False,
     seed: NoSeed = 0,
@@ -706,8 +812,13 @@ def example(
     """Recordings to try everything on: a robot with a concealed fault.
 
     Writes a folder of the example's name. cell: a hammer test with raw hits, a motion log and posture files of the
-    KR90. arm: a URDF of a small arm and its controller's records. Another code played the robot; answer.json says
-    what was concealed.
+    KR90. arm: a URDF of a small arm and two records of its controller. An independent code simulated the robot;
+    answer.json says what was concealed.
+
+    ```
+    twin example
+    twin diagnose cell/campaign.h5
+    ```
     """
     from twin.commands.example import example as run
 

@@ -71,10 +71,10 @@ class Described(Result):
         """What was assumed, by the test that would settle it."""
         tables = []
         for kind, test in SETTLED_BY.items():
-            rows = [_row(item) for item in self.assumed if item.settled_by == kind]
+            rows = _together([_row(item) for item in self.assumed if item.settled_by == kind])
             if rows:
                 header = ("field", "value", "unit", "within", "source")
-                tables.append(Table(header, rows, (1, 3), title=f"Assumed; settled by {test}"))
+                tables.append(Table(header, rows, (3,), title=f"Assumed; settled by {test}"))
         return tables
 
     def __str__(self) -> str:
@@ -83,13 +83,7 @@ class Described(Result):
         lines = [f"{robot.name} · {robot.axis_count} axes · {mass:.4g} kg · {len(self.assumed)} numbers assumed"]
         for table in self.tables():
             lines.append(f"  {table.title}")
-            kinds: dict[tuple[str, str, str], list[str]] = {}
-            for name, value, unit, within, _ in table.rows:
-                kinds.setdefault((re.sub(r"\d+", "*", name), unit, within), []).append(value)
-            lines += [
-                f"    {name} = {', '.join(values)} {unit} {within}".rstrip()
-                for (name, unit, within), values in kinds.items()
-            ]
+            lines += [f"    {name} = {value} {unit} {within}".rstrip() for name, value, unit, within, _ in table.rows]
         lines += [f"  note: {note}" for note in self.notes]
         if self.files:
             lines.append(f"  {written(self.files)}")
@@ -162,7 +156,21 @@ def middle(robot: Robot) -> np.ndarray:
     return np.array([(ends[0] + ends[1]) / 2 if ends else 0.0 for ends in limits])
 
 
-def _row(item: Assumed) -> tuple[str, str, str, str, str]:
+Row = tuple[str, str, str, str, str]  # field, value, unit, within, source
+
+
+def _together(rows: list[Row]) -> list[Row]:
+    """One row for what differs by its number alone, as the stiffness of every axis."""
+    kinds: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        kinds.setdefault((re.sub(r"\d+", "*", row[0]), row[2], row[3]), []).append(row)
+    return [
+        (name, ", ".join(row[1] for row in same), unit, within, "; ".join(dict.fromkeys(row[4] for row in same)))
+        for (name, unit, within), same in kinds.items()
+    ]
+
+
+def _row(item: Assumed) -> Row:
     value = item.value
     if isinstance(value, list):
         text = "[" + ", ".join(f"{number:.3g}" for number in value) + "]"

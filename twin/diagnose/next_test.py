@@ -21,6 +21,7 @@ from twin.robot.description import Robot
 SEEN = 8.0  # ln Bayes factor from which an effect would be seen
 SLOPE_SIZE = 1e-4  # of the usual size, where the derivative is taken
 PLACES_TRIED = 24
+MANY = 1000  # ln evidence beyond which a number says no more
 
 
 def smallest_visible(
@@ -118,7 +119,7 @@ def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: 
     names = [" + ".join(key for key in a if key not in b) or "none" for a, b in (sets, sets[::-1])]
     return {
         "description": f"the same hammer test at q = {degrees}°{state}: it should separate "
-        f"{names[0]} from {names[1]} by {gain:.0f} in ln evidence",
+        f"{names[0]} from {names[1]} by {f'{gain:.0f}' if gain < MANY else f'more than {MANY}'} in ln evidence",
         "separates": names, "posture_deg": degrees, "brakes": brakes, "expected_ln_bayes_factor": gain,
     }  # fmt: skip
 

@@ -339,9 +339,17 @@ def parameter_rows(parameters: dict[str, Any]) -> list[str]:
         many = isinstance(item["value"], list)
         values, ranges = (item["value"], item["interval90"]) if many else ([item["value"]], [item["interval90"]])
         for k, (value, (low, high)) in enumerate(zip(values, ranges, strict=True)):
-            title = f"{name}[{k}]" if many else name
-            rows.append(f"{title} {value:.4g} {item['unit']}   90 %: {low:.4g} … {high:.4g}")
+            title, n = f"{name}[{k}]" if many else name, _digits(low, high)
+            rows.append(f"{title} {value:.{n}g} {item['unit']}   90 %: {low:.{n}g} … {high:.{n}g}")
     return rows
+
+
+def _digits(low: float, high: float) -> int:
+    """Significant digits that show two of an interval's width, four at least."""
+    width, size = high - low, max(abs(low), abs(high))
+    if not (np.isfinite(size) and width > 0):
+        return 4
+    return int(np.clip(np.ceil(np.log10(size / width)) + 2, 4, 10))
 
 
 def _part(record: Record) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from twin.errors import InputError
 from twin.identify.rigid_compare import compare_log
 from twin.measure.campaign import Campaign, FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, check_against
-from twin.measure.units import INCH_M, POUND_FORCE_N, STANDARD_GRAVITY
+from twin.measure.units import INCH_M, POUND_FORCE_N, STANDARD_GRAVITY, measure
 from twin.robot.description import Robot
 
 FARTHEST_M = 20.0  # no point of a robot is farther from its body's frame
@@ -27,22 +27,15 @@ SLIPS = {  # measured over predicted accelerance → what was declared, and what
     1 / POUND_FORCE_N: "the force looks like N, declared lbf",
     1 / INCH_M: "the response looks like inches (in/s²), declared m (m/s²)",
 }
-LOG_SLIPS = {  # factors of positions and of torques that undo a slip, and what it looks like
-    (180 / np.pi, 1.0): "the positions look like rad, declared degrees",
-    (np.pi / 180, 1.0): "the positions look like degrees, declared rad",
-    (1.0, POUND_FORCE_N * INCH_M): "the torques look like lbf·in, declared N·m",
-    (1.0, 1 / (POUND_FORCE_N * INCH_M)): "the torques look like N·m, declared lbf·in",
-    (1.0, STANDARD_GRAVITY): "the torques look like kgf·m, declared N·m",
-    (1.0, 1e-3): "the torques look like N·mm, declared N·m",
-    (1.0, 1e3): "the torques look like kN·m, declared N·m",
-}
+ANGLES = {"rad": 1.0, "degrees": np.pi / 180}  # what positions may be in by mistake
+TORQUES = {"N·m": 1.0, "lbf·in": POUND_FORCE_N * INCH_M, "kgf·m": STANDARD_GRAVITY, "N·mm": 1e-3, "kN·m": 1e3}
 LOOKED_AT_S = 30.0  # of a log
 UNLIKE = 0.5  # error of the described torque from which a slip is looked for; undone, it is less than half of that
 LIKE_A_SLIP = 1.8  # ratios within this factor of a slip, and farther than that from 1, are one
 
 
-def check_log(log: MotionLog, robot: Robot | None) -> None:
-    """Raise where a log cannot be in the units that were declared.
+def check_log(log: MotionLog, robot: Robot | None, position: str = "rad", torque: str = "N·m") -> None:
+    """Raise where a log cannot be in the units ``position`` and ``torque`` that were declared.
 
     Raises:
         InputError: the likely slip by name.
@@ -73,10 +66,24 @@ def check_log(log: MotionLog, robot: Robot | None) -> None:
         else:
             continue
         raise InputError(log.source, f"{name}: torque", f"reaches {largest[worst]:.4g} {unit}; {expected}")
-    _check_slips(log, robot)
+    _check_slips(log, robot, _slips(position, torque))
 
 
-def _check_slips(log: MotionLog, robot: Robot) -> None:
+def _slips(position: str, torque: str) -> dict[tuple[float, float], str]:
+    """Factors of positions and of torques that undo a slip, and what it looks like."""
+    found: dict[tuple[float, float], str] = {}
+    (angle, turn), (moment, size) = measure(position), measure(torque)
+    if angle == "angle":
+        declared = {"deg": "degrees", "°": "degrees"}.get(position, position)
+        for unit, value in ANGLES.items():
+            found[value / turn, 1.0] = f"the positions look like {unit}, declared {declared}"
+    if moment == "torque":
+        for unit, value in TORQUES.items():
+            found[1.0, value / size] = f"the torques look like {unit}, declared {torque}"
+    return {factors: text for factors, text in found.items() if not np.allclose(factors, 1.0)}
+
+
+def _check_slips(log: MotionLog, robot: Robot, slips: dict[tuple[float, float], str]) -> None:
     """Raise where another unit brings the torques far nearer to what the described robot needs for the motion."""
     name, run = max(log.runs.items(), key=lambda item: len(item[1].time))
     if run.torque is None:
@@ -92,15 +99,15 @@ def _check_slips(log: MotionLog, robot: Robot) -> None:
             return np.inf
 
     declared = error(1.0, 1.0)
-    if not UNLIKE < declared < np.inf:
+    if not (slips and UNLIKE < declared < np.inf):
         return
-    found = {factors: error(*factors) for factors in LOG_SLIPS}
+    found = {factors: error(*factors) for factors in slips}
     likely = min(found, key=lambda factors: found[factors])
     if found[likely] < UNLIKE * min(declared, 1.0):
         raise InputError(
             log.source, f"{name}: unit",
             f"torques miss those of {robot.name} as described by {declared:.0%}, otherwise by {found[likely]:.0%}: "
-            f"{LOG_SLIPS[likely]}",
+            f"{slips[likely]}",
         )  # fmt: skip
 
 

@@ -151,15 +151,17 @@ def probabilities(verdict: Verdict) -> Figure:
         bars += [(f"{c.effect}\n{c.site}", p, "#7fa3d6") for c, p in shown]
         panels.append((f"{number + 1}." if len(verdict.missing) > 1 else "", bars + rest))
     panels = panels or [("", rest)]
-    most = max(len(bars) for _, bars in panels)
-    figure = Figure(figsize=(6.2 * len(panels), 0.9 + 0.46 * most), layout="constrained")
-    for ax, (title, bars) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+    counts = [len(bars) for _, bars in panels]  # one below the other: beside each other letters would be tiny
+    figure = Figure(figsize=(6.2, 0.9 * len(panels) + 0.46 * sum(counts)), layout="constrained")
+    for ax, (title, bars) in zip(
+        figure.subplots(len(panels), 1, squeeze=False, height_ratios=counts)[:, 0], panels, strict=True
+    ):
         for y, (_, p, colour) in enumerate(bars):
             ax.barh(y, p, color=colour, height=0.62)
-            text = f"{p:.2f}" if p >= 0.005 or p == 0 else f"{p:.0e}"
+            text = f"{p:.2f}" if p >= 0.005 or p == 0 else "below 0.01"
             ax.text(p + 0.012, y, text, va="center", fontsize=8.5)
         ax.set_yticks(range(len(bars)), [name for name, *_ in bars], fontsize=8.5)
-        ax.set_ylim(most - 0.4, -0.6)
+        ax.set_ylim(len(bars) - 0.4, -0.6)
         ax.set_xlim(0, 1.1)
         ax.set_xticks([0, 0.25, 0.5, 0.75, 1])
         ax.set_xlabel("probability", fontsize=9)

@@ -315,8 +315,11 @@ def _frequency_ticks(frequency: np.ndarray) -> FixedLocator:
 
 
 def _phase(value: np.ndarray, quantity: Quantity) -> np.ndarray:
-    """Phase in degrees, with gaps where it wraps."""
-    start = _PHASE_FROM[quantity]
+    return phase_deg(value, _PHASE_FROM[quantity])
+
+
+def phase_deg(value: np.ndarray, start: float = -180.0) -> np.ndarray:
+    """Phase in degrees from ``start`` on, with gaps where it wraps."""
     phase = np.mod(np.rad2deg(np.angle(value)) - start, 360) + start
     phase[1:][np.abs(np.diff(phase)) > 180] = np.nan
     return phase

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader
+from markupsafe import Markup, escape
 from PIL import Image
 
 from twin.files import writing
@@ -148,6 +150,7 @@ def _environment() -> Environment:
     )
     environment.filters["inlined"] = _inlined
     environment.filters["as_script"] = _as_script
+    environment.filters["breakable"] = _breakable
     return environment
 
 
@@ -157,6 +160,11 @@ def _inlined(image: Path) -> str:
         few = picture.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         few.save(stream, "PNG", optimize=True)
         return base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def _breakable(cell: object) -> Markup:
+    """A long name may break after its underscores, dots and at-signs, not inside a word."""
+    return Markup(re.sub(r"(?<=[a-z0-9\]][_.@])(?=[a-z])", "<wbr>", str(escape(cell))))
 
 
 def _as_script(data: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal import ModalResult
 from twin.measure.shapes import cmif, mac, mode_indicator, summation
 from twin.measure.wireframe import Wireframe
-from twin.report.figures import PALETTE, mode_shapes
+from twin.report.figures import PALETTE, mode_shapes, phase_deg
 from twin.report.html import Section, pick
 from twin.report.plots import frf_panels, frf_plot
 
@@ -137,7 +137,7 @@ def overlay_figure(result: ModalResult) -> Figure:
             (result.synthesised, {"color": "#e8590c", "lw": 0.8}),
         ):
             size.semilogy(result.frequency, np.abs(frf[:, r, e]), **style)
-            phase.plot(result.frequency, np.degrees(np.angle(frf[:, r, e])), **style)
+            phase.plot(result.frequency, phase_deg(frf[:, r, e]), **style)
         size.set_title(f"{_pair(result, r, e)}, FRAC {result.frac[r, e]:.3f}", fontsize=9)
         phase.set(ylim=(-190, 190), yticks=(-180, 0, 180))
         if n % columns == 0:
