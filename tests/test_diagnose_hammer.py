@@ -663,7 +663,8 @@ def test_a_mass_slides_along_its_moment_of_inertia() -> None:
     z = np.array([0.3, 0.5, -0.4, 0.2])
     mass, *c = parameters.values(z)
     grown = 0.8
-    level = np.array([grown / parameters[0].deviation, *(-0.5 * grown * np.array(c) / parameters[1].deviation)])
+    mass_width, *widths = (p.deviation for p in parameters)
+    level = np.array([grown / mass_width, *(-0.5 * grown * np.array(c) / widths)])
     heavier, *nearer = parameters.values(parameters.moved(z, level))
     assert heavier == pytest.approx(mass * np.exp(grown))
     assert heavier * np.outer(nearer, nearer) == pytest.approx(mass * np.outer(c, c))

@@ -6,7 +6,7 @@ development cases. What the best entry leaves of the misfit tells whether the tr
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -16,8 +16,10 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
 from twin.diagnose.search import WITHIN, in_doubt, inexact
+from twin.diagnose.within import allowed
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
+from twin.robot.description import Robot
 
 FIRST_ORDER = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
 
@@ -199,6 +201,28 @@ def _lawless(
         if len(gains):
             found.append(log + np.logaddexp.reduce(gains / numbers["temperature"]) - np.log(len(gains)))
     return float(np.logaddexp.reduce(found) + np.log((1 - numbers["none"]) / (effects + 1))) if found else -np.inf
+
+
+def sifted(decision: Decision, robot: Robot) -> tuple[Decision, tuple[Hypothesis, ...]]:
+    """A decision between answers alone, and what the description allows beside the likeliest (:func:`allowed`).
+
+    Hypotheses that differ in what is allowed are one. One that holds nothing else says that nothing is missing.
+    """
+    groups: dict[frozenset[str], list[tuple[Fitted, float]]] = {}
+    for fit, p in zip(decision.ranked, decision.probability, strict=True):
+        fit = replace(fit, allowed=allowed(fit, robot))
+        groups.setdefault(fit.hypothesis.identity - {piece.key for piece in fit.allowed}, []).append((fit, p))
+    if not any(fit.allowed for some in groups.values() for fit, _ in some):
+        return decision, ()
+    nothing = groups.pop(frozenset(), [])
+    left = [(some[0][0], sum(p for _, p in some)) for some in groups.values()]
+    none = decision.none + sum(p for _, p in nothing)
+    beside = nothing[0][0] if nothing and none > max((p for _, p in left), default=0.0) else left[0][0]
+    left[1:] = sorted(left[1:], key=lambda pair: -pair[1])
+    same = left and left[0][0].hypothesis is decision.ranked[0].hypothesis
+    alike = max(decision.alike, left[0][1]) if same else 0.0
+    told = replace(decision, ranked=[f for f, _ in left], probability=[p for _, p in left], none=none, alike=alike)
+    return told, beside.allowed
 
 
 def finalists(base: Fitted, fits: Sequence[Fitted]) -> tuple[dict[str, Any], ...]:

@@ -64,9 +64,10 @@ def check_linear(robot: Robot, records: Sequence[FrfRecord]) -> dict[str, Any]:
 def predicted_by_mujoco(robot: Robot, record: FrfRecord, frequency: np.ndarray) -> ComplexArray:
     """FRFs (nf, nr, ne) of a record's posture and channels by MuJoCo's linearisation."""
     tested = with_channels(robot, record.excitation, record.response)
-    linear = linearise(assemble(tested, record.q, brakes=record.brakes or "off"))
+    blows = with_channels(robot, record.response, record.excitation)  # a sensor and a blow of one label may be apart
+    linear, struck = (linearise(assemble(r, record.q, brakes=record.brakes or "off")) for r in (tested, blows))
     chain = measurement_chain(linear, tested, record.response.label, record.excitation.label)
-    return np.asarray(frf(linear, frequency, chain, quantity=record.quantity))
+    return np.asarray(frf(linear, frequency, chain, quantity=record.quantity, struck=struck))
 
 
 def predicted_by_algebra(robot: Robot, record: FrfRecord, frequency: np.ndarray) -> ComplexArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.diagnose.borne_out import gained
 from twin.diagnose.calibration import calibration
-from twin.diagnose.decide import Decision, decide, finalists
+from twin.diagnose.decide import Decision, decide, finalists, sifted
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import cut_short, put_right, without_hum
@@ -41,6 +41,7 @@ from twin.diagnose.verdict import (
     rival_of,
     strained,
 )
+from twin.diagnose.within import base_with, taken_in, without
 from twin.errors import InputError
 from twin.identify.damping_transfer import misses_of_frf, transfer
 from twin.identify.objective import Sample
@@ -221,6 +222,7 @@ class _Answer:
         fits: every hypothesis fitted to the end.
         base, best: the base model and the answer, with bodies that can exist.
         links: names of numbers of links that may be wrong in the answer's stead.
+        doubts: what base model and answer have free because the recordings show it, and the description allows.
     """
 
     decision: Decision
@@ -230,6 +232,7 @@ class _Answer:
     base: Fitted
     best: Fitted
     links: frozenset[str] = frozenset()
+    doubts: tuple[Hypothesis, ...] = ()
 
     @property
     def answered(self) -> bool:
@@ -253,6 +256,9 @@ def _answered(
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample), axes=axes)
+    decision, doubts = sifted(decision, base)
+    if doubts:
+        settled = base_with(base, search.base.parameters, settled, doubts, sample, sample.thin(REFIT_LINES))
     links: frozenset[str] = frozenset()
     if judge(decision) in ("named", "ambiguous"):
         decision, links = _or_its_link(decision, settled, base)
@@ -264,7 +270,7 @@ def _answered(
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
     ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
-    return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]), links)
+    return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]), links, doubts)
 
 
 def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Decision, frozenset[str]]:
@@ -314,11 +320,14 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     errors["noise_floor"] = noise_floor(sample.recordings)
     where = mismatch(settled, sample.thin(REFIT_LINES))
     site = best.hypothesis.site or next(iter(where.sites), "")
+    written = [as_written(without(fit.robot, answer.doubts), given) for fit in (before, best)]
     finding = Finding(
         source, "frf-campaign", answer.word, answer.missing, decision.none, decision.other,
-        given, as_written(before.robot, given), as_written(best.robot, given), errors, list(found.held_out), records,
+        given, written[0], written[1], errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
-        warnings=[*found.warnings, *elsewhere(search.base, search.others), *strained(best)],
+        warnings=[
+            *found.warnings, *elsewhere(search.base, search.others), *strained(best), *taken_in(answer.doubts)
+        ],
         finalists=finalists(search.base, answer.fits), gain=gained(free),
         fits=(before, best), damping=transfer(misses_of_frf(physical(best.robot), Posterior.of(best), found.kept)),
     )  # fmt: skip

@@ -40,6 +40,7 @@ class Fitted:
         information: (n, n) Gauss–Newton matrix, prior included.
         data: number of real data.
         converged: the expected gain of the next step was within tolerance.
+        allowed: those of the hypothesis' pieces that are off by no more than the description allows.
     """
 
     hypothesis: Hypothesis
@@ -52,6 +53,7 @@ class Fitted:
     information: FloatArray
     data: float
     converged: bool
+    allowed: tuple[Hypothesis, ...] = ()
 
     @property
     def covariance(self) -> FloatArray:

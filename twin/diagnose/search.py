@@ -16,6 +16,7 @@ from twin.diagnose.hypotheses import Hypothesis, companions, merged, same_axes, 
 from twin.diagnose.locate import free_laws
 from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
+from twin.diagnose.within import allowed
 from twin.identify.descent import minimise
 from twin.identify.elastic import AGREEMENT
 from twin.identify.objective import Objective, Sample
@@ -126,7 +127,9 @@ def explain(
     """Everything that may be missing, alone and together."""
     progress = progress or (lambda description, total: lambda count: None)
     best = search.base
-    for number in range(MISSING_AT_ONCE):
+    for number in range(2 * MISSING_AT_ONCE):
+        if number - len(allowed(best, robot)) >= MISSING_AT_ONCE:
+            break
         found = _round(robot, search, best, sample, suspects, progress)
         if found and found[0].evidence() <= best.evidence():  # no one thing helps: a whole kind may be missing
             everywhere = _everywhere(robot, search, found, sample, suspects)
@@ -138,8 +141,12 @@ def explain(
             break
         if not worth(best, found[0], search.base):  # it had only not converged
             continue
-        best = max([found[0], *_everywhere(robot, search, found, sample, suspects)], key=lambda fit: fit.evidence())
-        if number:
+        first = _all_at_once(robot, search, found[0], sample, suspects)
+        everywhere = _everywhere(robot, search, [first, *found], sample, suspects)
+        best = max([first, *everywhere], key=lambda fit: fit.evidence())
+        small = len(best.hypothesis.pieces) <= 2 * MISSING_AT_ONCE  # not a whole kind, found together
+        again = number == 1 or best.hypothesis.pieces[-1] not in allowed(best, robot)
+        if number and small and again:
             best = _reconsider(robot, search, best, sample, suspects, progress)
     best = _needed(robot, search, best, sample)
     there = _where_it_is(robot, search, best, sample, suspects, progress)
@@ -241,9 +248,9 @@ def _reconsider(
     suspects: Sequence[Sequence[Hypothesis]],
     progress: Progress,
 ) -> Fitted:
-    """Every thing found but the last taken out and looked for again beside the others."""
+    """Every thing found but the last taken out and looked for again beside the others; not what is no finding."""
     for piece in best.hypothesis.pieces[:-1]:
-        if piece not in best.hypothesis.pieces:
+        if piece not in best.hypothesis.pieces or piece in allowed(best, robot):
             continue
         rest, z = _taken_out(search, best, piece)
         current = search.fits.get(rest.identity)
@@ -261,6 +268,27 @@ def _taken_out(search: Search, fit: Fitted, piece: Hypothesis) -> tuple[Hypothes
     rest = together(*(p for p in fit.hypothesis.pieces if p is not piece))
     names = set(rest.parameters(search.base.parameters).names)
     return rest, fit.z[[k for k, p in enumerate(fit.parameters) if p.name in names]]
+
+
+def _all_at_once(
+    robot: Robot, search: Search, fit: Fitted, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
+) -> Fitted:
+    """A fit that misses by more than noise, with all nodes where the recordings have them, if that is worth it.
+
+    Every node is somewhat elsewhere than a file says, and what that leaves would pass for a kind of spring.
+    """
+    if not inflation(fit, robot, sample.thin(REFIT_LINES)):
+        return fit
+    groups = [v[0] for v in suspects if v[0].law is None and v[0].own and "*" in v[0].site]
+    places = []
+    for group in [one for one in groups if one.key not in fit.hypothesis.identity]:
+        hypothesis = together(fit.hypothesis, group)
+        parameters = hypothesis.parameters(search.base.parameters)
+        places.append(_Place(hypothesis, parameters, (np.concatenate([fit.z, np.zeros(len(group.own))]),)))
+    for freed in _refits(robot, search, places, sample):
+        if worth(fit, freed, search.base) and freed.evidence() > fit.evidence():
+            fit = freed
+    return fit
 
 
 def _everywhere(

@@ -403,8 +403,9 @@ def missing_of(decision: Decision, base: Fitted) -> list[Missing]:
 
 
 def parts(fit: Fitted) -> list[tuple[str, str]]:
-    """Effects and sites of a hypothesis."""
-    return [(piece.effect, piece.site) for piece in fit.hypothesis.pieces or (fit.hypothesis,)]
+    """Effects and sites of a hypothesis, without what the description allows."""
+    pieces = fit.hypothesis.pieces or (fit.hypothesis,)
+    return [(piece.effect, piece.site) for piece in pieces if piece not in fit.allowed]
 
 
 def _candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:

@@ -35,6 +35,7 @@ def frf(
     excitations: Sequence[str] = (),
     quantity: Quantity = "accelerance",
     exponential_window_rate: float = 0.0,
+    struck: LinearModel | None = None,
 ) -> np.ndarray:
     """Frequency response functions H(ω) = sᵖ J_r (s²M + sC + K + i·loss + integral/s)⁻¹ J_eᵀ, e^{+iωt}.
 
@@ -45,6 +46,7 @@ def frf(
         excitations: (ne,) labels of points.
         quantity: receptance m/N, mobility m/(N·s) or accelerance m/(N·s²).
         exponential_window_rate: 1/s; force and response both multiplied by e^{−rate·t} see s = iω + rate.
+        struck: the same model with the points of the excitations, where a label names another point there.
 
     Returns:
         (nf, nr, ne) complex.
@@ -57,7 +59,7 @@ def frf(
             tuple(excitations), np.array([linear.directions[label] for label in excitations]),
         )  # fmt: skip
     J_r = _rows(linear, chain.response_labels, chain.response_direction)
-    J_e = _rows(linear, chain.excitation_labels, chain.excitation_direction)
+    J_e = _rows(struck or linear, chain.excitation_labels, chain.excitation_direction)
     s = (2j * np.pi * np.asarray(frequency, float) + exponential_window_rate)[:, None, None]
     Z = s**2 * linear.M + s * linear.C + linear.K
     if linear.loss.any():

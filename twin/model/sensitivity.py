@@ -548,6 +548,7 @@ def slopes(
     out = Observed.of(np.zeros((len(among), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
     turned: tuple[FloatArray, FloatArray] | None = None
+    chain: MeasurementChain | None = None
     links: dict[str, list[tuple[int, int]]] = {}
     for row, p in enumerate(among):
         parameter, (site, what) = parameters[p], parameters.parts[p]
@@ -574,7 +575,7 @@ def slopes(
         elif parameter.kind == "posture" and site == f"posture.{setup.name}":
             axis = int(what[1:]) - 1
             if turned is None:
-                chain = recording_chain(robot, setup.response, setup.excitation)
+                chain = chain or recording_chain(robot, setup.response, setup.excitation)
                 turned = (
                     model.row_slopes(setup.response, chain.response_direction),
                     model.row_slopes(setup.excitation, chain.excitation_direction),
@@ -585,7 +586,8 @@ def slopes(
             for target, rate in zip(out.arrays(), seen.sag.arrays(), strict=True):
                 target[row] = rate
         elif parameter.kind == "point":
-            _apply_point(out, row, parameter, robot, setup, model)
+            chain = chain or recording_chain(robot, setup.response, setup.excitation)
+            _apply_point(out, row, parameter, chain, setup, model)
         elif parameter.kind == "gain":
             rows_of = [k for k, label in enumerate(setup.response.label) if parameter.name == f"gain.{label}"]
             out.gain[row, rows_of] = seen.gain[rows_of] / values[p]
@@ -746,9 +748,11 @@ def _apply_change(
     out.gain[p], out.delay[p], out.load[p] = gain * calibration, delay, load
 
 
-def _apply_point(out: Observed, p: int, parameter: Parameter, robot: Robot, setup: Setup, model: Structure) -> None:
+def _apply_point(
+    out: Observed, p: int, parameter: Parameter, chain: MeasurementChain, setup: Setup, model: Structure
+) -> None:
     """Write what a coordinate of a node changes into row p of derivatives."""
-    chain, letter = recording_chain(robot, setup.response, setup.excitation), parameter.quantity
+    letter = parameter.quantity
     sides: tuple[tuple[Side, FloatArray, Channels, FloatArray], ...] = (
         ("response", out.J_r, setup.response, chain.response_direction),
         ("excitation", out.J_e, setup.excitation, chain.excitation_direction),

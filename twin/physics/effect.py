@@ -241,6 +241,10 @@ class Effect:
         """Prior deviation of a number, or of an ``item`` of a list, at a site; what is usual anywhere by default."""
         return parameter.spread
 
+    def tolerances(self, robot: "Robot") -> dict[str, float]:
+        """By how much its parameters may be off null without a finding, one standard deviation; none by default."""
+        return {}
+
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
         """Parameters to start a search from, where one typical entry is not enough (a frequency, an axis)."""
         typical = self.typical(robot, site)

@@ -32,6 +32,9 @@ class HammerMisalignment(Effect):
                 )
             chain.excitation_direction[column] = direction
 
+    def tolerances(self, robot: "Robot") -> dict[str, float]:
+        return {"angles": float(np.deg2rad(robot.tolerances.direction_deg))}
+
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """None at all: an error of either sign."""
         return {"angles": [0.0, 0.0]}

@@ -28,6 +28,9 @@ class SensorMisalignment(Effect):
         # a channel reads dᵀ R a, so its effective direction is Rᵀ d
         chain.response_direction[rows] = chain.response_direction[rows] @ (turn_z @ turn_y @ turn_x)
 
+    def tolerances(self, robot: "Robot") -> dict[str, float]:
+        return {"angles": float(np.deg2rad(robot.tolerances.direction_deg))}
+
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """None at all: an error of either sign."""
         return {"angles": [0.0, 0.0, 0.0]}

@@ -252,6 +252,7 @@ class Tolerances(Data):
     length: NonNegative = 0.001  # m, of axes
     angle_deg: NonNegative = 0.1  # twists of axes, zeros of joints, direction of gravity
     position: NonNegative = 0.005  # m, of sensors and blows
+    direction_deg: NonNegative = 0.1  # of sensors and blows
     torque_gain: NonNegative = 0.01  # relative, common to all joints
     gear_ratio: NonNegative = 0.001  # relative
 

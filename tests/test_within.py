@@ -1,0 +1,80 @@
+"""What is off by no more than the description allows is no finding, and stays in the fits."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twin.diagnose.decide import Decision, sifted
+from twin.diagnose.described import geometry
+from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
+from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
+from twin.diagnose.refit import Fitted
+from twin.diagnose.within import allowed, without
+from twin.measure.campaign import Channels
+from twin.model.parameters import free_parameters
+from twin.robot.description import Robot
+
+SENSORS = Channels(("21X+", "21Y+", "21Z+"), ("link3",) * 3, np.tile([1.5, 0.0, 0.1], (3, 1)), np.eye(3))
+BLOWS = Channels(("21Z+", "7Y+"), ("link3", "link2"), np.array([[1.5, 0, 0.1], [0.6, 0.2, 0]]), np.eye(3)[[2, 1]])
+
+
+def fitted(robot: Robot, hypothesis: Hypothesis, own: np.ndarray) -> Fitted:
+    """A hypothesis whose own numbers came out as given."""
+    parameters = hypothesis.parameters(free_parameters(robot, ["p"], SENSORS.label))
+    values = parameters.values(np.zeros(len(parameters)))
+    values[len(values) - len(own) :] = own
+    z = parameters.coordinates(values)
+    return Fitted(hypothesis, parameters, z, values, robot, 1.0, 1.0, np.eye(len(z)), 100, True)
+
+
+def nodes(robot: Robot) -> Hypothesis:
+    """All nodes elsewhere."""
+    return geometry(robot, SENSORS, BLOWS)[-1][0]
+
+
+@pytest.mark.parametrize(("times", "is_allowed"), [(1.0, True), (3.0, False)])
+def test_nodes_within_their_tolerance_are_no_finding(kr90: Robot, times: float, is_allowed: bool) -> None:
+    """Coordinates that are off by the tolerance in the mean are ordinary, by three times it they are not."""
+    group = nodes(kr90)
+    off = times * kr90.tolerances.position * np.resize([1.0, -1.0], len(group.own))
+    fit = fitted(kr90, group, np.array([p.mean for p in group.own]) + off)
+    assert (allowed(fit, kr90) == (group,)) is is_allowed
+
+
+def test_a_blow_off_its_axis_is_a_finding_beyond_its_tolerance_alone(kr90: Robot) -> None:
+    turned = entry_hypothesis(kr90, "hammer_misalignment", "hammer:7Y+", {"angles": [0.0, 0.0]})
+    small, large = (fitted(kr90, turned, np.deg2rad([angle, 0.0])) for angle in (0.1, 1.0))
+    assert allowed(small, kr90) == (turned,)
+    assert allowed(large, kr90) == ()
+    written = kr90.model_copy(update={"physics": [*kr90.physics, *turned.entries]})
+    assert without(written, (turned,)).physics == kr90.physics
+
+
+def test_answers_that_differ_in_what_is_allowed_are_one(kr90: Robot) -> None:
+    """Half of a gain's probability came with nodes moved: it is the gain's; nodes alone say that nothing is missing."""
+    group, gain = nodes(kr90), entry_hypothesis(kr90, "sensor_gain", "sensor:21X+", {"gain": 1.0})
+    other = entry_hypothesis(kr90, "sensor_gain", "sensor:21Y+", {"gain": 1.0})
+    at = np.array([p.mean for p in group.own])
+    ranked = [
+        fitted(kr90, together(gain, group), np.array([1.2, *at])), fitted(kr90, gain, np.array([1.2])),
+        fitted(kr90, other, np.array([1.2])), fitted(kr90, group, at),
+    ]  # fmt: skip
+    decision, beside = sifted(Decision(ranked, [0.5, 0.3, 0.1, 0.05], 0.04, 0.01, alike=0.5), kr90)
+    assert beside == (group,)
+    assert decision.probability == pytest.approx([0.8, 0.1])
+    assert decision.none == pytest.approx(0.09)
+    assert decision.alike == pytest.approx(0.8)
+    same = Decision(ranked[1:3], [0.6, 0.3], 0.05, 0.05)
+    assert sifted(same, kr90) == (same, ())
+
+
+def test_a_sensor_and_a_blow_of_one_label_may_be_apart(kr90: Robot, milling: np.ndarray) -> None:
+    """MuJoCo predicts what the algebra does where a fit has moved the one and not the other."""
+    moved = Channels(BLOWS.label, BLOWS.body, [*BLOWS.position, [0.02, 0, 0], [0, 0, 0]], BLOWS.direction)
+    record = SimpleNamespace(
+        posture="p", q=milling, brakes="on", response=SENSORS, excitation=moved, quantity="accelerance"
+    )
+    lines = np.array([8.0, 20.0, 40.0])
+    H, expected = (predicted(kr90, record, lines) for predicted in (predicted_by_mujoco, predicted_by_algebra))  # type: ignore[operator]
+    assert np.linalg.norm(H - expected) < 1e-6 * np.linalg.norm(expected)

@@ -1,0 +1,75 @@
+"""What a search found to be off by no more than the description allows: doubt that a fit takes in, and no answer.
+
+Nodes stand a few millimetres from where a file says, sensors and blows point a fraction of a degree elsewhere. Where
+recordings show that, predictions become better with it, so it stays in the fits before and after. It is told in
+``triage``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from twin.diagnose.described import DOUBT
+from twin.diagnose.hypotheses import Hypothesis, together
+from twin.diagnose.note import Note
+from twin.diagnose.refit import Fitted, descend
+from twin.identify.objective import Sample
+from twin.model.parameters import Parameter, Parameters
+from twin.robot.description import Robot
+
+RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
+
+
+def allowed(fit: Fitted, robot: Robot) -> tuple[Hypothesis, ...]:
+    """The pieces of a fit whose numbers together are as near to their description as all but ``RARE`` of such are."""
+    found, at = [], len(fit.z) - len(fit.hypothesis.own)
+    for piece in fit.hypothesis.pieces:
+        values = fit.values[at : at + len(piece.own)]
+        at += len(piece.own)
+        width = [_tolerance(piece, p, robot) for p in piece.own]
+        if not width or None in width:
+            continue
+        off = (values - [p.mean for p in piece.own]) / np.maximum(np.array(width, float), 1e-300)
+        if off @ off <= 2 * gammaincinv(len(off) / 2, 1 - RARE):  # χ² of so many numbers
+            found.append(piece)
+    return tuple(found)
+
+
+def _tolerance(piece: Hypothesis, parameter: Parameter, robot: Robot) -> float | None:
+    """What the description allows of a number, one standard deviation; ``None`` where it says nothing."""
+    if piece.law is None:
+        return parameter.deviation / DOUBT
+    allows: Mapping[str, float] = piece.law.tolerances(robot)
+    return allows.get(parameter.quantity.partition("[")[0])
+
+
+def base_with(
+    robot: Robot, free: Parameters, settled: Fitted, pieces: tuple[Hypothesis, ...], sample: Sample, few: Sample
+) -> Fitted:
+    """The base model with what the description allows free within its tolerance."""
+    narrow = [
+        replace(piece, own=tuple(replace(p, deviation=_tolerance(piece, p, robot) or p.deviation) for p in piece.own))
+        for piece in pieces
+    ]
+    hypothesis = together(*narrow)
+    parameters = hypothesis.parameters(free)
+    z = np.concatenate([settled.z[: len(free)], np.zeros(len(hypothesis.own))])
+    near = descend(robot, hypothesis, parameters, few, z, tempered=0)
+    return descend(robot, hypothesis, parameters, sample, near.z, tempered=0, tolerance=0.02)
+
+
+def without(robot: Robot, pieces: tuple[Hypothesis, ...]) -> Robot:
+    """A description without what belongs to the recording alone."""
+    gone = {(entry.effect, entry.site) for piece in pieces for entry in piece.entries}
+    return robot.model_copy(update={"physics": [e for e in robot.physics if (e.effect, e.site) not in gone]})
+
+
+def taken_in(pieces: tuple[Hypothesis, ...]) -> list[Note]:
+    """What was found and is allowed, in one sentence."""
+    if not pieces:
+        return []
+    names = ", ".join(piece.site if piece.law is None else piece.key for piece in pieces)
+    text = f"{names}: off by what the description's tolerances allow, which every fit took into account; no finding"
+    return [Note(text, "description", "note")]
