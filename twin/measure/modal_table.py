@@ -13,7 +13,7 @@ from twin.errors import InputError
 from twin.files import writing
 from twin.measure.campaign import FloatArray
 from twin.measure.modal import ModalResult
-from twin.ranges import FASTEST_HZ, ill_named, implausible
+from twin.ranges import FASTEST_HZ, SLOWEST_HZ, ill_named, implausible
 from twin.yamlfile import read_yaml
 
 CRITICAL = 100.0  # per cent: what is damped more does not oscillate and has no frequency
@@ -94,6 +94,9 @@ def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
     if not isinstance(modes, list):
         raise InputError(path, f"{where}.modes", f"expected a list of modes, found {modes!r}")
     read = tuple(_read_mode(path, f"{where}.modes[{n}]", mode) for n, mode in enumerate(modes))
+    told = [(mode.frequency_hz, mode.damping_percent, mode.shape) for mode in read]
+    if again := next((n for n, mode in enumerate(told) if mode in told[:n]), None):
+        raise InputError(path, f"{where}.modes[{again}]", "expected every mode once, it is there twice")
     return TablePosture(np.array(q, dtype=np.float64), read)
 
 
@@ -115,8 +118,9 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     frequency = number("frequency_hz", "Hz")
     if frequency is None or frequency <= 0:
         raise InputError(path, f"{where}.frequency_hz", f"expected Hz above 0, found {value.get('frequency_hz')!r}")
-    if frequency > FASTEST_HZ:
-        raise InputError(path, f"{where}.frequency_hz", f"expected a mode up to {FASTEST_HZ:g} Hz, found {frequency:g}")
+    if not SLOWEST_HZ <= frequency <= FASTEST_HZ:
+        expected = f"expected a mode from {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, found {frequency:g}"
+        raise InputError(path, f"{where}.frequency_hz", expected)
     damping = number("damping_percent", "%")
     if damping is not None and not 0 <= damping < CRITICAL:
         expected = f"expected per cent of critical damping, 0 to below {CRITICAL:g}, found {damping:g}"
