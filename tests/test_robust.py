@@ -572,6 +572,10 @@ def test_gears_and_tools_of_no_robot_and_names_that_cannot_be_shown_are_refused(
     data["axes"][1]["alpha_deg"] = 1e12
     with pytest.raises(InputError, match=r"axes\[1\]\.alpha_deg: .* 360"):
         parse_robot(data)
+    data = kr90.model_dump(mode="json")
+    data["test_points"][0]["position"] = [0.8, 0, 100]
+    with pytest.raises(InputError, match=r"test_points\[0\]\.position: expected metres"):
+        parse_robot(data)
     for prior, fits in (("link0", False), ("joint9.z.stiffness", False), ("no_effect@*.stiffness", False),
                         ("joint*.damping", True), ("base_compliance@base.r*.stiffness", True)):  # fmt: skip
         some = kr90.model_dump(mode="json") | {"priors": [{"parameter": prior, "factor": 2.0}]}

@@ -25,7 +25,7 @@ from pydantic import (
 
 from twin.errors import InputError
 from twin.physics import CATALOGUE
-from twin.ranges import MOST_AXES, implausible
+from twin.ranges import FARTHEST_M, MOST_AXES, implausible
 from twin.robot.frames import inertia_matrix
 from twin.yamlfile import read_yaml, write_yaml
 
@@ -352,6 +352,8 @@ class Robot(Data):
                 raise ValueError(
                     f"test_points[{k}].body: unknown body {point.body!r}; bodies are base, link1 … link{n}"
                 )
+            if max(map(abs, point.position)) > FARTHEST_M:
+                raise ValueError(f"test_points[{k}].position: expected metres, up to {FARTHEST_M:g}")
             if point.label in labels[:k]:
                 raise ValueError(f"test_points[{k}].label: {point.label!r} appears twice")
         for label in self.accelerometers:
