@@ -547,19 +547,10 @@ def test_a_map_and_a_universal_file_agree_on_where_a_node_is(tmp_path: Path, frf
         read_uff(tmp_path / "a.unv", points={1: Point("base", np.zeros(3))})
 
 
-@pytest.mark.parametrize(
-    ("modes", "problem"),
-    [
-        ([(0.04, 1.0)], r"modes\[0\]\.frequency_hz: expected a mode from 0\.1 to"),
-        ([(10.0, 1.0), (12.0, 1.0), (10.0, 1.0)], r"modes\[2\]: expected every mode once"),
-    ],
-)
-def test_modes_of_no_machine_and_modes_twice_are_refused(
-    tmp_path: Path, modes: list[tuple[float, float]], problem: str
-) -> None:
-    lines = [f"    - {{frequency_hz: {f}, damping_percent: {d}}}" for f, d in modes]
+def test_a_mode_told_twice_is_refused(tmp_path: Path) -> None:
+    lines = [f"    - {{frequency_hz: {f}, damping_percent: 1}}" for f in (10, 12, 10)]
     (tmp_path / "modes.yaml").write_text("\n".join(["postures:", "  a:", "    q_deg: [0]", "    modes:", *lines]))
-    with pytest.raises(InputError, match=problem):
+    with pytest.raises(InputError, match=r"modes\[2\]: expected every mode once"):
         read_modal_table(tmp_path / "modes.yaml")
 
 

@@ -60,7 +60,6 @@ COUNTS = {  # smallest and largest of what is asked for
     "random": (1, 10_000_000),
 }
 
-SLOWEST_HZ = 0.1  # of a mode: the softest mounts carry machines at more than 1 Hz
 FASTEST_HZ = COUNTS["sample_rate_hz"][1] / 2  # of a mode or an FRF: no faster sampling is known here
 
 UNSEEN = r"\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"  # control, direction of writing, no width
