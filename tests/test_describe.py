@@ -225,6 +225,12 @@ def test_a_track_a_changer_and_a_tool_by_mesh(tmp_path: Path) -> None:
     assert model.nmesh == 1
 
 
+def test_a_tool_heavier_than_its_robot_is_refused(tmp_path: Path) -> None:
+    tool = sheet(tmp_path, "tool.yaml", tools=[{"name": "spindle", "mass": 4000.0, "com": [0, 0, 0.1]}])
+    with pytest.raises(InputError, match=r"mass: expected kg, no more than the robot's links weigh .*found 4000"):
+        twin.describe(urdf(tmp_path, ARM), tool=tool)
+
+
 def test_shapes_are_kept_in_the_links_frames(tmp_path: Path) -> None:
     """A sphere about a known point of a link is about that point in the file written, in the link's own frame."""
     shape = '<geometry><sphere radius="0.1"/></geometry>'

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tools.large import hammer_test, tilting
-from twin.diagnose import many_postures
 from twin.diagnose.many_postures import apart, judged
+from twin.identify import covering
 from twin.measure.campaign import Campaign
 from twin.robot.description import Robot, load_robot
 
@@ -32,7 +32,7 @@ def test_a_search_takes_postures_that_cover_the_others(
     campaign: Campaign, kr90_six: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     size = campaign.postures["p000"].frf.size
-    monkeypatch.setattr(many_postures, "SEARCHED", 8 * size + 1)
+    monkeypatch.setattr(covering, "SEARCHED", 8 * size + 1)
     hit_twice = dict(campaign.postures)
     hit_twice["p000@600"] = replace(campaign.postures["p000"], name="p000@600")
     both = replace(campaign, postures=hit_twice)

@@ -33,7 +33,7 @@ from twin.measure.campaign import Hits, check_campaign, read_campaign, write_cam
 from twin.measure.modal_table import read_modal_table
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
 from twin.measure.recordings import read_recordings
-from twin.measure.uff import read_uff, write_uff
+from twin.measure.uff import Point, read_uff, write_uff
 from twin.milling.cut import read_cut
 from twin.milling.stability import collocate
 from twin.milling.tool_point import with_tool
@@ -491,7 +491,7 @@ def test_what_a_recording_says_twice_must_agree(tmp_path: Path, frf: Path) -> No
     posture = next(iter(campaign.postures.values()))
     lines, blows = posture.frf.shape[0], np.zeros((posture.frf.shape[2], 1, 64))
     force, response = blows.copy(), np.zeros((posture.frf.shape[2], 1, posture.frf.shape[1], 64))
-    force[..., 3], top = 1.0, posture.frequency[-1]
+    force[..., 3], response[..., 4], top = 1.0, 1.0, posture.frequency[-1]
     hits = Hits(force, response, 4 * top, 0.0, True)
     fine = 1e-6 * np.arange(1, lines + 1)
     for changed, problem in (
@@ -499,6 +499,7 @@ def test_what_a_recording_says_twice_must_agree(tmp_path: Path, frf: Path) -> No
         (replace(posture, frequency=1e4 * posture.frequency), "frequency: expected lines up to 50000 Hz, found"),
         (replace(posture, hits=replace(hits, sample_rate_hz=top)), "hits: sample_rate_hz: expected twice the highest"),
         (replace(posture, hits=replace(hits, force=np.ones_like(force))), "hits/force: expected blows at every point"),
+        (replace(posture, hits=replace(hits, response=0 * response)), "hits/response: expected motion after the blows"),
     ):
         with pytest.raises(InputError, match=problem):
             check_campaign("a.h5", replace(campaign, postures={"a": changed}))
@@ -514,11 +515,66 @@ def test_a_node_that_is_struck_has_a_place(tmp_path: Path, frf: Path) -> None:
         read_uff(tmp_path / "a.unv")
 
 
+@pytest.mark.parametrize(
+    ("line", "change", "problem"),
+    [
+        ("   164", "", "data set 1: expected its type on the first line"),
+        ("    15", "0", "data set 2: expected its type on the first line"),
+        (
+            "   1.00",
+            "   1.00000000000000000D+02   1.0000000000000000D+00   1.0000000000000000D+00\n",
+            "found code 1 with",
+        ),
+        ("brakes=", "averages=5 peak_force_n=100q\n", "expected numbers in the ID lines: .*100q"),
+    ],
+)
+def test_a_universal_file_whose_words_are_no_numbers_is_refused(
+    tmp_path: Path, frf: Path, line: str, change: str, problem: str
+) -> None:
+    write_uff(tmp_path / "a.unv", read_campaign(frf))
+    text = (tmp_path / "a.unv").read_text().splitlines(keepends=True)
+    at = [n for n, one in enumerate(text) if one.startswith(line)][-1]
+    (tmp_path / "a.unv").write_text("".join([*text[:at], change, *text[at + 1 :]]))
+    with pytest.raises(InputError, match=problem):
+        read_uff(tmp_path / "a.unv")
+
+
+def test_a_map_and_a_universal_file_agree_on_where_a_node_is(tmp_path: Path, frf: Path) -> None:
+    write_uff(tmp_path / "a.unv", read_campaign(frf))
+    body = read_campaign(frf).excitation.body[0]
+    assert body != "base"
+    with pytest.raises(InputError, match=f"node 1: expected one body, found {body} in the file and base in the map"):
+        read_uff(tmp_path / "a.unv", points={1: Point("base", np.zeros(3))})
+
+
+def test_a_mode_told_twice_is_refused(tmp_path: Path) -> None:
+    lines = [f"    - {{frequency_hz: {f}, damping_percent: 1}}" for f in (10, 12, 10)]
+    (tmp_path / "modes.yaml").write_text("\n".join(["postures:", "  a:", "    q_deg: [0]", "    modes:", *lines]))
+    with pytest.raises(InputError, match=r"modes\[2\]: expected every mode once"):
+        read_modal_table(tmp_path / "modes.yaml")
+
+
 def test_gears_and_tools_of_no_robot_and_names_that_cannot_be_shown_are_refused(tmp_path: Path, kr90: Robot) -> None:
     data = kr90.model_dump(mode="json")
     data["drives"][0]["gear_ratio"] *= 1e-6
     with pytest.raises(InputError, match=r"drives\[0\]\.gear_ratio: .* at least 0\.01"):
         parse_robot(data)
+    data = kr90.model_dump(mode="json")
+    data["axes"][1]["alpha_deg"] = 1e12
+    with pytest.raises(InputError, match=r"axes\[1\]\.alpha_deg: .* 360"):
+        parse_robot(data)
+    data = kr90.model_dump(mode="json")
+    data["test_points"][0]["position"] = [0.8, 0, 100]
+    with pytest.raises(InputError, match=r"test_points\[0\]\.position: expected metres"):
+        parse_robot(data)
+    for prior, fits in (("link0", False), ("joint9.z.stiffness", False), ("no_effect@*.stiffness", False),
+                        ("joint*.damping", True), ("base_compliance@base.r*.stiffness", True)):  # fmt: skip
+        some = kr90.model_dump(mode="json") | {"priors": [{"parameter": prior, "factor": 2.0}]}
+        if fits:
+            assert parse_robot(some).priors[0].parameter == prior
+            continue
+        with pytest.raises(InputError, match=r"priors\[0\]\.parameter: .* names no number"):
+            parse_robot(some)
     with pytest.raises(InputError, match=r"tool\.mass_kg: expected kg, no more than the robot's links weigh"):
         with_tool(kr90, read_cut({"tool": {"mass_kg": 12_000}}))
     (tmp_path / "tool.yaml").write_text('name: "\\a"\nmass: 3\ncom: [0, 0, 0.1]\n')

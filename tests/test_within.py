@@ -71,7 +71,7 @@ def test_answers_that_differ_in_what_is_allowed_are_one(kr90: Robot) -> None:
 
 def test_a_sensor_and_a_blow_of_one_label_may_be_apart(kr90: Robot, milling: np.ndarray) -> None:
     """MuJoCo predicts what the algebra does where a fit has moved the one and not the other."""
-    moved = Channels(BLOWS.label, BLOWS.body, [*BLOWS.position, [0.02, 0, 0], [0, 0, 0]], BLOWS.direction)
+    moved = Channels(BLOWS.label, BLOWS.body, BLOWS.position + np.array([[0.02, 0, 0], [0, 0, 0]]), BLOWS.direction)
     record = SimpleNamespace(
         posture="p", q=milling, brakes="on", response=SENSORS, excitation=moved, quantity="accelerance"
     )

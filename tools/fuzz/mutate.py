@@ -178,9 +178,12 @@ def _group(file: h5py.File, name: str, rng: random.Random) -> str:
     if kind == 0:
         del file[name]
     elif kind == 1:
-        holder[f"{base}-self"] = holder
+        if f"{base}-self" not in holder:  # of an earlier change
+            holder[f"{base}-self"] = holder
     elif kind == 2:
         new = rng.choice(("\\frac{", "$x", " ", "..", "x" * 3000, "é\n", "a.b"))
+        if new in holder:
+            return f"{name} left"
         holder.move(base, new)
         return f"{name} renamed {new[:20]!r}"
     elif kind == 3:

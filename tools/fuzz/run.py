@@ -2,6 +2,7 @@
 
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -19,6 +20,7 @@ from twin.commands.outputs import LISTED
 LIMIT_S = 60.0  # a hang
 STOPPED_S = 8.0  # --timeout given to every case
 MEMORY = 4 << 30  # bytes that a case may take
+KEPT = re.compile(r"\.found\.map-[0-9a-f]{12}(/|$)")  # blocks of a map that was stopped: the next run goes on with them
 OK = ("accepted", "refused", "stopped", "numerical")
 
 
@@ -145,7 +147,7 @@ def judge(status: int | None, said: str, out: str, made: set[str]) -> tuple[str,
     if code == 0:
         left = [name for name in (Path(path).name for path in made) if name.startswith(".")]
         return "accepted" if all(name.startswith(LISTED) for name in left) else "partial", code
-    if made:
+    if any(not KEPT.match(name) for name in made):
         return "partial", code
     lines = said.strip().splitlines()
     if len(lines) != 1 or not lines[0].startswith("twin: "):

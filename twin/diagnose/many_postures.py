@@ -10,20 +10,17 @@ from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.note import Note
 from twin.diagnose.physical import physical
 from twin.diagnose.verdict import Finding
+from twin.identify.covering import covering, many
 from twin.identify.elastic_compare import judge
 from twin.identify.recorded import base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
-from twin.ranges import SEARCHED
 from twin.robot.description import Robot
 
-FEWEST_POSTURES = 6  # postures that it works on, however large
 JUDGED_LINES = 50  # of every FRF of the other postures
 
 
 def apart(campaign: Campaign, robot: Robot, named: Iterable[str] = ()) -> tuple[Campaign, Campaign | None]:
     """The postures a search works on, all force levels of each, and the others; ``None`` where there are none.
-
-    The first is the one nearest to the middle of all. Each next is the one farthest from those chosen.
 
     Args:
         robot: whose axes say what near is.
@@ -34,21 +31,11 @@ def apart(campaign: Campaign, robot: Robot, named: Iterable[str] = ()) -> tuple[
     for group, posture in campaign.postures.items():
         size[names[group]] += posture.frf.size
         q[names[group]] = posture.q_deg
-    if sum(size.values()) <= SEARCHED or len(size) <= FEWEST_POSTURES:
+    if not many(list(size.values())):
         return campaign, None
-    every = list(size)
-    angles = np.array([robot.angles(q[name]) for name in every])
-    named = set(named)
-    chosen = [k for k, name in enumerate(every) if name in named or any(names.get(one) == name for one in named)]
-    if not chosen:
-        chosen = [int(np.argmin(np.linalg.norm(angles - angles.mean(axis=0), axis=1)))]
-    gap = np.min([np.linalg.norm(angles - angles[k], axis=1) for k in chosen], axis=0)
-    while len(chosen) < len(every):
-        k = int(np.argmax(gap))
-        if len(chosen) >= FEWEST_POSTURES and sum(size[every[j]] for j in (*chosen, k)) > SEARCHED:
-            break
-        chosen.append(k)
-        gap = np.minimum(gap, np.linalg.norm(angles - angles[k], axis=1))
+    every, named = list(size), set(named)
+    held = [k for k, name in enumerate(every) if name in named or any(names.get(one) == name for one in named)]
+    chosen = covering(list(size.values()), np.array([robot.angles(q[name]) for name in every]), held)
     few = {every[k] for k in chosen}
     return _of(campaign, few, names), _of(campaign, set(every) - few, names)
 

@@ -12,6 +12,7 @@ KEPT = 0.9  # while steps keep so much of what they promise
 HOPE = 5.0  # times the expected gain: more is not hoped for
 SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
 LACKING = 10.0  # χ² per datum: a model that misses by more lacks something, whatever its numbers
+PIVOTS = 10  # of all at once that may leave as many on the wrong side; as Júdice and Pires
 CRAWL = 3e-4  # of the misfit beyond that: a step that gains less hardly moves
 
 
@@ -147,29 +148,26 @@ def _within(reach: float, curvature: FloatArray, axes: FloatArray, along: FloatA
 def bounded_step(gradient: FloatArray, curvature: FloatArray, z: FloatArray, bound: FloatArray | float) -> FloatArray:
     """The step (n,) that minimises gradientᵀ s + ½ sᵀ curvature s within |z + s| ≤ bound.
 
-    A primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, algorithm 16.3): it goes towards the
-    minimum on the faces it is on, stops at the next face, and leaves a face that holds it back.
+    Block principal pivoting (Júdice and Pires, Computers and Operations Research 21, 587, 1994): those that leave go to
+    their faces and those that a face holds back let go of it, all at once, or the last alone where that has not helped.
     """
-    step, bound = np.zeros_like(z), np.broadcast_to(bound, z.shape)
-    free = ~((np.abs(z) >= bound) & (gradient * z < 0))
+    bound = np.broadcast_to(bound, z.shape)
+    low, high = -bound - z, bound - z
+    face = np.where((np.abs(z) >= bound) & (gradient * z < 0), np.sign(z), 0)
+    fewest, tries, least = len(z) + 1, PIVOTS, 1e-12 * float(np.abs(gradient).max(initial=0.0))
     for _ in range(4 * len(z)):
-        target = step.copy()
+        free = face == 0
+        step = np.where(free, 0.0, np.where(face > 0, high, low))
         if free.any():
             pull = gradient[free] + curvature[np.ix_(free, ~free)] @ step[~free]
-            target[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
-        move = target - step
-        room = np.where(move > 0, bound - z - step, -bound - z - step)
-        share = np.divide(room, move, out=np.full_like(move, np.inf), where=free & (move != 0))
-        first = int(np.argmin(share))
-        if share[first] < 1:
-            step = step + max(share[first], 0.0) * move
-            step[first] = np.copysign(bound[first], move[first]) - z[first]
-            free[first] = False
-            continue
-        step = target
-        slope = np.where(free, 0.0, gradient + curvature @ step) * np.sign(z + step)  # above zero: held back
-        worst = int(np.argmax(slope))
-        if slope[worst] <= 1e-12 * float(np.abs(gradient).max(initial=0.0)):
+            step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
+        slope = gradient + curvature @ step
+        leaves = (step > high + 1e-12).astype(int) - (step < low - 1e-12)
+        turned = np.flatnonzero(np.where(free, leaves, slope * face > least))
+        if not len(turned):
             break
-        free[worst] = True
-    return step
+        fewest, tries = (len(turned), PIVOTS) if len(turned) < fewest else (fewest, tries - 1)
+        if tries < 0:
+            turned = turned[-1:]
+        face[turned] = np.where(free, leaves, 0)[turned]
+    return np.asarray(np.clip(step, low, high))

@@ -4,7 +4,7 @@ Minimised over z, in which the prior is the standard normal, is ½ Σ |H − H(z
 variance per real and imaginary part. Model tolerances (masses, centres of mass, inertias, posture angles, channel
 gains) are free under their priors. From afar a linear residual has false minima wherever peaks do not overlap: every
 start goes through the robust residual of the complex logarithm first, then a linear one whose tolerance shrinks, on
-every eighth line; the best ends on all lines.
+every eighth line; the best ends on all lines. Of many postures the starts see those that cover the others best.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.identify.covering import covering, many
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded, noise_stated, without_limits
@@ -21,6 +22,7 @@ from twin.robot.description import Robot
 
 EVERY_LINE = 8  # starts see every eighth line, and at least COARSE_LINES
 COARSE_LINES = 25
+LINES = 300  # drawn of every recording for the Gauss–Newton matrix of many: of 800 its eigenvalues are right to a half
 FIT_TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
 AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8), by themselves and in the best one's quadratic model
 
@@ -29,7 +31,7 @@ AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8), by themsel
 class Start:
     """Where one start ended: its cost on the coarse lines, its z, and the Gauss–Newton matrix there.
 
-    ``converged``: it came to rest there.
+    ``converged``: it came to rest there. Of many postures z leaves out the angles of those it did not see.
     """
 
     cost: float
@@ -84,6 +86,18 @@ def coarse(recordings: Sequence[Recorded]) -> Sample:
     return Sample(tuple(r.every(max(1, min(EVERY_LINE, len(r.s) // COARSE_LINES))) for r in recordings))
 
 
+def nearby(recordings: Sequence[Recorded]) -> list[Recorded]:
+    """Those of the postures that cover the others best: what the starts work on, springs being those of all."""
+    sizes, angles = dict.fromkeys((r.setup.name for r in recordings), 0), {}
+    for r in recordings:
+        sizes[r.setup.name] += r.frf.size
+        angles[r.setup.name] = r.setup.q
+    if not many(list(sizes.values())):
+        return list(recordings)
+    chosen = {list(sizes)[k] for k in covering(list(sizes.values()), np.array(list(angles.values())))}
+    return [r for r in recordings if r.setup.name in chosen]
+
+
 def drawn_starts(parameters: Parameters, starts: int, seed: int) -> Iterator[FloatArray]:
     """Prior coordinates (n,) of each start: the description, then springs and dampers drawn from the prior."""
     rng = np.random.default_rng(seed)
@@ -119,13 +133,15 @@ def fit_frf(
         parameters = free_parameters(
             robot, dict.fromkeys(r.setup.name for r in recordings), recordings[0].setup.response.label
         )
-    few, bound = coarse(recordings), parameters.bound
+    chosen = nearby(recordings)
+    first = parameters.select(sorted({k for r in chosen for k in parameters.seen_in(r.setup.name)}))
+    few, lines = coarse(chosen), LINES if len(chosen) < len(recordings) else None
     ends = []
-    for z in drawn_starts(parameters, starts, seed):
-        z, *_ = minimise(Objective(robot, parameters, few, logarithmic=True), z, 25, 0.1, bound=bound)
+    for z in drawn_starts(first, starts, seed):
+        z, *_ = minimise(Objective(robot, first, few, logarithmic=True), z, 25, 0.1, bound=first.bound)
         for temper in FIT_TEMPERS:
-            z, *_ = minimise(Objective(robot, parameters, few, temper), z, 10, 0.1, bound=bound)
-        z, cost, information, converged = minimise(Objective(robot, parameters, few), z, 15, 0.05, bound=bound)
+            z, *_ = minimise(Objective(robot, first, few, temper), z, 10, 0.1, bound=first.bound)
+        z, cost, information, converged = minimise(Objective(robot, first, few), z, 15, 0.05, bound=first.bound)
         ends.append(Start(cost, z, information, converged))
         if progress:
             progress(1)
@@ -134,12 +150,17 @@ def fit_frf(
     whole, misfit = Sample(tuple(recordings)), 2 * ends[0].cost / max(1, _data(few.recordings))
     z = ends[0].z
     if not ends[0].converged:  # as of a model that lacks something: farther on few lines, an eighth of the time
-        z, *_ = minimise(Objective(robot, parameters, few), z, 60, 0.05, bound=bound, patience=10)
+        z, *_ = minimise(Objective(robot, first, few), z, 60, 0.05, bound=first.bound, patience=10)
+    known = dict(zip(first.names, z, strict=True))
+    z = np.array([known.get(name, 0.0) for name in parameters.names])
     for finer, patience in ((0.1, 10), (1e-3, 4)):  # again from its end: the sag's slopes are of where it began
-        objective = Objective(robot, parameters, whole, exact=True)
+        objective = Objective(robot, parameters, whole, exact=True, lines=lines)
         z, cost, information, converged = minimise(
-            objective, z, 60, finer * max(1.0, misfit), bound=bound, slack=0.0, patience=patience
+            objective, z, 60, finer * max(1.0, misfit), bound=parameters.bound, slack=0.0, patience=patience
         )
+    if lines:
+        objective.lines = None
+        information = objective(z)[2]
     if progress:
         progress(1)
     data = _data(recordings)

@@ -18,11 +18,14 @@ from twin.model.sensitivity import (
     Setup,
     Structure,
     contract,
+    frf_pull,
+    frf_slopes,
     moving,
     observe_all,
     sag_slopes,
     slopes,
     spatial_inertia,
+    telling,
 )
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
@@ -108,6 +111,8 @@ class Objective(Cost):
     Attributes:
         exact: derivatives include what sag adds, as of where the cost was evaluated first: to the optimum's last digit.
         sagging: whether springs give way under the weight, by 1e-3 rad; roughly right without, at half the work.
+        lines: the Gauss–Newton matrix is of so many draws from every recording, its lines by what they say, with the
+            weight of all; cost and gradient are of all lines.
         held, among: with ``among``, z holds those coordinates alone and the others are as in ``held``.
         rows: residual, its derivatives and by what, where a linear one was evaluated last; recording by recording, none
             where that is more than ``ROWS``.
@@ -115,6 +120,7 @@ class Objective(Cost):
 
     exact: bool = False
     sagging: bool = True
+    lines: int | None = None
     held: FloatArray | None = None
     among: tuple[int, ...] | None = None
     rows: list[tuple[FloatArray, FloatArray, NDArray[np.intp]]] = field(default_factory=list)
@@ -184,6 +190,8 @@ class Objective(Cost):
 
     def __call__(self, z: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient (n,) and Gauss–Newton matrix (n, n), prior included."""
+        if self.lines:
+            return self._drawn(z, self.lines)
         cost, gradient, information = 0.5 * float(self.whole(z) @ self.whole(z)), z.copy(), np.eye(len(z))
         self.rows.clear()
         held = 0
@@ -199,6 +207,19 @@ class Objective(Cost):
                 self.rows.clear()
             elif self.bends and not self.logarithmic:
                 self.rows.append((e, G, moves))
+        return cost, gradient, information
+
+    def _drawn(self, z: FloatArray, count: int) -> tuple[float, FloatArray, FloatArray]:
+        """The same, the matrix of ``count`` draws from the lines of every recording."""
+        cost, gradient, information = 0.5 * float(self.whole(z) @ self.whole(z)), z.copy(), np.eye(len(z))
+        for r, w, (seen, model, rate, moves) in zip(self.sample.recordings, self.weight, self._rates(z), strict=True):
+            own, pulled, factor = self.pull(r, r.respond(seen, model), w)
+            cost += own
+            gradient[moves] += frf_pull(seen, rate, r.s, r.power, pulled.conj() * factor)
+            some, share = drawn(telling(seen, r.s, r.power, np.abs(factor)), count)
+            _, dH = frf_slopes(seen, rate, r.s[some], r.power)
+            G = np.multiply(dH, factor[some] * share[:, None, None], order="C").reshape(len(moves), -1).view(float)
+            information[np.ix_(moves, moves)] += G @ G.T
         return cost, gradient, information
 
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
@@ -222,6 +243,11 @@ class Objective(Cost):
             for r, one, (_, _, rate) in zip(self.sample.recordings, self._along(z), self._linear, strict=True):
                 yield *r.respond_slopes(*one, contract(rate, transform)), every
             return
+        for r, (seen, model, felt, moves) in zip(self.sample.recordings, self._rates(z), strict=True):
+            yield *r.respond_slopes(seen, model, felt), moves
+
+    def _rates(self, z: FloatArray) -> Iterator[tuple[Observed, Structure, Observed, NDArray[np.intp]]]:
+        """Of every recording the model, its derivatives by the m coordinates that move it, and which those are."""
         robot, values = self._described(z)
         transform, own = self.parameters.transform(values), values
         if self.among is not None:
@@ -240,7 +266,7 @@ class Objective(Cost):
             rate = contract(rate, transform[np.ix_(some, columns)])
             moves = moving(rate)
             felt = Observed.of(array[moves] for array in rate.arrays())
-            yield *r.respond_slopes(seen, model, felt), columns[moves]
+            yield seen, model, felt, columns[moves]
 
     @cached_property
     def _linear(self) -> list[tuple[Observed, Structure, Observed]]:
@@ -267,6 +293,17 @@ class Objective(Cost):
             moved = [one + (change @ slope.reshape(len(slope), -1)).reshape(one.shape) for one, slope in pairs]
             found.append((Observed.of((*moved, *seen.arrays()[5:])), model))
         return found
+
+
+def drawn(says: FloatArray, count: int) -> tuple[NDArray[np.intp], FloatArray]:
+    """Lines drawn by what they say (nf,), at most ``count``, and the root of how many lines each stands for.
+
+    Half of the draws are even over the lines: none then stands for many more than it may.
+    """
+    chance = says / says.sum() + 1 / len(says)
+    ends = np.cumsum(chance) / chance.sum()
+    some, times = np.unique(np.searchsorted(ends, (np.arange(count) + 0.5) / count), return_counts=True)
+    return some, np.sqrt(times * chance.sum() / (count * chance[some]))
 
 
 def factors(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

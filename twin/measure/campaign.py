@@ -350,6 +350,8 @@ def _check_hits(source: str | Path, field: str, hits: Hits, nr: int, ne: int) ->
         raise InputError(source, f"{field}/hits/force", "expected blows at every point, some have no force at all")
     shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
     _check_array(source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample")
+    if not hits.response.any():
+        raise InputError(source, f"{field}/hits/response", "expected motion after the blows, every record is silent")
     if not (np.isfinite(hits.sample_rate_hz) and hits.sample_rate_hz > 0):
         raise InputError(source, f"{field}/hits: sample_rate_hz", f"expected Hz above 0, found {hits.sample_rate_hz:g}")
     if not 0 <= hits.pretrigger_s < hits.force.shape[2] / hits.sample_rate_hz:

@@ -94,6 +94,9 @@ def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
     if not isinstance(modes, list):
         raise InputError(path, f"{where}.modes", f"expected a list of modes, found {modes!r}")
     read = tuple(_read_mode(path, f"{where}.modes[{n}]", mode) for n, mode in enumerate(modes))
+    told = [(mode.frequency_hz, mode.damping_percent, mode.shape) for mode in read]
+    if again := next((n for n, mode in enumerate(told) if mode in told[:n]), None):
+        raise InputError(path, f"{where}.modes[{again}]", "expected every mode once, it is there twice")
     return TablePosture(np.array(q, dtype=np.float64), read)
 
 

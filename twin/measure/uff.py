@@ -108,6 +108,7 @@ def read_uff(
                 _check_units(file, dataset)
             elif dataset.get("type") == 58 and int(dataset["func_type"]) in (FRF_FUNCTION, COHERENCE_FUNCTION):
                 words = _words(dataset)
+                _state(file, f"data set {number}", words)
                 group = groups.setdefault(words.get("posture", source.stem), _Functions(words))
                 for side, node in (("response", "rsp_node"), ("excitation", "ref_node")):
                     if f"{side}_body" in words:
@@ -123,6 +124,10 @@ def read_uff(
         raise InputError(
             source, f"node {lost[0]}", "expected its coordinates in the data set of nodes, they are missing"
         )
+    for one, body in bodies.items():
+        if points and one in points and points[one].body != body:
+            text = f"expected one body, found {body} in the file and {points[one].body} in the map"
+            raise InputError(source, f"node {one}", text)
     nodes |= {n: Point(bodies[n], nodes[n].position if n in nodes else np.zeros(3)) for n in bodies if points is None}
     campaign = Campaign(
         _channels(response, nodes),
@@ -177,7 +182,7 @@ def read_uff_responses(
         if len(sizes) > 1:
             raise InputError(paths[0], f"posture {name}", "expected records of one length and sampling rate")
         words = _words(first)
-        q_deg = np.array([float(q) for q in words["q_deg"].split(",")] if words.get("q_deg") else [])
+        q_deg, _ = _state(paths[0], f"posture {name}", words)
         rate = 1 / float(first["x"][1] - first["x"][0])
         records[name] = q_deg, np.stack([np.asarray(channels[x]["data"], dtype=np.float64) for x in labels]), rate
         robot = robot or words.get("robot")
@@ -222,10 +227,12 @@ def _datasets(path: Path) -> list[dict[str, Any]]:
     try:
         with redirect_stdout(StringIO()):
             file = pyuff.UFF(str(path))
-            wanted = [n for n, kind in enumerate(file.get_set_types()) if kind in (15, 55, 58, 82, 164, 2411)]
-            found = [file.read_sets(n) for n in wanted]
+            kinds = file.get_set_types()
+            found = [file.read_sets(n) for n, kind in enumerate(kinds) if kind in (15, 55, 58, 82, 164, 2411)]
     except Exception as error:
         raise InputError(path, "", f"expected a universal file: {error}") from None
+    if untold := [n for n, kind in enumerate(kinds, 1) if kind < 1]:
+        raise InputError(path, f"data set {untold[0]}", "expected its type on the first line, a number as 58")
     _check_whole(path, found)
     return found
 
@@ -256,10 +263,20 @@ def _words(dataset: dict[str, Any]) -> dict[str, str]:
     return dict(word.split("=", 1) for word in text.split() if "=" in word)
 
 
+def _state(source: Path, where: str, words: dict[str, str]) -> tuple[FloatArray, dict[str, Any]]:
+    """Axis positions and what else of a posture the ID lines state."""
+    try:
+        q_deg = np.array([float(q) for q in words["q_deg"].split(",")] if words.get("q_deg") else [])
+        return q_deg, {name: kind(words[name]) for name, kind in STATE.items() if name in words}
+    except ValueError as error:
+        raise InputError(source, where, f"expected numbers in the ID lines: {error}") from None
+
+
 def _check_units(path: Path, dataset: dict[str, Any]) -> None:
     factors = [float(dataset.get(name, 1.0)) for name in ("length", "force")]
-    if int(dataset["units_code"]) != 1 and not np.allclose(factors, 1.0):
-        expected = f"expected SI units (code 1), found code {dataset['units_code']}; `twin import` takes other units"
+    if not np.allclose(factors, 1.0):
+        found = f"code {dataset['units_code']} with factors {factors[0]:g} (length), {factors[1]:g} (force)"
+        expected = f"expected SI units, code 1 with factors 1, found {found}; `twin import` takes other units"
         raise InputError(path, "data set 164", expected)
 
 
@@ -376,15 +393,10 @@ def _posture(
         return np.stack([[functions[r, e]["data"] for e in excitation] for r in response]).transpose(2, 0, 1)
 
     words = group.words
-    try:
-        if q_deg is None:
-            q_deg = np.array([float(q) for q in words["q_deg"].split(",")] if words.get("q_deg") else [])
-        state: dict[str, Any] = {name: kind(words[name]) for name, kind in STATE.items() if name in words}
-    except ValueError as error:
-        raise InputError(source, where, f"expected numbers in the ID lines: {error}") from None
+    stated, state = _state(source, where, words)
     coherence = np.asarray(stacked(group.coherence).real, dtype=np.float64) if group.coherence else None
     return PostureFRF(
-        name, np.asarray(q_deg, dtype=np.float64), words.get("brakes"), frequency,  # type: ignore[arg-type]
+        name, stated if q_deg is None else np.asarray(q_deg, dtype=np.float64), words.get("brakes"), frequency,  # type: ignore[arg-type]
         np.asarray(stacked(group.frf), dtype=np.complex128), ORDINATE[kinds.pop()][0], coherence, **state,
     )  # fmt: skip
 

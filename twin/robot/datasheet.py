@@ -172,9 +172,9 @@ def fit_tools(chain: Chain, tools: list[Tool], path: str | Path) -> None:
     """Fix tools to the flange, innermost first: the last link gets their mass and shape, the flange moves to the tip.
 
     Raises:
-        InputError: a mesh that cannot be read or encloses no volume.
+        InputError: a mesh that cannot be read or encloses no volume, a tool heavier than all links.
     """
-    last = chain.groups[-1]
+    last, links = chain.groups[-1], [group.inertial[0] for group in chain.groups[1:]]
     for tool in tools:
         depth, flange = last.tip
         place = flange @ _matrix(tool)
@@ -183,6 +183,9 @@ def fit_tools(chain: Chain, tools: list[Tool], path: str | Path) -> None:
             part.visual = [Shape(np.eye(4), partial(_tool_shape, tool, path))]
             part.collision = part.visual
         mass, com, inertia = part.inertial
+        if all(links) and mass > sum(links):
+            expected = f"expected kg, no more than the robot's links weigh ({sum(links):.4g}), found {mass:.4g}"
+            raise InputError(path, "mass", expected)
         rotation = place[:3, :3]
         moved = mass, place[:3, 3] + rotation @ com, rotation @ inertia @ rotation.T
         last.inertial = fuse(last.inertial, moved)

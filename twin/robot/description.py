@@ -3,6 +3,7 @@
 The schema of ``robot.yaml``; its keys, units and defaults are the fields below. ``docs/robot.md`` explains them.
 """
 
+import fnmatch
 import re
 import reprlib
 from collections.abc import Iterable, Sequence
@@ -24,7 +25,7 @@ from pydantic import (
 
 from twin.errors import InputError
 from twin.physics import CATALOGUE
-from twin.ranges import MOST_AXES, implausible
+from twin.ranges import FARTHEST_M, MOST_AXES, implausible
 from twin.robot.frames import inertia_matrix
 from twin.yamlfile import read_yaml, write_yaml
 
@@ -50,6 +51,7 @@ Positive = Annotated[_Finite, Field(gt=0), _within("", scale=True)]
 NonNegative = Annotated[Number, Field(ge=0)]
 Mass = Annotated[_Finite, Field(gt=0), _within("kg", scale=True)]
 MassIfAny = Annotated[_Finite, Field(ge=0), _within("kg", scale=True)]
+Angle = Annotated[Number, Field(ge=-360, le=360)]  # degrees, of what is fixed
 Length = Annotated[_Finite, _within("m")]
 Moment = Annotated[_Finite, _within("kg·m²")]
 Stiffness = Annotated[_Finite, Field(gt=0), _within("N·m/rad", scale=True)]
@@ -172,9 +174,9 @@ class Axis(Data):
 
     type: Literal["revolute", "prismatic"] = "revolute"
     name: str | None = None
-    alpha_deg: Number = 0.0
+    alpha_deg: Angle = 0.0
     a: Length = 0.0
-    theta_deg: Number = 0.0
+    theta_deg: Angle = 0.0
     d: Length = 0.0
     limits: Limits | None = None
     stiffness: Stiffness | None = None
@@ -239,6 +241,17 @@ class Prior(Data):
     parameter: str
     factor: Annotated[Number, Field(gt=1)]
     source: str = ""
+
+
+def _names_a_number(pattern: str, axes: int) -> bool:
+    """Whether a prior's parameter is a joint's spring or damper, or any number of an effect that there is."""
+    effect, at, number = pattern.partition("@")
+    if not at:
+        elastic = ("stiffness", "damping", "loss_factor")
+        springs = [f"joint{i}.{c}.{q}" for i in range(1, axes + 1) for c in "zxy" for q in elastic]
+        return bool(fnmatch.filter(springs, pattern))
+    numbers = {p.name for name in fnmatch.filter(CATALOGUE, effect) for p in CATALOGUE[name].parameters}
+    return bool(fnmatch.filter(numbers, number.rpartition(".")[2].partition("[")[0]))
 
 
 class Tolerances(Data):
@@ -340,6 +353,8 @@ class Robot(Data):
                 raise ValueError(
                     f"test_points[{k}].body: unknown body {point.body!r}; bodies are base, link1 … link{n}"
                 )
+            if max(map(abs, point.position)) > FARTHEST_M:
+                raise ValueError(f"test_points[{k}].position: expected metres, up to {FARTHEST_M:g}")
             if point.label in labels[:k]:
                 raise ValueError(f"test_points[{k}].label: {point.label!r} appears twice")
         for label in self.accelerometers:
@@ -351,6 +366,10 @@ class Robot(Data):
             for name in drive.coupling:
                 if name not in self.joint_names or name == f"joint{i + 1}":
                     raise ValueError(f"drives[{i}].coupling: {name!r} is not another joint of this robot")
+        for k, prior in enumerate(self.priors):
+            if not _names_a_number(prior.parameter, n):
+                text = f"{prior.parameter!r} names no number; expected one as joint1.z.stiffness or EFFECT@SITE.number"
+                raise ValueError(f"priors[{k}].parameter: {text}")
         seen: set[tuple[str, str]] = set()
         for k, entry in enumerate(self.physics):
             check_entry(entry, n, f"physics[{k}]")
