@@ -9,11 +9,12 @@ from twin.diagnose.decide import Decision, sifted
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
+from twin.diagnose.physical import as_written
 from twin.diagnose.refit import Fitted
 from twin.diagnose.within import allowed, without
 from twin.measure.campaign import Channels
 from twin.model.parameters import free_parameters
-from twin.robot.description import Robot
+from twin.robot.description import Entry, Robot
 
 SENSORS = Channels(("21X+", "21Y+", "21Z+"), ("link3",) * 3, np.tile([1.5, 0.0, 0.1], (3, 1)), np.eye(3))
 BLOWS = Channels(("21Z+", "7Y+"), ("link3", "link2"), np.array([[1.5, 0, 0.1], [0.6, 0.2, 0]]), np.eye(3)[[2, 1]])
@@ -78,3 +79,11 @@ def test_a_sensor_and_a_blow_of_one_label_may_be_apart(kr90: Robot, milling: np.
     lines = np.array([8.0, 20.0, 40.0])
     H, expected = (predicted(kr90, record, lines) for predicted in (predicted_by_mujoco, predicted_by_algebra))  # type: ignore[operator]
     assert np.linalg.norm(H - expected) < 1e-6 * np.linalg.norm(expected)
+
+
+def test_a_floor_whose_moments_no_body_has_is_written_with_as_many(kr90: Robot) -> None:
+    """Its three moments stay three: six were no floor's."""
+    floor = Entry(effect="floor_mode", site="base", mass=500.0, inertia=[10.0, 10.0, 90.0], rx=1e7, damping_ratio=0.03)
+    written = as_written(kr90.model_copy(update={"physics": [*kr90.physics, floor]}), kr90).physics[-1]
+    xx, yy, zz = written.values["inertia"]
+    assert zz <= (xx + yy) * (1 + 1e-9)

@@ -15,7 +15,7 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
-from twin.diagnose.search import WITHIN, in_doubt, inexact
+from twin.diagnose.search import WITHIN, in_doubt
 from twin.diagnose.within import allowed
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
@@ -189,12 +189,14 @@ def _lawless(
     """Logarithm of the weight of a law without a name, alone or beside the best answer: one effect more, at any site.
 
     Alone it is known to first order only, which holds near the truth. Recordings that were not fitted to it is taken to
-    foretell as well as nothing and the names together: ``foretold``, over the base model.
+    foretell as well as nothing and the names together: ``foretold``, over the base model. Beside a name it must gain a
+    share ``inexact`` of what that did: no test is exactly as stated, and what it leaves takes no name back.
     """
     models = [(foretold, 0.0, base)] if base.misfit < FIRST_ORDER else []
     if len(logs):
         best = int(np.argmax(logs))
-        models.append((logs[best], inexact(fits[best], base, scale), fits[best]))
+        allowance = numbers["inexact"] * max(fits[best].evidence(scale) - base.evidence(scale), 0.0)
+        models.append((logs[best], allowance, fits[best]))
     found = []
     for log, known, fit in models:
         gains = np.array(list(unnamed(fit).values())) - known

@@ -46,7 +46,8 @@ def _of_bodies(entry: Entry) -> Entry:
         return entry
     given = inertia_matrix([*inertia, 0.0, 0.0, 0.0][:6])
     body = nearest_body(given, LEAST_MOMENT)
-    return entry if body is given else entry.model_copy(update={"inertia": inertia_six(body)})
+    moments = [float(value) for value in inertia_six(body)[: len(inertia)]]  # without products stays without
+    return entry if body is given else entry.model_copy(update={"inertia": moments})
 
 
 def _runs_away(entry: Entry) -> bool:

@@ -141,7 +141,7 @@ def explain(
             break
         if not worth(best, found[0], search.base):  # it had only not converged
             continue
-        first = _all_at_once(robot, search, found[0], sample, suspects)
+        first = _all_at_once(robot, search, found, sample, suspects)
         everywhere = _everywhere(robot, search, [first, *found], sample, suspects)
         best = max([first, *everywhere], key=lambda fit: fit.evidence())
         small = len(best.hypothesis.pieces) <= 2 * MISSING_AT_ONCE  # not a whole kind, found together
@@ -211,9 +211,17 @@ def worth(simpler: Fitted, richer: Fitted, base: Fitted) -> bool:
 
 
 def in_doubt(simpler: Fitted, richer: Fitted, base: Fitted, scale: float = 1.0) -> float:
-    """ln evidence of a hypothesis that may be the error of a simpler one's laws: none where the data do not move."""
+    """ln evidence of a hypothesis that may be the error of a simpler one's laws: none where the data do not move.
+
+    Or a part of what nothing explains: where a good deal of the misfit stays, a thing that takes little of it away has
+    no name.
+    """
     moved = 0.5 * (simpler.misfit * simpler.data - richer.misfit * richer.data) / scale
-    return min(inexact(simpler, base, scale), max(moved, 0.0))
+    doubt, numbers = inexact(simpler, base, scale), calibration()
+    if simpler.hypothesis is not NONE:
+        stays = 0.5 * max(richer.misfit - numbers["noise_misfit"], 0.0) * richer.data / scale
+        doubt += numbers["unexplained_share"] * stays
+    return min(doubt, max(moved, 0.0))
 
 
 def inexact(fit: Fitted, base: Fitted, scale: float = 1.0) -> float:
@@ -271,24 +279,26 @@ def _taken_out(search: Search, fit: Fitted, piece: Hypothesis) -> tuple[Hypothes
 
 
 def _all_at_once(
-    robot: Robot, search: Search, fit: Fitted, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
+    robot: Robot, search: Search, found: Sequence[Fitted], sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
 ) -> Fitted:
-    """A fit that misses by more than noise, with all nodes where the recordings have them, if that is worth it.
+    """The best of some fits that miss by more than noise, with all nodes where the recordings have them, if that pays.
 
-    Every node is somewhat elsewhere than a file says, and what that leaves would pass for a kind of spring.
+    Every node is somewhat elsewhere than a file says, and what that leaves would pass for a kind of spring. Fits come
+    with most evidence first; rivals of the first are freed with it.
     """
-    if not inflation(fit, robot, sample.thin(REFIT_LINES)):
-        return fit
+    best = found[0]
+    if not inflation(best, robot, sample.thin(REFIT_LINES)):
+        return best
+    near = best.evidence() - WITHIN * max(1.0, best.misfit)
     groups = [v[0] for v in suspects if v[0].law is None and v[0].own and "*" in v[0].site]
     places = []
-    for group in [one for one in groups if one.key not in fit.hypothesis.identity]:
-        hypothesis = together(fit.hypothesis, group)
-        parameters = hypothesis.parameters(search.base.parameters)
-        places.append(_Place(hypothesis, parameters, (np.concatenate([fit.z, np.zeros(len(group.own))]),)))
-    for freed in _refits(robot, search, places, sample):
-        if worth(fit, freed, search.base) and freed.evidence() > fit.evidence():
-            fit = freed
-    return fit
+    for fit in [fit for fit in found if fit.evidence() > near]:
+        for group in [one for one in groups if one.key not in fit.hypothesis.identity]:
+            hypothesis = together(fit.hypothesis, group)
+            parameters = hypothesis.parameters(search.base.parameters)
+            places.append(_Place(hypothesis, parameters, (np.concatenate([fit.z, np.zeros(len(group.own))]),)))
+    freed = max([best, *_refits(robot, search, places, sample)], key=lambda fit: fit.evidence())
+    return freed if worth(best, freed, search.base) else best
 
 
 def _everywhere(
