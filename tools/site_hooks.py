@@ -4,8 +4,6 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from mkdocs.utils import get_relative_url
-
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """What the search loads where pages are opened from the disk; a copy is among the site's assets."""
 
@@ -101,6 +99,8 @@ def _whole(output: str, shim: str) -> str:
 
 def on_post_page(output: str, page: Any, **_: Any) -> str:
     """The copy takes the script's place; what the theme leaves without a name gets one."""
+    from mkdocs.utils import get_relative_url  # only where the site is built
+
     return _whole(output, get_relative_url("assets/iframe-worker.js", page.url))
 
 
