@@ -1,11 +1,12 @@
 """What is off by no more than the description allows is no finding, and stays in the fits."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from twin.diagnose.decide import Decision, sifted
+from twin.diagnose.decide import Decision, at_noise, sifted
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
@@ -68,6 +69,16 @@ def test_answers_that_differ_in_what_is_allowed_are_one(kr90: Robot) -> None:
     assert decision.alike == pytest.approx(0.8)
     same = Decision(ranked[1:3], [0.6, 0.3], 0.05, 0.05)
     assert sifted(same, kr90) == (same, ())
+
+
+@pytest.mark.parametrize(("misfit", "none"), [(1.0, 0.99), (1.5, 0.05)])
+def test_what_leaves_no_misfit_is_adequate(kr90: Robot, misfit: float, none: float) -> None:
+    """A law without a name beside nodes that were moved counts only where something beyond noise is left."""
+    group = nodes(kr90)
+    fit = replace(fitted(kr90, group, np.array([p.mean for p in group.own])), misfit=misfit, data=1e5)
+    decision = at_noise(Decision([], [], 0.05, 0.95, nameless=0.9), fit)
+    assert decision.none == pytest.approx(none)
+    assert decision.none + decision.other == pytest.approx(1)
 
 
 def test_a_sensor_and_a_blow_of_one_label_may_be_apart(kr90: Robot, milling: np.ndarray) -> None:

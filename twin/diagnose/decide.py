@@ -227,6 +227,20 @@ def sifted(decision: Decision, robot: Robot) -> tuple[Decision, tuple[Hypothesis
     return told, beside.allowed
 
 
+def at_noise(decision: Decision, fit: Fitted) -> Decision:
+    """A decision that says so where a fit of what the description allows leaves no misfit beyond noise.
+
+    What a law without a name would gain beside it is what is scattered about those numbers, from blow to blow.
+    """
+    if decision.other <= max(decision.none, *decision.probability[:1], 0.0):
+        return decision
+    if fit.misfit > calibration()["noise_misfit"] + _scatter(fit):
+        return decision
+    left = 1 - sum(decision.probability) - decision.none
+    least = min(left, calibration()["least_other"])
+    return replace(decision, none=decision.none + left - least, other=least, nameless=0.0)
+
+
 def finalists(base: Fitted, fits: Sequence[Fitted]) -> tuple[dict[str, Any], ...]:
     """What a selection was made from, for other rules to choose: the base model (effect ``none``) and every fit.
 

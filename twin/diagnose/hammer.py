@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.diagnose.borne_out import gained
 from twin.diagnose.calibration import calibration
-from twin.diagnose.decide import Decision, decide, finalists, sifted
+from twin.diagnose.decide import Decision, at_noise, decide, finalists, sifted
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import cut_short, put_right, without_hum
@@ -259,6 +259,7 @@ def _answered(
     decision, doubts = sifted(decision, base)
     if doubts:
         settled = base_with(base, search.base.parameters, settled, doubts, sample, sample.thin(REFIT_LINES))
+        decision = at_noise(decision, settled)
     links: frozenset[str] = frozenset()
     if judge(decision) in ("named", "ambiguous"):
         decision, links = _or_its_link(decision, settled, base)
