@@ -95,6 +95,20 @@ def test_the_zero_of_a_current_sensor_is_no_physics(tmp_path: Path, kr90: Robot)
     assert diagnose_log(log, robot).word == "adequate"
 
 
+def test_a_pump_beside_one_run_is_told_and_ordinary_friction_is_not(drifting: Finding, tmp_path: Path) -> None:
+    """Above the band of the fit runs differ by how their friction reverses; 25 Hz in one run alone is no such thing."""
+    assert not any("is restless" in warning for warning in drifting.warnings)
+    log = recorded(tmp_path, "--ripple", "1.5")
+    name, run = next(iter(log.runs.items()))
+    assert run.torque is not None
+    run.torque[:, 1] += 120.0 * np.sin(2 * np.pi * 25.0 * run.time)
+    found = diagnose_log(log, load_robot("kr90"))
+    (told,) = [warning for warning in found.warnings if "is restless" in warning]
+    assert f"'{name}' is restless at" in told
+    assert "joint2" in told
+    assert not found.missing
+
+
 def test_a_hose_pack_is_named_measured_and_put_back(drifting: Finding) -> None:
     (missing,) = drifting.missing
     assert missing.first.key == "cable_stiffness@joint1"
