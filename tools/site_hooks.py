@@ -35,7 +35,10 @@ def _named(nav: Any) -> Iterator[tuple[str, str]]:
             yield from [(inside, title)] if isinstance(inside, str) else _named(inside)
 
 
-UNITS = "%|°|Hz|kHz|N·m|N·s|N/m|kN|N|µrad|mrad|rad|µm|mm|m|kg|ms|s|min|rpm|GiB|MB"
+UNITS = (
+    "%|°|Hz|kHz|N·m/rad³?|N·m·s/rad|N·m|N·s|N/m|kN|N|µrad|mrad|rad/s²|rad/s|rad|µm|mm|m/s²|m/s|m|kg·m²|kg|ms|s|min|rpm|"
+    "GiB|GB|MB"
+)
 LONG = 60  # characters of a cell, from which its column must not be a narrow one
 FORMULA = re.compile("[Σ√½∝χσρ]")
 LETTER = r"(?:(?<![\w.])[A-Za-zΑ-Ωα-ω]̂?[²³]?|\|²?)"
@@ -60,6 +63,7 @@ def _typeset(part: str) -> str:
     if part.startswith("<"):
         return part
     part = re.sub(r"(?<![\w.])(\d(?:\.\d+)?)e[+]?([−-]?)0*(\d+)\b", _power, part)
+    part = re.sub(r"(?<![\w-])--[a-z][\w-]*", r'<span class="whole">\g<0></span>', part)
     part = re.sub(r"\be\^(?:\(([^)]*)\)|\{([^}]*)\})", lambda e: f"e<sup>{e[1] or e[2]}</sup>", part)
     return re.sub(rf"(?<=\d) (?=(?:{UNITS})(?![\w·/]))", "\u00a0", _indices(part))
 
