@@ -40,6 +40,12 @@ UNITS = (
     "GiB|GB|MB"
 )
 LONG = 60  # characters of a cell, from which its column must not be a narrow one
+CALLED = re.compile(
+    r"(<h3[^>]*>(?:(?!</h3>).)*?twin\.)(\w+)((?:(?!</h3>).)*</h3>\s*"
+    r"<div class=\"doc-signature(?:(?!</div>).)*?<span class=\"n[cf]\">)\w+(<)",
+    re.DOTALL,
+)
+"""A heading of the reference and its signature: what is called `twin.read_log` has that name in the signature too."""
 FORMULA = re.compile("[Σ√½∝χσρ]")
 LETTER = r"(?:(?<![\w.])[A-Za-zΑ-Ωα-ω]̂?[²³]?|\|²?)"
 
@@ -48,6 +54,7 @@ def on_page_content(html: str, **_: Any) -> str:
     """Classes named as Sphinx does are shown by the name alone; what scrolls can be reached by keyboard."""
     html = re.sub(r":(?:class|func|meth|attr|mod):(?=<code>)", "", html)
     html = "".join(map(_typeset, re.split(r"(<pre.*?</pre>|<code.*?</code>|<[^>]+>)", html, flags=re.DOTALL)))
+    html = CALLED.sub(r"\1\2\3\2\4", html)
     html = html.replace("<pre>", '<pre tabindex="0">')
     html = re.sub(r"<p>(<img[^>]*>)</p>", r'<p class="picture" tabindex="0">\1</p>', html)
     html = re.sub(r"<h1.*?</h1>", lambda title: _breakable(title[0]), html, flags=re.DOTALL)
@@ -70,7 +77,8 @@ def _typeset(part: str) -> str:
 
 def _indices(text: str) -> str:
     """F_c, y_{k−1} and χ²_best with their indices below the line."""
-    return re.sub(rf"({LETTER})_(?:([a-z]+)|\{{([^}}]+)\}})(?!\w)", lambda x: f"{x[1]}<sub>{x[2] or x[3]}</sub>", text)
+    text = re.sub(rf"({LETTER})_(?:([a-z]+)|\{{([^}}]+)\}})(?!\w)", lambda x: f"{x[1]}<sub>{x[2] or x[3]}</sub>", text)
+    return re.sub(r"\|²<sub>\w+</sub>", r'<span class="whole">\g<0></span>', text)
 
 
 def _power(number: re.Match[str]) -> str:

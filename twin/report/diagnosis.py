@@ -210,7 +210,7 @@ def _visible_table(items: Sequence[dict[str, Any]], robot: Robot) -> list[Table]
     for item in items:
         if _over_usual(item, robot) is None:
             key = (item["effect"], item["parameter"], item["unit"])
-            rows.setdefault(key, []).append(f"{item['value']:.2g} at {item['site']}")
+            rows.setdefault(key, []).append(f"{float(format(item['value'], '.2g')):g} at {item['site']}")
     cells = [(effect, parameter, ", ".join(sizes), unit) for (effect, parameter, unit), sizes in rows.items()]
     return [Table(("effect", "parameter", "shows from", "unit"), cells)] if cells else []
 
