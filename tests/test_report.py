@@ -355,11 +355,11 @@ def test_replay_states_the_residual(tmp_path):
     figure = figures.replay(time, rigid + 3.0, rigid + 1.0, rigid, ["joint1", "joint2"], ["N", "N·m"])
     residual = figure.axes[1]
     assert residual.lines[0].get_ydata() == pytest.approx(-2.0)
-    assert "simulated: 2 rms" in residual.get_title(loc="right")
-    assert "inverse dynamics: 3 rms" in residual.get_title(loc="right")
+    assert "simulated: 2 N rms" in residual.get_title(loc="right")
+    assert "inverse dynamics: 3 N rms" in residual.get_title(loc="right")
     assert figure.axes[0].get_ylabel() == "joint1, N"
     simulated = figures.replay(time, None, rigid + 1.0, rigid, ["joint1", "joint2"])
-    assert "simulated: 1 rms" in simulated.axes[1].get_title(loc="right")
+    assert "simulated: 1 N·m rms" in simulated.axes[1].get_title(loc="right")
     figures.save(figures.trajectory(time, rigid, np.gradient(rigid, time, axis=0)), tmp_path / "trajectory.png")
 
 

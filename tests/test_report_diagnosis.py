@@ -240,3 +240,21 @@ def test_the_map_says_in_every_cell_how_far_the_model_misses_over_noise() -> Non
     (pooled,) = drawn.panels["all postures, before: refitted"].values
     np.testing.assert_allclose(pooled, before.values[0])
     assert drawn.data()["panels"][2]["columns"] == ["4Y+"]
+
+
+def test_sizes_without_a_usual_one_are_told_in_a_table(kr90: Robot) -> None:
+    def item(effect: str, site: str, parameter: str, value: float, unit: str) -> dict[str, object]:
+        return {"effect": effect, "site": site, "parameter": parameter, "value": value, "unit": unit}
+
+    items = [
+        item("payload", "flange", "mass", 10.3, "kg"),  # has a usual size: it is in the picture
+        item("coulomb_friction", "joint1", "torque", 2.67, "N·m"),
+        item("coulomb_friction", "joint2", "torque", 7.8, "N·m"),
+    ]
+    (table,) = diagnosis._visible_table(items, kr90)
+    assert table.rows == [("coulomb_friction", "torque", "2.7 at joint1, 7.8 at joint2", "N·m")]
+    assert diagnosis._visible_table(items[:1], kr90) == []
+
+
+def test_a_warning_that_goes_through_models_takes_a_line_for_each() -> None:
+    assert diagnosis._apart(["a; b", "x; with p 1 %; with q 2 %"]) == ["a; b", "x", "with p 1 %", "with q 2 %"]

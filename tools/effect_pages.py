@@ -37,7 +37,7 @@ CARRIES = 1  # zero-based: the axis that carries most weight
 FREQUENCY, COARSE = np.linspace(4.0, 60.0, 1500), np.linspace(4.0, 60.0, 150)
 BAND_HZ = (15.0, 15.4)  # of a mode that an effect adds: between the robot's own
 SWING_S, RATE_HZ, SWING_RAD = 8.0, 250.0, 0.5
-WIDTH = 70  # characters of a line of YAML
+WIDTH = 56  # characters of a line of YAML
 SHARE = 0.1  # of an axis' RMS torque: what an added law ordinarily adds, as in twin.diagnose.torque_laws
 LARGER = 2  # prior deviations of an error of either sign, whose usual value is none
 WITHOUT = {"color": "#e8590c", "linewidth": 1.2, "linestyle": "--"}
@@ -46,7 +46,7 @@ SWINGS = ("#9ec5f0", "#4c86c6", "#123a73")
 RECORDED = {"hammer": "hammer tests", "levels": "hammer tests at several force levels", "log": "motion logs"}
 LEVELS_TEST = "the same blows at two force levels or more, the highest ten times the lowest: the law is in their ratio"
 HAMMER_TEST = "a hammer test in six postures or more, with joint 1 turned between them"
-CHANNEL_TEST = "a hammer test with the driving points: what one channel does alone is no structure"
+CHANNEL_TEST = "a hammer test with the driving points: what only one channel shows does not come from the robot"
 
 
 @dataclass(frozen=True)
@@ -157,10 +157,13 @@ def _file(name: str, kind: str) -> str:
 
 
 def _row(p: Parameter) -> str:
-    size = {0: "", -1: "[ ]"}.get(p.length, f"[{p.length}]")
+    size = {0: "", -1: "[\u00a0]"}.get(p.length, f"[{p.length}]")
     null = "" if p.word or p.length < 0 or (p.positive and p.null == 0) else "∞" if p.null == np.inf else f"{p.null:g}"
-    may = ["> 0" if p.positive else "≥ 0" if p.nonnegative else "any" * (not p.word), "left out" if p.optional else ""]
-    return f"| `{p.name}`{size} | {p.unit} | {null} | {', '.join(filter(None, may))} |"
+    may = [
+        "> 0" if p.positive else "≥ 0" if p.nonnegative else "any" * (not p.word),
+        "or left out" if p.optional else "",
+    ]
+    return f"| `{p.name}`{size} | {p.unit} | {null} | {' '.join(filter(None, may))} |"
 
 
 def _aliases(effect: Effect, examples: dict[str, Example]) -> str:
@@ -169,8 +172,8 @@ def _aliases(effect: Effect, examples: dict[str, Example]) -> str:
     named = list(dict.fromkeys(f"`{c.effect}` at `{c.site}`" for _, c in here if (c.effect, c.site) not in itself))
     if not named:
         return (
-            "The effect names no rival of its own. [Diagnosis](../diagnosis.md#what-recordings-can-never-tell-apart) "
-            "lists what no recording can tell apart."
+            "No other effect is always compared with it. "
+            "[Diagnosis](../diagnosis.md#what-recordings-can-never-tell-apart) lists what no recording can tell apart."
         )
     return f"At `{here[0][0].entry.site}` a diagnosis always compares it with {', '.join(named)}."
 
@@ -405,7 +408,7 @@ def _torque(example: Example) -> Figure:
     axes["time"].set_xlabel("time, s")
     axes["time"].set_ylabel(f"torque of joint {axis + 1}, N·m")
     figure.legend(
-        *axes["time"].get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False, fontsize=9
+        *axes["time"].get_legend_handles_labels(), loc="outside upper left", ncols=2, frameon=False, fontsize=9
     )
     axes["position"].plot(np.degrees(motion.position[:, axis]), added[:, axis], color=WITH["color"], linewidth=1)
     axes["position"].set_xlabel(f"position of joint {axis + 1}, °")

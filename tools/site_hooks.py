@@ -35,8 +35,17 @@ def _named(nav: Any) -> Iterator[tuple[str, str]]:
             yield from [(inside, title)] if isinstance(inside, str) else _named(inside)
 
 
-UNITS = "%|°|Hz|kHz|N·m|N·s|N/m|kN|N|µrad|mrad|rad|µm|mm|m|kg|ms|s|min|rpm|GiB|MB"
+UNITS = (
+    "%|°|Hz|kHz|N·m/rad³?|N·m·s/rad|N·m|N·s|N/m|kN|N|µrad|mrad|rad/s²|rad/s|rad|µm|mm|m/s²|m/s|m|kg·m²|kg|ms|s|min|rpm|"
+    "GiB|GB|MB"
+)
 LONG = 60  # characters of a cell, from which its column must not be a narrow one
+CALLED = re.compile(
+    r"(<h3[^>]*>(?:(?!</h3>).)*?twin\.)(\w+)((?:(?!</h3>).)*</h3>\s*"
+    r"<div class=\"doc-signature(?:(?!</div>).)*?<span class=\"n[cf]\">)\w+(<)",
+    re.DOTALL,
+)
+"""A heading of the reference and its signature: what is called `twin.read_log` has that name in the signature too."""
 FORMULA = re.compile("[Σ√½∝χσρ]")
 LETTER = r"(?:(?<![\w.])[A-Za-zΑ-Ωα-ω]̂?[²³]?|\|²?)"
 
@@ -45,6 +54,7 @@ def on_page_content(html: str, **_: Any) -> str:
     """Classes named as Sphinx does are shown by the name alone; what scrolls can be reached by keyboard."""
     html = re.sub(r":(?:class|func|meth|attr|mod):(?=<code>)", "", html)
     html = "".join(map(_typeset, re.split(r"(<pre.*?</pre>|<code.*?</code>|<[^>]+>)", html, flags=re.DOTALL)))
+    html = CALLED.sub(r"\1\2\3\2\4", html)
     html = html.replace("<pre>", '<pre tabindex="0">')
     html = re.sub(r"<p>(<img[^>]*>)</p>", r'<p class="picture" tabindex="0">\1</p>', html)
     html = re.sub(r"<h1.*?</h1>", lambda title: _breakable(title[0]), html, flags=re.DOTALL)
@@ -60,13 +70,15 @@ def _typeset(part: str) -> str:
     if part.startswith("<"):
         return part
     part = re.sub(r"(?<![\w.])(\d(?:\.\d+)?)e[+]?([−-]?)0*(\d+)\b", _power, part)
+    part = re.sub(r"(?<![\w-])--[a-z][\w-]*", r'<span class="whole">\g<0></span>', part)
     part = re.sub(r"\be\^(?:\(([^)]*)\)|\{([^}]*)\})", lambda e: f"e<sup>{e[1] or e[2]}</sup>", part)
     return re.sub(rf"(?<=\d) (?=(?:{UNITS})(?![\w·/]))", "\u00a0", _indices(part))
 
 
 def _indices(text: str) -> str:
     """F_c, y_{k−1} and χ²_best with their indices below the line."""
-    return re.sub(rf"({LETTER})_(?:([a-z]+)|\{{([^}}]+)\}})(?!\w)", lambda x: f"{x[1]}<sub>{x[2] or x[3]}</sub>", text)
+    text = re.sub(rf"({LETTER})_(?:([a-z]+)|\{{([^}}]+)\}})(?!\w)", lambda x: f"{x[1]}<sub>{x[2] or x[3]}</sub>", text)
+    return re.sub(r"\|²<sub>\w+</sub>", r'<span class="whole">\g<0></span>', text)
 
 
 def _power(number: re.Match[str]) -> str:

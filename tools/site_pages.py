@@ -41,7 +41,8 @@ def commands() -> str:
     )
     parts = ["# Commands", general]
     for name, command in root.commands.items():  # type: ignore[attr-defined]
-        parts += [f"## twin {name}", inspect.cleandoc(command.help or "")]
+        said = re.sub(r"\bdocs/([\w-]+\.md)", r"[\1](\1)", inspect.cleandoc(command.help or ""))
+        parts += [f"## twin {name}", said]
         records = [(p, record) for p in command.params if (record := p.get_help_record(context))]
         rows = [f"| <code>{_written(_called(p, name))}</code> | {_cell(said)} |" for p, (name, said) in records]
         parts.append("\n".join(["| argument or option | meaning |", "|---|---|", *rows]))

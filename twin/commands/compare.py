@@ -59,12 +59,14 @@ class Compared(Result):
         """Error per recording and posture or run."""
         rows = []
         for source, found in self.found.items():
-            rows.append((source, "", "all", f"{found.error:.2%}"))
+            rows.append((source, "all", "", f"{found.error:.2%}"))
             rows += [
                 ("", str(part.get("posture") or part.get("run")), part.get("site") or "", f"{part['error']:.2%}")
                 for part in found.parts
                 if not (part.get("channel") or part.get("band_hz") or part.get("measured_hz"))
             ]
+        if not any(joint for *_, joint, _ in rows):
+            return [Table(("recording", "posture or run", "error"), [(a, b, error) for a, b, _, error in rows], (2,))]
         return [Table(("recording", "posture or run", "joint", "error"), rows, (3,))]
 
     def __str__(self) -> str:

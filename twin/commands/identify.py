@@ -128,9 +128,10 @@ class Identified(Result):
                 f"{estimate.base.units[k]}{mark}"
             )
         errors = self.errors()
+        units = ["N" if axis.type == "prismatic" else "N·m" for axis in found.robot.axes]
         for part in ("train", "held_out"):
             shown = "  ".join(
-                f"joint{i + 1} {ratio:.2%} ({rms:.3g})"
+                f"joint{i + 1} {ratio:.2%} ({rms:.3g} {units[i]})"
                 for i, (ratio, rms) in enumerate(zip(errors["error"][part], errors["rms"][part], strict=True))
             )
             lines.append(f"  {part.replace('_', ' '):9s} {shown}")

@@ -104,7 +104,7 @@ class ModalResult:
     @property
     def quantity(self) -> tuple[str, str]:
         """What ``measured`` holds, and its unit."""
-        return ("half-spectrum", "(m/s²)²/Hz") if self.operational else ("accelerance", "(m/s²)/N")
+        return ("half-spectrum", "(m/s²)²/Hz") if self.operational else ("accelerance", "m/(s²·N)")
 
     @property
     def frac(self) -> FloatArray:

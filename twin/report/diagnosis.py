@@ -40,8 +40,8 @@ _BANDS, _FINE_BANDS = 48, 96  # of frequency, in the picture and in the map one 
 _ROWS = 40  # channels at most of a posture's map: those that miss most
 _COLOURS = 32
 FREED = {
-    "frf-campaign": "evidence gained by a law without a name of this spring, ln",
-    "motion-log": "evidence gained by a free function of this joint's position and velocity, ln",
+    "frf-campaign": "gain in ln evidence, if this spring may have any law",
+    "motion-log": "gain in ln evidence, if this joint has any torque over position and velocity",
     "modal-table": "expected fall of ½χ² with this site free",
 }
 """What the picture of sites says of each kind of recording."""
@@ -53,8 +53,8 @@ CAPTIONS = {
     "torque.png": "Torque where the answer shows best: recorded, before and after, and the residuals.",
     "modes.png": "Frequency and damping of every mode, measured, before and after.",
     "mismatch.png": "Residual over noise, before and after, by posture, channel and frequency.",
-    "residual.png": "Residual of the model without the answer over position, speed and time.",
-    "sites.png": "Where something more that is free would help most.",
+    "residual.png": "Residual before and after, over time, position and speed.",
+    "sites.png": "Where more freedom of the model would help most.",
     "smallest_visible.png": "Size from which each effect would have shown, over its usual size. A dot is a site.",
 }
 _DOTS = 3000  # drawn at most per cloud
@@ -202,6 +202,21 @@ def smallest_visible(items: Sequence[dict[str, Any]], robot: Robot) -> Figure:
     )
     _plain(ax, "x")
     return figure
+
+
+def _visible_table(items: Sequence[dict[str, Any]], robot: Robot) -> list[Table]:
+    """The effects that have no usual size, which the picture therefore lacks: site by site, the size itself."""
+    rows: dict[tuple[str, str, str], list[str]] = {}
+    for item in items:
+        if _over_usual(item, robot) is None:
+            key = (item["effect"], item["parameter"], item["unit"])
+            rows.setdefault(key, []).append(f"{float(format(item['value'], '.2g')):g} at {item['site']}")
+    cells = [(effect, parameter, ", ".join(sizes), unit) for (effect, parameter, unit), sizes in rows.items()]
+    return [Table(("effect", "parameter", "shows from", "unit"), cells)] if cells else []
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:].rstrip(".") + "."
 
 
 def _over_usual(item: Mapping[str, Any], robot: Robot) -> float | None:
@@ -640,7 +655,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
         ),
     ]  # fmt: skip
     if verdict.next_test:
-        found.append(Section("Next test", [verdict.next_test["description"]]))
+        found.append(Section("Next test", [_sentence(verdict.next_test["description"])]))
     for finding in verdict.findings:
         several = f" · {Path(finding.recording).name}" if len(verdict.findings) > 1 else ""
         of = {
@@ -648,7 +663,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
         }
         found.append(
             Section(
-                f"Errors{several}", [_error_text(finding)], finding.warnings, [_error_table(finding)],
+                f"Errors{several}", [_error_text(finding)], _apart(finding.warnings), [_error_table(finding)],
                 pick(of, "errors.png", CAPTIONS["errors.png"]),
             )
         )  # fmt: skip
@@ -665,7 +680,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
             figures = [pair for name in names for pair in pick(of, name, CAPTIONS[name])]
             if figures:
                 found.append(Section(heading + several, [text] if text else [], figures=figures, plots=plots))
-    checks = [check["description"] for check in verdict.checks if check["passed"]]
+    checks = [f"{check['description']}." for check in verdict.checks if check["passed"]]
     failed = [f"failed: {check['description']}" for check in verdict.checks if not check["passed"]]
     edit, tables = verdict.payload_edit, []
     if edit:
@@ -674,12 +689,18 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     found.append(Section("The new model", checks, failed, tables))
     if verdict.smallest_visible:
         text = (
-            "What these recordings would have shown, had it been there, after everything the model has free has moved "
-            "to hide it."
+            "The smallest size of each effect that these recordings would have shown. Before that, everything that is "
+            "free in the model has moved to hide it."
         )
         figures = pick(drawn, "smallest_visible.png", CAPTIONS["smallest_visible.png"])
-        found.append(Section("What could have been seen", [text], figures=figures))
+        tables = _visible_table(verdict.smallest_visible, verdict.base)
+        found.append(Section("What could have been seen", [text], tables=tables, figures=figures))
     return found
+
+
+def _apart(warnings: Sequence[str]) -> list[str]:
+    """A warning that goes through many models takes a line for each."""
+    return [line for text in warnings for line in (text.split("; ") if text.count("; with ") > 1 else [text])]
 
 
 def _plots(finding: Finding) -> list[Plot]:

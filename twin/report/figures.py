@@ -244,6 +244,7 @@ def replay(
     axes = figure.subplots(2 * n, 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": [3, 1] * n})[:, 0]
     for i, name in enumerate(axis_names):
         torque, residual = axes[2 * i], axes[2 * i + 1]
+        unit = units[i] if units is not None else "N·m"
         for curve, value in given.items():
             torque.plot(time, value[:, i], **_TORQUES[curve])
         scale = float(np.sqrt(np.mean(given[reference][:, i] ** 2)))
@@ -252,8 +253,7 @@ def replay(
             difference = given[curve][:, i] - given[reference][:, i]
             residual.plot(time, difference, **_TORQUES[curve])
             rms = float(np.sqrt(np.mean(difference**2)))
-            texts.append(f"{curve}: {rms:.3g} rms" + (f", {rms / scale:.1%}" if scale else ""))
-        unit = units[i] if units is not None else "N·m"
+            texts.append(f"{curve}: {rms:.3g} {unit} rms" + (f", {rms / scale:.1%}" if scale else ""))
         torque.set_ylabel(f"{name}, {unit}", fontsize=9)
         residual.set_ylabel(f"residual, {unit}", fontsize=9)
         residual.set_title("   ".join(texts), loc="right", fontsize=8, pad=2)
