@@ -526,6 +526,7 @@ def test_a_node_that_is_struck_has_a_place(tmp_path: Path, frf: Path) -> None:
             "found code 1 with",
         ),
         ("brakes=", "averages=5 peak_force_n=100q\n", "expected numbers in the ID lines: .*100q"),
+        ("q_deg=", "q_deg=1e12\n", "expected q_deg=.* as before in this posture, found 1e12"),
     ],
 )
 def test_a_universal_file_whose_words_are_no_numbers_is_refused(
@@ -580,3 +581,24 @@ def test_gears_and_tools_of_no_robot_and_names_that_cannot_be_shown_are_refused(
     (tmp_path / "tool.yaml").write_text('name: "\\a"\nmass: 3\ncom: [0, 0, 0.1]\n')
     with pytest.raises(InputError, match=r"name: expected names"):
         read_tools(tmp_path / "tool.yaml")
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "problem"),
+    [
+        (("workspace",), {"x": [-3, 3], "y": [-1e12, 3], "z": [-2, 4]}, r"workspace\.y"),
+        (("links", 1, "mass"), 1e-9, r"links\[1\].*inertia: expected that of 1e-09 kg within 50 m"),
+        (("links", 1, "com"), [100, 0, 0], r"links\[1\].*com: expected metres"),
+        (("tolerances", "mass"), 1e12, r"tolerances\.mass"),
+        (("name",), " ", r"name: expected a name"),
+        (("priors",), [{"parameter": "joint*.z.stiffness", "factor": 2.0}] * 2, r"priors\[1\]\.parameter: .* twice"),
+    ],
+)
+def test_what_no_robot_has_is_refused(kr90: Robot, place: tuple[Any, ...], value: Any, problem: str) -> None:
+    data: Any = kr90.model_dump(mode="json")
+    holder = data
+    for key in place[:-1]:
+        holder = holder[key]
+    holder[place[-1]] = value
+    with pytest.raises(InputError, match=problem):
+        parse_robot(data)

@@ -42,7 +42,8 @@ MOST_PARTS = 400  # links or joints of a drawing
 MOST_AXES = 30
 MOST_CHARACTERS = 20_000  # of a text
 FASTEST_RPM = 3e5  # of a spindle
-FARTHEST_M = 50.0  # of a channel or a tool's centre of mass from the frame of its body: tells millimetres from metres
+FARTHEST_M = 50.0  # of a channel or a centre of mass from the frame of its body: tells millimetres from metres
+LARGEST_RELATIVE = 100.0  # of a tolerance that is relative
 LONGEST_SPACING_M = 100.0  # of points along a tool path
 MOST_SAMPLES = 20_000_000  # of a trajectory: two hours of six axes at 1 kHz, twice over
 

@@ -110,6 +110,10 @@ def read_uff(
                 words = _words(dataset)
                 _state(file, f"data set {number}", words)
                 group = groups.setdefault(words.get("posture", source.stem), _Functions(words))
+                for word in ("q_deg", "brakes"):
+                    if word in words and words[word] != group.words.get(word, words[word]):
+                        text = f"expected {word}={group.words[word]} as before in this posture, found {words[word]}"
+                        raise InputError(file, f"data set {number}", text)
                 for side, node in (("response", "rsp_node"), ("excitation", "ref_node")):
                     if f"{side}_body" in words:
                         group.bodies[int(dataset[node])] = words[f"{side}_body"]

@@ -25,7 +25,7 @@ from pydantic import (
 
 from twin.errors import InputError
 from twin.physics import CATALOGUE
-from twin.ranges import FARTHEST_M, MOST_AXES, implausible
+from twin.ranges import FARTHEST_M, LARGEST_RELATIVE, MOST_AXES, implausible
 from twin.robot.frames import inertia_matrix
 from twin.yamlfile import read_yaml, write_yaml
 
@@ -51,6 +51,7 @@ Positive = Annotated[_Finite, Field(gt=0), _within("", scale=True)]
 NonNegative = Annotated[Number, Field(ge=0)]
 Mass = Annotated[_Finite, Field(gt=0), _within("kg", scale=True)]
 MassIfAny = Annotated[_Finite, Field(ge=0), _within("kg", scale=True)]
+Relative = Annotated[Number, Field(ge=0, le=LARGEST_RELATIVE)]
 Angle = Annotated[Number, Field(ge=-360, le=360)]  # degrees, of what is fixed
 Length = Annotated[_Finite, _within("m")]
 Moment = Annotated[_Finite, _within("kg·m²")]
@@ -135,6 +136,14 @@ class Link(Data):
     def _complete(self) -> Self:
         if self.inertia is not None:
             check_inertia(self.inertia)
+        if self.com is not None and max(map(abs, self.com)) > FARTHEST_M:
+            raise ValueError(f"com: expected metres in the link's frame, up to {FARTHEST_M:g}")
+        if self.inertia is not None and self.mass is not None:
+            far = float(np.sqrt(max(self.inertia[:3]) / self.mass))
+            if far > FARTHEST_M:
+                raise ValueError(
+                    f"inertia: expected that of {self.mass:g} kg within {FARTHEST_M:g} m, found a radius of {far:.3g} m"
+                )
         given = (self.com is not None) + (self.inertia is not None)
         if given == 1 or (given == 2 and self.mass is None):
             raise ValueError("give mass, com and inertia together, or a mesh with a density or a mass")
@@ -257,17 +266,17 @@ def _names_a_number(pattern: str, axes: int) -> bool:
 class Tolerances(Data):
     """One standard deviation of what a description can be wrong by."""
 
-    mass: NonNegative = 0.03  # relative
+    mass: Relative = 0.03  # relative
     com: NonNegative = 0.01  # m
-    inertia: NonNegative = 0.03  # relative
+    inertia: Relative = 0.03  # relative
     posture_deg: NonNegative = 0.2
-    channel_gain: NonNegative = 0.01  # relative
+    channel_gain: Relative = 0.01  # relative
     length: NonNegative = 0.001  # m, of axes
     angle_deg: NonNegative = 0.1  # twists of axes, zeros of joints, direction of gravity
     position: NonNegative = 0.005  # m, of sensors and blows
     direction_deg: NonNegative = 0.1  # of sensors and blows
-    torque_gain: NonNegative = 0.01  # relative, common to all joints
-    gear_ratio: NonNegative = 0.001  # relative
+    torque_gain: Relative = 0.01  # relative, common to all joints
+    gear_ratio: Relative = 0.001  # relative
 
 
 class Assumed(Data):
@@ -288,9 +297,9 @@ class Assumed(Data):
 class Workspace(Data):
     """Box the flange must stay in, m, in the base frame."""
 
-    x: tuple[Number, Number]
-    y: tuple[Number, Number]
-    z: tuple[Number, Number]
+    x: tuple[Length, Length]
+    y: tuple[Length, Length]
+    z: tuple[Length, Length]
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -334,6 +343,8 @@ class Robot(Data):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         n = len(self.axes)
+        if not self.name.strip():
+            raise ValueError(f"name: expected a name, found {self.name!r}")
         if not self.drives:
             self.__dict__["drives"] = [Drive() for _ in range(n)]
         if not len(self.links) == n == len(self.drives):
@@ -366,7 +377,10 @@ class Robot(Data):
             for name in drive.coupling:
                 if name not in self.joint_names or name == f"joint{i + 1}":
                     raise ValueError(f"drives[{i}].coupling: {name!r} is not another joint of this robot")
+        told = [prior.parameter for prior in self.priors]
         for k, prior in enumerate(self.priors):
+            if prior.parameter in told[:k]:
+                raise ValueError(f"priors[{k}].parameter: {prior.parameter!r} appears twice")
             if not _names_a_number(prior.parameter, n):
                 text = f"{prior.parameter!r} names no number; expected one as joint1.z.stiffness or EFFECT@SITE.number"
                 raise ValueError(f"priors[{k}].parameter: {text}")
