@@ -779,12 +779,13 @@ def test_a_payload_on_a_light_wrist_may_have_an_inertia_that_a_body_can_have(kr9
     assert as_written(fine, light).physics == fine.physics
 
 
-def test_a_damper_that_has_run_away_is_written_as_one_that_holds_its_joint(kr90: Robot) -> None:
-    """1e78 N·m·s/rad is what a fit of a wrong model once left; MuJoCo has no numbers for it."""
+@pytest.mark.parametrize(("quantity", "value"), [("damping", 1e78), ("stiffness", 1e51)])
+def test_what_has_run_away_is_written_as_what_holds_its_joint(kr90: Robot, quantity: str, value: float) -> None:
+    """1e78 N·m·s/rad and 1e51 N·m/rad are what fits of wrong models left; MuJoCo has no numbers for them."""
     physics = list(kr90.physics)
     k = next(k for k, entry in enumerate(physics) if entry.effect == "transverse_compliance")
-    physics[k] = physics[k].model_copy(update={"damping": 1e78})
-    axes = [kr90.axes[0].model_copy(update={"damping": 1e78}), *kr90.axes[1:]]
+    physics[k] = physics[k].model_copy(update={quantity: value})
+    axes = [kr90.axes[0].model_copy(update={quantity: value}), *kr90.axes[1:]]
     robot = physical(kr90.model_copy(update={"physics": physics, "axes": axes}))
     found = modes(linearise(assemble(without_limits(robot), np.zeros(3), brakes="on"))).frequency_hz
     assert np.isfinite(found).all()

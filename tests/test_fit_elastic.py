@@ -18,7 +18,7 @@ from twin.identify.elastic import fit_frf
 from twin.identify.elastic_compare import judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
 from twin.identify.recorded import prepare
-from twin.identify.uncertainty import combinations, estimates, profile
+from twin.identify.uncertainty import combinations, estimates, interval, profile
 from twin.measure.campaign import Campaign, Channels, PostureFRF, as_quantity, read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.uff import write_uff
@@ -435,3 +435,14 @@ def test_saturated_tolerances_are_named(measured: SimpleNamespace, tmp_path: Pat
     found = fit([tmp_path / "scaled.h5"], starts=1, hold_out=[])
     assert any("gain.21Y+ = 1.04" in text and "saturated: " in text for text in found.warnings)
     assert any("misses the data" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("x", [-3.0, -0.5, 0.0, 0.5, 3.0])
+@pytest.mark.parametrize("deviation", [0.01, 0.1, 0.2, 0.25])
+def test_no_interval_lies_beside_a_value_far_above_its_prior(x: float, deviation: float) -> None:
+    """A bearing fitted at eleven deviations of its prior, as springs are where the foundation gives way unmodelled."""
+    spring = Parameter("joint2.x.stiffness", "N·m/rad", "spring", True, 1.18e7, 0.263)
+    low, high = interval(spring, x, deviation, 0.263)
+    assert 0 < low < high
+    assert spring.value(x) < high
+    assert x <= 0 or low < spring.value(x)

@@ -1,4 +1,6 @@
-"""Fitted numbers brought back to what a body of positive mass, or a damper, can have."""
+"""Fitted numbers brought back to what a body of positive mass, a spring or a damper can have."""
+
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +10,9 @@ from twin.robot.frames import inertia_matrix, inertia_six, nearest_body
 LEAST_MOMENT = 2e-4  # of the sum of the others: the second moment put in place of a negative one
 SMALLEST = 1e-3  # m, radius of gyration that is added then: no body is a point
 LOCKED = 1e10  # N·m·s/rad (N·s/m): at 10 Hz a thousand times any joint's spring; no more is held by MuJoCo's numbers
+
+RIGID = 1e13  # N·m/rad (N/m): a thousand times the stiffest foundation; no more is held by MuJoCo's numbers
+MOST = {"stiffness": RIGID, "damping": LOCKED}
 
 
 def as_written(robot: Robot, given: Robot) -> Robot:
@@ -21,8 +26,8 @@ def physical(robot: Robot) -> Robot:
     """The robot with inertias that a body can have: second moments ∫x²dm along principal axes not below zero.
 
     A fit under Gaussian priors may leave that set where the data push it. The nearest inertia in second moments is
-    taken. A damper that has run away holds its joint, as one of ``LOCKED`` does. A robot that is physical comes back as
-    it is.
+    taken. A spring or damper that has run away holds its joint, as one of ``RIGID`` or ``LOCKED`` does. A robot that is
+    physical comes back as it is.
     """
     links = []
     for link in robot.links:
@@ -32,8 +37,8 @@ def physical(robot: Robot) -> Robot:
             body += SMALLEST**2 * mass * np.eye(3)
             link = link.model_copy(update={"inertia": tuple(inertia_six(body))})
         links.append(link)
-    axes = [a if (a.damping or 0) <= LOCKED else a.model_copy(update={"damping": LOCKED}) for a in robot.axes]
-    physics = [e if not _runs_away(e) else e.model_copy(update={"damping": LOCKED}) for e in robot.physics]
+    axes = [a.model_copy(update=most) if (most := _run_away(vars(a))) else a for a in robot.axes]
+    physics = [e.model_copy(update=most) if (most := _run_away(e.model_extra or {})) else e for e in robot.physics]
     parts = [*zip(links, robot.links, strict=True), *zip(axes, robot.axes, strict=True)]
     unchanged = all(a is b for a, b in [*parts, *zip(physics, robot.physics, strict=True)])
     return robot if unchanged else robot.model_copy(update={"links": links, "axes": axes, "physics": physics})
@@ -50,6 +55,6 @@ def _of_bodies(entry: Entry) -> Entry:
     return entry if body is given else entry.model_copy(update={"inertia": moments})
 
 
-def _runs_away(entry: Entry) -> bool:
-    damping = (entry.model_extra or {}).get("damping", 0.0)
-    return isinstance(damping, float) and damping > LOCKED
+def _run_away(numbers: dict[str, Any]) -> dict[str, float]:
+    """The springs and dampers among some numbers that hold more than MuJoCo can, each with the most."""
+    return {name: most for name, most in MOST.items() if isinstance(x := numbers.get(name), float) and x > most}

@@ -71,7 +71,7 @@ def estimates(fit: Fit) -> list[Estimate]:
         deviation = float(np.sqrt(covariance[k, k]))
         ratio = deviation / prior[k]
         held = bool(ratio < HELD) and (not parameter.log or deviation < SHARP)
-        low, high = _interval(parameter, float(x[k]), deviation, float(prior[k]))
+        low, high = interval(parameter, float(x[k]), deviation, float(prior[k]))
         drift = float(x[k] / prior[k])
         found.append(
             Estimate(parameter, float(fit.values[k]), (low, high), deviation, float(1 - ratio**2), held, drift)
@@ -79,16 +79,18 @@ def estimates(fit: Fit) -> list[Estimate]:
     return found
 
 
-def _interval(parameter: Parameter, x: float, deviation: float, prior: float) -> tuple[float, float]:
-    """5 % and 95 % quantiles of a value.
+def interval(parameter: Parameter, x: float, deviation: float, prior: float) -> tuple[float, float]:
+    """5 % and 95 % quantiles of a value, from x, its posterior deviation and that of its prior.
 
     A scale enters M, C or K linearly, so the data's likelihood is normal in the value, not in its logarithm: a damper
-    of which the data only know that it is small has an interval that the prior closes from below.
+    of which the data only know that it is small has an interval that the prior closes from below. A fit that ended
+    where these two do not balance, far above the prior of a number it hardly shows, contradicts this: then x is normal.
     """
+    ends = x - NINETY * deviation, x + NINETY * deviation
+    normal = float(parameter.value(ends[0])), float(parameter.value(ends[1]))
     nothing = deviation > (1 - NOTHING) * prior  # where a misfit is scaled up no slopes cancel: the prior is left
     if not parameter.log or deviation < 0.02 or nothing:
-        ends = x - NINETY * deviation, x + NINETY * deviation
-        return float(parameter.value(ends[0])), float(parameter.value(ends[1]))
+        return normal
     information = max(1 / deviation**2 - 1 / prior**2, 1e-12)  # of the data about x, at the optimum
     grid = np.linspace(x - 8 * prior, x + 8 * prior, 4001)
     if deviation < prior / 10:
@@ -98,6 +100,8 @@ def _interval(parameter: Parameter, x: float, deviation: float, prior: float) ->
     energy = 0.5 * information * ((ratio - likeliest) ** 2 - (1 - likeliest) ** 2) + 0.5 * (grid**2 - x**2) / prior**2
     weight = np.cumsum(np.exp(-(energy - energy.min())))
     low, high = np.interp([0.05, 0.95], weight / weight[-1], grid)
+    if x > 0 and not low < x < high:
+        return normal
     return float(parameter.value(low)), float(parameter.value(high))
 
 
