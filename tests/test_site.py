@@ -117,9 +117,16 @@ def test_formulas_of_plain_text_are_set_and_code_is_left_alone() -> None:
 
 
 def test_a_signature_bears_the_name_that_python_users_call() -> None:
-    page = '<h3 id="a.read_motion_log">twin.read_log</h3> <div class="doc-signature">'
+    page = '<h3 id="a.read_motion_log">twin.read_log</h3> <div class="language-python doc-signature highlight">'
     page += '<span class="nf">read_motion_log</span>'
     assert site_hooks.on_page_content(page) == page.replace('"nf">read_motion_log', '"nf">read_log')
+
+
+def test_a_block_that_begins_with_a_command_is_called_a_shells() -> None:
+    page = '<div class="language-text highlight"><pre><span></span><code>{}</code></pre></div>'
+    for line in ("twin example", "pip install .", "$ twin simulate cell/milling.yaml"):
+        assert 'class="language-bash highlight"' in site_hooks.on_page_content(page.format(line))
+    assert 'class="language-text highlight"' in site_hooks.on_page_content(page.format("twins = 2"))
 
 
 def test_examples_of_the_help_fit_a_terminal_of_80_columns() -> None:

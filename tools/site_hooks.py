@@ -42,10 +42,12 @@ UNITS = (
 LONG = 60  # characters of a cell, from which its column must not be a narrow one
 CALLED = re.compile(
     r"(<h3[^>]*>(?:(?!</h3>).)*?twin\.)(\w+)((?:(?!</h3>).)*</h3>\s*"
-    r"<div class=\"doc-signature(?:(?!</div>).)*?<span class=\"n[cf]\">)\w+(<)",
+    r"<div class=\"[^\"]*doc-signature(?:(?!</div>).)*?<span class=\"n[cf]\">)\w+(<)",
     re.DOTALL,
 )
 """A heading of the reference and its signature: what is called `twin.read_log` has that name in the signature too."""
+SHELL = re.compile(r"(?<=language-)text(?= highlight\"><pre>(?:<[^>]*>)*(?:\$ )?(?:twin|pip|python3?|docker|make) )")
+"""A block without a language whose first line is a command: it is called a shell's, as blocks are that say so."""
 FORMULA = re.compile("[Σ√½∝χσρ]")
 LETTER = r"(?:(?<![\w.])[A-Za-zΑ-Ωα-ω]̂?[²³]?|\|²?)"
 
@@ -55,6 +57,7 @@ def on_page_content(html: str, **_: Any) -> str:
     html = re.sub(r":(?:class|func|meth|attr|mod):(?=<code>)", "", html)
     html = "".join(map(_typeset, re.split(r"(<pre.*?</pre>|<code.*?</code>|<[^>]+>)", html, flags=re.DOTALL)))
     html = CALLED.sub(r"\1\2\3\2\4", html)
+    html = SHELL.sub("bash", html)
     html = html.replace("<pre>", '<pre tabindex="0">')
     html = re.sub(r"<p>(<img[^>]*>)</p>", r'<p class="picture" tabindex="0">\1</p>', html)
     html = re.sub(r"<h1.*?</h1>", lambda title: _breakable(title[0]), html, flags=re.DOTALL)

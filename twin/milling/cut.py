@@ -189,7 +189,7 @@ class Cut(Data):
     Attributes:
         immersion: radial depth of cut over the tool's diameter, in (0, 1].
         milling: ``up`` (conventional) or ``down`` (climb).
-        feed_per_tooth_m: m.
+        feed_per_tooth_m: advance of the tool from tooth to tooth, m.
         feed_direction: of the tool against the work, in the robot's base frame; made perpendicular to the tool's axis.
         spindle_rpm: lowest and highest spindle speed of interest.
         depth_max_m: deepest axial depth of interest.

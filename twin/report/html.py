@@ -149,6 +149,7 @@ def _environment() -> Environment:
         loader=PackageLoader("twin.report", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["inlined"] = _inlined
+    environment.filters["wide"] = _wide
     environment.filters["as_script"] = _as_script
     environment.filters["breakable"] = _breakable
     return environment
@@ -160,6 +161,12 @@ def _inlined(image: Path) -> str:
         few = picture.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         few.save(stream, "PNG", optimize=True)
         return base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def _wide(image: Path) -> int:
+    """Pixels across, so that paper does not enlarge a small picture."""
+    with Image.open(image) as picture:
+        return picture.width
 
 
 def _breakable(cell: object) -> Markup:
