@@ -17,6 +17,7 @@ from typing import Any, cast
 import h5py
 import numpy as np
 import pytest
+import scipy.io.wavfile
 from pydantic import ValidationError
 from ruamel.yaml import YAML
 
@@ -672,3 +673,20 @@ def test_a_coupled_drive_without_inertia_is_named_in_a_replay(tmp_path: Path) ->
     run = MotionRun("a", time, 0.1 * np.sin(np.column_stack([time, time])), 100.0)
     with pytest.raises(InputError, match=r"drives\[1\]\.rotor_inertia: an elastic axis needs"):
         replay(robot, run)
+
+
+def test_records_of_no_hammer_and_speeds_of_no_gear_are_refused(tmp_path: Path, twin: Twin) -> None:
+    seeds.make(tmp_path)
+    rate, record = scipy.io.wavfile.read(tmp_path / "blows.wav")
+    for channel, unit in ((0, "N"), (1, "m/s²")):
+        spoilt = record.copy()
+        spoilt[700, channel] = 1e30
+        scipy.io.wavfile.write(tmp_path / "spoilt.wav", rate, spoilt)
+        found = twin("import", tmp_path / "spoilt.wav", "--map", tmp_path / "wav-map.yaml", "--json")
+        assert found.code == 2
+        assert f"channel.{channel + 1}: expected {unit} up to" in found.err
+    assert twin("import", tmp_path / "blows.wav", "--map", tmp_path / "wav-map.yaml", "--json").code == 0
+    (tmp_path / "sheet.yaml").write_text("max_speed: [1.2e-4, 120]\n")
+    found = twin("describe", tmp_path / "arm.urdf", "--sheet", tmp_path / "sheet.yaml", "--json")
+    assert (found.code, found.err.count("\n")) == (2, 1)
+    assert "arm as the sheet and scaling laws complete it: drives[0].gear_ratio: " in found.err
