@@ -101,7 +101,7 @@ def test_a_pump_beside_one_run_is_told_and_ordinary_friction_is_not(drifting: Fi
     log = recorded(tmp_path, "--ripple", "1.5")
     name, run = next(iter(log.runs.items()))
     assert run.torque is not None
-    run.torque[:, 1] += 120.0 * np.sin(2 * np.pi * 25.0 * run.time)
+    run.torque[:, 1] += 60.0 * np.sin(2 * np.pi * 25.0 * run.time)
     found = diagnose_log(log, load_robot("kr90"))
     (told,) = [warning for warning in found.warnings if "is restless" in warning]
     assert f"'{name}' is restless at" in told

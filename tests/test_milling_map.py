@@ -10,7 +10,7 @@ from twin.errors import InputError
 from twin.identify.damping_transfer import Miss, misses_of_frf, transfer
 from twin.identify.posterior import Posterior, load_posterior, save_posterior
 from twin.identify.recorded import prepare
-from twin.identify.uncertainty import _interval
+from twin.identify.uncertainty import interval
 from twin.measure.campaign import Campaign, Channels, PostureFRF
 from twin.milling import map as work
 from twin.milling import stability
@@ -154,7 +154,7 @@ def test_draws_have_the_intervals_that_a_fit_reports():
     information = (1 - 1 / 2.3**2) * 2.3**2  # the data know it to a factor of e
     posterior = Posterior(Parameters((prior,), np.array([[2.3**2]])), np.array([-0.5]), np.array([[information]]))
     values = posterior.draw(3000, seed=1)[:, 0]
-    low, high = _interval(prior, -0.5 * 2.3, 1.0, 2.3)
+    low, high = interval(prior, -0.5 * 2.3, 1.0, 2.3)
     assert (values < low).mean() == pytest.approx(0.05, abs=0.02)
     assert (values > high).mean() == pytest.approx(0.05, abs=0.02)
 

@@ -3,22 +3,24 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from math import comb
 from typing import Any
 
 import numpy as np
 
 from twin.diagnose.records import LogRecord
-from twin.diagnose.torque_fit import base_of
-from twin.diagnose.torque_laws import entry_torque
+from twin.diagnose.torque_fit import Base, base_of
+from twin.diagnose.torque_laws import State, entry_torque
 from twin.diagnose.torque_search import Search
-from twin.diagnose.torque_signal import run_of
+from twin.diagnose.torque_signal import Run, run_of
 from twin.identify.rigid import Bands, joint_run
 from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import MotionLog
+from twin.measure.motion_log import MotionLog, MotionRun
 from twin.parallel import spread
 from twin.physics import CATALOGUE
 
-MOST = 0.5  # of the power that is left of a joint above the fit's band, all runs together
+FLAT = 8  # a motion of 5 Hz sampled at 250 Hz leaves 1e-7 of itself
+MOST = 0.5  # of the power beyond noise that is left of a joint above the fit's band, all runs together
 
 
 def spots(
@@ -58,14 +60,15 @@ def disturbances(
 ) -> list[dict[str, Any]]:
     """Bands above the fit's in which one run is restless and another is not, where that is most of what a joint has.
 
-    Friction that is not exactly as modelled, and small gear waves, differ from run to run, too; they are less.
+    Friction that is not exactly as modelled, and small gear waves, differ from run to run, too; they are less. So does
+    what noise of the encoders makes of the model's own torque: inertia follows the posture.
     The model has the answer's friction and loads, not its delays and gains: these act on every band alike.
 
     Args:
         log: as recorded; search: what was found; source: the file.
         processes: the work is spread over so many.
         wide_hz: up to which a disturbance is looked for.
-        excess: times the quietest run's power in a band is restless.
+        excess: times the power of the quietest run and of encoder noise in a band is restless.
     """
     longest_s, count = 60.0, 8  # of every run; bands
     runs = [run for run in log.runs.values() if run.torque is not None and run.sample_rate_hz >= 2.5 * wide_hz]
@@ -79,18 +82,30 @@ def disturbances(
     z = system.plain(search.after.z)
     entries = [e for e in system.entries(search.after.z) if not CATALOGUE[e.effect].records_torque]
 
+    def state_of(run: MotionRun) -> tuple[Base, Run, State]:
+        base = base_of(regressor, [run_of(regressor, joint_run(regressor.robot, run), bands)], system.base.sliding)
+        known = np.zeros(len(base.parameters))
+        known[: base.lasting] = z[: base.lasting]
+        return base, base.runs[0], base.state(0, known)
+
+    def in_bands(signal: FloatArray, rate_hz: float) -> FloatArray:
+        """Power (bands, joints) per second of a signal (samples, joints)."""
+        spectrum = np.abs(np.fft.rfft((signal - signal.mean(axis=0)) * np.hanning(len(signal))[:, None], axis=0)) ** 2
+        frequency = np.fft.rfftfreq(len(signal), 1 / rate_hz)
+        bins = [(frequency >= low) & (frequency < high) for low, high in pairwise(edges)]
+        return np.array([spectrum[inside].sum(axis=0) / len(signal) ** 2 for inside in bins])
+
     def power(number: int) -> FloatArray:
-        """Of what the model leaves of a run, (bands, joints)."""
+        """Of what the model leaves of a run, and of what encoder noise makes of its torque: (2, bands, joints)."""
         run = runs[number]
         end = int(min(len(run.time), longest_s * run.sample_rate_hz))
         short = replace(
             run, time=run.time[:end], position=run.position[:end], torque=run.torque[:end],  # type: ignore[index]
             velocity=None, acceleration=None, link_position=None,
         )  # fmt: skip
-        base = base_of(regressor, [run_of(regressor, joint_run(regressor.robot, short), bands)], system.base.sliding)
-        known = np.zeros(len(base.parameters))
-        known[: base.lasting] = z[: base.lasting]
-        state, wide = base.state(0, known), base.runs[0]
+        base, wide, state = state_of(short)
+        shaken = replace(short, position=short.position + encoder_noise(short.position, number))
+        noise = in_bands((state_of(shaken)[2].torque - state.torque)[wide.valid], wide.rate_hz)
         found = [entry_torque(wide, state, entry, entry.values) for entry in entries]
         rest = (wide.torque - state.torque)[wide.valid]
         for joint in range(rest.shape[1]):  # sizes again: the band is wider than that they were found in
@@ -99,24 +114,28 @@ def disturbances(
             ridge = np.diag([*np.full(design.shape[1], 0.1 * np.var(rest[:, joint])), *np.zeros(len(found))])
             ridge += 1e-9 * np.trace(columns.T @ columns) * np.eye(len(ridge))
             rest[:, joint] -= columns @ np.linalg.solve(columns.T @ columns + ridge, columns.T @ rest[:, joint])
-        spectrum = np.abs(np.fft.rfft((rest - rest.mean(axis=0)) * np.hanning(len(rest))[:, None], axis=0)) ** 2
-        frequency = np.fft.rfftfreq(len(rest), 1 / wide.rate_hz)
-        bins = [(frequency >= low) & (frequency < high) for low, high in pairwise(edges)]
-        return np.array([spectrum[inside].sum(axis=0) / len(rest) ** 2 for inside in bins])
+        return np.array([in_bands(rest, wide.rate_hz), noise])
 
-    P = np.array(list(spread(power, len(runs), processes)))  # runs, bands, joints
-    quiet = np.maximum(P.min(axis=0), 1e-300)
+    P, noise = np.array(list(spread(power, len(runs), processes))).swapaxes(0, 1)  # runs, bands, joints
+    expected = np.maximum(P.min(axis=0) + noise, 1e-300)
+    beyond = np.maximum(P - expected, 0.0)
     total = float(P.sum())
     places = []
     for k, run in enumerate(runs):
         for joint in range(P.shape[2]):
-            loud = P[k, :, joint] > excess * quiet[:, joint]
-            more = float((P[k, loud, joint] - quiet[loud, joint]).sum())
-            if more > MOST * P[:, :, joint].sum():
+            loud = P[k, :, joint] > excess * expected[k, :, joint]
+            if beyond[k, loud, joint].sum() > MOST * beyond[:, :, joint].sum():
                 first, last = np.flatnonzero(loud)[[0, -1]]
                 share = float(P[k, loud, joint].sum() / total)
                 places.append(_spot(source, run.name, joint, float(edges[first]), float(edges[last + 1]), share))
     return sorted(places, key=lambda spot: -spot["share"])
+
+
+def encoder_noise(position: FloatArray, seed: int) -> FloatArray:
+    """White noise (samples, joints) as large as the encoders' own, by differences of order ``FLAT``: no motion is in
+    them."""
+    size = np.diff(position, FLAT, axis=0).std(axis=0) / np.sqrt(comb(2 * FLAT, FLAT))
+    return np.asarray(size * np.random.default_rng(seed).normal(size=position.shape))
 
 
 def _spot(source: str, run: str, joint: int, low: float, high: float, share: float) -> dict[str, Any]:
