@@ -1,6 +1,7 @@
 """The edges: what breaks a reader or a calculation ends in one line, and work that is stopped leaves nothing behind."""
 
 import os
+import re
 import resource
 import shutil
 import signal
@@ -16,6 +17,8 @@ from typing import Any, cast
 import h5py
 import numpy as np
 import pytest
+import scipy.io.wavfile
+from pydantic import ValidationError
 from ruamel.yaml import YAML
 
 from tools.fuzz import seeds
@@ -28,6 +31,7 @@ from twin.diagnose.joint import Knowledge
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError, NumericalError, numbers_of
 from twin.importing import matlab
+from twin.importing.map import LogMap
 from twin.measure import hdf5
 from twin.measure.campaign import Hits, check_campaign, read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
@@ -38,10 +42,11 @@ from twin.milling.cut import read_cut
 from twin.milling.stability import collocate
 from twin.milling.tool_point import with_tool
 from twin.model.parameters import free_parameters
+from twin.model.replay import replay
 from twin.physics import CATALOGUE
 from twin.ranges import ill_named
 from twin.robot.datasheet import read_sheet, read_tools
-from twin.robot.description import Robot, parse_robot
+from twin.robot.description import Robot, first_problem, parse_robot
 from twin.robot.urdf import read_urdf
 from twin.stopping import TIMED_OUT, Stopped, hold, stoppable
 from twin.yamlfile import read_yaml
@@ -425,7 +430,7 @@ def test_a_clock_set_back_is_of_no_consequence(tmp_path: Path) -> None:
     assert max(path.stat().st_mtime for path in (tmp_path / "out").rglob("*") if path.is_file()) < 4e9
 
 
-@pytest.mark.parametrize("suffix", ["tdms", "wav", "mcap"])
+@pytest.mark.parametrize("suffix", ["tdms", "wav", "mcap", "mat"])
 def test_foreign_files_cut_short_are_refused(tmp_path: Path, suffix: str, twin: Twin) -> None:
     seeds.make(tmp_path)
     file = tmp_path / f"cut.{suffix}"
@@ -527,6 +532,7 @@ def test_a_node_that_is_struck_has_a_place(tmp_path: Path, frf: Path) -> None:
         ),
         ("brakes=", "averages=5 peak_force_n=100q\n", "expected numbers in the ID lines: .*100q"),
         ("q_deg=", "q_deg=1e12\n", "expected q_deg=.* as before in this posture, found 1e12"),
+        ("         6", "         6       x01\n", r"data set \d+ from line \d+: its lines are not as type 58 lays down"),
     ],
 )
 def test_a_universal_file_whose_words_are_no_numbers_is_refused(
@@ -602,3 +608,85 @@ def test_what_no_robot_has_is_refused(kr90: Robot, place: tuple[Any, ...], value
     holder[place[-1]] = value
     with pytest.raises(InputError, match=problem):
         parse_robot(data)
+
+
+def test_a_modal_table_is_diagnosed_within_limits(tmp_path: Path, twin: Twin) -> None:
+    (tmp_path / "two.yaml").write_text(seeds.ROBOT)
+    table = "robot: two.yaml\npostures: {a: {q_deg: [1.0e+7, 40], modes: [{frequency_hz: 41.7, damping_percent: 5}]}}\n"
+    (tmp_path / "modes.yaml").write_text(table)
+    found = twin("diagnose", tmp_path / "modes.yaml", "--json")
+    assert found.code == 2
+    assert "modes.yaml: postures.a.q_deg[0]: joint1 at 1e+07° is outside its limits" in found.err
+
+
+def test_recordings_that_are_there_twice_are_refused(tmp_path: Path, frf: Path) -> None:
+    campaign = read_campaign(frf)
+    posture = next(iter(campaign.postures.values()))
+    with pytest.raises(InputError, match=r"postures/b: expected every posture once, .* as 'a'"):
+        check_campaign("a.h5", replace(campaign, postures={"a": posture, "b": replace(posture)}))
+    other = replace(posture, peak_force_n=2 * (posture.peak_force_n or 1.0))
+    check_campaign("a.h5", replace(campaign, postures={"a": posture, "b": other}))
+    time = np.arange(0, 2, 0.01)
+    run = MotionRun("a", time, np.sin(time)[:, None], 100.0, torque=np.cos(time)[:, None])
+    write_motion_log(tmp_path / "log.h5", MotionLog({"a": run, "b": replace(run, name="b")}))
+    with pytest.raises(InputError, match=r"runs/b: expected every run once, .* as 'a'"):
+        read_recordings([tmp_path / "log.h5"])
+
+
+@pytest.mark.parametrize(
+    ("row", "problem"),
+    [("1,2", "expected 3 numbers separated by commas, found '1,2'"), ("1,None,2", "found '1,None,2'")],
+)
+def test_a_row_that_is_none_is_told_by_its_line(tmp_path: Path, row: str, problem: str) -> None:
+    (tmp_path / "log.csv").write_text(f"time,q1,tau1\n0,0,0\n\n{row}\n")
+    with pytest.raises(InputError, match=f"log.csv: line 4: .*{problem}"):
+        read_recordings([tmp_path / "log.csv"])
+
+
+@pytest.mark.parametrize(
+    ("cut", "problem"),
+    [
+        ({"immersion": 1e-306}, "immersion: input should be greater than or equal to 0.00001"),
+        ({"feed_per_tooth_m": 1e-300}, "feed_per_tooth_m: input should be greater"),
+        ({"tool": {"teeth": "x" * 5000}}, r"tool\.teeth: .{1,99}$"),
+    ],
+)
+def test_a_cut_that_removes_nothing_is_refused_and_long_words_are_cut(cut: dict[str, Any], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        read_cut(cut)
+
+
+def test_a_line_names_fields_and_no_types_and_shows_no_word_of_thousands() -> None:
+    for value, problem in (
+        ({"channels": 1e-9}, r"position\.channels: expected a word"),
+        ({"channels": "q", "factor": 1e300}, r"position\.factor: expected a plausible number"),
+    ):
+        with pytest.raises(ValidationError) as caught:
+            LogMap.model_validate({"makes": "motion-log", "position": value, "torque": {"channels": "t"}})
+        assert re.match(problem, ": ".join(first_problem(caught.value)))
+    assert len(str(InputError("a.yaml", "name", f"expected a name, found {'x' * 5000}"))) < 120
+
+
+def test_a_coupled_drive_without_inertia_is_named_in_a_replay(tmp_path: Path) -> None:
+    robot = parse_robot(YAML(typ="safe", pure=True).load(seeds.ROBOT.replace("2.0e-3, coupling", "0, coupling")))
+    time = np.arange(0, 2, 0.01)
+    run = MotionRun("a", time, 0.1 * np.sin(np.column_stack([time, time])), 100.0)
+    with pytest.raises(InputError, match=r"drives\[1\]\.rotor_inertia: an elastic axis needs"):
+        replay(robot, run)
+
+
+def test_records_of_no_hammer_and_speeds_of_no_gear_are_refused(tmp_path: Path, twin: Twin) -> None:
+    seeds.make(tmp_path)
+    rate, record = scipy.io.wavfile.read(tmp_path / "blows.wav")
+    for channel, unit in ((0, "N"), (1, "m/s²")):
+        spoilt = record.copy()
+        spoilt[700, channel] = 1e30
+        scipy.io.wavfile.write(tmp_path / "spoilt.wav", rate, spoilt)
+        found = twin("import", tmp_path / "spoilt.wav", "--map", tmp_path / "wav-map.yaml", "--json")
+        assert found.code == 2
+        assert f"channel.{channel + 1}: expected {unit} up to" in found.err
+    assert twin("import", tmp_path / "blows.wav", "--map", tmp_path / "wav-map.yaml", "--json").code == 0
+    (tmp_path / "sheet.yaml").write_text("max_speed: [1.2e-4, 120]\n")
+    found = twin("describe", tmp_path / "arm.urdf", "--sheet", tmp_path / "sheet.yaml", "--json")
+    assert (found.code, found.err.count("\n")) == (2, 1)
+    assert "arm as the sheet and scaling laws complete it: drives[0].gear_ratio: " in found.err

@@ -1,8 +1,15 @@
 """What a command can end with: a user's input that breaks a contract, or numbers that no calculation survives."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+LONG = re.compile(r"\S{300,}")  # a word that no line should show whole: of a user's file, or bytes
+
+
+def _middle_out(word: re.Match[str]) -> str:
+    return f"{word[0][:40]}…{word[0][-20:]}"
 
 
 class _Placed(Exception):
@@ -10,7 +17,7 @@ class _Placed(Exception):
 
     def __init__(self, source: str | Path, field: str, expected: str) -> None:
         self.source, self.field, self.expected = str(source), field, expected
-        parts = (self.source, field, expected)
+        parts = (self.source, *(LONG.sub(_middle_out, part) for part in (field, expected)))
         super().__init__(": ".join(" ".join(part.split()) for part in parts if part))
 
     def __reduce__(self) -> tuple[type, tuple[str, str, str]]:

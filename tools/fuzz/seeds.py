@@ -94,7 +94,7 @@ WAV_MAP = """makes: frf-campaign
 robot: two.yaml
 postures: {bent: {q_deg: [10, 40], brakes: "on"}}
 force: {channels: channel.1, unit: N, factor: 1000}
-response: [{label: 1X+, channel: channel.2, unit: m/s^2, factor: 10, body: link2, position: [0.8, 0, 0]}]
+response: [{label: 1Z+, channel: channel.2, unit: m/s^2, factor: 10, body: link2, position: [0.8, 0, 0]}]
 excitation: [{label: 1Z+, body: link2, position: [0.8, 0, 0]}]
 record_s: 0.9
 pretrigger_s: 0.0
@@ -254,7 +254,7 @@ def _foreign(folder: Path) -> None:
         states.finish()
     with h5py.File(folder / "hits.h5") as file:
         hits = next(iter(file["postures"].values()))["hits"]
-        force, response = hits["force"][0], hits["response"][0]
+        force, response = hits["force"][1], hits["response"][1]  # both along Z: along X nothing is heard
         rate = float(next(iter(file["postures"].values()))["hits"].attrs["sample_rate_hz"])
     record = np.column_stack([force.ravel(), response[:, 0].ravel()])
     scipy.io.wavfile.write(folder / "blows.wav", round(rate), (record / [1000, 10]).astype(np.float32))

@@ -110,7 +110,7 @@ def diagnose_table(
     free = free_parameters(base).only("spring", "entry", "link")
     if not free.items or not any(p.kind == "spring" for p in free):
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
-    postures = {name: p for name, p in modal_postures(table, base).items() if len(p.frequency_hz)}
+    postures = {name: p for name, p in modal_postures(table, given, source).items() if len(p.frequency_hz)}
     kept = {name: p for name, p in postures.items() if name in (hold_out or ())}
     used = {name: p for name, p in postures.items() if name not in kept}
     if not used:

@@ -14,6 +14,7 @@ from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureF
 from twin.measure.motion_log import MotionLog, MotionRun, even_run
 from twin.measure.spectra import posture_from_hits
 from twin.measure.units import factor, frf_factor, same
+from twin.ranges import check_array
 
 RECORD_DECAY = 5.0  # rate of the exponential window times the record: e⁻⁵ is left at its end, and hardly any leakage
 RATE_PER_LINE = 2.56  # samples per second over the highest line an analyser shows: room for its anti-alias filter
@@ -24,6 +25,8 @@ MEASURES = {  # of a motion log: on a revolute, on a linear axis
     "acceleration": ("angular acceleration", "acceleration"),
     "link_position": ("angle", "length"),
 }
+
+RECORDS = {("force",): "N", ("acceleration",): "m/s²"}  # of a hammer test, by what they measure
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,10 @@ class Source:
         lengths = sorted({value.shape for value in values})
         if len(lengths) > 1 or len(lengths[0]) != 1 or values[0].dtype.kind not in "iuf":
             raise InputError(self.path, field, f"expected real channels of one length, found shapes {lengths}")
-        return np.stack(values, axis=1).astype(float) * factors * scale
+        found: FloatArray = np.stack(values, axis=1).astype(float) * factors * scale
+        if measures in RECORDS:
+            check_array(self.path, f"{field}: {', '.join(names)}", found, RECORDS[measures])
+        return found
 
     def _some(self) -> str:
         names = list(self.table.channels)

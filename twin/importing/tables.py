@@ -29,6 +29,7 @@ READERS = {
     ".mcap": "mcap_log",
 }
 """Suffix → module of this package."""
+MOST_SAID = 200  # characters of what a library says: some repeat the bytes they could not read
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,14 @@ def read_tables(path: Path) -> list[Table]:
     read: Callable[[Path], list[Table]] = import_module(f"twin.importing.{module}").read
     try:
         tables = [table for table in read(path) if table.channels]
-    except (InputError, OSError):
+    except InputError:
         raise
     except Exception as error:  # whatever a library raises over a damaged file
+        if isinstance(error, OSError) and error.filename:  # of the system, which names the file
+            raise
+        said = str(error).splitlines()[0] if str(error) else repr(error)
         raise InputError(
-            path, "", f"cannot be read: {str(error).splitlines()[0] if str(error) else error!r}"
+            path, "", f"cannot be read: {said[:MOST_SAID]}{' …' if len(said) > MOST_SAID else ''}"
         ) from error
     if not tables:
         raise InputError(path, "", "expected channels of numbers, found none")

@@ -5,8 +5,9 @@ is e^{+iωt}; every frequency response function (FRF) is SI per newton. What the
 :func:`check_campaign`, once, whichever format it came from.
 """
 
+import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -220,6 +221,33 @@ def check_campaign(source: str | Path, campaign: Campaign) -> None:
         _check_posture(
             source, f"postures/{name}", posture, len(campaign.response.label), len(campaign.excitation.label)
         )
+    if found := twice((name, _recorded(posture)) for name, posture in campaign.postures.items()):
+        again, first = found
+        problem = f"expected every posture once, the same recording is also there as {first!r}"
+        raise InputError(source, f"postures/{again}", problem)
+
+
+def _recorded(posture: PostureFRF) -> tuple[object, ...]:
+    stated = (posture.q_deg, posture.brakes, posture.quantity, posture.peak_force_n, posture.exponential_window_rate)
+    return (*stated, posture.frequency, posture.frf, posture.hits and posture.hits.response)
+
+
+def twice(parts: Iterable[tuple[str, Sequence[object]]]) -> tuple[str, str] | None:
+    """Name of the first part that holds, bit for bit, what one before it holds, and the name of that.
+
+    It would count twice, and intervals come out too narrow.
+    """
+    met: dict[bytes, str] = {}
+    for name, values in parts:
+        seen = hashlib.sha256()
+        for value in values:
+            plain = (
+                np.ascontiguousarray(value).reshape(-1).view(np.uint8).data if isinstance(value, np.ndarray) else None
+            )
+            seen.update(repr(value).encode() if plain is None else plain)
+        if (first := met.setdefault(seen.digest(), name)) != name:
+            return name, first
+    return None
 
 
 def check_channels(source: str | Path, side: str, channels: Channels) -> None:

@@ -4,6 +4,8 @@ A trajectory is a motion log without torque. Positions are the motor encoder div
 motor torque times the gear ratio, both at the gear output.
 """
 
+import reprlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +15,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.files import replacing, writing
-from twin.measure.campaign import FloatArray
+from twin.measure.campaign import FloatArray, twice
 from twin.measure.hdf5 import Node, opened
 from twin.measure.signals import resample
 from twin.ranges import check_array, ill_named, implausible
@@ -114,6 +116,10 @@ def read_motion_log(path: str | Path) -> MotionLog:
             notes += repairs
             if kind == "motion-log" and runs[name].torque is None:
                 raise InputError(path, f"{group.field}/torque", "missing")
+        told = [(name, (run.time, run.position, run.torque)) for name, run in runs.items() if run.torque is not None]
+        if again := twice(told):
+            problem = f"expected every run once, the same recording is also there as {again[1]!r}"
+            raise InputError(path, f"runs/{again[0]}", problem)
         return MotionLog(runs, root.text("robot"), str(path), tuple(notes))
 
 
@@ -416,7 +422,8 @@ def _read_csv(path: Path) -> MotionLog:
     try:
         table = np.loadtxt(lines[1:], delimiter=",", ndmin=2) if any(map(str.strip, lines[1:])) else np.empty((0, 1))
     except ValueError as error:
-        raise InputError(path, "", f"expected numbers separated by commas: {error}") from error
+        where, found = _no_row(lines[1:], len(header))
+        raise InputError(path, where, f"expected {len(header)} numbers separated by commas, found {found}") from error
     if not len(table):
         raise InputError(path, "", "expected rows of numbers, found none")
     if table.shape[1] != len(header):
@@ -429,6 +436,18 @@ def _read_csv(path: Path) -> MotionLog:
     rate = 1 / float(np.median(steps[steps > 0])) if np.any(steps > 0) else 1.0
     run, notes = even_run(path, "csv", path.stem, time, series, rate)
     return MotionLog({path.stem: run}, None, str(path), tuple(notes))
+
+
+def _no_row(lines: Sequence[str], width: int) -> tuple[str, str]:
+    """Number and text of the first line below the header that is not ``width`` numbers."""
+    for number, line in enumerate(lines, 2):
+        try:
+            words = [float(word) for word in line.partition("#")[0].split(",")]
+        except ValueError:
+            words = []
+        if line.strip() and len(words) != width:
+            return f"line {number}", reprlib.repr(line.strip())
+    return "", "others"
 
 
 def _write_csv(path: Path, log: MotionLog) -> None:

@@ -33,6 +33,7 @@ from twin.measure.units import frf_factor, same
 TIME_FUNCTION, FRF_FUNCTION, COHERENCE_FUNCTION = 1, 4, 6
 ACCELERATION_DATA, TIME_DATA = 12, 17
 MARK = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")  # begins and ends a data set
+NEWLINE = b"\n"
 FREQUENCY_DATA = 18
 FORCE_DATA = (9, 13)  # reaction and excitation force
 ORDINATE: dict[int, tuple[Quantity, str]] = {
@@ -98,7 +99,7 @@ def read_uff(
     nodes, placed = dict(points or {}), False
     lines: list[tuple[int, ...]] = []
     for file in files:
-        for number, dataset in enumerate(_datasets(file), 1):
+        for number, dataset in _datasets(file).items():
             if dataset.get("type") in (15, 2411) and points is None:
                 placed = True
                 nodes |= _points(file, number, dataset)
@@ -160,7 +161,7 @@ def read_uff_responses(
     lines: list[tuple[int, ...]] = []
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for file in paths:
-        for number, dataset in enumerate(_datasets(file), 1):
+        for number, dataset in _datasets(file).items():
             if dataset.get("type") in (15, 2411):
                 nodes |= _points(file, number, dataset)
             elif dataset.get("type") == 82:
@@ -215,7 +216,7 @@ def _points(file: Path, number: int, dataset: dict[str, Any]) -> dict[int, Point
 
 def stated_unit(path: str | Path) -> str | None:
     """Unit of the FRFs, as ``g/N``, where the axis labels of a universal file state it."""
-    for dataset in _datasets(Path(path)):
+    for dataset in _datasets(Path(path)).values():
         if dataset.get("type") == 58 and int(dataset["func_type"]) == FRF_FUNCTION:
             response, force = (
                 str(dataset.get(f"{side}_axis_units_lab", "")).strip() for side in ("ordinate", "orddenom")
@@ -225,27 +226,44 @@ def stated_unit(path: str | Path) -> str | None:
     return None
 
 
-def _datasets(path: Path) -> list[dict[str, Any]]:
+def _datasets(path: Path) -> dict[int, dict[str, Any]]:
+    """Data sets of the types that are used, by their number in the file, from 1."""
     if not path.is_file():
         raise InputError(path, "", "expected a file, there is none")
     try:
         with redirect_stdout(StringIO()):
             file = pyuff.UFF(str(path))
             kinds = file.get_set_types()
-            found = [file.read_sets(n) for n, kind in enumerate(kinds) if kind in (15, 55, 58, 82, 164, 2411)]
     except Exception as error:
         raise InputError(path, "", f"expected a universal file: {error}") from None
+    found = {}
+    for number, kind in enumerate(kinds, 1):
+        if kind in (15, 55, 58, 82, 164, 2411):
+            try:
+                with redirect_stdout(StringIO()):
+                    found[number] = file.read_sets(number - 1)
+            except Exception:  # the library's own text does not say what is wrong
+                text = f"its lines are not as type {kind} lays down: one is damaged, missing or doubled"
+                raise InputError(path, f"data set {number}{_from_line(path, number)}", text) from None
     if untold := [n for n, kind in enumerate(kinds, 1) if kind < 1]:
         raise InputError(path, f"data set {untold[0]}", "expected its type on the first line, a number as 58")
     _check_whole(path, found)
     return found
 
 
-def _check_whole(path: Path, found: list[dict[str, Any]]) -> None:
+def _from_line(path: Path, number: int) -> str:
+    """Where a data set begins."""
+    data = path.read_bytes()
+    marks = [mark.end() for mark in MARK.finditer(data)]
+    at = 2 * (number - 1)
+    return f" from line {1 + data.count(NEWLINE, 0, marks[at])}" if at < len(marks) else ""
+
+
+def _check_whole(path: Path, found: dict[int, dict[str, Any]]) -> None:
     """A file that ends inside a data set was cut short; a data set 58 holds as many values as it states."""
     if len(MARK.findall(path.read_bytes())) % 2:
         raise InputError(path, "", "ends inside a data set: the file is cut short; expected it whole")
-    for number, dataset in enumerate(found, 1):
+    for number, dataset in found.items():
         if dataset.get("type") == 58 and int(dataset["num_pts"]) != len(dataset["data"]):
             held, stated = len(dataset["data"]), int(dataset["num_pts"])
             raise InputError(path, f"data set {number}", f"expected the {stated} values it states, found {held}")

@@ -187,7 +187,7 @@ class Cut(Data):
     """What is cut, how.
 
     Attributes:
-        immersion: radial depth of cut over the tool's diameter, in (0, 1].
+        immersion: radial depth of cut over the tool's diameter, 1e-5 to 1.
         milling: ``up`` (conventional) or ``down`` (climb).
         feed_per_tooth_m: advance of the tool from tooth to tooth, m.
         feed_direction: of the tool against the work, in the robot's base frame; made perpendicular to the tool's axis.
@@ -200,12 +200,12 @@ class Cut(Data):
     coefficients: Annotated[Coefficients, BeforeValidator(_by_name)] = Field(
         default="aluminium_7075", validate_default=True
     )
-    immersion: Annotated[Number, Field(gt=0, le=1)] = 0.5
+    immersion: Annotated[Number, Field(ge=1e-5, le=1)] = 0.5
     milling: Literal["up", "down"] = "down"
-    feed_per_tooth_m: Annotated[Number, Field(gt=0, le=5e-3)] = 1e-4
+    feed_per_tooth_m: Annotated[Number, Field(ge=1e-9, le=5e-3)] = 1e-4
     feed_direction: Vector = (1.0, 0.0, 0.0)
     spindle_rpm: tuple[Positive, Positive] = (1000.0, 12000.0)
-    depth_max_m: Annotated[Number, Field(gt=0, le=1.0)] = 0.01
+    depth_max_m: Annotated[Number, Field(ge=1e-6, le=1.0)] = 0.01
     table_z_m: Number | None = 0.0
     _source: str = PrivateAttr("cut")
     _folder: Path | None = PrivateAttr(None)

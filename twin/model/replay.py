@@ -171,7 +171,8 @@ def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) ->
     model = build_spec(mechanism, instruments=False, balanced=False).compile()
     for i, axis in enumerate(robot.axes):
         rotor = model.dof_armature[model.joint(f"motor{i + 1}").dofadr[0]]
-        if axis.stiffness is not None and rotor <= 0 and not robot.drives[i].coupling:
+        coupled = robot.drives[i].coupling and robot.drives[i].rotor_inertia > 0  # it has no joint of its own
+        if axis.stiffness is not None and rotor <= 0 and not coupled:
             where = f"drives[{i}].rotor_inertia"
             raise InputError(robot.name, where, "an elastic axis needs its rotor's inertia in a replay")
     free = linearise(assemble(robot, mechanism.q - robot.encoder_zeros, drives="free"))

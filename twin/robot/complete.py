@@ -70,7 +70,7 @@ class Filler:
 
     def robot(self) -> Robot:
         """What is complete so far."""
-        return parse_robot(self.data)
+        return parse_robot(self.data, f"{self.data['name']} as the sheet and scaling laws complete it")
 
 
 def complete(data: dict[str, Any], reduced: Reduced, sheet: Sheet) -> Robot:

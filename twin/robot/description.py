@@ -555,7 +555,10 @@ _SHAPES = {
 def first_problem(error: ValidationError) -> tuple[str, str]:
     """Field and message of the first problem that validation found, for one line."""
     first = error.errors()[0]
-    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).lstrip(".")
+    place = first["loc"]
+    if place and _is_type(place[-1]) and first["type"] != "extra_forbidden":
+        place = place[:-1]
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "extra_forbidden":
         message = "unknown field"
@@ -567,8 +570,13 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
         few, many = (first["ctx"].get(f"{bound}_length") for bound in ("min", "max"))
         message = f"expected at {f'most {many}' if many else f'least {few}'}, found {len(first['input'])}"
     elif not first["msg"].startswith("Value error") and not isinstance(first["input"], dict | list):
-        message = f"{message[0].lower()}{message[1:]}, found {first['input']!r}"
+        message = f"{message[0].lower()}{message[1:]}, found {reprlib.repr(first['input'])}"
     return where, message
+
+
+def _is_type(part: int | str) -> bool:
+    """Whether the end of a place is no field, but the validator's name of one of several types that would fit."""
+    return isinstance(part, str) and re.fullmatch(r"str|(list|dict|tuple|function-\w+)\[.*\]", part) is not None
 
 
 SHIPPED = next(
