@@ -351,7 +351,7 @@ def test_lobes_say_how_sure_they_are_only_where_it_is_known(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("cut", "line"),
     [
-        ({"depth_max_m": -0.001}, "depth_max_m: input should be greater than 0"),
+        ({"depth_max_m": -0.001}, "depth_max_m: input should be greater than or equal to"),
         ({"coefficients": {"kt_n_per_m2": 600}}, "kt_n_per_m2: expected N/m².*multiply it by 1e6"),
         ({"coefficients": {"kt_n_per_m2": 6e8, "kte_n_per_m": 12}}, "kte_n_per_m: expected N/m, .*multiply it by 1e3"),
         ({"coefficients": {"kt_n_per_m2": 6e8, "process_damping_n_per_m": 600}}, "g_n_per_m: expected N/m, .*1e3"),

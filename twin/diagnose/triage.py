@@ -1,5 +1,6 @@
 """Before any physics: can the recording be believed, and which postures are kept aside to judge by."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -52,10 +53,22 @@ class Triage:
 
     @property
     def warnings(self) -> list[str]:
-        """Failed checks, one line each, and what was assumed."""
-        failed = [check for check in self.checks if not check.passed]
-        notes = [Note(str(check).removeprefix("FAIL "), check.kind.replace(" ", "_"), "fail") for check in failed]
+        """Failed checks, one line for all postures, and what was assumed."""
+        failed: dict[tuple[str, str], list[Check]] = {}
+        for check in self.checks:
+            if not check.passed:
+                failed.setdefault((check.kind, check.subject), []).append(check)
+        notes = [Note(_told(some), kind.replace(" ", "_"), "fail") for (kind, _), some in failed.items()]
         return [*notes, *self.assumed]
+
+
+def _told(some: Sequence[Check]) -> str:
+    """The worst of some failed checks of one subject, and of how many."""
+    worst = min(some, key=lambda check: check.value if check.kind == "driving point" else -check.value)
+    told = str(worst).removeprefix("FAIL ")
+    if worst.kind == "reciprocity":
+        told += " of their mean is what they differ by"
+    return told if len(some) == 1 else f"{told} in the worst of {len(some)} postures where this fails"
 
 
 def believed(campaign: Campaign, robot: Robot, source: str) -> tuple[dict[str, Recorded], float]:
