@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from twin.diagnose.triage import Triage
 from twin.errors import InputError
 from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, read_campaign, write_campaign
 from twin.measure.modal import identify_modes
 from twin.measure.spectra import (
-    Check,
     driving_points,
     judge_hits,
     linearity,
@@ -230,14 +228,3 @@ def test_a_posture_of_hits_alone_is_read_and_gets_its_frfs(tmp_path: Path) -> No
     assert found.postures["test"].frequency[-1] <= hits(duration=4).sample_rate_hz / 2.56
     np.testing.assert_array_equal(found.postures["test"].frf, posture.frf[:kept])
     assert str(tables["test"]) == "9 of 9 hits accepted"
-
-
-def test_a_failed_check_is_told_once_for_all_postures() -> None:
-    """Eighteen lines of three pairs told a user nothing more than three."""
-    pair = "21X+/21Z+ and 21Z+/21X+"
-    checks = [Check("reciprocity", pair, value, False) for value in (0.2, 0.334, 0.3)]
-    found = Triage({}, (), (*checks, Check("driving point", "7Z+/7Z+", 0.4, False)), False)
-    assert found.warnings == [
-        f"reciprocity {pair}: 0.334 of their mean is what they differ by in the worst of 3 postures where this fails",
-        "driving point 7Z+/7Z+: 0.4",
-    ]

@@ -13,11 +13,12 @@ from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
 from twin.diagnose.frf_faults import put_right
 from twin.diagnose.states import sorted_out
-from twin.diagnose.triage import triage
+from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import Verdict
 from twin.identify.objective import Sample
 from twin.identify.recorded import without_limits
 from twin.measure.campaign import read_campaign
+from twin.measure.spectra import Check
 from twin.robot.description import load_robot
 
 
@@ -135,3 +136,14 @@ def test_a_hammer_in_another_unit_is_seen_in_all_channels(channels: list[int], t
     assert len(campaign.response.label) == 3
     _, notes = put_right(campaign, robot, "frf.h5")
     assert [note.kind for note in notes] == told
+
+
+def test_a_failed_check_is_told_once_for_all_postures() -> None:
+    """Eighteen lines of three pairs told a user nothing more than three."""
+    pair = "21X+/21Z+ and 21Z+/21X+"
+    checks = [Check("reciprocity", pair, value, False) for value in (0.2, 0.334, 0.3)]
+    found = Triage({}, (), (*checks, Check("driving point", "7Z+/7Z+", 0.4, False)), False)
+    assert found.warnings == [
+        f"reciprocity {pair}: the two differ by 33% of their mean in the worst of 3 postures where this fails",
+        "driving point 7Z+/7Z+: 0.4",
+    ]

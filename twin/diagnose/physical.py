@@ -10,9 +10,8 @@ from twin.robot.frames import inertia_matrix, inertia_six, nearest_body
 LEAST_MOMENT = 2e-4  # of the sum of the others: the second moment put in place of a negative one
 SMALLEST = 1e-3  # m, radius of gyration that is added then: no body is a point
 LOCKED = 1e10  # N·m·s/rad (N·s/m): at 10 Hz a thousand times any joint's spring; no more is held by MuJoCo's numbers
-
 RIGID = 1e13  # N·m/rad (N/m): a thousand times the stiffest foundation; no more is held by MuJoCo's numbers
-MOST = {"stiffness": RIGID, "damping": LOCKED}
+HARDEST = {"stiffness": RIGID, "damping": LOCKED}
 
 
 def as_written(robot: Robot, given: Robot) -> Robot:
@@ -57,4 +56,4 @@ def _of_bodies(entry: Entry) -> Entry:
 
 def _run_away(numbers: dict[str, Any]) -> dict[str, float]:
     """The springs and dampers among some numbers that hold more than MuJoCo can, each with the most."""
-    return {name: most for name, most in MOST.items() if isinstance(x := numbers.get(name), float) and x > most}
+    return {name: most for name, most in HARDEST.items() if isinstance(x := numbers.get(name), float) and x > most}

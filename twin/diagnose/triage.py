@@ -67,7 +67,7 @@ def _told(some: Sequence[Check]) -> str:
     worst = min(some, key=lambda check: check.value if check.kind == "driving point" else -check.value)
     told = str(worst).removeprefix("FAIL ")
     if worst.kind == "reciprocity":
-        told += " of their mean is what they differ by"
+        told = f"{worst.kind} {worst.subject}: the two differ by {worst.value:.0%} of their mean"
     return told if len(some) == 1 else f"{told} in the worst of {len(some)} postures where this fails"
 
 
