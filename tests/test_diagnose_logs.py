@@ -45,7 +45,7 @@ from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_
 from twin.diagnose.torque_signal import Run, prepare, thinned
 from twin.diagnose.verdict import Finding, Missing, Verdict
 from twin.errors import InputError
-from twin.identify.rigid import Bands
+from twin.identify.rigid import Bands, in_joints
 from twin.identify.rigid_compare import compare_log
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
@@ -691,13 +691,29 @@ def test_emps_from_viscous_only_comes_to_dry_and_direction_dependent_friction() 
 
 @needs("tx40")
 def test_the_tx40s_wrist_is_found_to_be_coupled() -> None:
-    """Nine seconds of a small robot: joint 6 is predicted to 0.65 N·m on blocks not used, as when it is known."""
-    robot = load_robot(DATA / "tx40.yaml").without(["joint_coupling"])
-    found = diagnose_log(tx40(), robot, "tx40")
+    """Nine seconds of a small robot, its axes recorded: joints 5 and 6 are predicted as when the coupling is known."""
+    described = load_robot(DATA / "tx40.yaml")
+    drives = [drive.model_copy(update={"coupling": {}}) for drive in described.drives]
+    found = diagnose_log(in_joints(tx40(), described), described.model_copy(update={"drives": drives}), "tx40")
     assert found.missing[0].first.key == "joint_coupling@joint5"
-    low, high = found.missing[0].first.parameters["ratio"]["interval90"]
-    assert low < 1.0 < high
     assert not any(missing.first.effect == "stribeck_friction" for missing in found.missing)
+    before, after = _held_out_rms(found)
+    assert np.all(before[4:] > [8, 2.5])
+    assert np.all(after[4:] <= [1.0, 0.65])
+
+
+@needs("tx40")
+def test_friction_of_the_tx40s_coupled_drive_is_on_both_axes() -> None:
+    """A described coupling explains its drive's friction on both: nothing is missing at the wrist."""
+    found = diagnose_log(tx40(), load_robot(DATA / "tx40.yaml"), "tx40")
+    assert {missing.first.site for missing in found.missing} <= {"joint1", "joint2", "joint3"}
+    before, _ = _held_out_rms(found)
+    assert np.all(before[4:] <= [1.3, 0.65])
+
+
+def _held_out_rms(found: Finding) -> tuple[FloatArray, FloatArray]:
+    """RMS (n,) of the error before and after, N·m."""
     (kept,) = [record for record in found.records if record.held_out]
-    rest = (kept.measured - kept.predicted["after"])[kept.valid]  # type: ignore[union-attr]
-    assert np.sqrt(np.mean(rest[:, 5] ** 2)) <= 0.65
+    rests = ((kept.measured - kept.predicted[stage])[kept.valid] for stage in ("before", "after"))  # type: ignore[union-attr]
+    before, after = (np.sqrt(np.mean(rest**2, axis=0)) for rest in rests)
+    return before, after

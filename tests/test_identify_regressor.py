@@ -10,18 +10,18 @@ import pytest
 from tests.test_pinocchio import rigid_model
 from twin.errors import NumericalError
 from twin.identify.base_parameters import structural_base
+from twin.measure.motion_log import MotionRun
 from twin.model.regressor import (
     Regressor,
     body_of,
-    coupling_matrix,
     inertial_vector,
     link_regressor,
     pseudo_inertia,
     rotor_body_regressor,
 )
-from twin.model.replay import inverse_dynamics
+from twin.model.replay import inverse_dynamics, motion_of, replay
 from twin.physics.motion import Motion
-from twin.robot.description import Robot, load_robot, parse_robot
+from twin.robot.description import Entry, Robot, load_robot, parse_robot
 from twin.robot.frames import matrix_of, rotation_x, rotation_z
 
 DATA = Path(__file__).parent / "data"
@@ -227,8 +227,37 @@ def test_a_coupled_motor_turns_with_both_axes(kr90: Robot) -> None:
     """θ = C q and power is the same in both coordinates: τ_qᵀ q̇ = τ_θᵀ θ̇."""
     drives = [drive.model_copy() for drive in kr90.drives]
     drives[2] = drives[2].model_copy(update={"coupling": {"joint2": 0.5}})
-    C = coupling_matrix(kr90.model_copy(update={"drives": drives}))
+    C = kr90.model_copy(update={"drives": drives}).coupling
     np.testing.assert_array_equal(C, [[1, 0, 0], [0, 1, 0], [0, 0.5, 1]])
+
+
+def test_a_coupled_drive_s_friction_loads_both_axes(kr90: Robot) -> None:
+    """F sgn θ̇₃ at the motor is as much on axis 3 and half of it on axis 2: in dynamics, columns and a replay."""
+    drives = [drive.model_copy() for drive in kr90.drives]
+    drives[2] = drives[2].model_copy(update={"coupling": {"joint2": 0.5}})
+    bare = kr90.model_copy(update={"drives": drives, "physics": []})
+    dry = [Entry(effect="coulomb_friction", site="joint3", torque=30.0)]
+    robot = bare.model_copy(
+        update={"physics": [*dry, Entry(effect="viscous_friction", site="joint3", coefficient=20.0)]}
+    )
+    t = np.linspace(0, 2, 401)
+    q = np.deg2rad([0.0, 60.0, -80.0]) + 0.2 * np.sin(2 * np.pi * np.outer(t, [0.5, 0.7, 1.1]))
+    motion = motion_of(MotionRun("run", t, q, 200.0))
+    speed = motion.velocity[:, 2] + 0.5 * motion.velocity[:, 1]
+    at_motor = 30.0 * np.sign(speed) + 20.0 * speed
+    friction = inverse_dynamics(robot, motion) - inverse_dynamics(bare, motion)
+    np.testing.assert_allclose(friction, np.outer(at_motor, [0, 0.5, 1]), atol=1e-9)
+    regressor = Regressor(robot)
+    matrix = regressor.evaluate(motion) @ regressor.described
+    np.testing.assert_allclose(matrix, inverse_dynamics(robot, motion), atol=1e-6 * np.abs(matrix).max())
+    drives_bear = regressor.evaluate(motion.coupled(robot).of_drives) @ regressor.described  # as a log holds them
+    np.testing.assert_allclose(drives_bear @ robot.coupling, matrix, atol=1e-9 * np.abs(matrix).max())
+    moved = replay(robot, MotionRun("run", t, q, 200.0)).torque @ robot.coupling
+    still = replay(bare, MotionRun("run", t, q, 200.0)).torque @ robot.coupling
+    stepped = moved - still  # springs ring where the motor turns back
+    assert np.corrcoef(stepped[:, 2], friction[:, 2])[0, 1] > 0.99
+    assert np.corrcoef(stepped[:, 1], friction[:, 1])[0, 1] > 0.95
+    assert stepped[:, 1] @ friction[:, 2] == pytest.approx(0.5 * friction[:, 2] @ friction[:, 2], rel=0.03)
 
 
 def test_ten_parameters_and_a_body_are_the_same_thing() -> None:

@@ -21,7 +21,6 @@ from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import prepare
 from twin.measure.campaign import Campaign, Channels, PostureFRF, write_campaign
 from twin.model.parameters import free_parameters, independent
-from twin.model.regressor import coupling_matrix
 from twin.model.replay import inverse_dynamics, recorded_torque
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot
@@ -60,7 +59,7 @@ def write_log(path: Path, hours: float) -> None:
     velocity, acceleration = (turns * np.cos(angle)).sum(1), -(turns**2 * np.sin(angle)).sum(1)
     torque = inverse_dynamics(robot, Motion(time, position, SWING * velocity, SWING * acceleration))
     torque = recorded_torque(robot, time, torque)
-    exact = {"position": position @ coupling_matrix(robot).T, "torque": torque}
+    exact = {"position": position @ robot.coupling.T, "torque": torque}
     noise = {"position": ENCODER, "torque": TORQUE_NOISE * np.sqrt(np.mean(torque**2, axis=0))}
     with h5py.File(path, "w") as file:
         file.attrs.update({"format": "motion-log", "version": 1, "robot": "kr90_six"})

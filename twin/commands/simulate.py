@@ -15,7 +15,6 @@ from twin.measure.motion_log import MotionLog, MotionRun, require_axes, write_mo
 from twin.model.hammer import HammerTest
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import Modes, modes
-from twin.model.regressor import coupling_matrix
 from twin.model.replay import Replay, inverse_dynamics, motion_of, recorded_torque, replay
 from twin.model.simulated_test import simulated_test
 from twin.parallel import Progress, silent
@@ -60,7 +59,7 @@ class Simulation(Result):
     @property
     def log(self) -> MotionLog:
         """The replays as a motion log: what the twin's motors and encoders did."""
-        turns = coupling_matrix(self.robot).T
+        turns = self.robot.coupling.T
         runs = {
             name: MotionRun(
                 name, r.replay.time, r.replay.position @ turns, r.run.sample_rate_hz, r.replay.torque,
@@ -220,7 +219,7 @@ def _of_axes(robot: Robot, run: MotionRun) -> MotionRun:
     """A run to be followed: a recording holds its motors, a trajectory is of the axes already."""
     if run.torque is None:
         return run
-    back = np.linalg.inv(coupling_matrix(robot)).T
+    back = np.linalg.inv(robot.coupling).T
     motion = {"position": run.position, "velocity": run.velocity, "acceleration": run.acceleration}
     turned: dict[str, Any] = {name: None if values is None else values @ back for name, values in motion.items()}
     return replace(run, **turned)

@@ -38,8 +38,6 @@ def put_right(log: MotionLog, regressor: Regressor, runs: Sequence[Run]) -> tupl
         regressor: of the description.
         runs: of the log, as rows.
     """
-    if any(drive.coupling for drive in regressor.robot.drives):
-        return log, []  # a motor's torque is then none of one joint
     described = [described_torque(regressor, run) for run in runs]
     notes: list[str] = []
     order, sign = _channels(runs, described)

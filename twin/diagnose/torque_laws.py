@@ -106,7 +106,7 @@ def add(run: Run, state: State, entry: Entry) -> None:
     elif effect.role != "drive":
         part = state.load if effect.role == "load" else state.friction
         motion = replace(run.dense, load=state.load, friction=state.friction)
-        for axis, torque in effect.torque(motion, entry.site, entry.values).items():
+        for axis, torque in effect.felt(motion, entry.site, entry.values).items():
             part[:, axis] += torque
     state.torque[...] += extra
 
@@ -149,7 +149,7 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
         link, vector = weight_vector(entry.site, weight, out.shape[1])
         return np.asarray(run.bodies[:, :, 10 * link : 10 * link + 10] @ vector)
     motion = replace(run.dense, load=state.load, friction=state.friction) if effect.steps else run.smooth
-    for axis, torque in effect.torque(motion, entry.site, values).items():
+    for axis, torque in effect.felt(motion, entry.site, values).items():
         out[:, axis] += run.filtered(torque)
     if effect.role == "friction" and np.any(state.sliding):
         axis = axis_of(entry.site)

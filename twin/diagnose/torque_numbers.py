@@ -32,7 +32,7 @@ def numbers_of(robot: Robot) -> list[Parameter]:
     found += [Parameter(name, "rad", "axis", False, 0.0, angle, "tolerance") for name in LEANING if angle]
     for i, drive in enumerate(robot.drives, 1):
         ratio, width = drive.gear_ratio, abs(drive.gear_ratio) * tolerance.gear_ratio
-        if width and not drive.coupling:
+        if width:
             found.append(Parameter(f"drive{i}.gear_ratio", "1", "axis", False, ratio, width, "tolerance"))
     if tolerance.torque_gain:
         found.append(Parameter(GAIN, "1", "gain", False, 1.0, tolerance.torque_gain, "tolerance"))
@@ -106,7 +106,8 @@ def _elsewhere(motion: Motion, parameter: Parameter, step: float) -> Motion:
         shift, scale = 0.0, 1 / (1 + step / parameter.mean)
     own = np.arange(motion.position.shape[1]) == joint
     factor = np.where(own, scale, 1.0)
-    position = motion.position * factor + shift * own
+    turned = motion.coupling @ own if motion.coupling is not None else own  # a zero of an axis is one of all it turns
+    position = motion.position * factor + shift * turned
     return replace(
         motion, position=position, velocity=motion.velocity * factor, acceleration=motion.acceleration * factor
     )

@@ -770,8 +770,6 @@ def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
     """
     names = system.parameters.names
     turning = {s.hypothesis.site[5:] for s in suspects if s.effect.part == "inertia"}
-    drives = system.base.regressor.robot.drives
-    turning = {number for number in turning if not drives[int(number) - 1].coupling}
     groups: dict[tuple[str, str], list[int]] = {}
     for k, name in enumerate(names):
         owner, _, quantity = name.partition(".")

@@ -32,8 +32,8 @@ class Run:
 
     Attributes:
         time: (m,) s, the campaign's clock.
-        motion: (m, n) the state at the rows; ``smooth`` and ``dense`` the same on denser clocks.
-        torque: (m, n) of the joints, N·m (N), low-passed.
+        motion: (m, n) the state of the drives at the rows; ``smooth`` and ``dense`` the same on denser clocks.
+        torque: (m, n) of the drives, N·m (N), low-passed.
         bodies: (m, n, 11 n) low-passed torque per unit of links' and rotors' parameters.
         twist: (m, n) motor minus link encoder, rad (m), low-passed, where the run has both.
         valid: (m,) rows that count.
@@ -156,19 +156,20 @@ def run_of(
     stop = bands.fit[1]
     upsample = max(1, int(np.ceil(fine * rows_per_hz * stop / rate)))
     keep = max(1, int(rate / (2 * fine * rows_per_hz * stop)))
-    wide = motion_of_run(run, bands, upsample)
+    wide = motion_of_run(run, bands, upsample).coupled(regressor.robot).of_drives
     step = max(1, int(rate * upsample / keep / (rows_per_hz * stop)))
     count = (len(wide.time) - 1) // (keep * step) + 1
     at = slice(0, (count - 1) * keep * step + 1, keep)
     dense = Motion(
-        wide.time[at], wide.position[at], wide.velocity[at], wide.acceleration[at], sign=_mean_sign(wide.sign)
-    )
+        wide.time[at], wide.position[at], wide.velocity[at], wide.acceleration[at], sign=_mean_sign(wide.sign),
+        coupling=wide.coupling, drives=wide.drives,
+    )  # fmt: skip
     rows_hz = rate * upsample / (keep * step)
 
     def on(per_row: int) -> Motion:
         time = wide.time[0] + np.arange((count - 1) * per_row + 1) / (rows_hz * per_row)
         q, v, a = (_at(wide.time, x, time) for x in (wide.position, wide.velocity, wide.acceleration))
-        return Motion(time, q, v, a, sign=_mean_sign(wide.sign))
+        return Motion(time, q, v, a, sign=_mean_sign(wide.sign), coupling=wide.coupling, drives=wide.drives)
 
     smooth, rows = on(coarse), on(1)
 
@@ -187,8 +188,8 @@ def run_of(
         valid &= np.abs(rows.time - instant) > 1 / (bands.fit[1] - bands.fit[0])
     twist = None if run.link_position is None else thin(run.position - run.link_position)
     return Run(
-        run.name, rows.time, rows, smooth, dense, thin(run.torque), thinned.reshape(count, *bodies.shape[1:]),
-        twist, valid, bands, rows_hz, rate,
+        run.name, rows.time, rows, smooth, dense, wide.seen(thin(run.torque)),
+        thinned.reshape(count, *bodies.shape[1:]), twist, valid, bands, rows_hz, rate,
     )  # fmt: skip
 
 

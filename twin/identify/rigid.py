@@ -28,7 +28,6 @@ from twin.measure.motion_log import (
 from twin.measure.signals import advance, differentiate, lowpass
 from twin.model.regressor import (
     Regressor,
-    coupling_matrix,
     inertial_vector,
     pseudo_inertia,
     rotor_body_regressor,
@@ -104,7 +103,7 @@ def joint_run(robot: Robot, run: MotionRun) -> MotionRun:
     chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(n))
     for entry in robot.physics:
         CATALOGUE[entry.effect].record(chain, entry.site, entry.values)
-    C = coupling_matrix(robot)
+    C = robot.coupling
     to_joint = np.linalg.inv(C).T
     torque = run.torque
     if torque is not None:

@@ -14,7 +14,7 @@ from twin.errors import InputError
 from twin.identify.rigid import TOO_SHORT, Bands, Rows, in_joints, motion_of_run, rows_of
 from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated
 from twin.measure.signals import advance, lowpass
-from twin.model.regressor import Regressor, coupling_matrix
+from twin.model.regressor import Regressor
 from twin.parallel import Progress
 from twin.physics import CATALOGUE
 from twin.physics.effect import Effect
@@ -134,7 +134,7 @@ def _stepped(robot: Robot, run: MotionRun, bands: Bands, rows: Rows, progress: P
     smooth_run = replace(
         run, position=motion.position, velocity=motion.velocity, acceleration=motion.acceleration, torque=None
     )
-    torque = replay(ideal, smooth_run, progress=tick).torque @ coupling_matrix(robot)
+    torque = replay(ideal, smooth_run, progress=tick).torque @ robot.coupling
     torque = advance(torque, run.sample_rate_hz, 0.5 / run.sample_rate_hz)  # a mean over the sample before is late
     smooth = lowpass(torque, run.sample_rate_hz, *bands.within(run.sample_rate_hz).fit)
     return smooth[:: round(run.sample_rate_hz / rows.rate_hz)]

@@ -6,8 +6,9 @@ a physics entry is ``EFFECT@SITE.name`` (``.name[k]`` in a list).
 
 What belongs to a recording and not to the robot: ``posture.NAME.q1``, the error of an angle; ``gain.21Z+``;
 ``node:7.position.x``, in its link's frame, of all that is at a node (``node:7.response.x`` of its sensor,
-``node:7Z+.excitation.x`` of one blow); and ``posture.sag``, the share of their deflection under the weight by which
-springs sag from the stated angles: 0 where those are the links', 1 where they are the motors'.
+``node:7Z+.excitation.x`` of one blow); ``node:7Z+.response.rx``, a channel's direction turned about its link's x axis
+(``node:7Z+.excitation.rx`` that of a blow); and ``posture.sag``, the share of their deflection under the weight by
+which springs sag from the stated angles: 0 where those are the links', 1 where they are the motors'.
 
 Optimisation runs in z, in which the prior is the standard normal: x = L z with the prior covariance L Lᵀ, and
 value = mean · eˣ (log-normal) or mean + x.
@@ -29,7 +30,7 @@ from twin.physics.chain import node_of
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
-Kind = Literal["spring", "entry", "link", "axis", "posture", "sag", "gain", "point"]
+Kind = Literal["spring", "entry", "link", "axis", "posture", "sag", "gain", "point", "direction"]
 Side = Literal["response", "excitation"]
 
 SATURATED = 4.0
@@ -48,8 +49,8 @@ class Parameter:
     """One free number.
 
     Attributes:
-        kind: ``spring`` (of a joint), ``entry`` (of other physics), ``link``, ``axis``, ``posture``, ``sag``, ``gain``
-            or ``point``.
+        kind: ``spring`` (of a joint), ``entry`` (of other physics), ``link``, ``axis``, ``posture``, ``sag``, ``gain``,
+            ``point`` or ``direction``.
         log: value = mean · eˣ; otherwise mean + x.
         mean: prior mean (median, where ``log``), in ``unit``.
         deviation: prior standard deviation of x.
@@ -136,7 +137,7 @@ class Parameters:
     @cached_property
     def bound(self) -> FloatArray:
         """Largest |z| (n,): tolerances end where they become implausible, springs and dampers nowhere."""
-        open_ = [parameter.kind in ("spring", "entry", "axis", "point") for parameter in self.items]
+        open_ = [parameter.kind in ("spring", "entry", "axis", "point", "direction") for parameter in self.items]
         return np.where(open_, np.inf, SATURATED)
 
     @cached_property
@@ -215,15 +216,37 @@ class Parameters:
     def _points(self) -> list[int]:
         return [k for k, parameter in enumerate(self.items) if parameter.kind == "point"]
 
+    @cached_property
+    def _directions(self) -> list[int]:
+        return [k for k, parameter in enumerate(self.items) if parameter.kind == "direction"]
+
     def placed(self, channels: Channels, side: Side, values: FloatArray) -> Channels:
-        """Channels of one side with their nodes where the values have them."""
-        if not self._points:
+        """Channels of one side where the values have their nodes, and turned as they have them."""
+        if not self._points and not self._directions:
             return channels
         position = channels.position.copy()
         for k in self._points:
             for row in rows_of(self.items[k], channels, side):
                 position[row, "xyz".index(self.parts[k][1])] += values[k] - self.items[k].mean
-        return replace(channels, position=position)
+        channels = replace(channels, position=position)
+        return replace(channels, direction=self._turned(channels, side, values)) if self._directions else channels
+
+    def _turned(self, channels: Channels, side: Side, values: FloatArray) -> FloatArray:
+        """Unit directions (n, 3) turned by small angles θ, (d + θ × d) / |d + θ × d|."""
+        angle = np.zeros_like(channels.direction)
+        for k in self._directions:
+            for row in rows_of(self.items[k], channels, side):
+                angle[row, "xyz".index(self.parts[k][1][1])] += values[k] - self.items[k].mean
+        turned = channels.direction + np.cross(angle, channels.direction)
+        return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+
+    def turning(self, channels: Channels, side: Side, values: FloatArray, k: int) -> tuple[list[int], FloatArray]:
+        """Rows that parameter k turns, and the rate (m, 3) of their directions, per rad; ``channels`` as stated."""
+        rows = rows_of(self.items[k], channels, side)
+        stated, turned = channels.direction[rows], self._turned(channels, side, values)[rows]
+        rate = np.cross(np.eye(3)["xyz".index(self.parts[k][1][1])], stated)
+        along = np.sum(turned * stated, axis=1, keepdims=True)  # 1 / |d + θ × d|, as θ × d is across d
+        return rows, along * (rate - np.sum(rate * turned, axis=1, keepdims=True) * turned)
 
     def gains(self, labels: Sequence[str], values: FloatArray) -> FloatArray:
         """Gains (nr,) of response channels."""
@@ -402,6 +425,19 @@ def point_parameters(robot: Robot, channels: Channels, side: Literal["position"]
     return list(found.values())
 
 
+def direction_parameters(robot: Robot, channels: Channels, side: Side) -> list[Parameter]:
+    """Angles by which channels of a side are turned, each about the two axes of its link's frame most across it.
+
+    A triaxial sensor's channels are not quite square to each other (its transverse sensitivity): each turns by itself.
+    """
+    width, found = float(np.deg2rad(robot.tolerances.direction_deg)), []
+    for label, direction in zip(channels.label, channels.direction, strict=True):
+        for k in np.sort(np.argsort(np.abs(direction), kind="stable")[:2]):
+            name = f"node:{label}.{side}.r{'xyz'[k]}"
+            found.append(Parameter(name, "rad", "direction", False, 0.0, width, "tolerance"))
+    return found
+
+
 def free_parameters(
     robot: Robot, postures: Iterable[str] = (), labels: Iterable[str] = (), *, tolerances: bool = True
 ) -> Parameters:
@@ -480,7 +516,7 @@ def _entries(robot: Robot) -> list[tuple[str, Entry]]:
 
 
 def rows_of(point: Parameter, channels: Channels, side: Side) -> list[int]:
-    """The channels of a side that a coordinate moves: those of its node, or the one of its label."""
+    """The channels of a side that a coordinate moves or an angle turns: of its node, or the one of its label."""
     where, _, of = point.site.removeprefix("node:").partition(".")
     if of not in (side, "position"):
         return []

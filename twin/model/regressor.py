@@ -114,7 +114,7 @@ def rotor_body_regressor(robot: Robot, motion: Motion) -> np.ndarray:
     A rotor sits on the link before its axis, turns ``gear_ratio`` times as fast and has its mass on the axis. Besides
     N²J of the armature this holds gyroscopic terms, and terms in sin 2Nq of unequal transverse inertias.
     """
-    motion = motion.of_axes(robot.encoder_zeros)
+    motion = motion.on(robot)
     nt, n = motion.position.shape
     Y = np.zeros((nt, n, 4 * n))
     frames = [_ground(robot, nt), *_frames(robot, motion)]
@@ -230,18 +230,9 @@ def _inertia_times(x: np.ndarray) -> np.ndarray:
     return out
 
 
-def coupling_matrix(robot: Robot) -> np.ndarray:
-    """C (n, n) of θ = C q: motor positions at the gear outputs from joint positions; then τ_q = Cᵀ τ_θ."""
-    C = np.eye(robot.axis_count)
-    for i, drive in enumerate(robot.drives):
-        for name, ratio in drive.coupling.items():
-            C[i, robot.joint_names.index(name)] = ratio
-    return C
-
-
 def rotor_regressor(robot: Robot, motion: Motion) -> np.ndarray:
     """Torque per unit of rotor inertia J (nt, n, n): N²J on the motor's acceleration, which a coupling adds to."""
-    C = coupling_matrix(robot)
+    C = robot.coupling
     ratio = np.array([drive.gear_ratio for drive in robot.drives])
     spin = motion.acceleration @ C.T * ratio**2
     return spin[:, None, :] * C.T[None]
@@ -310,16 +301,18 @@ class Regressor:
 
     def bodies(self, motion: Motion) -> np.ndarray:
         """The columns of links and rotors (nt, n, 11 n), smooth functions of the motion."""
-        motion = motion.of_axes(self.robot.encoder_zeros)
+        seen = motion.on(self.robot)
+        motion = seen.of_axes
         rotors = rotor_regressor(self.robot, motion)
         for j, drive in enumerate(self.robot.drives):
             for axis, torque in self._carried(motion, f"joint{j + 1}", "inertia", drive.gear_ratio**2).items():
                 rotors[:, axis, j] += torque
-        return np.concatenate([link_regressor(self.robot, motion), rotors], axis=2)
+        return seen.seen(np.concatenate([link_regressor(self.robot, motion), rotors], axis=2))
 
     def carried_torque(self, motion: Motion) -> np.ndarray:
-        """Torque (nt, n) of links, rotor masses and loads as described, through the gears: inverse dynamics."""
-        motion = motion.of_axes(self.robot.encoder_zeros)
+        """Torque (nt, n) of links, rotor masses and loads as described, through the gears."""
+        seen = motion.on(self.robot)
+        motion = seen.of_axes
         vectors = np.array([inertial_vector(*link.inertial) for link in self.robot.links])
         vectors[:, 0] += [drive.rotor_mass for drive in self.robot.drives]
         for entry in self.robot.physics:
@@ -331,7 +324,7 @@ class Regressor:
             wrench = _wrench(frame) @ vectors[i][:, None]
             for j in range(i + 1):
                 total[:, j] += _power(frame, j, wrench)[:, 0]
-        return total
+        return seen.seen(total)
 
     def _carried(self, motion: Motion, drive: str, part: Part, amount: float) -> dict[int, np.ndarray]:
         """What a drive's inertia or friction does beyond its own axis, where other entries take it over."""
@@ -344,16 +337,16 @@ class Regressor:
 
     def laws(self, motion: Motion) -> list[tuple[int, int, np.ndarray]]:
         """Columns of entries and offsets, which step where an axis turns back: (column, axis, torque (nt,)) each."""
-        motion = motion.of_axes(self.robot.encoder_zeros)
+        motion = motion.on(self.robot)
         out = []
         k = 11 * self.robot.axis_count
         for entry in self.entries:
             effect = CATALOGUE[entry.effect]
             for part in effect.linear_parts(entry.values):
-                torques = effect.torque(motion, entry.site, part.values)
+                torques = effect.felt(motion, entry.site, part.values)
                 out += [(k, axis, torque) for axis, torque in torques.items()]
                 if effect.part:
-                    carried = self._carried(motion, entry.site, effect.part, 1.0)
+                    carried = motion.spread(self._carried(motion.of_axes, entry.site, effect.part, 1.0), False)
                     out += [(k, axis, torque) for axis, torque in carried.items()]
                 k += 1
         names = self.robot.joint_names
@@ -382,10 +375,10 @@ class Regressor:
                 payload[10 * link : 10 * link + 10] += vector
             elif not effect.linear_in:
                 fixed.append((effect, entry))
-        recorded, motion = motion, motion.of_axes(self.robot.encoder_zeros)
+        recorded, motion = motion, motion.on(self.robot)
         total = np.zeros_like(motion.position)
         if payload.any():
-            total += link_regressor(self.robot, motion) @ payload
+            total += motion.seen(link_regressor(self.robot, motion.of_axes) @ payload)
         if any(effect.role != "drive" for effect, _ in fixed):  # such laws act on load and friction as described
             Y = self.evaluate(recorded)
             load = self.select("link")
@@ -401,7 +394,7 @@ class Regressor:
                 friction=Y[:, :, sliding] @ self.described[sliding],
             )  # fmt: skip
         for effect, entry in sorted(fixed, key=lambda pair: pair[0].order):
-            for axis, torque in effect.torque(motion, entry.site, entry.values).items():
+            for axis, torque in effect.felt(motion, entry.site, entry.values).items():
                 total[:, axis] += torque
                 if effect.role == "friction":
                     motion.friction[:, axis] += torque

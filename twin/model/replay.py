@@ -12,7 +12,6 @@ from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.linear import linearise
 from twin.model.modes import state_matrix_poles
-from twin.model.regressor import coupling_matrix
 from twin.physics import CATALOGUE, effect_of
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
@@ -97,13 +96,13 @@ def inverse_dynamics(robot: Robot, motion: Motion) -> np.ndarray:
 
     ``motion.load`` and ``motion.friction`` are filled on the way, for laws that depend on them.
     """
-    motion.load = rigid_torque(robot, motion.of_axes(robot.encoder_zeros))
+    motion.load = rigid_torque(robot, motion.on(robot))
     motion.friction = np.zeros_like(motion.load)
     total = motion.load + _rotor_torque(robot, motion)
-    there = motion.of_axes(robot.encoder_zeros)  # load and friction are one with the motion's: they fill as laws add
+    there = motion.on(robot)  # load and friction are one with the motion's: they fill as laws add
     entries = [(CATALOGUE[entry.effect], entry) for entry in robot.physics]
     for effect, entry in sorted(entries, key=lambda pair: (_ROLES[pair[0].role], pair[0].order)):
-        for axis, torque in effect.torque(there, entry.site, robot.values(entry)).items():
+        for axis, torque in effect.felt(there, entry.site, robot.values(entry)).items():
             total[:, axis] += torque
             if effect.role == "load":
                 motion.load[:, axis] += torque
@@ -147,7 +146,7 @@ def replay(
     mechanism = assemble(robot, motion.position[0], brakes="off", drives="servo")
     model, substeps = _stepped_model(robot, mechanism, run.sample_rate_hz)
     zeros = robot.encoder_zeros
-    torque, qpos = _track(model, mechanism, motion.of_axes(zeros), feedforward, substeps, progress)
+    torque, qpos = _track(model, mechanism, motion.on(robot), feedforward, substeps, progress)
     if not (np.isfinite(torque).all() and np.isfinite(qpos).all()):
         message = "the simulation diverges: stiffness, inertia or motion is beyond reason"
         raise InputError(robot.name, f"replay of {run.name}", message)
@@ -216,7 +215,7 @@ def _track(
                 here = load(instants[step])
                 state = Motion(
                     np.array([data.time]), data.qpos[motor][None], data.qvel[motor_dof][None],
-                    np.zeros((1, n)), here[None, :n], here[None, n:], lambda v: np.tanh(v / SLIDING),
+                    np.zeros((1, n)), here[None, :n], here[None, n:], lambda v: np.tanh(v / SLIDING), motion.coupling,
                 )  # fmt: skip
                 data.qfrc_applied[motor_dof] = -passive_torque(mechanism.passive_forces, state)
             speed = data.qvel[motor_dof]
@@ -239,7 +238,7 @@ def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.nd
     """Torque (nt, n) of the axes as the controller records it: of the motors, which a coupling turns with other axes
     (τ_q = Cᵀ τ_θ), with the torque constants and the delay of the robot's entries.
     """
-    torque = torque @ np.linalg.inv(coupling_matrix(robot))
+    torque = torque @ np.linalg.inv(robot.coupling)
     chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(robot.axis_count))
     for entry in robot.physics:
         CATALOGUE[entry.effect].record(chain, entry.site, robot.values(entry))
@@ -262,7 +261,7 @@ def passive_torque(forces: list, state: Motion) -> np.ndarray:
     """
     total = np.zeros(state.position.shape[1])
     for force in forces:
-        for axis, torque in CATALOGUE[force.effect].torque(state, force.site, force.values).items():
+        for axis, torque in CATALOGUE[force.effect].felt(state, force.site, force.values).items():
             total[axis] += float(torque[0])
     return total
 

@@ -31,6 +31,8 @@ from twin.robot.frames import matrix_of
 from twin.robot.mechanism import Joint, Mechanism, assemble, assemble_all
 from twin.robot.mjcf import FOOT_INERTIA
 
+TURN = 1e-6  # rad, of a direction for its derivative beyond what entries turn, in which that is linear
+
 
 @dataclass(frozen=True)
 class Structure:
@@ -186,7 +188,7 @@ def structures(
     for tendon in mechanism.tendons:
         pull = np.array([tendon.joints.get(joint.name, 0.0) for joint in layout.joints])
         M = M + tendon.armature * np.outer(pull, pull)
-        C = C + tendon.damping * np.outer(pull, pull)
+        C = C + tendon.damping[0] * np.outer(pull, pull)
         K = K + tendon.stiffness * np.outer(pull, pull)
     names = tuple(joint.name for joint in layout.joints)
     for (one, other), stiffness in mechanism.crossed.items():
@@ -543,13 +545,14 @@ def slopes(
         changes: of the mechanism, kept by the caller for the other postures of the same robot and values.
         among: indices of the parameters asked for; all of them by default.
     """
-    changes, setup = {} if changes is None else changes, setup.placed(parameters, values)
+    stated, changes, setup = setup, {} if changes is None else changes, setup.placed(parameters, values)
     among = range(len(parameters)) if among is None else list(among)
     out = Observed.of(np.zeros((len(among), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
     turned: tuple[FloatArray, FloatArray] | None = None
     chain: MeasurementChain | None = None
     links: dict[str, list[tuple[int, int]]] = {}
+    turns: list[tuple[int, int]] = []
     for row, p in enumerate(among):
         parameter, (site, what) = parameters[p], parameters.parts[p]
         if _curved(parameter, site, setup, model):
@@ -560,7 +563,7 @@ def slopes(
             if change is not None and not model.curved:
                 _apply_change(out, row, change, model, setup, parameters.gains(setup.response.label, values))
                 continue
-            for target, rate in zip(out.arrays(), _difference(robot, setup, parameters, values, p), strict=True):
+            for target, rate in zip(out.arrays(), _difference(robot, stated, parameters, values, p), strict=True):
                 target[row] = rate
         elif parameter.kind == "link":
             links.setdefault(site.partition(".")[0], []).append((row, p))
@@ -588,6 +591,8 @@ def slopes(
         elif parameter.kind == "point":
             chain = chain or recording_chain(robot, setup.response, setup.excitation)
             _apply_point(out, row, parameter, chain, setup, model)
+        elif parameter.kind == "direction":
+            turns.append((row, p))
         elif parameter.kind == "gain":
             rows_of = [k for k, label in enumerate(setup.response.label) if parameter.name == f"gain.{label}"]
             out.gain[row, rows_of] = seen.gain[rows_of] / values[p]
@@ -598,6 +603,8 @@ def slopes(
             changes[block] = np.array([_link_slope(inertial, parameters[p].name) for _, p in own])
         rows = [row for row, _ in own]
         out.M[rows], out.K[rows] = model.inertial_slopes(body, changes[block])
+    if turns:
+        _apply_turns(out, turns, parameters, values, robot, stated, setup, model)
     return out
 
 
@@ -760,6 +767,51 @@ def _apply_point(
     for side, target, channels, direction in sides:
         for k in rows_of(parameter, channels, side):
             target[p, k] = model.point_slopes(channels, direction, k, letter)
+
+
+def _apply_turns(
+    out: Observed,
+    turns: Sequence[tuple[int, int]],
+    parameters: Parameters,
+    values: FloatArray,
+    robot: Robot,
+    stated: Setup,
+    setup: Setup,
+    model: Structure,
+) -> None:
+    """Write what directions of channels change into rows of derivatives: pairs of a row and a parameter.
+
+    A turned sensor or blow that is an entry of the robot turns the rate as it turns the direction.
+    """
+    plain = recording_chain(robot, setup.response, setup.excitation)
+    sides: tuple[tuple[Side, FloatArray, Channels, Channels], ...] = (
+        ("response", out.J_r, stated.response, setup.response),
+        ("excitation", out.J_e, stated.excitation, setup.excitation),
+    )
+    for side, target, before, channels in sides:
+        at: list[tuple[int, int]] = []
+        rates: list[FloatArray] = []
+        for row, p in turns:
+            rows, rate = parameters.turning(before, side, values, p)
+            if not rows:
+                continue
+            shaken = channels.direction.copy()
+            shaken[rows] += TURN * rate
+            moved = replace(channels, direction=shaken)
+            if side == "response":
+                chain = recording_chain(robot, moved, setup.excitation)
+                change = chain.response_direction - plain.response_direction
+            else:
+                chain = recording_chain(robot, setup.response, moved)
+                change = chain.excitation_direction - plain.excitation_direction
+            touched = np.flatnonzero(change.any(axis=1))
+            at += [(row, int(k)) for k in touched]
+            rates += list(change[touched] / TURN)
+        if at:
+            body, local = model.carried_points(channels)
+            here = [body[k] for _, k in at]
+            wrench = _wrench(model.rotation[here], model.origin[here], local[[k for _, k in at]], np.array(rates))
+            target[tuple(np.array(at).T)] = wrench @ model.screw.T * model.path[here]
 
 
 def _link_slope(inertial: tuple[float, FloatArray, FloatArray], name: str) -> FloatArray:

@@ -19,6 +19,7 @@ class AsymmetricFriction(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("torque_difference", "N·m"), Parameter("viscous_difference", "N·m·s/rad"))
     seen_in = frozenset({"log"})
+    at_drive = True
     role = "friction"
     linear_in = ("torque_difference", "viscous_difference")
     leaning = True

@@ -19,13 +19,14 @@ class CoulombFriction(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("torque", "N·m", nonnegative=True),)
     seen_in = frozenset({"log"})
+    at_drive = True
     role = "friction"
     part = "dry"
     linear_in = least_zero = ("torque",)
     log_tests = ("speeds",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        if motor := mechanism.motor(axis_of(site)):
+        if motor := mechanism.drive(axis_of(site)):
             motor.frictionloss += values["torque"]
 
     def suspected(self, view: LogView) -> list[Suspected]:

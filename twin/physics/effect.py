@@ -106,6 +106,7 @@ class Effect:
         order: entries are applied by increasing order: 0 shapes the tree, 1 hangs bodies on it, 2 acts on
             joints, 3 acts on what the others added.
         sprung: it adds one coordinate, named like the site, with its ``stiffness`` and ``damping``.
+        at_drive: its torque is of the drive's own rotor: where other axes turn that too, it acts on all of them.
         role: what its torque law is part of: ``"load"`` goes through the gear, ``"friction"`` is what load and
             warm-up act on, ``"drive"`` is neither.
         repeatable: several entries may stand at one site.
@@ -146,6 +147,7 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]]
     seen_in: ClassVar[frozenset[Literal["hammer", "levels", "log"]]]
     order: ClassVar[int] = 2
+    at_drive: ClassVar[bool] = False
     role: ClassVar[Literal["load", "friction", "drive"]] = "drive"
     repeatable: ClassVar[bool] = False
     sprung: ClassVar[bool] = False
@@ -218,6 +220,14 @@ class Effect:
             Zero-based axis → torque (nt,) in N·m at the gear output (N on a linear axis). Empty by default.
         """
         return {}
+
+    def felt(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
+        """:meth:`torque` as the axes bear it, or the drives, whichever the motion is of, where a coupling turns them.
+
+        What a drive carries follows its rotor, all else its axis.
+        """
+        own = motion.of_drives if self.at_drive else motion.of_axes
+        return motion.spread(self.torque(own, site, values), self.at_drive)
 
     def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
         """Change how the motion is recorded (gains, delays, directions). The default changes nothing."""

@@ -19,6 +19,7 @@ class FrictionDrift(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("amplitude", "1"), Parameter("time_constant", "s", positive=True))
     seen_in = frozenset({"log"})
+    at_drive = True
     refers = ages = True
     log_tests = ("clock",)
     order = 3

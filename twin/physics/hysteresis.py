@@ -145,6 +145,7 @@ class Hysteresis(Effect):
         Parameter("yield_torque", "N·m", length=-1, nonnegative=True),
     )
     seen_in = frozenset({"levels", "log"})
+    at_drive = True
     amplitude_law: ClassVar[Law | None] = Slip()
     role = "friction"
     linear_in = ("yield_torque",)
@@ -167,12 +168,13 @@ class Hysteresis(Effect):
         joint = self.joint(mechanism, site)
         if joint is None:
             return
-        start = 0.0 if joint.elastic else float(mechanism.q[axis])  # unslipped where the motion begins
+        turns = {joint.name: 1.0} if joint.elastic else mechanism.turns(axis)
+        start = 0.0 if joint.elastic else float((mechanism.robot.coupling @ mechanism.q)[axis])  # unslipped at first
         for number, (stiffness, torque) in enumerate(zip(values["stiffness"], values["yield_torque"], strict=True)):
             if stiffness > 0 and torque > 0:
                 mechanism.tendon(
                     f"{site}.slip{number + 1}",
-                    {joint.name: 1.0},
+                    turns,
                     stiffness=stiffness,
                     springyield=torque / stiffness,
                     springlength=(start, start),

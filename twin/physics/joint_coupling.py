@@ -62,10 +62,8 @@ class JointCoupling(Effect):
         driven, driving = mechanism.motor(axis_of(site)), mechanism.motor(axis_of(values["from"]))
         if driven and driving:
             viscous, coulomb = values["friction"]
-            # a drive that the description couples already carries its rotor on a tendon of its own
-            coupled = next((t for t in mechanism.tendons if t.name == f"drive{axis_of(values['from']) + 1}"), None)
-            rotor = coupled or driving
-            own = (rotor.armature, driving.damping[0], driving.frictionloss)
+            rotor = mechanism.drive(axis_of(values["from"])) or driving
+            own = (rotor.armature, rotor.damping[0], rotor.frictionloss)
             if any(
                 part > whole * (1 + 1e-9)
                 for part, whole in zip((values["inertia"], viscous, coulomb), own, strict=True)
@@ -73,13 +71,13 @@ class JointCoupling(Effect):
                 message = f"{values['from']} has less inertia or friction than turns with {site} too"
                 raise InputError(mechanism.robot.name, f"joint_coupling@{site}", message)
             rotor.armature = max(0.0, own[0] - values["inertia"])
-            driving.damping[0], driving.frictionloss = max(0.0, own[1] - viscous), max(0.0, own[2] - coulomb)
+            rotor.damping[0], rotor.frictionloss = max(0.0, own[1] - viscous), max(0.0, own[2] - coulomb)
             number = 1 + sum(tendon.name.startswith(f"{site}.coupling") for tendon in mechanism.tendons)
             mechanism.tendon(
                 f"{site}.coupling{number}",
                 {driving.name: 1.0, driven.name: values["ratio"]},
                 armature=values["inertia"],
-                damping=viscous,
+                damping=[viscous, 0.0, 0.0],
                 frictionloss=coulomb,
             )
 

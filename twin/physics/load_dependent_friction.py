@@ -19,6 +19,7 @@ class LoadDependentFriction(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("coefficient", "1"),)
     seen_in = frozenset({"log"})
+    at_drive = True
     role = "friction"
     refers = True
     log_tests = ("load", "speeds")

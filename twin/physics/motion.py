@@ -2,8 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from twin.robot.description import Robot
 
 
 @dataclass
@@ -12,12 +16,14 @@ class Motion:
 
     Attributes:
         time: (nt,) s, the campaign's clock.
-        position: (nt, n) rad (m), as encoders say it, or of the axes themselves: :meth:`of_axes`.
+        position: (nt, n) rad (m), as encoders say it, or as it is: :meth:`on`.
         velocity: (nt, n) rad/s (m/s).
         acceleration: (nt, n) rad/s² (m/s²).
         load: (nt, n) N·m (N), torque through the gears: rigid body and compensator.
         friction: (nt, n) N·m (N), sum of the friction laws evaluated so far.
         sign: signum of a velocity; time stepping replaces it by a continuous one.
+        coupling: C (n, n) of θ = C q, where other axes turn a drive's rotor too; ``None`` where none does.
+        drives: it is the motion of the drives' rotors at their gear outputs, and of their torque; else of the axes.
     """
 
     time: np.ndarray
@@ -27,6 +33,8 @@ class Motion:
     load: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     friction: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     sign: Callable[[np.ndarray], np.ndarray] = np.sign
+    coupling: np.ndarray | None = None
+    drives: bool = False
 
     def __post_init__(self) -> None:
         if not self.load.size:
@@ -34,6 +42,55 @@ class Motion:
         if not self.friction.size:
             self.friction = np.zeros_like(self.position)
 
-    def of_axes(self, zeros: np.ndarray) -> "Motion":
-        """The motion of axes whose encoders' zeros (n,) are off: what bodies and laws of position feel."""
-        return replace(self, position=self.position + zeros) if zeros.any() else self
+    def on(self, robot: "Robot") -> "Motion":
+        """The motion as a robot feels it: encoders' zeros may be off, and drives be coupled."""
+        motion = self if self.coupling is not None else self.coupled(robot)
+        zeros = robot.encoder_zeros
+        if not zeros.any():
+            return motion
+        if motion.drives and motion.coupling is not None:
+            zeros = motion.coupling @ zeros
+        return replace(motion, position=motion.position + zeros)
+
+    def coupled(self, robot: "Robot") -> "Motion":
+        """The same motion of axes, which knows how they turn the drives."""
+        coupled = any(drive.coupling for drive in robot.drives)
+        return replace(self, coupling=robot.coupling) if coupled else self
+
+    @property
+    def of_axes(self) -> "Motion":
+        """Of the axes, q = C⁻¹ θ and τ_q = Cᵀ τ_θ."""
+        if self.coupling is None or not self.drives:
+            return self
+        return self._turned(np.linalg.inv(self.coupling))
+
+    @property
+    def of_drives(self) -> "Motion":
+        """Of the drives' rotors at their gear outputs, θ = C q and τ_θ = C⁻ᵀ τ_q."""
+        if self.coupling is None or self.drives:
+            return self
+        return self._turned(self.coupling)
+
+    def _turned(self, C: np.ndarray) -> "Motion":
+        position, velocity, acceleration = (x @ C.T for x in (self.position, self.velocity, self.acceleration))
+        load, friction = (x @ np.linalg.inv(C) for x in (self.load, self.friction))
+        return Motion(
+            self.time, position, velocity, acceleration, load, friction, self.sign, self.coupling, not self.drives
+        )
+
+    def seen(self, torque: np.ndarray) -> np.ndarray:
+        """Torque of the axes (nt, n, …) as what this is the motion of bears it."""
+        if self.coupling is None or not self.drives:
+            return torque
+        return np.asarray(np.einsum("ji,tj...->ti...", np.linalg.inv(self.coupling), torque))
+
+    def spread(self, torque: dict[int, np.ndarray], of_drives: bool) -> dict[int, np.ndarray]:
+        """Torque by index, of drives or of axes, as what this is the motion of bears it."""
+        if self.coupling is None or of_drives == self.drives:
+            return torque
+        turns = self.coupling if of_drives else np.linalg.inv(self.coupling)  # τ_q = Cᵀ τ_θ, and back
+        total: dict[int, np.ndarray] = {}
+        for i, one in torque.items():
+            for k in np.flatnonzero(turns[i]):
+                total[int(k)] = total.get(int(k), 0.0) + turns[i, k] * one
+        return total

@@ -19,6 +19,7 @@ class RotorInertia(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("inertia", "kg·m²"),)
     seen_in = frozenset({"log"})
+    at_drive = True
     part = "inertia"
     steps = False
     linear_in = least_zero = ("inertia",)
@@ -26,7 +27,7 @@ class RotorInertia(Effect):
     log_tests = ("acceleration", "sweep")
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        if motor := mechanism.motor(axis_of(site)):
+        if motor := mechanism.drive(axis_of(site)):
             motor.armature += values["inertia"]
 
     def suspected(self, view: LogView) -> list[Suspected]:

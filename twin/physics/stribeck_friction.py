@@ -21,6 +21,7 @@ class StribeckFriction(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("static_excess", "N·m"), Parameter("velocity", "rad/s", positive=True))
     seen_in = frozenset({"log"})
+    at_drive = True
     order = 3
     role = "friction"
     linear_in = ("static_excess",)
@@ -29,7 +30,7 @@ class StribeckFriction(Effect):
     log_tests = ("speeds",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        motor = mechanism.motor(axis_of(site))
+        motor = mechanism.drive(axis_of(site))
         if motor is None or values["static_excess"] == 0:
             return
         coulomb = motor.frictionloss or 1e-3 * abs(values["static_excess"])

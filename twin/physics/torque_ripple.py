@@ -21,12 +21,13 @@ class TorqueRipple(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("amplitude", "N·m"), Parameter("order", "1"), Parameter("phase", "rad"))
     seen_in = frozenset({"log"})
+    at_drive = True
     steps = False
     linear_in = ("amplitude",)
     log_tests = ("sweep",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        if motor := mechanism.motor(axis_of(site)):
+        if motor := mechanism.drive(axis_of(site)):
             amplitude, order, phase = values["amplitude"], values["order"], values["phase"]
             mechanism.passive_motor(f"{site}.ripple", motor.name, cogging=(-amplitude, order, phase))
 

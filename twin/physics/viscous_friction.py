@@ -19,6 +19,7 @@ class ViscousFriction(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("coefficient", "N·m·s/rad"),)
     seen_in = frozenset({"log"})
+    at_drive = True
     role = "friction"
     part = "viscous"
     steps = False
@@ -26,7 +27,7 @@ class ViscousFriction(Effect):
     log_tests = ("speeds",)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        if motor := mechanism.motor(axis_of(site)):
+        if motor := mechanism.drive(axis_of(site)):
             motor.damping[0] += values["coefficient"]
 
     def suspected(self, view: LogView) -> list[Suspected]:

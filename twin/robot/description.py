@@ -455,6 +455,15 @@ class Robot(Data):
         return zeros
 
     @property
+    def coupling(self) -> np.ndarray:
+        """C (n, n) of θ = C q: motor positions at the gear outputs from joint positions; then τ_q = Cᵀ τ_θ."""
+        C = np.eye(len(self.axes))
+        for i, drive in enumerate(self.drives):
+            for name, ratio in drive.coupling.items():
+                C[i, self.joint_names.index(name)] = ratio
+        return C
+
+    @property
     def felt_gravity(self) -> np.ndarray:
         """Gravity (3,) in the frame of the base as it stands, m/s²."""
         gravity = np.array(self.gravity, float)

@@ -99,14 +99,18 @@ class Tendon:
     stiffness: float = 0.0
     springlength: tuple[float, float] = (0.0, 0.0)
     springyield: float = 0.0
-    damping: float = 0.0
+    damping: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     armature: float = 0.0
     frictionloss: float = 0.0
 
 
 @dataclass
 class PassiveMotor:
-    """A passive drive element on a joint: cogging (amplitude N·m, order, phase rad) or LuGre friction."""
+    """A passive drive element: cogging (amplitude N·m, order, phase rad) or LuGre friction.
+
+    Attributes:
+        joint: it acts on, or the tendon of a coupled drive.
+    """
 
     name: str
     joint: str
@@ -169,6 +173,16 @@ class Mechanism:
         """
         joint = next(iter(self.bodies[f"motor{axis + 1}"].joints), None)
         return joint if joint is not None and not joint.elastic else None
+
+    def drive(self, axis: int) -> Joint | Tendon | None:
+        """What turns with the rotor of a zero-based axis: its coordinate, or a tendon where other axes turn it too."""
+        name = f"drive{axis + 1}"
+        return next((tendon for tendon in self.tendons if tendon.name == name), None) or self.motor(axis)
+
+    def turns(self, axis: int) -> dict[str, float]:
+        """The motors' coordinates that turn the rotor of a zero-based axis, and by how much each."""
+        coupling = self.robot.drives[axis].coupling
+        return {f"motor{axis + 1}": 1.0} | {name.replace("joint", "motor"): ratio for name, ratio in coupling.items()}
 
     @property
     def joints(self) -> list[Joint]:
@@ -356,8 +370,7 @@ def assemble(
                 Joint(motor.name, z, kind, elastic=False, range=limits, armature=0.0 if coupled else inertia)
             )
             if coupled:
-                turns = {motor.name: 1.0} | {name.replace("joint", "motor"): r for name, r in drive.coupling.items()}
-                mechanism.tendons.append(Tendon(f"drive{i + 1}", turns, armature=inertia))
+                mechanism.tendons.append(Tendon(f"drive{i + 1}", mechanism.turns(i), armature=inertia))
         mass, com, inertia_at_com = link.inertial
         body = Body(
             f"link{i + 1}", motor.name, np.zeros(3), IDENTITY.copy(), mass, com, inertia_at_com,

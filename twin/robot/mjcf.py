@@ -84,7 +84,7 @@ def build_spec(
         fixed = spec.add_tendon(name=tendon.name)
         for name, coefficient in tendon.joints.items():
             fixed.wrap_joint(name, coefficient)
-        fixed.stiffness, fixed.damping = [tendon.stiffness, 0, 0], [tendon.damping, 0, 0]
+        fixed.stiffness, fixed.damping = [tendon.stiffness, 0, 0], tendon.damping
         fixed.springlength, fixed.springyield = tendon.springlength, tendon.springyield
         fixed.armature, fixed.frictionloss = tendon.armature, tendon.frictionloss
     for joint in mechanism.joints:
@@ -280,7 +280,9 @@ def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
     for passive in mechanism.passive_motors:
         if any(passive.lugre) and mechanism.drives != "servo":
             continue  # bristles are states: they are for stepping, and would keep a model from being linearised
-        motor = spec.add_actuator(name=passive.name, target=passive.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        coupled = any(tendon.name == passive.joint for tendon in mechanism.tendons)
+        kind = mujoco.mjtTrn.mjTRN_TENDON if coupled else mujoco.mjtTrn.mjTRN_JOINT
+        motor = spec.add_actuator(name=passive.name, target=passive.joint, trntype=kind)
         motor.set_to_dcmotor(
             motorconst=[1e-9, 0.0],
             resistance=1.0,
