@@ -13,9 +13,9 @@ from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
 from twin.diagnose.described import described, geometry
 from twin.measure.campaign import Channels
-from twin.model.parameters import axis_parameters, free_parameters, independent, point_parameters
+from twin.model.parameters import axis_parameters, direction_parameters, free_parameters, independent, point_parameters
 from twin.model.sensitivity import Setup, observe, slopes
-from twin.robot.description import Robot, load_robot
+from twin.robot.description import Entry, Robot, load_robot
 
 Q = np.deg2rad([10.0, 70.0, -100.0])
 
@@ -34,8 +34,10 @@ def setup() -> Setup:
     return Setup("here", Q, "on", channels(robot, ("21X+", "21Y+", "21Z+")), channels(robot, ("2Y-", "9Y+", "21Z+")))
 
 
-def test_lengths_twists_and_places_have_the_slopes_of_differences(setup: Setup) -> None:
+def test_lengths_twists_places_and_directions_have_the_slopes_of_differences(setup: Setup) -> None:
     robot = load_robot("kr90")
+    turned = Entry(effect="sensor_misalignment", site="sensor:21", angles=[0.05, -0.1, 0.2])
+    robot = robot.model_copy(update={"physics": [*robot.physics, turned]})
     sensors, blows = setup.response, setup.excitation
     parameters = independent(
         [
@@ -43,6 +45,8 @@ def test_lengths_twists_and_places_have_the_slopes_of_differences(setup: Setup) 
             *point_parameters(robot, sensors, "response"),
             *point_parameters(robot, blows, "excitation"),
             *point_parameters(robot, blows, "position"),
+            *direction_parameters(robot, sensors, "response"),
+            *direction_parameters(robot, blows, "excitation"),
         ]
     )
     values = parameters.values(np.random.default_rng(0).normal(size=len(parameters)))
@@ -81,7 +85,8 @@ def test_every_number_of_a_description_is_a_suspect(setup: Setup) -> None:
     assert {"joint1.z.stiffness", "joint3.y.damping", "link2.mass", "link2.com", "link2.inertia", "posture"} <= sites
     assert {"link*.mass", "link*.com", "link*.inertia", "joint*.stiffness", "joint*.damping"} <= sites
     freed = {variants[0].site: variants for variants in geometry(robot, setup.response, setup.excitation)}
-    assert {"axis2.a", "axis3.d", "axis3.alpha", "node:2.position", "node:21.position", "node:*.position"} <= set(freed)
+    assert {"axis2.a", "axis3.d", "axis3.alpha", "node:2.position", "node:21.position"} <= set(freed)
+    assert {"node:*.position", "node:*.direction"} <= set(freed)
     assert len(freed["node:2.position"]) == 1
     assert len(freed["node:21.position"]) == 3  # the node, its sensor, its blow
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from twin.diagnose.decide import Decision, at_noise, sifted
+from twin.diagnose.decide import Decision, at_noise, in_doubt_beside, sifted
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
@@ -30,16 +30,18 @@ def fitted(robot: Robot, hypothesis: Hypothesis, own: np.ndarray) -> Fitted:
     return Fitted(hypothesis, parameters, z, values, robot, 1.0, 1.0, np.eye(len(z)), 100, True)
 
 
-def nodes(robot: Robot) -> Hypothesis:
-    """All nodes elsewhere."""
-    return geometry(robot, SENSORS, BLOWS)[-1][0]
+def nodes(robot: Robot, what: str = "position") -> Hypothesis:
+    """All nodes elsewhere, or all channels turned."""
+    return next(v[0] for v in geometry(robot, SENSORS, BLOWS) if v[0].site == f"node:*.{what}")
 
 
+@pytest.mark.parametrize("what", ["position", "direction"])
 @pytest.mark.parametrize(("times", "is_allowed"), [(1.0, True), (3.0, False)])
-def test_nodes_within_their_tolerance_are_no_finding(kr90: Robot, times: float, is_allowed: bool) -> None:
-    """Coordinates that are off by the tolerance in the mean are ordinary, by three times it they are not."""
-    group = nodes(kr90)
-    off = times * kr90.tolerances.position * np.resize([1.0, -1.0], len(group.own))
+def test_nodes_within_their_tolerance_are_no_finding(kr90: Robot, what: str, times: float, is_allowed: bool) -> None:
+    """Numbers that are off by the tolerance in the mean are ordinary, by three times it they are not."""
+    group = nodes(kr90, what)
+    tolerance = kr90.tolerances.position if what == "position" else np.deg2rad(kr90.tolerances.direction_deg)
+    off = times * tolerance * np.resize([1.0, -1.0], len(group.own))
     fit = fitted(kr90, group, np.array([p.mean for p in group.own]) + off)
     assert (allowed(fit, kr90) == (group,)) is is_allowed
 
@@ -82,8 +84,10 @@ def test_what_leaves_no_misfit_is_adequate(kr90: Robot, misfit: float, none: flo
 
 
 def test_a_sensor_and_a_blow_of_one_label_may_be_apart(kr90: Robot, milling: np.ndarray) -> None:
-    """MuJoCo predicts what the algebra does where a fit has moved the one and not the other."""
-    moved = Channels(BLOWS.label, BLOWS.body, BLOWS.position + np.array([[0.02, 0, 0], [0, 0, 0]]), BLOWS.direction)
+    """MuJoCo predicts what the algebra does where a fit has moved and turned the one and not the other."""
+    turned = np.array([[0.1, -0.05, 1.0], [0.0, 1.0, 0.2]])
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    moved = Channels(BLOWS.label, BLOWS.body, BLOWS.position + np.array([[0.02, 0, 0], [0, 0, 0]]), turned)
     record = SimpleNamespace(
         posture="p", q=milling, brakes="on", response=SENSORS, excitation=moved, quantity="accelerance"
     )
@@ -98,3 +102,16 @@ def test_a_floor_whose_moments_no_body_has_is_written_with_as_many(kr90: Robot) 
     written = as_written(kr90.model_copy(update={"physics": [*kr90.physics, floor]}), kr90).physics[-1]
     xx, yy, zz = written.values["inertia"]
     assert zz <= (xx + yy) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("after", "believed"), [(1.0, True), (1.2, True), (2.3, False)])
+def test_a_name_that_explains_little_of_what_tolerances_leave_is_doubted(
+    kr90: Robot, after: float, believed: bool
+) -> None:
+    """Of a misfit of 2.4 beside everything that is allowed, a name must take most to be one."""
+    gain = entry_hypothesis(kr90, "sensor_gain", "sensor:21X+", {"factor": 1.2})
+    base = replace(fitted(kr90, nodes(kr90), np.zeros(len(nodes(kr90).own))), misfit=2.4, data=10_000)
+    best = replace(fitted(kr90, gain, np.array([1.2])), misfit=after, data=10_000)
+    decision = in_doubt_beside(Decision([best], [0.99], 0.0, 0.01), base, None)
+    assert (decision.probability[0] > 0.5) is believed
+    assert sum(decision.probability) + decision.none + decision.other == pytest.approx(1.0)

@@ -241,6 +241,28 @@ def at_noise(decision: Decision, fit: Fitted) -> Decision:
     return replace(decision, none=decision.none + left - least, other=least, nameless=0.0)
 
 
+def in_doubt_beside(decision: Decision, base: Fitted, kept: Sample | None) -> Decision:
+    """A decision that trusts its name no further than it explains what is left beside what the description allows.
+
+    Args:
+        base: the base model with that free, which may explain most of what the name was thought to.
+        kept: hammer tests that were not fitted to.
+    """
+    if not decision.probability or decision.probability[0] <= max(decision.none, decision.other):
+        return decision
+    numbers, best = calibration(), decision.ranked[0]
+    left = _left(base.misfit, best.misfit, numbers["noise_misfit"] + _scatter(base))
+    if kept:
+        bare, named = (foreseen(fit, kept) for fit in (base, best))
+        left = max(left, _left(_misfit(bare), _misfit(named), numbers["held_out_misfit"] + _scatter(named)))
+    other = _other(left, numbers)
+    if other <= decision.other:
+        return decision
+    known = (1 - other) / (1 - decision.other)
+    names = [known * p for p in decision.probability]
+    return replace(decision, probability=names, none=known * decision.none, other=other, alike=known * decision.alike)
+
+
 def finalists(base: Fitted, fits: Sequence[Fitted]) -> tuple[dict[str, Any], ...]:
     """What a selection was made from, for other rules to choose: the base model (effect ``none``) and every fit.
 

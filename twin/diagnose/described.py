@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.measure.campaign import Channels
-from twin.model.parameters import Parameter, Parameters, axis_parameters, point_parameters
+from twin.model.parameters import Parameter, Parameters, axis_parameters, direction_parameters, point_parameters
 from twin.physics.chain import node_of
 from twin.robot.description import Robot
 
@@ -46,6 +46,8 @@ def described(free: Parameters) -> list[Hypothesis]:
 def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[list[Hypothesis]]:
     """Numbers that fits take as described: lengths and twists of axes, positions of nodes, one by one and all nodes.
 
+    Directions of sensors and blows are freed all at once; one by one they are effects.
+
     Whatever is at a node may be elsewhere, or its sensor, or one blow: variants of one hypothesis.
     """
     sensors = point_parameters(robot, response, "response")
@@ -60,7 +62,9 @@ def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[lis
         freed = [_freed(f"{node}.position", own) for own in some.values()]
         nodes.append(freed[1:] if len(freed) == 2 else freed)  # one channel group at the node: the two are the same
     axes = [[_freed(p.name, [p])] for p in axis_parameters(robot) if p.quantity != "theta"]  # a zero is an effect
-    return [*axes, *nodes, [_freed("node:*.position", [*sensors, *blows])]]
+    turns = [*direction_parameters(robot, response, "response"), *direction_parameters(robot, excitation, "excitation")]
+    everywhere = [_freed("node:*.position", [*sensors, *blows]), _freed("node:*.direction", turns)]
+    return [*axes, *nodes, *([group] for group in everywhere)]
 
 
 def _freed(site: str, own: Iterable[Parameter]) -> Hypothesis:

@@ -66,7 +66,7 @@ def predicted_by_mujoco(robot: Robot, record: FrfRecord, frequency: np.ndarray) 
     tested = with_channels(robot, record.excitation, record.response)
     blows = with_channels(robot, record.response, record.excitation)  # a sensor and a blow of one label may be apart
     linear, struck = (linearise(assemble(r, record.q, brakes=record.brakes or "off")) for r in (tested, blows))
-    chain = measurement_chain(linear, tested, record.response.label, record.excitation.label)
+    chain = measurement_chain(linear, tested, record.response.label, record.excitation.label, struck)
     return np.asarray(frf(linear, frequency, chain, quantity=record.quantity, struck=struck))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.diagnose.borne_out import gained
 from twin.diagnose.calibration import calibration
-from twin.diagnose.decide import Decision, at_noise, decide, finalists, sifted
+from twin.diagnose.decide import Decision, at_noise, decide, finalists, in_doubt_beside, sifted
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import cut_short, put_right, without_hum
@@ -259,7 +259,7 @@ def _answered(
     decision, doubts = sifted(decision, base)
     if doubts:
         settled = base_with(base, search.base.parameters, settled, doubts, sample, sample.thin(REFIT_LINES))
-        decision = at_noise(decision, settled)
+        decision = in_doubt_beside(at_noise(decision, settled), settled, unseen)
     links: frozenset[str] = frozenset()
     if judge(decision) in ("named", "ambiguous"):
         decision, links = _or_its_link(decision, settled, base)
@@ -398,7 +398,7 @@ def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     if robot is fit.robot:
         return fit
     written = written_names(fit.parameters)
-    free = written.only("spring", "entry", "axis", "posture", "sag", "gain", "point")
+    free = written.only("spring", "entry", "axis", "posture", "sag", "gain", "point", "direction")
     values = np.array([fit.values[written.names.index(name)] for name in free.names])
     described = robot.model_copy(update={"links": base.links})
     few, fits = sample.thin(REFIT_LINES), []

@@ -102,7 +102,7 @@ class Hypothesis:
         Tolerances of links, angles and gains change FRFs by less than that.
         """
         widened = {name for name, _ in self.scale}
-        coarse = ("spring", "entry", "axis", "point")
+        coarse = ("spring", "entry", "axis", "point", "direction")
         return [k for k, p in enumerate(parameters) if p.kind in coarse or p.name in widened]
 
     def _quick(self, written: Parameters) -> Parameters:

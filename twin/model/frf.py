@@ -14,13 +14,17 @@ Quantity = Literal["receptance", "mobility", "accelerance"]
 _POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
-def measurement_chain(linear: LinearModel, robot: Robot, responses: Sequence[str], excitations: Sequence[str]) -> (
-    MeasurementChain
-):  # fmt: skip
-    """The chain between the model's points and the recording, as the robot's measurement entries make it."""
+def measurement_chain(
+    linear: LinearModel, robot: Robot, responses: Sequence[str], excitations: Sequence[str],
+    struck: LinearModel | None = None,
+) -> MeasurementChain:  # fmt: skip
+    """The chain between the model's points and the recording, as the robot's measurement entries make it.
+
+    ``struck`` is as in :func:`frf`: where a blow has another direction than a sensor of the same label.
+    """
     chain = MeasurementChain(
         tuple(responses), np.array([linear.directions[label] for label in responses]),
-        tuple(excitations), np.array([linear.directions[label] for label in excitations]),
+        tuple(excitations), np.array([(struck or linear).directions[label] for label in excitations]),
         torque_gain=np.ones(robot.axis_count),
     )  # fmt: skip
     for entry in robot.physics:
@@ -56,7 +60,7 @@ def frf(
     else:
         chain = MeasurementChain(
             tuple(responses), np.array([linear.directions[label] for label in responses]),
-            tuple(excitations), np.array([linear.directions[label] for label in excitations]),
+            tuple(excitations), np.array([(struck or linear).directions[label] for label in excitations]),
         )  # fmt: skip
     J_r = _rows(linear, chain.response_labels, chain.response_direction)
     J_e = _rows(struck or linear, chain.excitation_labels, chain.excitation_direction)
