@@ -213,40 +213,54 @@ class Parameters:
         return error
 
     @cached_property
-    def _points(self) -> list[int]:
-        return [k for k, parameter in enumerate(self.items) if parameter.kind == "point"]
+    def _channels(self) -> dict[tuple[tuple[str, ...], Side], list[tuple[int, list[int], int]]]:
+        """What :meth:`moving` found, by labels and side."""
+        return {}
 
-    @cached_property
-    def _directions(self) -> list[int]:
-        return [k for k, parameter in enumerate(self.items) if parameter.kind == "direction"]
+    def moving(self, labels: tuple[str, ...], side: Side) -> list[tuple[int, list[int], int]]:
+        """What moves or turns channels of a side: index of the parameter, rows of the channels, axis of their link."""
+        if (labels, side) not in self._channels:
+            own = [k for k, parameter in enumerate(self.items) if parameter.kind in ("point", "direction")]
+            found = [(k, rows_of(self.items[k], labels, side), "xyz".index(self.parts[k][1][-1])) for k in own]
+            self._channels[labels, side] = [(k, rows, axis) for k, rows, axis in found if rows]
+        return self._channels[labels, side]
 
     def placed(self, channels: Channels, side: Side, values: FloatArray) -> Channels:
         """Channels of one side where the values have their nodes, and turned as they have them."""
-        if not self._points and not self._directions:
+        moving = self.moving(channels.label, side)
+        if not moving:
             return channels
         position = channels.position.copy()
-        for k in self._points:
-            for row in rows_of(self.items[k], channels, side):
-                position[row, "xyz".index(self.parts[k][1])] += values[k] - self.items[k].mean
+        for k, rows, axis in moving:
+            if self.items[k].kind == "point":
+                position[rows, axis] += values[k] - self.items[k].mean
         channels = replace(channels, position=position)
-        return replace(channels, direction=self._turned(channels, side, values)) if self._directions else channels
+        turned = any(self.items[k].kind == "direction" for k, _, _ in moving)
+        return replace(channels, direction=self._turned(channels, side, values)) if turned else channels
 
     def _turned(self, channels: Channels, side: Side, values: FloatArray) -> FloatArray:
         """Unit directions (n, 3) turned by small angles θ, (d + θ × d) / |d + θ × d|."""
         angle = np.zeros_like(channels.direction)
-        for k in self._directions:
-            for row in rows_of(self.items[k], channels, side):
-                angle[row, "xyz".index(self.parts[k][1][1])] += values[k] - self.items[k].mean
+        for k, rows, axis in self.moving(channels.label, side):
+            if self.items[k].kind == "direction":
+                angle[rows, axis] += values[k] - self.items[k].mean
         turned = channels.direction + np.cross(angle, channels.direction)
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
-    def turning(self, channels: Channels, side: Side, values: FloatArray, k: int) -> tuple[list[int], FloatArray]:
-        """Rows that parameter k turns, and the rate (m, 3) of their directions, per rad; ``channels`` as stated."""
-        rows = rows_of(self.items[k], channels, side)
-        stated, turned = channels.direction[rows], self._turned(channels, side, values)[rows]
-        rate = np.cross(np.eye(3)["xyz".index(self.parts[k][1][1])], stated)
-        along = np.sum(turned * stated, axis=1, keepdims=True)  # 1 / |d + θ × d|, as θ × d is across d
-        return rows, along * (rate - np.sum(rate * turned, axis=1, keepdims=True) * turned)
+    def turning(self, channels: Channels, side: Side, values: FloatArray) -> dict[int, tuple[list[int], FloatArray]]:
+        """Index of every angle → rows that it turns, and the rate (m, 3) of their directions, per rad.
+
+        Args:
+            channels: as stated.
+        """
+        turned, found = self._turned(channels, side, values), {}
+        along = np.sum(turned * channels.direction, axis=1, keepdims=True)  # 1 / |d + θ × d|, as θ × d is across d
+        rate = np.stack([np.cross(e, channels.direction) for e in np.eye(3)])
+        rate = along * (rate - np.sum(rate * turned, axis=-1, keepdims=True) * turned)
+        for k, rows, axis in self.moving(channels.label, side):
+            if self.items[k].kind == "direction":
+                found[k] = (rows, rate[axis, rows])
+        return found
 
     def gains(self, labels: Sequence[str], values: FloatArray) -> FloatArray:
         """Gains (nr,) of response channels."""
@@ -515,12 +529,12 @@ def _entries(robot: Robot) -> list[tuple[str, Entry]]:
     return keyed
 
 
-def rows_of(point: Parameter, channels: Channels, side: Side) -> list[int]:
+def rows_of(point: Parameter, labels: Sequence[str], side: Side) -> list[int]:
     """The channels of a side that a coordinate moves or an angle turns: of its node, or the one of its label."""
     where, _, of = point.site.removeprefix("node:").partition(".")
     if of not in (side, "position"):
         return []
-    return [k for k, label in enumerate(channels.label) if where in (label, node_of(label))]
+    return [k for k, label in enumerate(labels) if where in (label, node_of(label))]
 
 
 def _parse(name: str) -> tuple[str, str, int | None]:

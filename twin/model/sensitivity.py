@@ -765,7 +765,7 @@ def _apply_point(
         ("excitation", out.J_e, setup.excitation, chain.excitation_direction),
     )
     for side, target, channels, direction in sides:
-        for k in rows_of(parameter, channels, side):
+        for k in rows_of(parameter, channels.label, side):
             target[p, k] = model.point_slopes(channels, direction, k, letter)
 
 
@@ -791,22 +791,22 @@ def _apply_turns(
     for side, target, before, channels in sides:
         at: list[tuple[int, int]] = []
         rates: list[FloatArray] = []
+        turning = parameters.turning(before, side, values)
+        recorded = plain.response_direction if side == "response" else plain.excitation_direction
         for row, p in turns:
-            rows, rate = parameters.turning(before, side, values, p)
-            if not rows:
+            if p not in turning:
                 continue
-            shaken = channels.direction.copy()
-            shaken[rows] += TURN * rate
-            moved = replace(channels, direction=shaken)
-            if side == "response":
-                chain = recording_chain(robot, moved, setup.excitation)
-                change = chain.response_direction - plain.response_direction
-            else:
-                chain = recording_chain(robot, setup.response, moved)
-                change = chain.excitation_direction - plain.excitation_direction
+            change = np.zeros_like(recorded)
+            change[turning[p][0]] = turning[p][1]
+            if recorded is not channels.direction and (recorded != channels.direction).any():
+                moved = replace(channels, direction=channels.direction + TURN * change)
+                pair = (moved, setup.excitation) if side == "response" else (setup.response, moved)
+                chain = recording_chain(robot, *pair)
+                after = chain.response_direction if side == "response" else chain.excitation_direction
+                change = (after - recorded) / TURN
             touched = np.flatnonzero(change.any(axis=1))
             at += [(row, int(k)) for k in touched]
-            rates += list(change[touched] / TURN)
+            rates += list(change[touched])
         if at:
             body, local = model.carried_points(channels)
             here = [body[k] for _, k in at]
