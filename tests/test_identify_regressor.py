@@ -19,7 +19,7 @@ from twin.model.regressor import (
     pseudo_inertia,
     rotor_body_regressor,
 )
-from twin.model.replay import inverse_dynamics, motion_of, replay
+from twin.model.replay import inverse_dynamics, motion_of, replay, rigid_torque
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot, parse_robot
 from twin.robot.frames import matrix_of, rotation_x, rotation_z
@@ -272,3 +272,15 @@ def test_ten_parameters_and_a_body_are_the_same_thing() -> None:
     moment = (points * weights[:, None]).T @ points
     vector = sum(inertial_vector(w, p[:3], np.zeros((3, 3))) for w, p in zip(weights, points, strict=True))
     np.testing.assert_allclose(pseudo_inertia(np.asarray(vector)), moment, atol=1e-13)
+
+
+def test_what_has_no_column_goes_through_the_gears_too(kr90: Robot) -> None:
+    """Links, rotor masses and a payload are MuJoCo's torque of the rigid robot, which friction may follow."""
+    payload = Entry(effect="payload", site="flange", mass=30.0, com=[0.1, 0.0, 0.2])
+    drives = [drive.model_copy(update={"rotor_mass": 20.0}) for drive in kr90.drives]
+    robot = kr90.model_copy(update={"drives": drives, "physics": [payload]})
+    motion, regressor = random_motion(robot), Regressor(robot)
+    links = regressor.described[regressor.select("link")] + regressor.weights
+    ours = link_regressor(robot, motion) @ links
+    # a rotor's mass is a small ball to MuJoCo and a point here
+    np.testing.assert_allclose(ours, rigid_torque(robot, motion), atol=1e-4 * np.abs(ours).max())

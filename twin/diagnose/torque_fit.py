@@ -153,7 +153,7 @@ class Base:
         shares = PRESLIDING * common + APART * alone.reshape(n, travels)
         turning, uneven = (np.einsum("mjt,jt->mj", part[k], shares) for part in (self.presliding, self.uneven))
         torque += turning
-        load = on_dense(run, run.bodies[:, :, :links] @ values[:links])
+        load = on_dense(run, run.bodies[:, :, :links] @ (values[:links] + self.regressor.weights))
         friction = np.zeros_like(load)
         roles = [effect_named(c.name.partition("@")[0]).role for c in self.regressor.columns]
         for column, axis, law in self.regressor.laws(run.dense):

@@ -314,17 +314,25 @@ class Regressor:
         seen = motion.on(self.robot)
         motion = seen.of_axes
         vectors = np.array([inertial_vector(*link.inertial) for link in self.robot.links])
-        vectors[:, 0] += [drive.rotor_mass for drive in self.robot.drives]
-        for entry in self.robot.physics:
-            if weight := CATALOGUE[entry.effect].weight(entry.values):
-                link, vector = weight_vector(entry.site, weight, len(vectors))
-                vectors[link] += vector
+        vectors += self.weights.reshape(vectors.shape)
         total = np.zeros_like(motion.position)
         for i, frame in enumerate(_frames(self.robot, motion)):
             wrench = _wrench(frame) @ vectors[i][:, None]
             for j in range(i + 1):
                 total[:, j] += _power(frame, j, wrench)[:, 0]
         return seen.seen(total)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Inertial parameters (10 n,) of what has no column and moves with the links: rotor masses and payloads."""
+        n = self.robot.axis_count
+        total = np.zeros(10 * n)
+        total[::10] = [drive.rotor_mass for drive in self.robot.drives]
+        for entry in self.robot.physics:
+            if (weight := CATALOGUE[entry.effect].weight(entry.values)) is not None:
+                link, vector = weight_vector(entry.site, weight, n)
+                total[10 * link : 10 * link + 10] += vector
+        return total
 
     def _carried(self, motion: Motion, drive: str, part: Part, amount: float) -> dict[int, np.ndarray]:
         """What a drive's inertia or friction does beyond its own axis, where other entries take it over."""
@@ -363,22 +371,15 @@ class Regressor:
 
     def known_torque(self, motion: Motion) -> np.ndarray:
         """Torque (nt, n) of what has no column: payloads, rotor masses, and laws not linear in their parameters."""
-        n = self.robot.axis_count
-        payload = np.zeros(10 * n)
-        payload[::10] = [drive.rotor_mass for drive in self.robot.drives]
-        fixed = []
+        n, weights, fixed = self.robot.axis_count, self.weights, []
         for entry in self.robot.physics:
             effect = CATALOGUE[entry.effect]
-            weight = effect.weight(entry.values)
-            if weight is not None:
-                link, vector = weight_vector(entry.site, weight, n)
-                payload[10 * link : 10 * link + 10] += vector
-            elif not effect.linear_in:
+            if effect.weight(entry.values) is None and not effect.linear_in:
                 fixed.append((effect, entry))
         recorded, motion = motion, motion.on(self.robot)
         total = np.zeros_like(motion.position)
-        if payload.any():
-            total += motion.seen(link_regressor(self.robot, motion.of_axes) @ payload)
+        if weights.any():
+            total += motion.seen(link_regressor(self.robot, motion.of_axes) @ weights)
         if any(effect.role != "drive" for effect, _ in fixed):  # such laws act on load and friction as described
             Y = self.evaluate(recorded)
             load = self.select("link")
