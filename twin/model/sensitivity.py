@@ -913,18 +913,23 @@ def _receptances(seen: Observed, s: ComplexArray, power: int) -> tuple[ComplexAr
 
 def _stiffness_slopes(rate: Observed, s: ComplexArray, pull: ComplexArray, X_e: ComplexArray) -> ComplexArray:
     """pull ∂Z X_e (n, nf, nr, ne), pull (nf, nr, nv), X_e (nf, nv, ne): ∂Z first meets the side with fewer channels."""
-    (nf, nr, nv), ne, n = pull.shape, X_e.shape[2], len(rate.M)
-    parts = [(m, factor[:, None, None]) for m, factor in zip(_matrices(rate), _factors(s), strict=True) if m.any()]
+    (nf, nr, nv), ne = pull.shape, X_e.shape[2]
+    felt = np.flatnonzero(np.any([m.any(axis=(1, 2)) for m in _matrices(rate)], axis=0))  # not channels' own numbers
+    out, n = np.zeros((len(rate.M), nf, nr, ne), complex), len(felt)
+    every = [m[felt] for m in _matrices(rate)]
+    parts = [(m, factor[:, None, None]) for m, factor in zip(every, _factors(s), strict=True) if m.any()]
     if not parts:
-        return np.zeros((n, nf, nr, ne), complex)
+        return out
     if nr <= ne:
         flat = np.concatenate([factor * pull for _, factor in parts], axis=2).reshape(nf * nr, -1)
         left = flat @ np.concatenate([m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts])
-        return (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
+        out[felt] = (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
+        return out
     flat = np.concatenate([factor * X_e for _, factor in parts], axis=1).transpose(1, 0, 2).reshape(-1, nf * ne)
     right = np.concatenate([m for m, _ in parts], axis=2).reshape(n * nv, -1) @ flat.view(float)
     right = right.view(complex).reshape(n, nv, nf, ne).transpose(2, 1, 0, 3).reshape(nf, nv, n * ne)
-    return (pull @ right).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
+    out[felt] = (pull @ right).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
+    return out
 
 
 def _loaded(seen: Observed, s: ComplexArray, B: ComplexArray) -> ComplexArray:
