@@ -1,12 +1,13 @@
 """A name stays only where the recordings are predicted better with it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from twin.diagnose.borne_out import borne_out, gained
+from twin.diagnose.borne_out import borne_out, gained, rises
 from twin.diagnose.records import STAGES, FrfRecord
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
 from twin.measure.campaign import Channels
@@ -96,3 +97,11 @@ def test_a_zero_must_gain_over_angles_that_are_free(kr90: Robot, rng: np.random.
     given = verdict(kr90, record(rng, 3.0, 0.0, False), record(rng, 3.0, 0.0, True))
     assert borne_out(given) is given
     assert borne_out(replace(given, findings=[replace(given.findings[0], gain=1.0)])).missing == []
+
+
+@pytest.mark.parametrize(("alone", "after", "worse"), [(True, 0.36, True), (False, 0.36, False), (False, 0.9, True)])
+def test_one_of_several_recordings_may_lose_what_noise_hides(alone: bool, after: float, worse: bool) -> None:
+    """A log's own fit follows 0.31 % where noise is 0.33 %: 0.36 % with another's answer is no other robot."""
+    error = {"before": {"train": 0.31, "held_out": 0.32}, "after": {"train": after, "held_out": after}}
+    finding = SimpleNamespace(error={**error, "noise_floor": 0.33})
+    assert rises(finding, alone) is worse  # type: ignore[arg-type]

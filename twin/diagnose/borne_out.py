@@ -56,12 +56,18 @@ def falls(finding: Finding) -> bool:
     return bool(after[part] < before[part])
 
 
-def rises(finding: Finding) -> bool:
-    """Whether a recording is predicted clearly worse with what was found in all of them."""
+def rises(finding: Finding, alone: bool = True) -> bool:
+    """Whether a recording is predicted clearly worse with what was found in all of them.
+
+    One of several may lose some of what its own fit had: not so much that its model would no longer be adequate.
+    """
     before, after = (finding.error[stage] for stage in ("before", "after"))
-    most = calibration()["worse"]
+    numbers = calibration()
+    least = 0.0 if alone else numbers["held_out_adequate"] ** 0.5 * (finding.error.get("noise_floor") or 0.0)
     return any(
-        before[part] is not None and after[part] is not None and after[part] > most * before[part]
+        before[part] is not None
+        and after[part] is not None
+        and after[part] > max(numbers["worse"] * before[part], least)
         for part in ("train", "held_out")
     )
 
@@ -74,7 +80,7 @@ def borne_out(verdict: Verdict) -> Verdict:
     """
     if not verdict.missing:
         return verdict
-    worse = [finding for finding in verdict.findings if rises(finding)]
+    worse = [finding for finding in verdict.findings if rises(finding, len(verdict.findings) == 1)]
     if not worse and any(falls(finding) for finding in verdict.findings):
         return verdict
     names = ", ".join(missing.first.title for missing in verdict.missing)

@@ -33,7 +33,7 @@ from twin.diagnose.torque_fit import (
 from twin.diagnose.torque_laws import log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
-from twin.diagnose.torque_numbers import follow
+from twin.diagnose.torque_numbers import GAIN, follow
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
     REFITTED,
@@ -585,8 +585,9 @@ def pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None
 def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None) -> list[LogRecord]:
     """A log's records with ``after`` the torque of a description as it is, beside what the log's fit held for ordinary.
 
-    Ordinary ripple stays as it was fitted; what was found of the recording acts on the torque, which is compared as it
-    was recorded. Only offsets are re-estimated.
+    Ordinary ripple, the travel over which friction turns round and the gain of the record stay as they were fitted.
+    What was found of the recording acts on the torque, which is compared as it was recorded. Only offsets are
+    re-estimated.
     """
     new = [e for e in finding.robot.physics if e not in finding.given.physics]
     found_there = {
@@ -594,7 +595,7 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
     }  # the numbers may have moved since
     recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
     robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
-    prepared = prepare(log, robot, finding.recording, hold_out)
+    prepared = prepare(log, _smooth(robot, finding), finding.recording, hold_out)
     fit, found = finding.fit, []
     fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
     records = {(r.name, r.held_out): r for r in finding.records if isinstance(r, LogRecord)}
@@ -602,13 +603,30 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
         if not runs:
             continue
         base = base_of(prepared.regressor, runs)
-        ripple = [fitted.get(p.name, 0.0) * p.name.startswith("ordinary_ripple@") for p in base.parameters]
-        z = np.array(ripple) / [p.deviation for p in base.parameters]
+        own = [p.name.startswith("ordinary_") or p.name == GAIN for p in base.parameters]
+        off = [fitted.get(p.name, p.mean) - p.mean for p in base.parameters]
+        z = np.where(own, off, 0.0) / [p.deviation for p in base.parameters]
         for k, run in enumerate(runs):
             record = records[run.name, held]
             torque = predicted_torque(base, k, z, recording, record.valid)
             found.append(replace(record, predicted={**record.predicted, "after": torque}))
     return found
+
+
+def _smooth(robot: Robot, finding: Finding) -> Robot:
+    """A description whose dry friction turns round by the smooth law of fits, not by the elements it is written in."""
+    slip, dry = effect_of("slip").name, effect_of("dry")
+    there = {(e.effect, e.site) for e in finding.robot.physics}
+    written = [e for e in robot.physics if e.effect == slip and (e.effect, e.site) not in there]
+    given_up = {e.site: float(np.sum(e.values["yield_torque"])) for e in written}
+    level, physics = dry.parameters[0].name, []
+    for entry in robot.physics:
+        if entry.effect == dry.name and entry.site in given_up:
+            whole = {level: entry.values[level] + given_up[entry.site]}
+            entry = Entry.model_validate({"effect": dry.name, "site": entry.site, **whole})
+        if entry not in written:
+            physics.append(entry)
+    return robot.model_copy(update={"physics": physics})
 
 
 @dataclass
