@@ -91,6 +91,17 @@ def test_every_number_of_a_description_is_a_suspect(setup: Setup) -> None:
     assert len(freed["node:21.position"]) == 3  # the node, its sensor, its blow
 
 
+@pytest.mark.parametrize("name", ["direction_deg", "position", "length", "angle_deg"])
+def test_what_has_no_tolerance_is_no_suspect(setup: Setup, name: str) -> None:
+    """A number that is known exactly is not freed: its prior would be singular."""
+    robot = load_robot("kr90")
+    robot = robot.model_copy(update={"tolerances": robot.tolerances.model_copy(update={name: 0.0})})
+    free = free_parameters(robot, ["here"], setup.response.label)
+    some = [h for variants in geometry(robot, setup.response, setup.excitation) for h in variants]
+    assert some
+    assert all(np.isfinite(h.parameters(free).root).all() for h in some)
+
+
 @pytest.mark.slow
 def test_a_blow_off_by_its_tolerance_is_told_and_no_finding(tmp_path: Path) -> None:
     """7 mm off where 5 mm is one standard deviation."""

@@ -64,7 +64,8 @@ def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[lis
     axes = [[_freed(p.name, [p])] for p in axis_parameters(robot) if p.quantity != "theta"]  # a zero is an effect
     turns = [*direction_parameters(robot, response, "response"), *direction_parameters(robot, excitation, "excitation")]
     everywhere = [_freed("node:*.position", [*sensors, *blows]), _freed("node:*.direction", turns)]
-    return [*axes, *nodes, *([group] for group in everywhere)]
+    found = [*axes, *nodes, *([group] for group in everywhere)]
+    return [some for some in found if all(p.deviation > 0 for p in some[0].own)]  # else it is known exactly
 
 
 def _freed(site: str, own: Iterable[Parameter]) -> Hypothesis:
