@@ -17,9 +17,9 @@ import typer
 
 from tools import make_shapes as shapes
 from twin.physics import effect_of
+from twin.robot.bodies import Inertial, fuse
 from twin.robot.description import SHIPPED, Robot, load_robot, parse_robot, save_robot
 from twin.robot.frames import axis_placement, inertia_six, matrix_of
-from twin.robot.mechanism import Inertial, fuse
 from twin.robot.scaling import estimate
 
 WRIST_M, FLANGE_M, ELBOW_M = 1.40, 0.215, 0.041  # joint 3 to wrist centre, on to the flange; the forearm's offset

@@ -185,7 +185,10 @@ def state(split: Path, name: str) -> None:
     for stage in STAGES:
         folder = split / "models" / name / stage
         if stage not in found and (folder / FILE).exists():
-            found[stage] = stated(folder, store.read(split / "cuts" / f"{name}.json"))
+            try:
+                found[stage] = stated(folder, store.read(split / "cuts" / f"{name}.json"))
+            except InputError as error:  # as `twin lobes` refuses it
+                found.setdefault("refused", {})[stage] = str(error)
             store.write(path, found)
 
 

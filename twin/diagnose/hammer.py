@@ -13,7 +13,7 @@ from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import cut_short, put_right, without_hum
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
-from twin.diagnose.joint import Knowledge, settled_with, shared
+from twin.diagnose.joint import Knowledge, about, settled_with, shared
 from twin.diagnose.joint_reaction import blows
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
@@ -160,7 +160,7 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
     if again := _without_hum(campaign, best, sample, ask):
         return again
-    answer = _answered(base, search, sample, looked_at, found)
+    answer = _answered(base, search, sample, looked_at, found, bool(told_by and told_by.fit))
     before = _as_described(base, search, answer, sample)
     if told_by and told_by.missing:
         before = _weighed(told_by, without_limits(given), answer.base, sample, seed)
@@ -249,9 +249,9 @@ def _suspects(campaign: Campaign, base: Robot, free: Parameters, found: Triage) 
 
 
 def _answered(
-    base: Robot, search: Search, sample: Sample, looked_at: Sequence[Sequence[Hypothesis]], found: Triage
+    base: Robot, search: Search, sample: Sample, looked_at: Sequence[Sequence[Hypothesis]], found: Triage, told: bool
 ) -> _Answer:
-    """The decision over everything that was fitted."""
+    """The decision over everything that was fitted; ``told``: the prior of masses is another recording's."""
     *fits, settled = settle(base, search, sample)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
@@ -270,8 +270,20 @@ def _answered(
         decision = replace(decision, ranked=[in_doubt_of_size(best), *others])
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
+    if told and answered:
+        ends[-1] = _where_it_ends(ends[-1], base, sample)
     ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
     return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]), links, doubts)
+
+
+def _where_it_ends(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
+    """A fit under what another recording knows of masses there, see :func:`about`."""
+    parameters, few = about(fit), sample.thin(REFIT_LINES)
+    near = descend(base, fit.hypothesis, parameters, few, parameters.coordinates(fit.values), tempered=0)
+    parameters = about(near)
+    z = parameters.coordinates(near.values)
+    again = descend(base, fit.hypothesis, parameters, sample, z, tempered=0, tolerance=0.02)
+    return replace(again, allowed=fit.allowed)
 
 
 def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Decision, frozenset[str]]:

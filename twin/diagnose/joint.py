@@ -5,7 +5,7 @@ depend on (links, payloads) replaces their prior, and an entry that both can sho
 says of it. So a payload must satisfy both.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +14,11 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.refit import Fitted
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word
 from twin.measure.campaign import FloatArray
-from twin.model.parameters import Parameters, entry_parameter, independent, join
+from twin.model.parameters import SIX, Parameters, Sprung, entry_parameter, independent, join
+from twin.model.regressor import body_of, inertial_vector
 from twin.physics import CATALOGUE, effect_named
 from twin.robot.description import Robot
+from twin.robot.frames import inertia_matrix, inertia_six
 
 
 def shared(effect: str) -> bool:
@@ -44,15 +46,24 @@ class Knowledge:
 
     @classmethod
     def of(cls, fit: Fitted) -> "Knowledge":
-        """From a log's fit: its links, and the payloads of its hypothesis."""
-        names = fit.parameters.names
-        own = [k for k, name in enumerate(names) if "@" in name and shared(name.partition("@")[0])]
-        links = [k for k, p in enumerate(fit.parameters) if p.kind == "link"]
-        keep = [*links, *own]
-        covariance = fit.covariance
+        """From a log's fit: its links, and the payloads of its hypothesis.
+
+        The log's numbers of links are its moments, linear about the description. Masses and places have these moments.
+        """
+        names, values, covariance = fit.parameters.names, fit.values.copy(), fit.covariance
         prior = fit.parameters.covariance * max(1.0, fit.misfit)  # scaled like it: no more is taken out than is in it
+        links = [k for k, p in enumerate(fit.parameters) if p.kind == "link"]
+        turn, x = np.eye(len(names)), fit.parameters.root @ fit.z
+        for at in _bodies(fit.parameters, links):
+            described = np.array([fit.parameters[k].mean for k in at])
+            was = _slopes_of(fit.parameters, at, described)
+            values[at] = _numbers(_moments(described) + was @ x[at])
+            turn[np.ix_(at, at)] = np.linalg.solve(_slopes_of(fit.parameters, at, values[at]), was)
+        covariance, prior = turn @ covariance @ turn.T, turn @ prior @ turn.T
+        own = [k for k, name in enumerate(names) if "@" in name and shared(name.partition("@")[0])]
+        keep = [*links, *own]
         return cls(
-            tuple(names[k] for k in keep), len(links), fit.values[keep], covariance[np.ix_(keep, keep)],
+            tuple(names[k] for k in keep), len(links), values[keep], covariance[np.ix_(keep, keep)],
             prior[np.ix_(links, links)], np.array([fit.parameters[k].log for k in keep]),
         )  # fmt: skip
 
@@ -66,8 +77,9 @@ class Knowledge:
             robot: the description that holds them, with the log's entries.
         """
         present = set(free.names)
-        added = [name for name in self.names[self.links :] if name not in present]
-        items = list(free.items) + [entry_parameter(robot, name) for name in added]
+        added = [entry_parameter(robot, name) for name in self.names[self.links :] if name not in present]
+        added = [p for p in added if p.mean > 0 or not p.log]  # an inertia that the log has at zero stays there
+        items = [*free.items, *added]
         whole = join(free, independent(items[len(free) :])) if added else free
         rows = [k for k, name in enumerate(self.names) if name in whole.names]
         at = [whole.names.index(self.names[k]) for k in rows]
@@ -87,6 +99,62 @@ class Knowledge:
         for k, v in zip(at, value, strict=True):
             items[k] = replace(items[k], mean=float(v), deviation=float(np.sqrt(covariance[k, k])))
         return Parameters(tuple(items), covariance)
+
+
+def about(fit: Fitted) -> Parameters:
+    """A fit's parameters with the prior of masses and where they hang made linear anew, where the fit has them.
+
+    A log knows moments, m c and J + m (cᵀc E − c cᵀ), which are linear in its torque. Its knowledge of them is normal,
+    and of masses and places only near where it was asked: a payload that moves by a kilogram would take other torque
+    along.
+    """
+    parameters, every = fit.parameters, range(len(fit.parameters))
+    turn, items = np.eye(len(parameters)), list(parameters.items)
+    for at in _bodies(parameters, every):
+        there, mean = fit.values[at], np.array([items[k].mean for k in at])
+        was, now = (_slopes_of(parameters, at, numbers) for numbers in (mean, there))
+        turn[np.ix_(at, at)] = np.linalg.solve(now, was)
+        off = np.linalg.solve(now, _moments(mean) - _moments(there))
+        for k, value, x in zip(at, there, off, strict=True):
+            items[k] = replace(items[k], mean=float(value * np.exp(x) if items[k].log else value + x))
+    covariance = turn @ parameters.covariance @ turn.T
+    items = [replace(item, deviation=float(np.sqrt(covariance[k, k]))) for k, item in enumerate(items)]
+    if not isinstance(parameters, Sprung):
+        return Parameters(tuple(items), covariance)
+    written = [replace(w, mean=i.mean, deviation=i.deviation) for w, i in zip(parameters.written, items, strict=True)]
+    return Sprung(tuple(items), covariance, Parameters(tuple(written), covariance))
+
+
+def _bodies(parameters: Parameters, among: Iterable[int]) -> list[list[int]]:
+    """Of every body with free mass and centre of mass their indices, then those of its inertia where that is free."""
+    index, found = {parameters.names[k]: k for k in among}, []
+    for body in [name.removesuffix(".mass") for name in index if name.endswith(".mass")]:
+        com = [f"{body}.com[{k}]" if "@" in body else f"{body}.com.{letter}" for k, letter in enumerate("xyz")]
+        inertia = [f"{body}.inertia.{pair}" for pair in SIX]
+        own = [f"{body}.mass", *com, *(inertia if inertia[0] in index else ())]
+        if set(own) <= index.keys():
+            found.append([index[name] for name in own])
+    return found
+
+
+def _moments(numbers: FloatArray) -> FloatArray:
+    """m, m c and, of ten numbers, the inertia about the frame's origin, of m, c and the inertia at c; (4,) or (10,)."""
+    inertia = inertia_matrix([*numbers[4:]] or [0.0] * 6)
+    return inertial_vector(float(numbers[0]), numbers[1:4], inertia)[: len(numbers)]
+
+
+def _numbers(moments: FloatArray) -> FloatArray:
+    """The inverse of :func:`_moments`."""
+    mass, com, inertia = body_of(np.pad(moments, (0, 10 - len(moments))))
+    return np.array([mass, *com, *inertia_six(inertia)])[: len(moments)]
+
+
+def _slopes_of(parameters: Parameters, at: list[int], numbers: FloatArray) -> FloatArray:
+    """∂ moments / ∂ x of a body at its numbers; differences of a cubic, good to 1e-6 of it."""
+    step = 1e-3
+    sides = [[_moments(numbers + sign * step * e) for e in np.eye(len(numbers))] for sign in (1.0, -1.0)]
+    slopes = (np.array(sides[0]) - np.array(sides[1])).T / (2 * step)
+    return np.asarray(slopes * np.where([parameters[k].log for k in at], numbers, 1.0))
 
 
 def settled_with(missing: Sequence[Missing], gains: dict[str, float], none: float, other: float) -> (

@@ -29,9 +29,9 @@ from twin.model.parameters import SIX, Parameters
 from twin.model.sensitivity import observe
 from twin.parallel import spread
 from twin.physics import CATALOGUE
+from twin.robot.bodies import fuse
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
-from twin.robot.mechanism import fuse
 
 SIZES = (-0.5, 1.0)
 """Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""

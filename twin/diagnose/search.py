@@ -283,22 +283,25 @@ def _all_at_once(
 ) -> Fitted:
     """The best of some fits that miss by more than noise, with all nodes where the recordings have them, if that pays.
 
-    Every node is somewhat elsewhere than a file says, and what that leaves would pass for a kind of spring. Fits come
-    with most evidence first; rivals of the first are freed with it.
+    Every node is somewhat elsewhere than a file says, and turned, and what that leaves would pass for a kind of spring.
+    Fits come with most evidence first; rivals of the first are freed with it.
     """
-    best = found[0]
-    if not inflation(best, robot, sample.thin(REFIT_LINES)):
-        return best
-    near = best.evidence() - WITHIN * max(1.0, best.misfit)
+    best, fits = found[0], list(found)
     groups = [v[0] for v in suspects if v[0].law is None and v[0].own and "*" in v[0].site]
-    places = []
-    for fit in [fit for fit in found if fit.evidence() > near]:
-        for group in [one for one in groups if one.key not in fit.hypothesis.identity]:
-            hypothesis = together(fit.hypothesis, group)
-            parameters = hypothesis.parameters(search.base.parameters)
-            places.append(_Place(hypothesis, parameters, (np.concatenate([fit.z, np.zeros(len(group.own))]),)))
-    freed = max([best, *_refits(robot, search, places, sample)], key=lambda fit: fit.evidence())
-    return freed if worth(best, freed, search.base) else best
+    while inflation(best, robot, sample.thin(REFIT_LINES)):
+        near = best.evidence() - WITHIN * max(1.0, best.misfit)
+        places = []
+        for fit in [fit for fit in fits if fit.evidence() > near]:
+            for group in [one for one in groups if one.key not in fit.hypothesis.identity]:
+                hypothesis = together(fit.hypothesis, group)
+                parameters = hypothesis.parameters(search.base.parameters)
+                places.append(_Place(hypothesis, parameters, (np.concatenate([fit.z, np.zeros(len(group.own))]),)))
+        fits = _refits(robot, search, places, sample)
+        freed = max([best, *fits], key=lambda fit: fit.evidence())
+        if not worth(best, freed, search.base):
+            break
+        best = freed
+    return best
 
 
 def _everywhere(

@@ -27,9 +27,9 @@ from twin.model.sensitivity import (
     spatial_inertia,
     telling,
 )
+from twin.robot.bodies import Inertial
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
-from twin.robot.mechanism import Inertial, cut
 
 ROWS = 1 << 30  # bytes of derivatives that are kept for the bend of a valley; of more it is not known
 Changes = dict[tuple[Any, ...], Any]
@@ -333,7 +333,7 @@ def rates(
     among: Iterable[int] | None = None,
 ) -> Observed:
     """:func:`twin.model.sensitivity.slopes`, links that bend differentiated through their cut."""
-    split = {f"link{number}": plane for number, plane in model.mechanism.splits.items()}
+    split = {f"link{number}": split for number, split in model.mechanism.splits.items()}
     through = [
         k for k, p in enumerate(parameters) if p.kind == "link" and p.name.partition(".")[0] in split
     ]  # fmt: skip
@@ -351,11 +351,10 @@ def rates(
         if k not in through:
             continue
         body, _, quantity = parameters[k].name.partition(".")
-        origin, normal = split[body]
         inertial = robot.links[int(body[4:]) - 1].inertial
         step = parameters[k].step(values[k])
-        sides = [cut(_shifted(inertial, quantity, sign * step), origin, normal) for sign in (1.0, -1.0)]
-        for part, name, offset in ((0, body, np.zeros(3)), (1, f"{body}.tip", origin)):
+        sides = [split[body].parts(_shifted(inertial, quantity, sign * step)) for sign in (1.0, -1.0)]
+        for part, name, offset in ((0, body, np.zeros(3)), (1, f"{body}.tip", split[body].origin)):
             high, low = (
                 spatial_inertia(m, com - offset, inertia) for m, com, inertia in (side[part] for side in sides)
             )

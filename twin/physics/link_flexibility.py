@@ -1,6 +1,7 @@
 """A link that bends: a hinge about y or z of its frame, half-way to the next joint (flange).
 
-Points and mass inboard of the hinge stay behind. ``Mechanism.split`` says how the mass is divided.
+Points and mass inboard of the hinge stay behind. ``Mechanism.split`` says how the mass is divided where the entry does
+not: by ``mass_ratio``, the outer mass over the inner, and ``separation`` of the two centres of mass.
 """
 
 from math import inf
@@ -16,9 +17,10 @@ from twin.physics.effect import (
     Values,
     axis_of,
     light_damping,
+    link_end,
     usual_stiffness,
 )
-from twin.robot.frames import axis_placement
+from twin.robot.bodies import cut
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -36,13 +38,27 @@ class LinkFlexibility(Effect):
     parameters = (
         Parameter("stiffness", "N·m/rad", inf, positive=True, spread=1.6),
         Parameter("damping", "N·m·s/rad", nonnegative=True, spread=2.3),
+        Parameter("mass_ratio", "1", positive=True, optional=True, spread=0.5),
+        Parameter("separation", "m", positive=True, optional=True, spread=0.3),
     )
     seen_in = frozenset({"hammer"})
     order = 0
     sprung = True
 
+    def complete(self, robot: "Robot", site: str, given: Values) -> Values:
+        """How a cloud of mass would be divided, see :func:`twin.robot.bodies.cut`."""
+        end = np.array(link_end(robot, axis_of(site)))
+        length = float(np.linalg.norm(end))
+        if length < SHORTEST_M or {"mass_ratio", "separation"} <= given.keys():
+            return given
+        (inner, near, _), (outer, far, _) = cut(
+            robot.links[axis_of(site)].inertial, end / 2, end / length, given.get("mass_ratio")
+        )
+        return {"mass_ratio": float(outer / inner), "separation": float(np.linalg.norm(far - near))} | dict(given)
+
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        mechanism.split(axis_of(site) + 1, UNIT_VECTORS[site[-1]], site, values["stiffness"], values["damping"])
+        numbers = (values[parameter.name] for parameter in self.parameters)
+        mechanism.split(axis_of(site) + 1, UNIT_VECTORS[site[-1]], site, *numbers)
 
     def companions(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
         """Softness of the joint that carries the link."""
@@ -51,10 +67,7 @@ class LinkFlexibility(Effect):
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """Three times a joint's stiffness; nothing where the next joint lies in the link's origin, as in a wrist."""
-        link = axis_of(site)
-        last = link + 1 == robot.axis_count
-        end = robot.flange.position if last else axis_placement(robot.axes[link + 1], 0.0)[0]
-        if np.linalg.norm(end) < SHORTEST_M:
+        if np.linalg.norm(link_end(robot, axis_of(site))) < SHORTEST_M:
             return None
         stiffness = 3 * usual_stiffness(robot)
-        return {"stiffness": stiffness, "damping": light_damping(stiffness)}
+        return dict(self.complete(robot, site, {"stiffness": stiffness, "damping": light_damping(stiffness)}))

@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.physics.effect import Companion, Effect, Parameter, Values, axis_of, link_end
 from twin.physics.statements import LogView, Prior, Suspected
-from twin.robot.frames import nearest_body
+from twin.robot.frames import inertia_six, nearest_body
 
 if TYPE_CHECKING:
     from twin.robot.description import Robot
@@ -71,7 +71,19 @@ class Payload(Effect):
         place = next(p for p in self.parameters if p.name == "com")
         width = [self.deviation(view.robot, view.site, place, k) for k in range(3)]
         own = [Prior("mass", typical["mass"]), *(Prior(f"com[{k}]", width[k], typical["com"][k]) for k in range(3))]
-        return [Suspected({"mass": 0.0, "com": typical["com"]}, own, [[0.0, *typical["com"]]])]
+        values, start = {"mass": 0.0, "com": typical["com"]}, [0.0, *typical["com"]]
+        cube, shows = self._cube(view.robot, view.site, typical["mass"])
+        if not shows:
+            return [Suspected(values, own, [start])]
+        spread = next(p for p in self.parameters if p.name == "inertia").spread
+        own += [Prior(f"inertia[{k}]", float(np.exp(spread)) * cube) for k in range(3)]
+        return [Suspected({**values, "inertia": [0.0] * 3}, own, [[*start, 0.0, 0.0, 0.0]], (0, 4, 5, 6))]
+
+    def nearest(self, robot: "Robot", site: str, values: dict[str, Any]) -> dict[str, Any]:
+        """The nearest body that can exist."""
+        if not (inertia := values.get("inertia")):
+            return values
+        return {**values, "inertia": inertia_six(nearest_body(_matrix(inertia)))[: len(inertia)]}
 
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
         """A point; of a link whose own inertia is known better than a body's, also a cube of that mass.
@@ -81,10 +93,14 @@ class Payload(Effect):
         if site == f"link{robot.axis_count}":
             return []
         point = self.typical(robot, site)
-        own = 0.5 * np.trace(robot.links[self.carrier(robot, site)].inertial[2])  # no moment is larger
-        cube = point["mass"] * (point["mass"] / DENSITY) ** (2 / 3) / 6
-        shows = cube > robot.tolerances.inertia * own
+        cube, shows = self._cube(robot, site, point["mass"])
         return [point, {**point, "inertia": [cube] * 3}] if shows else [point]
+
+    def _cube(self, robot: "Robot", site: str, mass: float) -> tuple[float, bool]:
+        """Inertia of a cube of a mass, kg·m², and whether the link's own is known better than that."""
+        own = 0.5 * np.trace(robot.links[self.carrier(robot, site)].inertial[2])  # no moment is larger
+        cube = mass * (mass / DENSITY) ** (2 / 3) / 6
+        return cube, bool(cube > robot.tolerances.inertia * own)
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any]:
         """2 % of the links' mass, at the flange or in the middle of the link."""

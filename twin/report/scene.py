@@ -672,10 +672,10 @@ def _skins(mechanism: Mechanism, model: mujoco.MjModel) -> dict[str, Skin]:
         vertices = vertices @ matrix_of(model.geom_quat[geom]).T + model.geom_pos[geom]
         name = model.body(model.geom_bodyid[geom]).name
         if f"{name}.tip" in mechanism.bodies:
-            origin, normal = mechanism.splits[int(name[4:])]
-            outboard = (vertices[triangles].mean(axis=1) - origin) @ normal > 0
+            split = mechanism.splits[int(name[4:])]
+            outboard = (vertices[triangles].mean(axis=1) - split.origin) @ split.normal > 0
             if outboard.any():
-                skins[f"{name}.tip"] = _skin(vertices - origin, triangles[outboard])
+                skins[f"{name}.tip"] = _skin(vertices - split.origin, triangles[outboard])
             triangles = triangles[~outboard]
         if len(triangles):
             skins[name] = _skin(vertices, triangles)

@@ -12,10 +12,10 @@ from twin.errors import InputError
 from twin.model.regressor import flange_path, inertial_vector, link_regressor
 from twin.physics import effect_of
 from twin.physics.motion import Motion
+from twin.robot.bodies import fuse
 from twin.robot.datasheet import Sheet
 from twin.robot.description import Assumed, Axis, Robot, parse_robot
 from twin.robot.frames import axis_placement, inertia_six
-from twin.robot.mechanism import fuse
 from twin.robot.reduce import Reduced
 from twin.robot.scaling import Estimate, estimate
 from twin.robot.tree import ball_inertia

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from twin.errors import InputError
 from twin.ranges import FARTHEST_M, ill_named
+from twin.robot.bodies import Inertial, fuse
 from twin.robot.description import (
     Acceleration,
     Data,
@@ -29,7 +30,6 @@ from twin.robot.description import (
     first_problem,
 )
 from twin.robot.frames import inertia_matrix, matrix_of
-from twin.robot.mechanism import Inertial, fuse
 from twin.robot.mesh_inertia import closed_mesh
 from twin.robot.tree import Chain, Joint, Part, Shape, Tree, ball_inertia
 from twin.yamlfile import read_yaml

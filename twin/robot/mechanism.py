@@ -6,13 +6,14 @@ the ``write`` of its effect. Nothing here knows MuJoCo's API.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import erfc, inf, sqrt
+from math import inf
 from typing import Any, Literal
 
 import numpy as np
 
 from twin.errors import InputError
 from twin.physics import CATALOGUE
+from twin.robot.bodies import Split, fuse
 from twin.robot.description import Robot
 from twin.robot.frames import IDENTITY, axis_placement, inertia_matrix, rotate
 
@@ -136,7 +137,7 @@ class Mechanism:
         q: (n,) where the axes are commanded to be, rad (m): what their encoders say plus the offset of their zeros.
         drives: ``held`` rotors (brakes on, or a perfect servo), ``free`` rotors, or rotors driven by a ``servo``.
         bodies: name → body, parents before children.
-        splits: link number (1-based) → (origin, normal) of the plane that divides it, in the link's frame.
+        splits: link number (1-based) → how it is divided.
         accelerometers: labels of the response channels.
         sensor_delay: s, per accelerometer label.
         servo_gains: zero-based axis → position gain N·m/rad and velocity gain N·m·s/rad, where the description says so.
@@ -152,7 +153,7 @@ class Mechanism:
     passive_motors: list[PassiveMotor] = field(default_factory=list)
     passive_forces: list[PassiveForce] = field(default_factory=list)
     points: list[Point] = field(default_factory=list)
-    splits: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    splits: dict[int, Split] = field(default_factory=dict)
     accelerometers: tuple[str, ...] = ()
     sensor_delay: dict[str, float] = field(default_factory=dict)
     servo_gains: dict[int, tuple[float, float]] = field(default_factory=dict)
@@ -191,11 +192,9 @@ class Mechanism:
 
     def carrier(self, body: str, position: np.ndarray) -> str:
         """The body that carries a point given in ``body``'s frame: the outboard half where a link is split."""
-        if body.startswith("link") and (split := self.splits.get(int(body[4:]))) is not None:
-            origin, normal = split
-            if normal @ (np.asarray(position) - origin) > 0:
-                return f"{body}.tip"
-        return body
+        split = self.splits.get(int(body[4:])) if body.startswith("link") and body[4:].isdigit() else None
+        outboard = split is not None and split.normal @ (np.asarray(position) - split.origin) > 0
+        return f"{body}.tip" if outboard else body
 
     def axis_kind(self, axis: int) -> Literal["hinge", "slide"]:
         """Kind of the joint about (along) z of a zero-based axis."""
@@ -243,12 +242,24 @@ class Mechanism:
             (mass, np.asarray(com) - self.offset(carrier.name), inertia),
         )
 
-    def split(self, link: int, axis: tuple[float, float, float], name: str, stiffness: float, damping: float) -> None:
+    def split(
+        self,
+        link: int,
+        axis: tuple[float, float, float],
+        name: str,
+        stiffness: float,
+        damping: float,
+        mass_ratio: float | None = None,
+        separation: float | None = None,
+    ) -> None:
         """Give a link a bending hinge half-way to the next joint (flange); a second call adds a second axis.
 
-        The mass is divided as if it were a normal (Gaussian) cloud with the link's mass, centre of mass and
-        inertia, cut by the plane through the hinge across the line to the next joint: both halves are physically
-        consistent, they add up to the link exactly, and nothing needs to be known of its shape.
+        The mass is divided by the plane through the hinge across the line to the next joint, see :class:`Split`.
+
+        Args:
+            link, axis: what bends, about what.
+            name: of the hinge; ``stiffness`` N·m/rad, ``damping`` N·m·s/rad.
+            mass_ratio, separation: of the halves, see :func:`twin.robot.bodies.cut`; the first call's count.
 
         Raises:
             InputError: the next joint (flange) lies in the link's origin, so that there is nothing to bend.
@@ -266,12 +277,12 @@ class Mechanism:
                 f"link_flexibility@{name}",
                 f"link{link} has no length: the next joint is in its origin",
             )
-        origin, normal = reach / 2, reach / length
-        inboard, outboard = cut((body.mass, body.com, body.inertia), origin, normal)
+        origin = reach / 2
+        split = self.splits[link] = Split(origin, reach / length, mass_ratio, separation)
+        inboard, outboard = split.parts((body.mass, body.com, body.inertia))
         body.mass, body.com, body.inertia = inboard
         mass, com, inertia = outboard
         tip = Body(f"link{link}.tip", body.name, origin, IDENTITY.copy(), mass, com - origin, inertia, kind="tip")
-        self.splits[link] = (origin, normal)
         bodies = dict(self.bodies)
         self.bodies.clear()
         for key, item in bodies.items():
@@ -284,49 +295,7 @@ class Mechanism:
 
     def offset(self, body: str) -> np.ndarray:
         """Origin of a body's own frame, in the frame its points are given in (a link's tip starts half-way)."""
-        return self.splits[int(body[4:-4])][0] if body.endswith(".tip") else np.zeros(3)
-
-
-Inertial = tuple[float, np.ndarray, np.ndarray]
-"""Mass kg, centre of mass (3,) m, inertia at it (3, 3) kg·m²."""
-
-
-def fuse(first: Inertial, second: Inertial) -> Inertial:
-    """The inertial of two rigid bodies welded together, all in one frame."""
-    mass = first[0] + second[0]
-    if mass == 0:
-        return 0.0, first[1], first[2] + second[2]
-    com = (first[0] * first[1] + second[0] * second[1]) / mass
-    inertia = sum(part[2] + part[0] * _steiner(part[1] - com) for part in (first, second))
-    return mass, com, np.asarray(inertia)
-
-
-def cut(inertial: Inertial, origin: np.ndarray, normal: np.ndarray) -> tuple[Inertial, Inertial]:
-    """Divide an inertial by a plane as if it were a Gaussian cloud; returns the parts (behind, in front).
-
-    Moments of a normal distribution truncated at the plane, from its mass, mean and covariance.
-    """
-    mass, com, inertia = inertial
-    covariance = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
-    # a search may try inertias that no body has: the cloud then is a thin one
-    spread = np.sqrt(max(float(normal @ covariance @ normal), 1e-6 * float(np.abs(covariance).max())))
-    depth = normal @ (com - origin) / spread
-    toward = covariance @ normal / spread
-    parts = []
-    for side in (-1.0, 1.0):
-        share = erfc(-side * depth / sqrt(2)) / 2
-        if mass * share < 1e-9:  # all of it lies on the other side
-            parts.append((1e-9, origin.copy(), np.eye(3) * 1e-12))
-            continue
-        hazard = np.exp(-0.5 * depth**2) / np.sqrt(2 * np.pi) / share
-        mean = com + side * hazard * toward
-        narrowed = covariance - np.outer(toward, toward) * hazard * (hazard + side * depth)
-        parts.append((mass * share, mean, mass * share * (np.trace(narrowed) * np.eye(3) - narrowed)))
-    return parts[0], parts[1]
-
-
-def _steiner(r: np.ndarray) -> np.ndarray:
-    return float(r @ r) * np.eye(3) - np.outer(r, r)
+        return self.splits[int(body[4:-4])].origin if body.endswith(".tip") else np.zeros(3)
 
 
 def assemble(

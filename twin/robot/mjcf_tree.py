@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from twin.errors import InputError
-from twin.robot.mechanism import Inertial
+from twin.robot.bodies import Inertial
 from twin.robot.tree import Joint, Part, Shape, Tree, ball_inertia
 
 BETWEEN = 1e-6  # mass of a part between two joints of one body, over the body's: chains have no massless links

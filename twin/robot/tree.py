@@ -15,9 +15,9 @@ from numpy.linalg import norm
 
 from twin.errors import InputError
 from twin.physics import effect_of
+from twin.robot.bodies import Inertial, fuse
 from twin.robot.description import Robot, check_inertia, parse_robot
 from twin.robot.frames import inertia_six, quaternion_of
-from twin.robot.mechanism import Inertial, fuse
 
 if TYPE_CHECKING:
     import trimesh

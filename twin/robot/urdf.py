@@ -16,9 +16,9 @@ from trimesh.units import unit_conversion
 
 from twin.errors import InputError
 from twin.ranges import MOST_PARTS, implausible
+from twin.robot.bodies import Inertial
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix
-from twin.robot.mechanism import Inertial
 from twin.robot.tree import Joint, Part, Shape, Tree, robot_of
 
 
