@@ -109,13 +109,11 @@ def test_a_resonator_puts_its_own_mode_beside_the_robot_s(
     assert found.damping_percent[own] == pytest.approx(3, rel=1e-2)
 
 
-@pytest.mark.parametrize(("ratio", "separation"), [(None, None), (3.0, None), (0.5, 0.3), (1.2, 0.9), (1.0, 5.0)])
-def test_cut_halves_add_up_and_are_physically_consistent(
-    kr90: Robot, ratio: float | None, separation: float | None
-) -> None:
+@pytest.mark.parametrize("stated", [(), (3.0,), (0.5, 0.3), (1.2, 0.9, 2.0), (1.0, 5.0, 0.1)])
+def test_cut_halves_add_up_and_are_physically_consistent(kr90: Robot, stated: tuple[float, ...]) -> None:
     link = kr90.links[1]
     whole = link.inertial
-    inboard, outboard = cut(whole, np.array([0.675, 0, 0]), np.array([1.0, 0, 0]), ratio, separation)
+    inboard, outboard = cut(whole, np.array([0.675, 0, 0]), np.array([1.0, 0, 0]), *stated)
     assert inboard[0] + outboard[0] == pytest.approx(whole[0])
     moment = sum(mass * com for mass, com, _ in (inboard, outboard))
     np.testing.assert_allclose(moment, whole[0] * whole[1], atol=1e-9)
@@ -125,10 +123,15 @@ def test_cut_halves_add_up_and_are_physically_consistent(
     expected = whole[2] + whole[0] * (whole[1] @ whole[1] * np.eye(3) - np.outer(whole[1], whole[1]))
     np.testing.assert_allclose(about_origin, expected, rtol=1e-9)
     assert inboard[1][0] < 0.675 < outboard[1][0]
+    ratio, separation, moments, *_ = (*stated, *[None] * 3)
     if ratio:
         assert outboard[0] / inboard[0] == pytest.approx(ratio)
-    if separation and separation < 1.0:  # of 5 m each half would be thinner than nothing
+    if separation and separation < 1.0:  # 5 m apart each half would be thinner than nothing
         assert np.linalg.norm(outboard[1] - inboard[1]) == pytest.approx(separation)
+    if moments:
+        along = (outboard[1] - inboard[1]) / np.linalg.norm(outboard[1] - inboard[1])
+        second = [0.5 * np.trace(inertia) - along @ inertia @ along for _, _, inertia in (inboard, outboard)]
+        assert second[1] / second[0] == pytest.approx(moments, rel=5e-3)  # the line of the centres is no principal axis
     for _, _, inertia in (inboard, outboard):
         principal = np.linalg.eigvalsh(inertia)
         assert principal[0] > 0

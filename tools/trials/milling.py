@@ -245,9 +245,22 @@ def true_cut(split: Path, name: str, number: int) -> tuple[Structure, Cut]:
 def mill(split: Path, names: list[str]) -> None:
     """Step the true cuts at every depth that was stated, some robots at a time, and keep what grew."""
     path = split / "milled.json"
+    names = [name for name in names if _can_be_stepped(split, name)]
     for first in range(0, len(names), TOGETHER):
         kept = store.read(path) if path.exists() and first else {}
         store.write(path, kept | _milled(split, names[first : first + TOGETHER]))
+
+
+def _can_be_stepped(split: Path, name: str) -> bool:
+    """Whether the true robot has modes with the spindle on: a coordinate without mass has none."""
+    try:
+        for number in range(POSTURES * CUTS):
+            structure, cut = true_cut(split, name, number)
+            poles(structure, tip_rows(structure, cut))
+    except np.linalg.LinAlgError:
+        print(f"{name} is left out: its mass matrix is singular", file=sys.stderr)
+        return False
+    return True
 
 
 def _milled(split: Path, names: list[str]) -> dict[str, Any]:

@@ -54,6 +54,8 @@ from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
+ABOUT = 2  # times that knowledge of moments is made linear where a fit ends: the second moves it by little
+
 
 @dataclass
 class HammerTest:
@@ -270,7 +272,7 @@ def _answered(
         decision = replace(decision, ranked=[in_doubt_of_size(best), *others])
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
-    if told and answered:
+    if told:
         ends[-1] = _where_it_ends(ends[-1], base, sample)
     ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
     return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]), links, doubts)
@@ -278,12 +280,13 @@ def _answered(
 
 def _where_it_ends(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     """A fit under what another recording knows of masses there, see :func:`about`."""
-    parameters, few = about(fit), sample.thin(REFIT_LINES)
-    near = descend(base, fit.hypothesis, parameters, few, parameters.coordinates(fit.values), tempered=0)
-    parameters = about(near)
-    z = parameters.coordinates(near.values)
-    again = descend(base, fit.hypothesis, parameters, sample, z, tempered=0, tolerance=0.02)
-    return replace(again, allowed=fit.allowed)
+    known = fit.parameters
+    for _ in range(ABOUT):
+        parameters = about(known, fit.values)
+        z = parameters.coordinates(fit.values)
+        again = descend(base, fit.hypothesis, parameters, sample, z, tempered=0, tolerance=0.02)
+        fit = replace(again, allowed=fit.allowed)
+    return fit
 
 
 def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Decision, frozenset[str]]:

@@ -101,17 +101,16 @@ class Knowledge:
         return Parameters(tuple(items), covariance)
 
 
-def about(fit: Fitted) -> Parameters:
-    """A fit's parameters with the prior of masses and where they hang made linear anew, where the fit has them.
+def about(parameters: Parameters, values: FloatArray) -> Parameters:
+    """Parameters with the prior of masses and of where they hang made linear anew, at the values (n,) of a fit.
 
     A log knows moments, m c and J + m (cᵀc E − c cᵀ), which are linear in its torque. Its knowledge of them is normal,
     and of masses and places only near where it was asked: a payload that moves by a kilogram would take other torque
     along.
     """
-    parameters, every = fit.parameters, range(len(fit.parameters))
     turn, items = np.eye(len(parameters)), list(parameters.items)
-    for at in _bodies(parameters, every):
-        there, mean = fit.values[at], np.array([items[k].mean for k in at])
+    for at in _bodies(parameters, range(len(parameters))):
+        there, mean = values[at], np.array([items[k].mean for k in at])
         was, now = (_slopes_of(parameters, at, numbers) for numbers in (mean, there))
         turn[np.ix_(at, at)] = np.linalg.solve(now, was)
         off = np.linalg.solve(now, _moments(mean) - _moments(there))
@@ -130,16 +129,21 @@ def _bodies(parameters: Parameters, among: Iterable[int]) -> list[list[int]]:
     index, found = {parameters.names[k]: k for k in among}, []
     for body in [name.removesuffix(".mass") for name in index if name.endswith(".mass")]:
         com = [f"{body}.com[{k}]" if "@" in body else f"{body}.com.{letter}" for k, letter in enumerate("xyz")]
-        inertia = [f"{body}.inertia.{pair}" for pair in SIX]
-        own = [f"{body}.mass", *com, *(inertia if inertia[0] in index else ())]
+        inertia = [f"{body}.inertia[{k}]" if "@" in body else f"{body}.inertia.{p}" for k, p in enumerate(SIX)]
+        inertia = [name for name in inertia if name in index]
+        own = [f"{body}.mass", *com, *inertia]
         if set(own) <= index.keys():
             found.append([index[name] for name in own])
     return found
 
 
 def _moments(numbers: FloatArray) -> FloatArray:
-    """m, m c and, of ten numbers, the inertia about the frame's origin, of m, c and the inertia at c; (4,) or (10,)."""
-    inertia = inertia_matrix([*numbers[4:]] or [0.0] * 6)
+    """m, m c and the inertia about the frame's origin, of m, c and the inertia at c: its moments, then its products.
+
+    Args:
+        numbers: (4,), (7,) or (10,): what is left out is zero at c, and not told of the origin.
+    """
+    inertia = inertia_matrix(np.pad(numbers[4:], (0, 10 - len(numbers))).tolist())
     return inertial_vector(float(numbers[0]), numbers[1:4], inertia)[: len(numbers)]
 
 

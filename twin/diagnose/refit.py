@@ -71,7 +71,16 @@ class Fitted:
             known[scale] = self._evidence_at(scale)
         return known[scale]
 
+    @property
+    def too_heavy(self) -> bool:
+        """Whether something is said to hang on the robot that is heavier than it: the ground, not a part."""
+        hanging = {f"{p.key}.mass" for p in self.hypothesis.pieces if p.law and p.law.lever}
+        heaviest = max((v for p, v in zip(self.parameters, self.values, strict=True) if p.name in hanging), default=0.0)
+        return bool(heaviest > sum(link.inertial[0] for link in self.robot.links))
+
     def _evidence_at(self, scale: float) -> float:
+        if self.too_heavy:
+            return -np.inf
         chi2 = self.misfit * self.data
         eye = np.eye(len(self.z))
         information = (self.information - eye) / scale + eye

@@ -1,7 +1,7 @@
 """A link that bends: a hinge about y or z of its frame, half-way to the next joint (flange).
 
-Points and mass inboard of the hinge stay behind. ``Mechanism.split`` says how the mass is divided where the entry does
-not: by ``mass_ratio``, the outer mass over the inner, and ``separation`` of the two centres of mass.
+Points and mass inboard of the hinge stay behind. Three numbers say how the mass is divided, see
+:func:`twin.robot.bodies.cut`; those that an entry does not state are those of a cloud.
 """
 
 from math import inf
@@ -40,6 +40,7 @@ class LinkFlexibility(Effect):
         Parameter("damping", "N·m·s/rad", nonnegative=True, spread=2.3),
         Parameter("mass_ratio", "1", positive=True, optional=True, spread=0.5),
         Parameter("separation", "m", positive=True, optional=True, spread=0.3),
+        Parameter("moment_ratio", "1", positive=True, optional=True, spread=0.5),
     )
     seen_in = frozenset({"hammer"})
     order = 0
@@ -49,12 +50,16 @@ class LinkFlexibility(Effect):
         """How a cloud of mass would be divided, see :func:`twin.robot.bodies.cut`."""
         end = np.array(link_end(robot, axis_of(site)))
         length = float(np.linalg.norm(end))
-        if length < SHORTEST_M or {"mass_ratio", "separation"} <= given.keys():
+        if length < SHORTEST_M or {parameter.name for parameter in self.parameters} <= given.keys():
             return given
-        (inner, near, _), (outer, far, _) = cut(
-            robot.links[axis_of(site)].inertial, end / 2, end / length, given.get("mass_ratio")
-        )
-        return {"mass_ratio": float(outer / inner), "separation": float(np.linalg.norm(far - near))} | dict(given)
+        stated = [given.get(name) for name in ("mass_ratio", "separation", "moment_ratio")]
+        inner, outer = cut(robot.links[axis_of(site)].inertial, end / 2, end / length, *stated)
+        apart = outer[1] - inner[1]
+        separation = float(np.linalg.norm(apart))
+        along = apart / separation
+        moments = [0.5 * np.trace(part[2]) - along @ part[2] @ along for part in (inner, outer)]
+        found = {"mass_ratio": outer[0] / inner[0], "moment_ratio": moments[1] / moments[0]}
+        return {"separation": separation, **{name: float(value) for name, value in found.items()}} | dict(given)
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         numbers = (values[parameter.name] for parameter in self.parameters)

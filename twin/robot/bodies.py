@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 THINNEST = 0.05
-"""Of the variance that a half has in a Gaussian cloud: the least that is left to it where the halves lie far apart."""
+"""Of a link's variance along the line to the next joint: the least that is left to its halves themselves."""
 LEAST_KG = 1e-9
 """Less than this on one side of a plane is nothing: MuJoCo wants some mass in every body that moves."""
 
@@ -30,43 +30,46 @@ def cut(
     normal: np.ndarray,
     mass_ratio: float | None = None,
     separation: float | None = None,
+    moment_ratio: float | None = None,
 ) -> tuple[Inertial, Inertial]:
-    """Divide an inertial by a plane as if it were a Gaussian cloud; returns the parts (behind, in front).
+    """Divide an inertial by a plane; returns the parts (behind, in front), which are bodies and add up to it.
 
-    Moments of a normal distribution truncated at the plane, from its mass, mean and covariance.
+    What is not stated is that of a Gaussian cloud with its mass, mean and covariance: a normal distribution cut off at
+    the plane, or at one parallel to it where the mass divides as stated.
 
     Args:
         inertial: of the whole.
         origin, normal: a point of the plane, and its unit normal.
-        mass_ratio: mass in front over mass behind: the plane that cuts the cloud lies where it is so.
-        separation: of the two centres of mass, m: farther than in the cloud, each part is the narrower for it, so that
-            the parts still add up to the whole. A part is never narrower than ``THINNEST`` of what it is in the cloud.
+        mass_ratio: mass in front over mass behind.
+        separation: of the two centres of mass, m; no more than leaves ``THINNEST`` to the parts.
+        moment_ratio: ∫x²dm along the line of the centres, each about its own, in front over behind.
     """
     mass, com, inertia = inertial
     covariance = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
     # a search may try inertias that no body has: the cloud then is a thin one
     spread = np.sqrt(max(float(normal @ covariance @ normal), 1e-6 * float(np.abs(covariance).max())))
-    depth = normal @ (com - origin) / spread
-    if mass_ratio is not None:
-        depth = -float(ndtri(1 / (1 + mass_ratio)))
-    toward = covariance @ normal / spread
-    if min(shares := [float(ndtr(side * depth)) for side in (-1.0, 1.0)]) * mass < LEAST_KG:
+    depth = normal @ (com - origin) / spread if mass_ratio is None else -float(ndtri(1 / (1 + mass_ratio)))
+    share = np.array([float(ndtr(side * depth)) for side in (-1.0, 1.0)])
+    if share.min() * mass < LEAST_KG:
         empty = (LEAST_KG, origin.copy(), np.eye(3) * 1e-12)
-        return (empty, inertial) if shares[0] < shares[1] else (inertial, empty)
-    hazard = [np.exp(-0.5 * depth**2) / np.sqrt(2 * np.pi) / share for share in shares]
-    narrower = [h * (h + side * depth) for h, side in zip(hazard, (-1.0, 1.0), strict=True)]  # 0 to 1, of the variance
-    apart = sum(hazard) * float(np.linalg.norm(toward))
-    farther = 1.0
-    if separation is not None:
-        room = (1 - THINNEST) * (1 - max(narrower))
-        between = shares[0] * shares[1] * sum(hazard) ** 2
-        farther = min(separation / apart, float(np.sqrt(1 + room / between)))
-        narrower = [n + between * (farther**2 - 1) for n in narrower]
+        return (empty, inertial) if share[0] < share[1] else (inertial, empty)
+    toward = covariance @ normal / spread
+    variance = float(toward @ toward)
+    hazard = np.exp(-0.5 * depth**2) / np.sqrt(2 * np.pi) / share
+    if separation is None:
+        separation = float(hazard.sum()) * variance**0.5
+    if moment_ratio is None:
+        own = share * (1 - hazard * (hazard + depth * np.array([-1.0, 1.0])))
+        moment_ratio = float(own[1] / own[0])
+    apart = min(share.prod() * separation**2, (1 - THINNEST) * variance)  # variance between the centres
+    direction = toward / variance**0.5
+    between = float(np.sqrt(apart / share.prod())) * direction
+    left = (variance - apart) * np.array([1.0, moment_ratio]) / (1 + moment_ratio)
+    across = covariance - np.outer(toward, toward)
     parts = []
-    for side, share, h, n in zip((-1.0, 1.0), shares, hazard, narrower, strict=True):
-        second = covariance - np.outer(toward, toward) * n
-        inertia = mass * share * (np.trace(second) * np.eye(3) - second)
-        parts.append((mass * share, com + side * farther * h * toward, inertia))
+    for part, where, along in zip(share, (com - share[1] * between, com + share[0] * between), left, strict=True):
+        second = part * across + along * np.outer(direction, direction)
+        parts.append((mass * float(part), where, mass * (np.trace(second) * np.eye(3) - second)))
     return parts[0], parts[1]
 
 
@@ -78,10 +81,11 @@ class Split:
     normal: np.ndarray
     mass_ratio: float | None = None
     separation: float | None = None
+    moment_ratio: float | None = None
 
     def parts(self, inertial: Inertial) -> tuple[Inertial, Inertial]:
         """The halves (behind, in front) of a link."""
-        return cut(inertial, self.origin, self.normal, self.mass_ratio, self.separation)
+        return cut(inertial, self.origin, self.normal, self.mass_ratio, self.separation, self.moment_ratio)
 
 
 def _steiner(r: np.ndarray) -> np.ndarray:

@@ -251,6 +251,7 @@ class Mechanism:
         damping: float,
         mass_ratio: float | None = None,
         separation: float | None = None,
+        moment_ratio: float | None = None,
     ) -> None:
         """Give a link a bending hinge half-way to the next joint (flange); a second call adds a second axis.
 
@@ -259,7 +260,7 @@ class Mechanism:
         Args:
             link, axis: what bends, about what.
             name: of the hinge; ``stiffness`` N·m/rad, ``damping`` N·m·s/rad.
-            mass_ratio, separation: of the halves, see :func:`twin.robot.bodies.cut`; the first call's count.
+            mass_ratio, separation, moment_ratio: of the halves, see :func:`twin.robot.bodies.cut`; as first stated.
 
         Raises:
             InputError: the next joint (flange) lies in the link's origin, so that there is nothing to bend.
@@ -278,7 +279,7 @@ class Mechanism:
                 f"link{link} has no length: the next joint is in its origin",
             )
         origin = reach / 2
-        split = self.splits[link] = Split(origin, reach / length, mass_ratio, separation)
+        split = self.splits[link] = Split(origin, reach / length, mass_ratio, separation, moment_ratio)
         inboard, outboard = split.parts((body.mass, body.com, body.inertia))
         body.mass, body.com, body.inertia = inboard
         mass, com, inertia = outboard
