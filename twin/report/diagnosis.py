@@ -663,7 +663,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
         }
         found.append(
             Section(
-                f"Errors{several}", [_error_text(finding)], _apart(finding.warnings), [_error_table(finding)],
+                f"Errors{several}", [_error_text(finding)], finding.warnings, [_error_table(finding)],
                 pick(of, "errors.png", CAPTIONS["errors.png"]),
             )
         )  # fmt: skip
@@ -696,11 +696,6 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
         tables = _visible_table(verdict.smallest_visible, verdict.base)
         found.append(Section("What could have been seen", [text], tables=tables, figures=figures))
     return found
-
-
-def _apart(warnings: Sequence[str]) -> list[str]:
-    """A warning that goes through many models takes a line for each."""
-    return [line for text in warnings for line in (text.split("; ") if text.count("; with ") > 1 else [text])]
 
 
 def _plots(finding: Finding) -> list[Plot]:
