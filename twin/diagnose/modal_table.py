@@ -374,8 +374,8 @@ def told(
     ]
     if word in ("adequate", "unexplained"):
         notes.append(
-            "none halves the error on postures left out: agreement with those fitted to is bought, and the table cannot "
-            "tell what, if anything, is missing"
+            "none halves the error on postures left out: agreement with those fitted to is bought, and the table "
+            "cannot tell what, if anything, is missing"
         )
     return notes
 
