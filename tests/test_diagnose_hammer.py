@@ -13,6 +13,7 @@ from tools.large import hammer_test
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.described import described
+from twin.diagnose.engine import _one_test
 from twin.diagnose.hammer import _or_its_link
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
@@ -28,6 +29,7 @@ from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
 from twin.identify.recorded import prepare, without_limits
 from twin.measure.campaign import Campaign, FloatArray, PostureFRF, Quantity, read_campaign
+from twin.measure.recordings import Recording
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import Parameter as Free
@@ -820,3 +822,22 @@ def test_what_is_free_beside_a_described_foundation_is_written_under_its_own_nam
     written = both.apply(load.robot(tilt.robot(robot)), values)
     (base,) = (entry for entry in written.physics if entry.effect == "base_compliance")
     assert (base.model_extra or {})["stiffness"] == pytest.approx(values[both.names.index("base.rx.stiffness")])
+
+
+def test_hammer_tests_of_the_same_points_are_one_test(tmp_path: Path) -> None:
+    """A posture of one tells apart what those of the other cannot; other points stay a test of their own."""
+    campaign = recorded(tmp_path, "--postures", "2").campaign
+    first, second = campaign.postures.values()
+
+    def test(source: str, posture: PostureFRF, **changed: Any) -> Recording:
+        content = replace(campaign, postures={posture.name: posture}, **changed)
+        return Recording("frf-campaign", source, content, (source,))
+
+    few, rest = test("few.h5", first), test("next.h5", second)
+    again = test("next.h5", replace(first, frf=2 * first.frf))
+    (whole,) = _one_test([few, rest, again])
+    assert whole.names == (first.name, second.name, f"{first.name} (next)")
+    assert whole.inputs == ("few.h5", "next.h5", "next.h5")
+    response = replace(campaign.response, position=campaign.response.position + 0.01)
+    elsewhere = test("next.h5", second, response=response)
+    assert _one_test([few, elsewhere]) == [few, elsewhere]

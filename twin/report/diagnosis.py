@@ -382,7 +382,7 @@ def overlay(records: Sequence[FrfRecord]) -> Figure:
     for column, (record, pair, spot) in enumerate(columns):
         _overlay_column(axes[:, column], record, pair, spot)
     handles = [
-        Line2D([], [], color=_INK, linewidth=2.4, alpha=0.45, label="recorded"),
+        Line2D([], [], color=_INK, linewidth=2.4, alpha=0.45, label="measured"),
         *(Line2D([], [], color=COLOURS[s], linewidth=1.3, label=NAMES[s]) for s in ("before", "after")),
         Line2D([], [], color="#c9ced6", linewidth=5, label="noise (RMS)"),
     ]

@@ -200,7 +200,7 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float
                 color="#1f4e9c", edgecolor="white", linewidth=0.4, zorder=5,
             )  # fmt: skip
         dominant = ", ".join(f"{name} {value:.0%}" for name, value in modes.dominant(k))
-        ax.set_title(f"{scene.mode_title(modes, k)}\n{dominant}; drawn ± {1e3 * size.motion:.0f} mm", fontsize=8)
+        ax.set_title(f"{scene.mode_title(modes, k)}; drawn ± {1e3 * size.motion:.0f} mm\n{dominant}", fontsize=8)
     _same_limits(axes[:number])
     shown = list(axes[:number])
     map_ = LinearSegmentedColormap.from_list("share", [np.array(colour) / 255 for colour in scene.SHARE_COLOURS])
