@@ -201,7 +201,7 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float
             )  # fmt: skip
         dominant = ", ".join(f"{name} {value:.0%}" for name, value in modes.dominant(k))
         ax.set_title(f"{scene.mode_title(modes, k)}; drawn ± {1e3 * size.motion:.0f} mm\n{dominant}", fontsize=8)
-    _same_limits(axes[:number])
+    _same_limits(axes[:number], wide=1.35)  # as wide as the titles
     shown = list(axes[:number])
     map_ = LinearSegmentedColormap.from_list("share", [np.array(colour) / 255 for colour in scene.SHARE_COLOURS])
     bar = figure.colorbar(
@@ -328,15 +328,17 @@ def phase_deg(value: np.ndarray, start: float = -180.0) -> np.ndarray:
     return phase
 
 
-def _same_limits(axes: Iterable[Axes]) -> None:
-    """Show the same part of the plane, in the same scale, in every panel."""
+def _same_limits(axes: Iterable[Axes], wide: float = 0.0) -> None:
+    """Show the same part of the plane, in the same scale, in every panel; at least so ``wide`` for its height."""
     axes = list(axes)
     for ax in axes:
         ax.autoscale_view()
     limits = np.array([[*ax.get_xlim(), *ax.get_ylim()] for ax in axes])
+    left, right, low, high = limits[:, 0].min(), limits[:, 1].max(), limits[:, 2].min(), limits[:, 3].max()
+    more = max(0.0, wide * (high - low) - (right - left)) / 2
     for ax in axes:
-        ax.set_xlim(limits[:, 0].min(), limits[:, 1].max())
-        ax.set_ylim(limits[:, 2].min(), limits[:, 3].max())
+        ax.set_xlim(left - more, right + more)
+        ax.set_ylim(low, high)
         ax.set_aspect("equal")
 
 

@@ -18,7 +18,7 @@ from PIL import Image
 from twin.files import writing
 from twin.table import Table
 
-SMALL = 530  # pixels: half of a page's width
+SMALL = 700  # pixels: legible at half of a page's width
 
 
 @dataclass(frozen=True)
