@@ -13,6 +13,7 @@ from tools.large import hammer_test
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.described import described
+from twin.diagnose.engine import _one_test
 from twin.diagnose.hammer import _or_its_link
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
@@ -23,11 +24,12 @@ from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
 from twin.diagnose.search import Search, _about_the_same_axis, _best_of_each, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
-from twin.diagnose.verdict import elsewhere, judge, missing_of, rival_of, strained
+from twin.diagnose.verdict import elsewhere, estimates, judge, missing_of, rival_of, strained
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
 from twin.identify.recorded import prepare, without_limits
 from twin.measure.campaign import Campaign, FloatArray, PostureFRF, Quantity, read_campaign
+from twin.measure.recordings import Recording
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import Parameter as Free
@@ -792,3 +794,50 @@ def test_what_has_run_away_is_written_as_what_holds_its_joint(kr90: Robot, quant
     assert 1 < found[0] < 100  # Hz: rounding alone made it 16 MHz, or a singular matrix
     assert physical(robot) is robot
     assert physical(kr90) is kr90
+
+
+def test_a_wrong_mass_whose_link_is_free_beside_it_tells_every_number_of_the_link() -> None:
+    """As screening of a modal table offers it: the site is the mass alone, and ten numbers are free."""
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    own = tuple((name, 10.0) for name in free.names if name.startswith("link3."))
+    wrong = Hypothesis("parameter", "link3.mass", scale=own)
+    parameters = wrong.parameters(free)
+    z = np.zeros(len(free))
+    fit = Fitted(wrong, parameters, z, parameters.values(z), robot, 1.0, 1.0, np.eye(len(z)), 1e4, True)
+    told = estimates(fit, ("parameter", "link3.mass"))
+    assert told["mass"]["value"] == pytest.approx(robot.links[2].inertial[0])
+    assert (len(told["com"]["value"]), len(told["inertia"]["value"])) == (3, 6)
+
+
+def test_what_is_free_beside_a_described_foundation_is_written_under_its_own_name() -> None:
+    """A second hypothesis beside one whose spring is named by its coordinate: it was written to no link."""
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    soft = CATALOGUE["base_compliance"].typical(robot, "base.rx") or {}
+    tilt = entry_hypothesis(robot, "base_compliance", "base.rx", soft)
+    load = entry_hypothesis(robot, "payload", "flange", CATALOGUE["payload"].typical(robot, "flange") or {})
+    both = load.parameters(tilt.parameters(free))
+    values = both.values(np.zeros(len(both)))
+    written = both.apply(load.robot(tilt.robot(robot)), values)
+    (base,) = (entry for entry in written.physics if entry.effect == "base_compliance")
+    assert (base.model_extra or {})["stiffness"] == pytest.approx(values[both.names.index("base.rx.stiffness")])
+
+
+def test_hammer_tests_of_the_same_points_are_one_test(tmp_path: Path) -> None:
+    """A posture of one tells apart what those of the other cannot; other points stay a test of their own."""
+    campaign = recorded(tmp_path, "--postures", "2").campaign
+    first, second = campaign.postures.values()
+
+    def test(source: str, posture: PostureFRF, **changed: Any) -> Recording:
+        content = replace(campaign, postures={posture.name: posture}, **changed)
+        return Recording("frf-campaign", source, content, (source,))
+
+    few, rest = test("few.h5", first), test("next.h5", second)
+    again = test("next.h5", replace(first, frf=2 * first.frf))
+    (whole,) = _one_test([few, rest, again])
+    assert whole.names == (first.name, second.name, f"{first.name} (next)")
+    assert whole.inputs == ("few.h5", "next.h5", "next.h5")
+    response = replace(campaign.response, position=campaign.response.position + 0.01)
+    elsewhere = test("next.h5", second, response=response)
+    assert _one_test([few, elsewhere]) == [few, elsewhere]

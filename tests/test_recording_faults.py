@@ -145,5 +145,5 @@ def test_a_failed_check_is_told_once_for_all_postures() -> None:
     found = Triage({}, (), (*checks, Check("driving point", "7Z+/7Z+", 0.4, False)), False)
     assert found.warnings == [
         f"reciprocity {pair}: the two differ by 33% of their mean in the worst of 3 postures where this fails",
-        "driving point 7Z+/7Z+: 0.4",
+        "driving point 7Z+/7Z+: 60% of its energy has the wrong sign",
     ]

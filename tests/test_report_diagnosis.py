@@ -254,7 +254,3 @@ def test_sizes_without_a_usual_one_are_told_in_a_table(kr90: Robot) -> None:
     (table,) = diagnosis._visible_table(items, kr90)
     assert table.rows == [("coulomb_friction", "torque", "2.7 at joint1, 7.8 at joint2", "N·m")]
     assert diagnosis._visible_table(items[:1], kr90) == []
-
-
-def test_a_warning_that_goes_through_models_takes_a_line_for_each() -> None:
-    assert diagnosis._apart(["a; b", "x; with p 1 %; with q 2 %"]) == ["a; b", "x", "with p 1 %", "with q 2 %"]

@@ -37,7 +37,7 @@ CARRIES = 1  # zero-based: the axis that carries most weight
 FREQUENCY, COARSE = np.linspace(4.0, 60.0, 1500), np.linspace(4.0, 60.0, 150)
 BAND_HZ = (15.0, 15.4)  # of a mode that an effect adds: between the robot's own
 SWING_S, RATE_HZ, SWING_RAD = 8.0, 250.0, 0.5
-WIDTH = 56  # characters of a line of YAML
+WIDTH = 70  # characters of a line of YAML
 SHARE = 0.1  # of an axis' RMS torque: what an added law ordinarily adds, as in twin.diagnose.torque_laws
 LARGER = 2  # prior deviations of an error of either sign, whose usual value is none
 WITHOUT = {"color": "#e8590c", "linewidth": 1.2, "linestyle": "--"}
@@ -146,7 +146,10 @@ def _page(effect: Effect, examples: dict[str, Example]) -> str:
     parts += ["\n".join([*head, *map(_row, effect.parameters)])]
     if examples:
         entries = "".join(dict.fromkeys(_yaml(example.entry) for example in examples.values()))
-        parts += [f"In `robot.yaml`, as it is drawn here:\n\n```yaml\nphysics:\n{entries}```", "## What it looks like"]
+        parts += [
+            f"In `robot.yaml`, as it is drawn here (large enough to be seen):\n\n```yaml\nphysics:\n{entries}```",
+            "## What it looks like",
+        ]
         parts += [f"![{CAPTIONS[kind]}]({_file(effect.name, kind)})\n\n*{CAPTIONS[kind]}*" for kind in examples]
     parts += ["## What is hard to tell from it", _aliases(effect, examples), "## What test shows it", _tests(effect)]
     return "\n\n".join(parts) + "\n"
@@ -172,7 +175,7 @@ def _aliases(effect: Effect, examples: dict[str, Example]) -> str:
     named = list(dict.fromkeys(f"`{c.effect}` at `{c.site}`" for _, c in here if (c.effect, c.site) not in itself))
     if not named:
         return (
-            "No other effect is always compared with it. "
+            "There is no rival that every diagnosis compares it with. "
             "[Diagnosis](../diagnosis.md#what-recordings-can-never-tell-apart) lists what no recording can tell apart."
         )
     return f"At `{here[0][0].entry.site}` a diagnosis always compares it with {', '.join(named)}."

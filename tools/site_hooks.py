@@ -80,7 +80,7 @@ def _typeset(part: str) -> str:
 
 def _indices(text: str) -> str:
     """F_c, y_{k−1} and χ²_best with their indices below the line."""
-    text = re.sub(rf"({LETTER})_(?:([a-z]+)|\{{([^}}]+)\}})(?!\w)", lambda x: f"{x[1]}<sub>{x[2] or x[3]}</sub>", text)
+    text = re.sub(rf"({LETTER})_(?:([a-zθ]+)|\{{([^}}]+)\}})(?!\w)", lambda x: f"{x[1]}<sub>{x[2] or x[3]}</sub>", text)
     return re.sub(r"\|²<sub>\w+</sub>", r'<span class="whole">\g<0></span>', text)
 
 

@@ -82,7 +82,10 @@ def _written(option: str) -> str:
 
 def _cell(text: str) -> str:
     text = re.sub(r" \[[\d.e+]+<=x<=[\d.e+]+\]", "", " ".join(text.split()))
-    return text.replace("|", "\\|")
+    text = re.sub(
+        r" \[default: \((.*)\)\]$| \[default: (.*)\]$", lambda value: f" Default: {value[1] or value[2]}.", text
+    )
+    return text.replace(" [required]", " Required.").replace("|", "\\|")
 
 
 def write() -> None:

@@ -50,6 +50,8 @@ _HOME = {
     "Verdict": "twin.diagnose.verdict",
     "lobes": "twin.commands.lobes",
     "StabilityLobes": "twin.commands.lobes",
+    "make_map": "twin.commands.map",
+    "Map": "twin.commands.map",
     "Cut": "twin.milling.cut",
     "read_cut": "twin.milling.cut",
     "example": "twin.commands.example",
@@ -79,6 +81,8 @@ if TYPE_CHECKING:
     from twin.commands.identify import identify as identify
     from twin.commands.lobes import StabilityLobes as StabilityLobes
     from twin.commands.lobes import lobes as lobes
+    from twin.commands.map import Map as Map
+    from twin.commands.map import make_map as make_map
     from twin.commands.modal import ModalAnalysis as ModalAnalysis
     from twin.commands.modal import modal as modal
     from twin.commands.progress import progress as progress

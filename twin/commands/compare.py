@@ -65,13 +65,36 @@ class Compared(Result):
                 for part in found.parts
                 if not (part.get("channel") or part.get("band_hz") or part.get("measured_hz"))
             ]
+        modes = [_modes(found) for found in self.found.values() if isinstance(found, ModalComparison)]
         if not any(joint for *_, joint, _ in rows):
-            return [Table(("recording", "posture or run", "error"), [(a, b, error) for a, b, _, error in rows], (2,))]
-        return [Table(("recording", "posture or run", "joint", "error"), rows, (3,))]
+            rows_ = [(a, b, error) for a, b, _, error in rows]
+            return [Table(("recording", "posture or run", "error"), rows_, (2,)), *modes]
+        return [Table(("recording", "posture or run", "joint", "error"), rows, (3,)), *modes]
 
     def __str__(self) -> str:
         texts = [f"{source} · {found}" for source, found in self.found.items()]
         return "\n".join(texts + ([f"  {written(self.files)}"] if self.files else []))
+
+
+def _modes(found: ModalComparison) -> Table:
+    """Every measured mode beside the model's."""
+    rows = []
+    for mode in found.modes:
+        model = (
+            ("no mode", "") if mode.frequency_hz is None else (f"{mode.frequency_hz:.2f} Hz", _percent(mode.damping))
+        )
+        away = "" if mode.frequency_hz is None else f"{mode.frequency_hz / mode.measured_hz - 1:+.1%}"
+        mac = "" if mode.mac is None else f"{mode.mac:.0%}"
+        rows.append(
+            (mode.posture, f"{mode.measured_hz:.2f} Hz", model[0], away, _percent(mode.measured_damping), model[1], mac)
+        )
+    header = ["posture", "measured", "model", "difference", "measured ζ", "model ζ", "MAC"]
+    shown = len(header) - (not any(row[-1] for row in rows))
+    return Table(header[:shown], [row[:shown] for row in rows], range(1, shown))
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None or share != share else f"{share:.2%}"
 
 
 def compare(

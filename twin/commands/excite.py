@@ -10,7 +10,7 @@ import numpy as np
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
 from twin.files import writing
-from twin.identify.excitation import Criterion, Excitation, Limits, violation
+from twin.identify.excitation import Criterion, Excitation, Limits, room_in_workspace, used, violation
 from twin.identify.excitation import excite as optimise
 from twin.measure.motion_log import MotionLog, MotionRun, write_motion_log
 from twin.measure.recordings import traced
@@ -20,6 +20,9 @@ from twin.ranges import MOST_SAMPLES, check_count
 from twin.result import Result, written
 from twin.robot.description import SHIPPED, Robot, load_robot
 from twin.table import Table
+
+LIMITED = ("position", "speed", "acceleration")  # of a joint
+USED = "share of the joints' limits that is used; 100 % is at a limit, not beyond"
 
 SPLINE_POINTS = 100  # of a KRL spline block, per period
 
@@ -68,24 +71,38 @@ class Excitations(Result):
         }
 
     def tables(self) -> list[Table]:
-        """Condition number and room of every trajectory."""
-        rows = [
-            (str(k), f"{e.condition:.2f}", f"{room:.2g}")
-            for k, (e, room) in enumerate(zip(self.found, self.room, strict=True), start=1)
+        """Condition number of every trajectory, and how near it comes to the limits."""
+        header = ["trajectory", "condition number", *LIMITED]
+        limits = Limits.of(self.robot)
+        walls = bool(np.isfinite(limits.workspace).any())
+        rows = []
+        for k, e in enumerate(self.found, start=1):
+            cells = [f"{share:.0%}" if share else "no limit" for share in used(e.fourier, limits)]
+            if walls:
+                cells.append(f"{1e3 * room_in_workspace(self.robot, e.fourier, limits):.1f} mm")
+            rows.append((str(k), f"{e.condition:.2f}", *cells))
+        walled = ["flange to wall"] * walls
+        return [
+            Table(
+                (*header, *walled), rows, range(1, len(header) + walls), title=f"Position, speed, acceleration: {USED}"
+            )
         ]
-        return [Table(("trajectory", "condition number", "least room to a limit, SI"), rows, (1, 2))]
 
     def __str__(self) -> str:
         first = self.found[0].fourier
         what = "trajectory" if len(self.found) == 1 else "trajectories"
+        (table,) = self.tables()
+        wide = [max(map(len, column)) for column in zip(table.header, *table.rows, strict=True)]
         lines = [
             f"{self.robot.name} · {len(self.found)} {what} of {first.period_s:g} s, "
             f"{first.sine.shape[1]} harmonics of {first.base_hz:g} Hz"
             + (", at rest at both ends" if self.rest else ""),
-            "  trajectory   condition number   least room to a limit, SI",
+            *(
+                "  " + "   ".join(cell.rjust(width) for cell, width in zip(row, wide, strict=True))
+                for row in (table.header, *table.rows)
+            ),
+            f"  position, speed, acceleration: {USED}",
         ]
-        for k, (e, room) in enumerate(zip(self.found, self.room, strict=True)):
-            lines.append(f"  {k + 1:10d}   {e.condition:16.2f}   {room:25.2g}")
         lines.append(f"  mean condition number {np.mean([e.condition for e in self.found]):.2f}")
         if self.files:
             lines.append(f"  {written(self.files)}")

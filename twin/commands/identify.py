@@ -19,6 +19,8 @@ from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
 from twin.table import Table
 
+PARTS = ("train", "held_out")
+
 
 @dataclass
 class Identified(Result):
@@ -93,22 +95,34 @@ class Identified(Result):
     def tables(self) -> list[Table]:
         """Parameters with their intervals, and errors by joint."""
         found, errors = self.found.estimate, self.errors()
+        described = found.base.combine @ self.found.regressor.described
+        consistent = found.base.combine @ self.found.parameters
         rows = [
             (
-                name, f"{found.value[k]:.5g}", "{:.5g} … {:.5g}".format(*found.interval90[k]), found.base.units[k],
+                name, f"{found.value[k]:.5g}", "{:.5g} … {:.5g}".format(*found.interval90[k]),
+                f"{described[k]:.5g}", f"{consistent[k]:.5g}", found.base.units[k],
                 "" if found.identifiable[k] else "not identifiable from this log",
             )
             for k, name in enumerate(found.base.names)
         ]  # fmt: skip
         dim = [k for k, held in enumerate(found.identifiable) if not held]
+        units = self._units()
         joints = [
-            (f"joint{i + 1}", *(f"{errors['error'][part][i]:.2%}" for part in ("train", "held_out")))
+            (
+                f"joint{i + 1}",
+                *(f"{errors['error'][part][i]:.2%} ({errors['rms'][part][i]:.3g} {units[i]})" for part in PARTS),
+            )
             for i in range(self.robot.axis_count)
         ]
         return [
-            Table(("parameter", "value", "90 % interval", "unit", ""), rows, (1, 2), dim),
+            Table(
+                ("parameter", "value", "90 % interval", "described", "consistent", "unit", ""), rows, (1, 2, 3, 4), dim
+            ),
             Table(("torque error", "fitted", "held out"), joints, (1, 2)),
         ]
+
+    def _units(self) -> list[str]:
+        return ["N" if axis.type == "prismatic" else "N·m" for axis in self.found.robot.axes]
 
     def __str__(self) -> str:
         found, estimate = self.found, self.found.estimate
@@ -120,16 +134,15 @@ class Identified(Result):
         )
         described = estimate.base.combine @ found.regressor.described
         consistent = estimate.base.combine @ found.parameters
-        half = estimate.interval90[:, 1] - estimate.value
+        half = [_two(half) for half in estimate.interval90[:, 1] - estimate.value]
         for k, name in enumerate(estimate.base.names):
             mark = "" if estimate.identifiable[k] else "   not identifiable from this log"
             lines.append(
-                f"  {name:44s} {estimate.value[k]:12.5g} {half[k]:9.2g} {described[k]:14.5g} {consistent[k]:14.5g} "
+                f"  {name:44s} {estimate.value[k]:12.5g} {half[k]:>9s} {described[k]:14.5g} {consistent[k]:14.5g} "
                 f"{estimate.base.units[k]}{mark}"
             )
-        errors = self.errors()
-        units = ["N" if axis.type == "prismatic" else "N·m" for axis in found.robot.axes]
-        for part in ("train", "held_out"):
+        errors, units = self.errors(), self._units()
+        for part in PARTS:
             shown = "  ".join(
                 f"joint{i + 1} {ratio:.2%} ({rms:.3g} {units[i]})"
                 for i, (ratio, rms) in enumerate(zip(errors["error"][part], errors["rms"][part], strict=True))
@@ -140,6 +153,11 @@ class Identified(Result):
         if self.files:
             lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
+
+
+def _two(value: float) -> str:
+    """Two digits, without a power of ten where plain digits do."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def identify(

@@ -149,15 +149,45 @@ class StabilityLobes(Result):
             none = found.kind[k] == "none"
             rows.append((
                 f"{found.spindle_rpm[k]:.0f} rpm", f"{'> ' if none else ''}{1e3 * found.depth_m[k]:.3g} mm", safe,
-                "" if none else f"{found.frequency_hz[k]:.1f} Hz", str(found.kind[k]).replace("_", " "),
+                "" if none else f"{found.frequency_hz[k]:.1f} Hz",
+                str(found.kind[k]).replace("_", " ").replace("hopf", "Hopf"),
             ))  # fmt: skip
         head = ("speed", "limit", "safe 90 %", "vibrates at", "kind")
         shown = [k for k in range(len(head)) if k != 2 or found.safe_m is not None]
         cells = [[row[k] for k in shown] for row in rows]
         return [Table([head[k] for k in shown], cells, range(len(shown) - 1))]
 
-    def __str__(self) -> str:
+    def summary(self) -> list[str]:
+        """The least limit, the most productive cut, what was stepped in time, and how sure that is."""
         case, found = self.case, self.lobes
+        lines = []
+        lowest = int(np.argmin(found.depth_m))
+        lines.append(f"least limit {1e3 * found.depth_m[lowest]:.3g} mm at {found.spindle_rpm[lowest]:.0f} rpm")
+        place = self._place(found.productive())
+        sure = "with 90 % probability " if found.safe_m is not None else ""
+        lines.append(
+            f"most is removed {sure}at {place['spindle_rpm']:.0f} rpm, {place['depth_mm']:.3g} mm: "
+            f"{place['removal_cm3_per_min']:.3g} cm³/min"
+        )
+        rpm, depth, shaken = self.forced
+        k = int(np.argmin(np.abs(rpm - place["spindle_rpm"])))
+        high, low = shaken[k].surface_error_m
+        lines.append(
+            f"there the tip moves {1e6 * shaken[k].peak_to_peak_m.max():.3g} µm peak to peak "
+            f"({1e3 * depth[k]:.3g} mm deep); surface location error {1e6 * low:.3g} … {1e6 * high:.3g} µm"
+        )
+        for rpm_, depth_ in self.in_time:
+            linear = np.interp(rpm_, found.spindle_rpm, found.depth_m)
+            hit = f", after a blow of {self.blow_n_s:g} N·s" if self.blow_n_s else ""
+            lines.append(
+                f"in time{hit}, at {rpm_:.0f} rpm: chatter from {1e3 * depth_:.3g} mm (linear {1e3 * linear:.3g} mm)"
+            )
+        if found.safe_m is None:
+            lines.append("how sure is not known: no posterior beside the robot; twin fit and twin diagnose write one")
+        return [*lines, *case.notes]
+
+    def __str__(self) -> str:
+        case = self.case
         cut, tool = case.cut, case.cut.tool
         who = case.robot.name if case.robot else "measured FRF"
         lines = [
@@ -167,30 +197,7 @@ class StabilityLobes(Result):
         (table,) = self.tables()
         lines.append("  " + "".join(f"{name:>13}" for name in table.header[:-1]) + "   kind")
         lines += ["  " + "".join(f"{cell:>13}" for cell in row[:-1]) + f"   {row[-1]}" for row in table.rows]
-        lowest = int(np.argmin(found.depth_m))
-        lines.append(f"  least limit {1e3 * found.depth_m[lowest]:.3g} mm at {found.spindle_rpm[lowest]:.0f} rpm")
-        place = self._place(found.productive())
-        sure = "with 90 % probability " if found.safe_m is not None else ""
-        lines.append(
-            f"  most is removed {sure}at {place['spindle_rpm']:.0f} rpm, {place['depth_mm']:.3g} mm: "
-            f"{place['removal_cm3_per_min']:.3g} cm³/min"
-        )
-        rpm, depth, shaken = self.forced
-        k = int(np.argmin(np.abs(rpm - place["spindle_rpm"])))
-        high, low = shaken[k].surface_error_m
-        lines.append(
-            f"  there the tip moves {1e6 * shaken[k].peak_to_peak_m.max():.3g} µm peak to peak "
-            f"({1e3 * depth[k]:.3g} mm deep); surface location error {1e6 * low:.3g} … {1e6 * high:.3g} µm"
-        )
-        for rpm_, depth_ in self.in_time:
-            linear = np.interp(rpm_, found.spindle_rpm, found.depth_m)
-            hit = f", after a blow of {self.blow_n_s:g} N·s" if self.blow_n_s else ""
-            lines.append(
-                f"  in time{hit}, at {rpm_:.0f} rpm: chatter from {1e3 * depth_:.3g} mm (linear {1e3 * linear:.3g} mm)"
-            )
-        if found.safe_m is None:
-            lines.append("  how sure is not known: no posterior beside the robot; twin fit and twin diagnose write one")
-        lines += [f"  {note}" for note in case.notes]
+        lines += [f"  {line}" for line in self.summary()]
         if self.files:
             lines.append(f"  {written(self.files)}")
         return "\n".join(lines)

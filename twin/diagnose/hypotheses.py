@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from twin.measure.campaign import Brakes, Channels, FloatArray
-from twin.model.parameters import Kind, Parameter, Parameters, Sprung, independent, join
+from twin.model.parameters import Kind, Parameter, Parameters, Sprung, independent, join, written_names
 from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
 from twin.physics.effect import Companion, Effect
@@ -76,15 +76,18 @@ class Hypothesis:
 
     def parameters(self, base: Parameters) -> Parameters:
         """Everything that is free under this hypothesis: the base model's parameters, then its own."""
+        written = written_names(base)
         if self.scale:
             width = np.ones(len(base))
             for name, factor in self.scale:
                 width[base.names.index(name)] = factor
-            items = tuple(replace(p, deviation=p.deviation * w) for p, w in zip(base, width, strict=True))
-            base = Parameters(items, base.covariance * np.outer(width, width))
-        if not self.own:
+            items = tuple(replace(p, deviation=p.deviation * w) for p, w in zip(written, width, strict=True))
+            written = Parameters(items, written.covariance * np.outer(width, width))
+        if self.own:
+            written = join(written, *(p._prior for p in self.parts or (self,)))
+        elif not self.scale:
             return base
-        return self._quick(join(base, *(p._prior for p in self.parts or (self,))))
+        return self._quick(written) if self.own or isinstance(base, Sprung) else written
 
     @property
     def _prior(self) -> Parameters:

@@ -144,7 +144,7 @@ def diagnose_table(
     finding = Finding(
         source, "modal-table", word, missing, decision.none, decision.other, given, robots["before"], robots["after"],
         error, list(kept) or ([f"{name} (left out in turn)" for name in used] if plain.by_posture else []), records,
-        warnings=[told(fits, before, used, plain, crossed, word)],
+        warnings=told(fits, before, used, plain, crossed, word),
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_test(finding)
@@ -355,7 +355,7 @@ def told(
     plain: LeftOut,
     crossed: Mapping[str, LeftOut],
     word: str,
-) -> str:
+) -> list[str]:
     """What these numbers support, in sentences a person can check."""
     frequencies = sum(len(p.frequency_hz) for p in postures.values())
     dampings = sum(int(np.isfinite(p.damping).sum()) for p in postures.values())
@@ -364,18 +364,20 @@ def told(
         f"frequency error of the base model refitted {_error(before.robot, postures):.1%}"
     )
     if not plain.by_posture:
-        return text + "; a single posture leaves nothing to judge a name by"
-    text += f", each posture left out in turn {plain.pooled:.1%} ({_listed(plain)})"
-    for fit in fits:
-        if out := crossed.get(fit.hypothesis.key):
-            text += (
-                f"; with {' and '.join(f'{effect} at {site}' for effect, site in parts(fit))} "
-                f"{_error(fit.robot, postures):.1%}, left out {out.pooled:.1%} ({_listed(out)})"
-            )
+        return [f"{text}; a single posture leaves nothing to judge a name by"]
+    notes = [f"{text}, each posture left out in turn {plain.pooled:.1%} ({_listed(plain)})"]
+    notes += [
+        f"with {' and '.join(f'{effect} at {site}' for effect, site in parts(fit))}: "
+        f"{_error(fit.robot, postures):.1%}, left out {out.pooled:.1%} ({_listed(out)})"
+        for fit in fits
+        if (out := crossed.get(fit.hypothesis.key))
+    ]
     if word in ("adequate", "unexplained"):
-        text += ". None halves the error on postures left out: agreement with those fitted to is bought, and the table "
-        text += "cannot tell what, if anything, is missing"
-    return text
+        notes.append(
+            "none halves the error on postures left out: agreement with those fitted to is bought, and the table "
+            "cannot tell what, if anything, is missing"
+        )
+    return notes
 
 
 def next_test(finding: Finding) -> dict[str, object]:

@@ -68,6 +68,10 @@ def _told(some: Sequence[Check]) -> str:
     told = str(worst).removeprefix("FAIL ")
     if worst.kind == "reciprocity":
         told = f"{worst.kind} {worst.subject}: the two differ by {worst.value:.0%} of their mean"
+    elif worst.kind == "driving point":
+        told = f"{worst.kind} {worst.subject}: {1 - worst.value:.0%} of its energy has the wrong sign"
+    elif worst.kind == "linearity":
+        told = f"{told}, about 1 in a linear robot: the FRFs depend on the force"
     return told if len(some) == 1 else f"{told} in the worst of {len(some)} postures where this fails"
 
 

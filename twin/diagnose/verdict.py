@@ -453,6 +453,8 @@ def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]
         same = "*" not in site  # of one node, its sensor or a blow
         key = site.rpartition(".")[2] if same else parameter.site
         key = parameter.site.removeprefix("posture.") if parameter.kind == "posture" else key
+        if same and parameter.kind == "link":  # beside a wrong mass the rest of its link is free
+            key = parameter.name.split(".")[1]
         many = found.setdefault(key, {"value": [], "unit": one["unit"], "interval90": []})
         many["value"].append(one["value"])
         many["interval90"].append(one["interval90"])

@@ -136,6 +136,11 @@ class Limits:
         workspace = [box.x, box.y, box.z] if box else [(-np.inf, np.inf)] * 3
         return cls(*(np.array(x, float) for x in (position, velocity, acceleration, workspace)))
 
+    @property
+    def of_joints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration (n, 2)."""
+        return self.position, self.velocity, self.acceleration
+
 
 @dataclass(frozen=True)
 class Excitation:
@@ -166,25 +171,41 @@ def violation(robot: Robot, fourier: Fourier, limits: Limits | None = None) -> f
     its acceleration bounded by the joints' rates and its largest distance from an axis.
     """
     limits = limits or Limits.of(robot)
-    worst = -np.inf
-    for found, allowed in zip(fourier.extremes(), (limits.position, limits.velocity, limits.acceleration), strict=True):
+    worst = -room_in_workspace(robot, fourier, limits)
+    for found, allowed in zip(fourier.extremes(), limits.of_joints, strict=True):
         worst = max(worst, float(np.max(allowed[:, 0] - found[:, 0])), float(np.max(found[:, 1] - allowed[:, 1])))
-    if np.isfinite(limits.workspace).any():
-        time = np.arange(0, fourier.period_s, FINE_S)
-        motion = fourier.motion(time)
-        path = flange_path(robot, motion.position)
-        reach = sum(abs(axis.a) + abs(axis.d) for axis in robot.axes) + float(np.linalg.norm(robot.flange.position))
-        turning = np.array([axis.type == "revolute" for axis in robot.axes])
-        travel, rates, gains = (np.abs(x).max(axis=1) for x in fourier.extremes())
-        slide, slide_rate = rates[~turning].sum(), gains[~turning].sum()
-        reach += float(travel[~turning].sum())
-        spin, spin_rate = rates[turning].sum(), gains[turning].sum()
-        slack = FINE_S**2 / 8 * (reach * (spin_rate + spin**2) + slide_rate + 2 * spin * slide)
-        low, high = limits.workspace.T
-        worst = max(
-            worst, float(np.max(low - path.min(axis=0)) + slack), float(np.max(path.max(axis=0) - high) + slack)
-        )
     return worst
+
+
+def used(fourier: Fourier, limits: Limits) -> list[float]:
+    """How much of the joints' limits of position, velocity and acceleration a trajectory uses; 1 is at a limit.
+
+    Counted from the middle of what is allowed; 0 where nothing is limited.
+    """
+    shares = []
+    for found, allowed in zip(fourier.extremes(), limits.of_joints, strict=True):
+        limited = np.isfinite(allowed).all(axis=1)
+        middle, half = allowed[limited].mean(axis=1), 0.5 * np.diff(allowed[limited], axis=1)
+        shares.append(float(np.max(np.abs(found[limited] - middle[:, None]) / half, initial=0.0)))
+    return shares
+
+
+def room_in_workspace(robot: Robot, fourier: Fourier, limits: Limits) -> float:
+    """The flange's least distance from the walls of the stated workspace, m; negative outside, infinite without any."""
+    if not np.isfinite(limits.workspace).any():
+        return np.inf
+    time = np.arange(0, fourier.period_s, FINE_S)
+    motion = fourier.motion(time)
+    path = flange_path(robot, motion.position)
+    reach = sum(abs(axis.a) + abs(axis.d) for axis in robot.axes) + float(np.linalg.norm(robot.flange.position))
+    turning = np.array([axis.type == "revolute" for axis in robot.axes])
+    travel, rates, gains = (np.abs(x).max(axis=1) for x in fourier.extremes())
+    slide, slide_rate = rates[~turning].sum(), gains[~turning].sum()
+    reach += float(travel[~turning].sum())
+    spin, spin_rate = rates[turning].sum(), gains[turning].sum()
+    slack = FINE_S**2 / 8 * (reach * (spin_rate + spin**2) + slide_rate + 2 * spin * slide)
+    low, high = limits.workspace.T
+    return min(float(np.min(path.min(axis=0) - low)), float(np.min(high - path.max(axis=0)))) - slack
 
 
 class Problem:

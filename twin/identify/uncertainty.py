@@ -22,6 +22,7 @@ HELD = 0.5  # posterior over prior deviation below which the data hold a paramet
 SHARP = 0.35  # and, of a scale, the largest deviation of its logarithm
 NOTHING = 1e-4  # share of a prior's deviation: what takes less off it tells nothing of the number
 LARGE_DRIFT = 3.0  # prior deviations
+DECADE = 10.0  # an interval wider than this is gone through by ratios
 NINETY = float(ndtri(0.95))
 
 
@@ -151,6 +152,8 @@ def profile(
     across = np.linalg.svd(direction[None])[2][1:].T
     least = low - 0.4 * (high - low)
     value = np.linspace(max(least, 0.3 * low) if parameter.log else least, high + 0.4 * (high - low), points)
+    if parameter.log and high > DECADE * low:
+        value = np.geomspace(0.3 * low, 3 * high, points)
     cost = np.empty(points)
     for k, v in enumerate(value):
         # a scale enters M, C and K linearly: the others follow its value, not its logarithm

@@ -31,4 +31,7 @@ def lead(found: "Described") -> str:
 def sections(found: "Described", drawn: Mapping[str, Path]) -> list[Section]:
     """The parts of the page; ``drawn``: file name → PNG."""
     pictures = [("The robot half-way between its limits.", path) for path in drawn.values()]
-    return [Section("Robot", figures=pictures), Section("What nobody measured", tables=found.tables())]
+    return [
+        Section("Robot", warnings=found.notes, figures=pictures),
+        Section("What nobody measured", tables=found.tables()),
+    ]

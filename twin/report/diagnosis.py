@@ -22,7 +22,7 @@ from matplotlib.ticker import (
 )
 
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, Stage
-from twin.diagnose.sentences import Spot, best_spot
+from twin.diagnose.sentences import Spot, best_spot, off_by
 from twin.diagnose.verdict import MEANING, Finding, Verdict, parameter_rows
 from twin.measure.campaign import QUANTITIES
 from twin.physics import CATALOGUE
@@ -57,6 +57,12 @@ CAPTIONS = {
     "sites.png": "Where more freedom of the model would help most.",
     "smallest_visible.png": "Size from which each effect would have shown, over its usual size. A dot is a site.",
 }
+BOTH = {
+    "overlay.png": "FRF that the model misses most, used and held out; below, phase and residual.",
+    "torque.png": "Torque, recorded and predicted, and the residuals.",
+}
+"""Of a recording that the answer does not change, or where there is none."""
+
 _DOTS = 3000  # drawn at most per cloud
 _ANSWERS = 10  # listed at most
 
@@ -184,12 +190,12 @@ def smallest_visible(items: Sequence[dict[str, Any]], robot: Robot) -> Figure:
         ratios = np.array([ratio for ratio, _ in shown[name]])
         ax.plot([ratios.min(), ratios.max()], [y, y], color="#c9ced6", linewidth=1.2, zorder=1)
         ax.plot(ratios, np.full(len(ratios), y), "o", markersize=4.5, color=COLOURS["after"], alpha=0.75)
-        if len(shown[name]) > 1:
-            for (ratio, site), aside, side in ((max(shown[name]), 6, "left"), (min(shown[name]), -6, "right")):
-                ax.annotate(
-                    site, (ratio, y), (aside, 0), textcoords="offset points", va="center", ha=side, fontsize=7,
-                    color="#51606f", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
-                )  # fmt: skip
+        ends = [(max(shown[name]), 6, "left"), (min(shown[name]), -6, "right")]
+        for (ratio, site), aside, side in ends[: len(shown[name])]:
+            ax.annotate(
+                site, (ratio, y), (aside, 0), textcoords="offset points", va="center", ha=side, fontsize=7,
+                color="#51606f", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+            )  # fmt: skip
     ax.axvline(1, color=_INK, linewidth=0.9, zorder=0)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
@@ -427,12 +433,11 @@ def _mark(ax: Axes, spot: Spot) -> None:
     ax.axvline(f, color=_INK, linewidth=0.7, linestyle=":")
     top = ax.get_ylim()[1]
     if not np.isfinite(spot.before[0]):
-        text = f"{f:.2f} Hz: no peak near before"
+        text = f"{f:.2f} Hz: no such peak in 'before'"
     elif spot.by_height:
-        text = f"{f:.2f} Hz: before {100 * (spot.before[1] / height - 1):+.0f} % in amplitude"
+        text = f"{f:.2f} Hz: 'before' is {off_by(spot.before[1], height)} in amplitude"
     else:
-        digits = 1 if abs(spot.before[0] / f - 1) < 0.03 else 0
-        text = f"{f:.2f} Hz: before {100 * (spot.before[0] / f - 1):+.{digits}f} %"
+        text = f"{f:.2f} Hz: 'before' is {off_by(spot.before[0], f)}"
     right = f > np.mean(ax.get_xlim())
     ax.text(f, top / 1.6, f" {text} ", fontsize=8.5, ha="right" if right else "left", va="center")
 
@@ -531,7 +536,7 @@ def torque(records: Sequence[LogRecord], robot: Robot) -> Figure:
         for ax in (top, bottom):
             _plain(ax, "both")
     handles = [
-        Line2D([], [], color=_INK, linewidth=2.4, alpha=0.45, label="measured"),
+        Line2D([], [], color=_INK, linewidth=2.4, alpha=0.45, label="recorded"),
         *(Line2D([], [], color=COLOURS[s], linewidth=1.3, label=NAMES[s]) for s in ("before", "after")),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
@@ -661,23 +666,32 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
         of = {
             name: path for name, path in drawn.items() if not several or name.startswith(Path(finding.recording).stem)
         }
+        error_text = _error_text(finding, bool(verdict.missing))
         found.append(
             Section(
-                f"Errors{several}", [_error_text(finding)], _apart(finding.warnings), [_error_table(finding)],
+                f"Errors{several}", [error_text], finding.warnings, [_error_table(finding)],
                 pick(of, "errors.png", CAPTIONS["errors.png"]),
             )
         )  # fmt: skip
         frfs = [r for r in finding.records if isinstance(r, FrfRecord)]
+        shown = bool(verdict.missing) and _changes(finding)
         for heading, text, names, plots in (
-            ("Where it shows", "", ("overlay.png", "torque.png", "modes.png"), _plots(finding)),
             (
-                "Where the model without it misses" if verdict.missing else "Where the model misses most",
+                "Where it shows" if shown else "Recorded and predicted",
+                "",
+                ("overlay.png", "torque.png", "modes.png"),
+                _plots(finding),
+            ),
+            (
+                "Where the model without it misses" if shown else "Where the model misses most",
                 _location_text(finding),
                 ("mismatch.png", "residual.png", "sites.png"),
                 [mismatch_map(frfs)] if frfs else [],
             ),
         ):
-            figures = [pair for name in names for pair in pick(of, name, CAPTIONS[name])]
+            figures = [
+                pair for name in names for pair in pick(of, name, (CAPTIONS if shown else CAPTIONS | BOTH)[name])
+            ]
             if figures:
                 found.append(Section(heading + several, [text] if text else [], figures=figures, plots=plots))
     checks = [f"{check['description']}." for check in verdict.checks if check["passed"]]
@@ -689,8 +703,8 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     found.append(Section("The new model", checks, failed, tables))
     if verdict.smallest_visible:
         text = (
-            "The smallest size of each effect that these recordings would have shown. Before that, everything that is "
-            "free in the model has moved to hide it."
+            "The smallest size of each effect that these recordings would have shown, although all free numbers of the "
+            "model may move to hide it."
         )
         figures = pick(drawn, "smallest_visible.png", CAPTIONS["smallest_visible.png"])
         tables = _visible_table(verdict.smallest_visible, verdict.base)
@@ -698,9 +712,10 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     return found
 
 
-def _apart(warnings: Sequence[str]) -> list[str]:
-    """A warning that goes through many models takes a line for each."""
-    return [line for text in warnings for line in (text.split("; ") if text.count("; with ") > 1 else [text])]
+def _changes(finding: Finding) -> bool:
+    """Whether the answer changes the error of this recording by more than a hundredth."""
+    errors = [(finding.error["before"][part], finding.error["after"][part]) for part in ("train", "held_out")]
+    return any(None not in pair and abs(pair[1] - pair[0]) > 0.01 * pair[0] for pair in errors)
 
 
 def _plots(finding: Finding) -> list[Plot]:
@@ -738,11 +753,12 @@ def _split(row: str) -> tuple[str, str]:
     return value, interval
 
 
-def _error_text(finding: Finding) -> str:
+def _error_text(finding: Finding, answered: bool) -> str:
     held = ", ".join(finding.held_out) or "nothing"
+    after = "with the answer" if answered else "the same, because nothing is added"
     return (
         f"Held out: {held}. As given: the description as it came. Before: refitted to what was used, nothing added. "
-        "After: with the answer. On what was held out only posture angles, channel gains and torque offsets are "
+        f"After: {after}. On what was held out only posture angles, channel gains and torque offsets are "
         "re-estimated."
     )
 

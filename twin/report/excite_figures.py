@@ -12,6 +12,11 @@ from twin.report.html import Section
 if TYPE_CHECKING:
     from twin.commands.excite import Excitations
 
+NUMBERS = (
+    "The condition number says how evenly a motion shows the parameters: the lower, the better. "
+    "The other columns say how near it comes to the limits at the worst moment."
+)
+
 
 def draw(result: "Excitations") -> dict[str, Figure]:
     """File name → figure."""
@@ -36,6 +41,6 @@ def sections(result: "Excitations", drawn: Mapping[str, Path]) -> list[Section]:
     """The parts of the page; ``drawn``: file name → PNG."""
     caption = "Trajectory {}: the flange's path in the workspace; position, velocity and acceleration of every joint."
     return [
-        Section("Trajectories", tables=result.tables()),
+        Section("Trajectories", [NUMBERS], tables=result.tables()),
         Section("Motion", figures=[(caption.format(k), path) for k, path in enumerate(drawn.values(), start=1)]),
     ]

@@ -151,6 +151,8 @@ def standing(mechanism: Mechanism) -> Figure:
     at = scene.poses(stage, stage.rest[None])
     _draw(ax, stage, at, _camera(scene.sight(stage)), dict.fromkeys(stage.bodies, "#b8bcc4"), 1.0)
     _same_limits([ax])
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    figure.set_figheight(float(np.clip(6.0 * (high - low) / (right - left), 2.0, 5.4)))  # no wider frame than it needs
     return figure
 
 
@@ -169,7 +171,7 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float
     number = min(count, len(modes))
     columns = min(2, max(1, number))
     rows = -(-max(1, number) // columns)
-    figure = Figure(figsize=(5.2 * columns + 0.8, 4.7 * rows + 0.7), layout="constrained")
+    figure = Figure(figsize=(3.4 * columns + 0.8, 2.8 * rows + 0.4), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax in axes:
         ax.set_axis_off()
@@ -178,7 +180,7 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float
     if not number:
         _draw(axes[0], stage, rest, camera, dict.fromkeys(stage.bodies, "#b8bcc4"), 1.0)
         _same_limits(axes)
-        axes[0].set_title("no elastic joint, no mode", fontsize=11)
+        axes[0].set_title("no elastic joint, no mode", fontsize=9)
         return figure
     for k, ax in zip(range(number), axes, strict=False):
         size = scene.drawn(stage, modes, k)
@@ -198,18 +200,19 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float
                 color="#1f4e9c", edgecolor="white", linewidth=0.4, zorder=5,
             )  # fmt: skip
         dominant = ", ".join(f"{name} {value:.0%}" for name, value in modes.dominant(k))
-        ax.set_title(f"{scene.mode_title(modes, k)}\n{dominant}; drawn ± {1e3 * size.motion:.0f} mm", fontsize=10)
-    _same_limits(axes[:number])
+        ax.set_title(f"{scene.mode_title(modes, k)}; drawn ± {1e3 * size.motion:.0f} mm\n{dominant}", fontsize=8)
+    _same_limits(axes[:number], wide=1.35)  # as wide as the titles
     shown = list(axes[:number])
     map_ = LinearSegmentedColormap.from_list("share", [np.array(colour) / 255 for colour in scene.SHARE_COLOURS])
     bar = figure.colorbar(
         ScalarMappable(Normalize(0, 100), map_), ax=shown, shrink=0.6, aspect=30, location="right"
     )  # fmt: skip
-    bar.set_label("share of strain energy, %", fontsize=9)
+    bar.set_label("share of strain energy, %", fontsize=8)
+    bar.ax.tick_params(labelsize=8)
     figure.supxlabel(
         f"{mechanism.robot.name}; grey: at rest; colour: strain energy in the springs that carry the link"
         + ("; arrows: motion of the test points" if phase is None else ""),
-        fontsize=9,
+        fontsize=8,
     )
     return figure
 
@@ -325,15 +328,17 @@ def phase_deg(value: np.ndarray, start: float = -180.0) -> np.ndarray:
     return phase
 
 
-def _same_limits(axes: Iterable[Axes]) -> None:
-    """Show the same part of the plane, in the same scale, in every panel."""
+def _same_limits(axes: Iterable[Axes], wide: float = 0.0) -> None:
+    """Show the same part of the plane, in the same scale, in every panel; at least so ``wide`` for its height."""
     axes = list(axes)
     for ax in axes:
         ax.autoscale_view()
     limits = np.array([[*ax.get_xlim(), *ax.get_ylim()] for ax in axes])
+    left, right, low, high = limits[:, 0].min(), limits[:, 1].max(), limits[:, 2].min(), limits[:, 3].max()
+    more = max(0.0, wide * (high - low) - (right - left)) / 2
     for ax in axes:
-        ax.set_xlim(limits[:, 0].min(), limits[:, 1].max())
-        ax.set_ylim(limits[:, 2].min(), limits[:, 3].max())
+        ax.set_xlim(left - more, right + more)
+        ax.set_ylim(low, high)
         ax.set_aspect("equal")
 
 

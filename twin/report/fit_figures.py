@@ -116,6 +116,8 @@ def profiles(found: Mapping[str, tuple[FloatArray, FloatArray]], units: Mapping[
         ax.plot(value, drop, "o-", color=_DATA, markersize=3, linewidth=1.2)
         ax.axhline(2.71, color="#444444", linestyle=":", linewidth=1)
         ax.set_ylim(0, 8)
+        if value[0] > 0 and value[-1] > 10 * value[0]:
+            ax.set_xscale("log")
         ax.set_title(f"{name}, {units[name]}".removesuffix(", 1"), fontsize=9)
         ax.tick_params(labelsize=8)
     return figure

@@ -18,6 +18,8 @@ from PIL import Image
 from twin.files import writing
 from twin.table import Table
 
+SMALL = 700  # pixels: legible at half of a page's width
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -150,15 +152,16 @@ def _environment() -> Environment:
     )
     environment.filters["inlined"] = _inlined
     environment.filters["wide"] = _wide
+    environment.filters["small"] = _small
     environment.filters["as_script"] = _as_script
     environment.filters["breakable"] = _breakable
     return environment
 
 
 def _inlined(image: Path) -> str:
-    """A picture of lines and text with a palette of 64 colours: a fifth of the size, the same to the eye."""
+    """A picture of lines and text with a palette of 256 colours: a quarter of the size, the same to the eye."""
     with Image.open(image) as picture, BytesIO() as stream:
-        few = picture.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        few = picture.convert("RGB").quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         few.save(stream, "PNG", optimize=True)
         return base64.b64encode(stream.getvalue()).decode("ascii")
 
@@ -167,6 +170,11 @@ def _wide(image: Path) -> int:
     """Pixels across, so that paper does not enlarge a small picture."""
     with Image.open(image) as picture:
         return picture.width
+
+
+def _small(image: Path) -> bool:
+    """Two of this size stand beside each other."""
+    return _wide(image) < SMALL
 
 
 def _breakable(cell: object) -> Markup:

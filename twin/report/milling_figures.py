@@ -119,6 +119,11 @@ def sections(found: "StabilityLobes", drawn: Mapping[str, Path]) -> list[Section
     chart = Plot("Depth of cut.", "spindle speed, rpm", "axial depth of cut, mm", panels)
     caption = "Stability chart, frequency at the limit, forced vibration and the error that it leaves."
     return [
-        Section("Depth of cut", figures=pick(drawn, "lobes.png", caption), plots=[chart]),
+        Section(
+            "Depth of cut",
+            [f"{line[0].upper()}{line[1:]}." for line in found.summary()],
+            figures=pick(drawn, "lobes.png", caption),
+            plots=[chart],
+        ),
         Section("Limits", tables=found.tables()),
     ]

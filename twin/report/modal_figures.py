@@ -29,7 +29,7 @@ MOST_WRITTEN = 16  # modes whose MAC is written into its square
 
 def stabilisation_figure(result: ModalResult) -> Figure:
     """Poles of every order by their symbol over the sum of all FRFs; lines mark the identified modes."""
-    figure = Figure(figsize=(10, 5.5), layout="constrained")
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
     below = figure.add_subplot()
     below.semilogy(result.frequency, summation(result.measured), color="0.3", lw=1)
     below.set(xlabel="frequency, Hz", ylabel=f"sum of |{result.quantity[0]}|, {result.quantity[1]}")
@@ -60,7 +60,7 @@ def indicator_figure(result: ModalResult) -> Figure:
     curves = [] if result.operational else [("mode indicator", mode_indicator(result.measured), "0.3", 1.0)]
     curves += [] if result.coherence is None else [("median coherence", result.coherence, "tab:blue", 1.02)]
     rows = 1 + len(curves)
-    figure = Figure(figsize=(10, 2.2 * max(rows, 2) + 0.8), layout="constrained")
+    figure = Figure(figsize=(10, 1.7 * max(rows, 2) + 0.8), layout="constrained")
     figure.suptitle(f"{result.name}: where the recording shows modes")
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=[2, 1, 1][:rows])[:, 0]
     values = cmif(result.measured)
@@ -83,8 +83,10 @@ def wireframe_figure(frame: Wireframe, titles: Sequence[str]) -> Figure:
     number = min(len(titles), MOST_SHAPES)
     columns = min(3, number)
     rows = -(-number // columns)
-    figure = Figure(figsize=(4 * columns, 3.4 * rows), layout="constrained")
     right, up = _view(frame.position)
+    wide, high = (float(np.ptp(frame.position @ axis)) for axis in (right, up))
+    figure = Figure(figsize=(4 * columns, rows * (0.5 + 3.4 * float(np.clip(high / max(wide, 1e-9), 0.3, 1)))))
+    figure.set_layout_engine("constrained")
     for k in range(rows * columns):
         axes = figure.add_subplot(rows, columns, k + 1)
         axes.set_axis_off()
@@ -127,7 +129,7 @@ def overlay_figure(result: ModalResult) -> Figure:
     pairs = [tuple(int(n) for n in np.unravel_index(k, energy.shape)) for k in order]
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
-    figure = Figure(figsize=(4 * columns, 3.4 * rows), layout="constrained")
+    figure = Figure(figsize=(4 * columns, 2.6 * rows + 0.6), layout="constrained")
     figure.suptitle(f"{result.name}: measured and synthesised {result.quantity[0]}")
     axes = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=[2, 1] * rows)
     for n, (r, e) in enumerate(pairs):
@@ -190,6 +192,10 @@ CAPTIONS = {
     "indicators": "Mode indicator functions: modes stand at peaks and dips.",
     "automac": "Likeness of the shapes among each other (MAC): off the diagonal it should be low.",
 }
+RUNNING = {
+    "frf": "Strongest spectra, measured and synthesised from the modes, with their likeness (FRAC). "
+    "Steps are where one octave ends and the next begins.",
+}
 
 
 def draw(found: "ModalAnalysis") -> dict[str, Figure]:
@@ -239,9 +245,10 @@ def sections(found: "ModalAnalysis", drawn: Mapping[str, Path]) -> list[Section]
     for name, result in found.results.items():
         checks = [str(check) for check in found.checks.get(name, []) if not check.passed]
         checks += [result.complaint] if result.complaint else []
+        captions = CAPTIONS | (RUNNING if result.operational else {})
         figures = [
             (caption, drawn[f"{name}_{kind}.png"])
-            for kind, caption in CAPTIONS.items()
+            for kind, caption in captions.items()
             if f"{name}_{kind}.png" in drawn
         ]
         curves = {"measured": result.measured, "synthesised": result.synthesised}
