@@ -23,7 +23,7 @@ from twin.milling.postures import tool_place
 from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
-from twin.ranges import FASTEST_RPM, LONGEST_SPACING_M, check_count, implausible
+from twin.ranges import FARTHEST_M, FASTEST_RPM, FREE_TURNS, LONGEST_SPACING_M, SLOWEST_RPM, check_count, implausible
 from twin.result import Result, written
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
@@ -249,6 +249,12 @@ def make_map(
     return found
 
 
+def _far(number: float, unit: str) -> str | None:
+    """What was expected where a place is farther off, or turned further, than work lies."""
+    most = 360.0 * FREE_TURNS if unit == "°" else FARTHEST_M
+    return implausible(number, unit) if abs(number) <= most else f"expected up to {most:g} {unit}, found {number:g}"
+
+
 def _check_finite(
     place_turn_deg: float,
     place: tuple[float, float, float] | None,
@@ -263,7 +269,7 @@ def _check_finite(
     }
     for option, (numbers, unit) in given.items():
         for number in numbers:
-            problem = implausible(number, unit) if np.isfinite(number) else "expected finite numbers"
+            problem = _far(number, unit) if np.isfinite(number) else "expected finite numbers"
             if problem:
                 raise InputError(option, f"{number:g}", problem)
 
@@ -297,8 +303,9 @@ def _check_asked(
         raise InputError("--posture-grid", text, f"expected {robot.axis_count} numbers above 0, one for each axis")
     if lobes < 0 or draws < 0:
         raise InputError("--lobes" if lobes < 0 else "--draws", str(min(lobes, draws)), "expected 0 or more")
-    if spindle_rpm is not None and not 1 <= spindle_rpm <= FASTEST_RPM:
-        raise InputError("--spindle-rpm", f"{spindle_rpm:g}", f"expected a speed from 1 to {FASTEST_RPM:g}")
+    if spindle_rpm is not None and not SLOWEST_RPM <= spindle_rpm <= FASTEST_RPM:
+        expected = f"expected a speed from {SLOWEST_RPM:g} to {FASTEST_RPM:g}"
+        raise InputError("--spindle-rpm", f"{spindle_rpm:g}", expected)
     if spindle_rpm is not None and lobes:
         raise InputError(
             "--spindle-rpm", "", "full lobes take the speeds of the cut's spindle_rpm; give one or the other"

@@ -1,6 +1,7 @@
 """Reading HDF5 that others wrote: what is missing, malformed or in another unit becomes one clear line."""
 
 import re
+import reprlib
 import sys
 import time
 from collections.abc import Iterator
@@ -13,9 +14,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.parallel import isolated
-from twin.ranges import check_array, check_size
+from twin.ranges import MOST_CHARACTERS, check_array, check_size
 
 _DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a factor
     "m": (1, 0, 0),
@@ -180,7 +181,21 @@ class Node:
 
     def text(self, name: str) -> str | None:
         value = self.attribute(name)
-        return None if value is None or isinstance(value, h5py.Empty) else str(value)
+        if value is None or isinstance(value, h5py.Empty):
+            return None
+        if not isinstance(value, str):
+            raise self.fail(f"{self.field}: {name}".strip(": "), f"expected text, found {reprlib.repr(value)}")
+        if len(value) > MOST_CHARACTERS:
+            raise self.fail(f"{self.field}: {name}".strip(": "), f"expected at most {MOST_CHARACTERS} characters")
+        return value
+
+    def tell_unknown(self, *known: str) -> None:
+        """Tell of what else a group holds: it is not read, and may be a known name that was misspelt."""
+        if strange := [name for name in self.item if name not in known]:
+            some = ", ".join(map(reprlib.repr, strange[:3])) + (f" and {len(strange) - 3} more" * (len(strange) > 3))
+            tell(
+                self.source, self.field, f"holds {some}, which no reader knows: not read; known are {', '.join(known)}"
+            )
 
     def number(self, name: str, default: float | None = None) -> float | None:
         value = self.attribute(name)
