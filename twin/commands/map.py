@@ -8,14 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
-from twin.files import replacing
 from twin.identify.posterior import FILE
 from twin.measure.campaign import FloatArray
+from twin.measure.hdf5 import created
 from twin.milling import map as work
 from twin.milling.cut import Cut, read_cut
 from twin.milling.ensemble import ensemble
@@ -429,7 +428,7 @@ def _write(found: Map, name: Outputs) -> None:
 
 def write_map(path: str | Path, found: Map) -> None:
     """The map as HDF5: every array with its unit, postures on the first axis."""
-    with replacing(path) as scratch, h5py.File(scratch, "w") as file:
+    with created(path) as file:
         file.attrs.update(format="twin-map", version=1, robot=found.robot.name, twin=str(found.origin["version"]))
         file.attrs["method"] = "closed form" if found.speeds is None else "full lobes"
         if found.spindle_rpm is not None:

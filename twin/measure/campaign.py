@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.errors import InputError, tell
-from twin.files import replacing
-from twin.measure.hdf5 import Node, opened
+from twin.measure.hdf5 import Node, created, opened
 from twin.ranges import (
     FARTHEST_M,
     FASTEST_HZ,
@@ -566,7 +565,7 @@ def _read_hits(node: Node) -> Hits:
 def write_campaign(path: str | Path, campaign: Campaign) -> None:
     """Check a campaign and write it as ``frf-campaign`` HDF5; the file appears whole or not at all."""
     check_campaign(path, campaign)
-    with replacing(path) as scratch, h5py.File(scratch, "w") as file:
+    with created(path) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION, "comment": campaign.comment})
         if campaign.robot is not None:
             file.attrs["robot"] = campaign.robot

@@ -10,13 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import h5py
 import numpy as np
 
 from twin.errors import InputError
-from twin.files import replacing, writing
+from twin.files import writing
 from twin.measure.campaign import FloatArray, twice
-from twin.measure.hdf5 import Node, opened
+from twin.measure.hdf5 import Node, created, opened
 from twin.measure.signals import resample
 from twin.ranges import check_array, ill_named, implausible
 
@@ -165,7 +164,7 @@ def write_motion_log(path: str | Path, log: MotionLog) -> None:
     if path.suffix.lower() == ".csv":
         _write_csv(path, log)
         return
-    with replacing(path) as aside, h5py.File(aside, "w") as file:
+    with created(path) as file:
         torque = all(run.torque is not None for run in log.runs.values())
         file.attrs.update({"format": "motion-log" if torque else "trajectory", "version": VERSION})
         if log.robot:

@@ -493,6 +493,8 @@ def read_back(path: str | Path) -> dict[str, dict[str, np.ndarray]]:
     return result
 
 
+os.environ.setdefault("RUST_LOG", "off")  # of rerun, on a full disk: that is said in one line
+ROOM = 1 << 16  # bytes that a disk has to spare after a recording
 _CURVES = ((240, 240, 240), (90, 170, 255), (255, 150, 50), (120, 220, 130))
 
 
@@ -505,15 +507,36 @@ def _recording(path: str | Path, name: str) -> "Iterator[tuple[Any, Any]]":
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.stem}.{uuid4().hex}.rrd")
     stream = rr.RecordingStream("twin", recording_id=uuid4())
-    stream.save(aside)
     try:
+        stream.save(aside)
         stream.send_recording_name(name)
         yield stream, stream.send_blueprint
         stream.disconnect()
+        _refuse_full_disk(path)
         os.replace(aside, path)
+    except RuntimeError:
+        _refuse_full_disk(path)
+        raise
     finally:
         stream.disconnect()
         aside.unlink(missing_ok=True)
+
+
+def _refuse_full_disk(path: Path) -> None:
+    """Raise where the disk has no room left: the recording's library logs that, and goes on without the rest.
+
+    Raises:
+        OSError: there is no room.
+    """
+    probe = path.with_name(f".{path.stem}.{uuid4().hex}.room")
+    try:
+        with probe.open("wb") as stream:
+            stream.write(bytes(ROOM))
+            os.fsync(stream.fileno())
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
+        probe.unlink(missing_ok=True)
 
 
 def _log_robot(stream: Any, scene: Scene, root: str, colours: Mapping[str, tuple[int, int, int]]) -> None:
