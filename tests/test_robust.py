@@ -697,3 +697,27 @@ def test_records_of_no_hammer_and_speeds_of_no_gear_are_refused(tmp_path: Path, 
     found = twin("describe", tmp_path / "arm.urdf", "--sheet", tmp_path / "sheet.yaml", "--json")
     assert (found.code, found.err.count("\n")) == (2, 1)
     assert "arm as the sheet and scaling laws complete it: drives[0].gear_ratio: " in found.err
+
+
+@pytest.mark.parametrize("command", ["import", "view", "example"])
+def test_a_file_that_meets_a_full_disk_gets_one_line_and_leaves_nothing(tmp_path: Path, command: str) -> None:
+    """The libraries of HDF5 and of recordings ended the process over it, or waited for ever."""
+    seeds.make(tmp_path)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    line = {
+        "import": ["import", "foreign.csv", "--map", "csv-map.yaml", "-o", "a.h5"],
+        "view": ["view", "two.yaml", "-o", "a.rrd"],
+        "example": ["example", "arm", "-o", "arm"],
+    }[command]
+
+    def small() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+
+    found = subprocess.run(
+        [sys.executable, "-m", "twin", *line],
+        capture_output=True, text=True, preexec_fn=small, check=False, cwd=tmp_path, timeout=120,
+    )  # fmt: skip
+    assert (found.returncode, found.stderr.count("\n")) == (2, 1), found.stderr
+    assert "File too large" in found.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == before

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
+from twin.files import replacing
 from twin.model.linear import posture_state
 from twin.model.modes import Modes
 from twin.robot.frames import matrix_of
@@ -493,50 +494,26 @@ def read_back(path: str | Path) -> dict[str, dict[str, np.ndarray]]:
     return result
 
 
-os.environ.setdefault("RUST_LOG", "off")  # of rerun, on a full disk: that is said in one line
-ROOM = 1 << 16  # bytes that a disk has to spare after a recording
 _CURVES = ((240, 240, 240), (90, 170, 255), (255, 150, 50), (120, 220, 130))
 
 
 @contextmanager
 def _recording(path: str | Path, name: str) -> "Iterator[tuple[Any, Any]]":
-    """A recording stream to a file beside ``path``, and the function that closes it with its blueprint."""
+    """A recording stream whose content becomes ``path``, and the function that closes it with its blueprint.
+
+    It is kept in memory until it is whole: the library that writes streams waits for ever on a full disk.
+    """
     import rerun as rr
 
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.stem}.{uuid4().hex}.rrd")
     stream = rr.RecordingStream("twin", recording_id=uuid4())
+    kept = stream.memory_recording()
     try:
-        stream.save(aside)
         stream.send_recording_name(name)
         yield stream, stream.send_blueprint
-        stream.disconnect()
-        _refuse_full_disk(path)
-        os.replace(aside, path)
-    except RuntimeError:
-        _refuse_full_disk(path)
-        raise
+        with replacing(path) as aside:
+            aside.write_bytes(kept.drain_as_bytes() or b"")
     finally:
         stream.disconnect()
-        aside.unlink(missing_ok=True)
-
-
-def _refuse_full_disk(path: Path) -> None:
-    """Raise where the disk has no room left: the recording's library logs that, and goes on without the rest.
-
-    Raises:
-        OSError: there is no room.
-    """
-    probe = path.with_name(f".{path.stem}.{uuid4().hex}.room")
-    try:
-        with probe.open("wb") as stream:
-            stream.write(bytes(ROOM))
-            os.fsync(stream.fileno())
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    finally:
-        probe.unlink(missing_ok=True)
 
 
 def _log_robot(stream: Any, scene: Scene, root: str, colours: Mapping[str, tuple[int, int, int]]) -> None:
