@@ -105,7 +105,6 @@ def put(folder: Path, file: str, old: str, new: str) -> None:
         (WAV, "wav-map.yaml", "[10, 40]", "[1.0e+7, 40]", "q_deg"),
         (("map", "cut.yaml", "--robot", "two.yaml", "--random", "3", "--place-turn-deg", "1e6"), "cut.yaml", "t", "t",
          "--place-turn-deg"),
-        (SIMULATE, "two.yaml", "1Z+, body: link2", "1Z+, body: link1", "test_points[1].position"),
         (SIMULATE, "two.yaml", "damping: 900,", "damping: 9.0e+8,", "hammer"),  # of 176 million steps a record
     ],
 )  # fmt: skip
@@ -136,6 +135,7 @@ def test_what_no_machine_has_and_what_contradicts_itself_is_refused(
         (SIMULATE, "two.yaml", "torque: 40", "torque: 400000", "physics[1].torque"),
         (SIMULATE, "two.yaml", "stiffness: 3.0e6", "stiffness: 3.0e+14", "physics[0].stiffness"),
         (SIMULATE, "two.yaml", "1X+, body: link2, position: [0.8", "2X+, body: link2, position: [20", "test_points[0]"),
+        (SIMULATE, "two.yaml", "1Z+, body: link2", "1Z+, body: link1", "test_points[1].position"),
         (SIMULATE, "two.yaml", "factor: 2.0", "factor: 2000", "priors[0].factor"),
         (SIMULATE, "two.yaml", "name: two", "gravity: [0, 0, -1.62]\nname: two", "gravity"),
         (SIMULATE, "posture.yaml", "  coefficients: aluminium_7075\n", "", "coefficients aluminium_7075"),
@@ -189,6 +189,12 @@ def test_what_no_reader_knows_in_a_recording_is_told(folder: Path, twin: Twin, f
     assert "'coherance'" in found.err
 
 
+def test_one_node_at_two_places_is_told(folder: Path) -> None:
+    edit(folder / "hammer.h5", lambda f: f["excitation/position"].write_direct(np.array([[9.0, 0, 0]] * 2)))
+    with pytest.warns(Told, match="node 1 at one place"):
+        read_campaign(folder / "hammer.h5")
+
+
 def test_coherence_of_no_number_of_blows_is_told(folder: Path) -> None:
     with h5py.File(folder / "hammer.h5", "r+") as stream:
         del stream["postures/bent/coherence"].attrs["averages"]
@@ -204,7 +210,6 @@ def edit(path: Path, change: Callable[[Any], None]) -> None:
 @pytest.mark.parametrize(
     ("file", "change", "field"),
     [
-        ("hammer.h5", lambda f: f["excitation/position"].write_direct(np.array([[9.0, 0, 0]] * 2)), "node 1"),
         ("hammer.h5", lambda f: f["response/position"].write_direct(np.array([[800.0, 0, 0]])), "response/position"),
         ("hammer.h5", lambda f: f["postures/bent"].attrs.update({"q_deg": [1e7, 40.0]}), "q_deg"),
         ("hammer.h5", lambda f: f["postures/bent"].attrs.update({"peak_force_n": 1e8}), "peak_force_n"),

@@ -222,7 +222,6 @@ def check_campaign(source: str | Path, campaign: Campaign) -> None:
     """Raise :class:`InputError` where a campaign breaks the contract of its format."""
     for side, channels in (("response", campaign.response), ("excitation", campaign.excitation)):
         check_channels(source, side, channels)
-    _check_nodes(source, campaign)
     if not campaign.postures:
         raise InputError(source, "postures", "expected at least one posture")
     axes = {posture.q_deg.size for posture in campaign.postures.values()}
@@ -241,8 +240,8 @@ def check_campaign(source: str | Path, campaign: Campaign) -> None:
         raise InputError(source, f"postures/{again}", problem)
 
 
-def _check_nodes(source: str | Path, campaign: Campaign) -> None:
-    """Raise where one node number stands for two places."""
+def _tell_nodes(source: str | Path, campaign: Campaign) -> None:
+    """Tell where one node number stands for two places."""
     at: dict[str, tuple[str, FloatArray]] = {}
     for side, channels in (("response", campaign.response), ("excitation", campaign.excitation)):
         for label, body, position in zip(channels.label, channels.body, channels.position, strict=True):
@@ -250,7 +249,8 @@ def _check_nodes(source: str | Path, campaign: Campaign) -> None:
             if where == body and (apart := float(np.linalg.norm(position - place))) <= NODE_APART_M:
                 continue
             found = f"on {where} and {body}" if where != body else f"{apart:.3g} m apart"
-            raise InputError(source, f"{side}/position", f"expected node {label[:-2]} at one place, found it {found}")
+            tell(source, f"{side}/position", f"expected node {label[:-2]} at one place, found it {found}")
+            return
 
 
 def _recorded(posture: PostureFRF) -> tuple[object, ...]:
@@ -478,6 +478,7 @@ def read_campaign(path: str | Path) -> Campaign:
             source=str(path),
         )
     check_campaign(path, campaign)
+    _tell_nodes(path, campaign)
     return campaign
 
 
@@ -509,7 +510,8 @@ def _read_posture(name: str, node: Node) -> PostureFRF:
     q_deg = read_q_deg(node)
     node.tell_unknown("frequency", "frf", "coherence", "hits", "running")
     hits = _read_hits(node.group("hits")) if node.has("hits") else None
-    brakes: Any = node.text("brakes")
+    brakes: Any = node.attribute("brakes")
+    brakes = None if isinstance(brakes, h5py.Empty) else brakes
     if hits is not None and not node.has("frf"):  # time records alone
         empty = np.zeros((0, hits.response.shape[2] if hits.response.ndim == 4 else 0, len(hits.force)))
         return PostureFRF(name, q_deg, brakes, np.zeros(0), empty.astype(complex), "accelerance", hits=hits)

@@ -154,7 +154,7 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     if not isinstance(shape, dict):
         raise InputError(path, f"{where}.shape", f"expected labels with [re, im], found {shape!r}")
     for label, pair in shape.items():
-        here = f"{where}.shape.{reprlib.repr(label)}"
+        here = f"{where}.shape.{label if isinstance(label, str) else reprlib.repr(label)}"
         if not (isinstance(label, str) and LABEL.fullmatch(label) and len(label) <= LONGEST_LABEL):
             raise InputError(path, here, "expected node number, axis, sign such as 21Z+")
         if not (isinstance(pair, list) and len(pair) == 2 and all(_is_number(x) for x in pair)):

@@ -6,6 +6,7 @@ They are told and not refused: a fit or a diagnosis may write such numbers, and 
 import numpy as np
 
 from twin.measure.units import STANDARD_GRAVITY
+from twin.ranges import NODE_APART_M
 from twin.robot.description import Robot
 
 LEAST_SAG, MOST_SAG = 1e-8, 1.0  # rad, of a gear under the robot's weight at arm's length
@@ -60,6 +61,10 @@ def doubts(robot: Robot) -> list[tuple[str, str]]:
             text = f"{felt:.3g} kg·m² at the joint, and all links make {mass * reach**2:.3g} at most"
             found.append((f"drives[{i}].rotor_inertia", text))
     for k, point in enumerate(robot.test_points):
+        first = next(p for p in robot.test_points if p.label[:-2] == point.label[:-2])
+        apart = float(np.linalg.norm(np.subtract(point.position, first.position)))
+        if first.body != point.body or apart > NODE_APART_M:
+            found.append((f"test_points[{k}].position", f"is not that of {first.label}, which is the same node"))
         if (far := float(np.linalg.norm(point.position))) > FARTHER * reach + 1:
             text = f"{far:.3g} m from its body's frame; the robot reaches {reach:.3g} m"
             found.append((f"test_points[{k}].position", text))
