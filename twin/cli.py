@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 import twin
-from twin.errors import InputError, NumericalError, numbers_of
+from twin.errors import InputError, NumericalError, Told, numbers_of
 from twin.memory import keep_memory
 from twin.parallel import Progress, silent
 from twin.stopping import Stopped, end_after, stoppable
@@ -847,11 +847,17 @@ def main() -> None:
 
 def _run() -> int:
     """The exit code: 2 for bad input, 3 for numbers that break a calculation, 124 for time that is up."""
+    told: list[str] = []  # once the command has a result: a refusal is one line
     try:
         with stoppable(), warnings.catch_warnings():
             if not sys.warnoptions:
                 warnings.simplefilter("ignore")  # of libraries; what matters is in the result
-            return app(standalone_mode=False) or 0
+            warnings.simplefilter("always", Told)
+            warnings.showwarning = _collecting(told, warnings.showwarning)
+            code = app(standalone_mode=False) or 0
+        for line in dict.fromkeys(told):
+            _say(f"note: {line}", 0)
+        return code
     except Stopped as stop:
         return _say(str(stop), stop.code)
     except InputError as error:
@@ -866,6 +872,18 @@ def _run() -> int:
         if not hasattr(error, "format_message"):  # of the command line's parser
             raise
         return _usage(error)
+
+
+def _collecting(told: list[str], otherwise: Callable[..., None]) -> Callable[..., None]:
+    """How a warning is shown: what is told of the input goes to a list."""
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, Told):
+            told.append(str(message))
+        else:
+            otherwise(message, category, *where, **more)
+
+    return show
 
 
 def _usage(error: Any) -> int:

@@ -1,6 +1,7 @@
-"""What a command can end with: a user's input that breaks a contract, or numbers that no calculation survives."""
+"""What a command can end with, or tell: input that breaks a contract, numbers that no calculation survives."""
 
 import re
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,6 +44,15 @@ class NumericalError(_Placed, ArithmeticError):
         field: posture, run or parameter; ``""`` where none is to blame.
         expected: what broke down, and what to look at.
     """
+
+
+class Told(UserWarning):
+    """Input is taken, but part of it is not used, or is hardly meant. The command line says it on standard error."""
+
+
+def tell(source: str | Path, field: str, text: str) -> None:
+    """Warn of a part of an input, in one line that names it as an :class:`InputError` would."""
+    warnings.warn(Told(str(_Placed(source, field, text))), stacklevel=3)
 
 
 @contextmanager

@@ -12,8 +12,8 @@ import numpy as np
 from twin.errors import InputError
 
 RANGES = {  # unit → least of what is a scale (a mass, a spring), largest magnitude
-    "kg": (1e-9, 1e7),
-    "m": (1e-12, 1e5),
+    "kg": (1e-6, 1e6),  # to the heaviest gantries of machine tools
+    "m": (1e-12, 1e3),  # to the longest tracks
     "kg·m²": (1e-15, 1e10),
     "N·m/rad": (1e-6, 1e15),
     "N·m·s/rad": (1e-12, 1e12),
@@ -41,10 +41,18 @@ MOST_NESTED = 60  # levels of a text file
 MOST_PARTS = 400  # links or joints of a drawing
 MOST_AXES = 30
 MOST_CHARACTERS = 20_000  # of a text
-FASTEST_RPM = 3e5  # of a spindle
-FARTHEST_M = 50.0  # of a channel or a centre of mass from the frame of its body: tells millimetres from metres
+SLOWEST_RPM, FASTEST_RPM = 5.0, 3e5  # of a spindle: boring mills, and those of dentists
+FARTHEST_M = 50.0  # of what is fixed to a body from the body's frame: tells millimetres from metres
+FARTHEST_TIP_M = 5.0  # of a tool's tip from the flange, likewise
+HEAVIEST_TOOL_KG = 2000.0  # spindle and tool: half as much again as the strongest robot carries (FANUC M-2000iA/1700L)
+HEAVIEST_ROTOR = 1e3  # kg·m² of a motor alone: that of a megawatt
+STRONGEST_GRAVITY = 100.0  # m/s²: four times Jupiter's
+FREE_TURNS = 10  # of an axis without limits, either way from its zero
 LARGEST_RELATIVE = 100.0  # of a tolerance that is relative
 LONGEST_SPACING_M = 100.0  # of points along a tool path
+LEAST_FORCE_N, LARGEST_FORCE_N = 1e-3, 1e5  # peak of a blow: a miniature hammer's least, thrice the largest sledge's
+NODE_APART_M = 0.5  # between two places of one node: a blow beside its sensor, not at another point
+LONGEST_LABEL = 16  # characters: node numbers of universal files have ten digits
 MOST_SAMPLES = 20_000_000  # of a trajectory: two hours of six axes at 1 kHz, twice over
 
 COUNTS = {  # smallest and largest of what is asked for
@@ -83,6 +91,13 @@ def ill_named(name: str) -> str | None:
     if len(name) <= LONGEST_NAME and re.fullmatch(NAME, name):
         return None
     return f"expected names of 1 to {LONGEST_NAME} characters without / \\ $ or hidden ones, found {reprlib.repr(name)}"
+
+
+def illegible(text: str) -> str | None:
+    """What was expected, where a name cannot be read: of a robot, a link, an axis."""
+    if len(text.strip()) > 0 and len(text) <= LONGEST_NAME and not re.search(f"[{UNSEEN}]", text):
+        return None
+    return f"expected a name of 1 to {LONGEST_NAME} characters without hidden ones, found {reprlib.repr(text)}"
 
 
 def check_array(source: object, field: str, values: np.ndarray, unit: str = "") -> None:

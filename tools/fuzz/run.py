@@ -29,8 +29,8 @@ class Outcome:
     """What became of a case.
 
     Attributes:
-        kind: accepted, refused, stopped (--timeout), numerical, or a fault: traceback, hang, signal, lines, unnamed,
-            partial.
+        kind: accepted, refused, stopped (--timeout), numerical, or a fault: traceback, hang, signal, memory, lines,
+            unnamed, partial.
     """
 
     number: int
@@ -152,6 +152,8 @@ def judge(status: int | None, said: str, out: str, made: set[str]) -> tuple[str,
     lines = said.strip().splitlines()
     if len(lines) != 1 or not lines[0].startswith("twin: "):
         return "lines", code
+    if "not enough memory" in lines[0]:  # without the limit of this process it would have filled the machine
+        return "memory", code
     if code == 124:
         return "stopped", code
     if code == 3:

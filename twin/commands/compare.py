@@ -6,6 +6,7 @@ from typing import Any
 
 from twin.commands.outputs import Outputs, check_out
 from twin.diagnose.compare import compare_hammer
+from twin.errors import tell
 from twin.identify.elastic_compare import Comparison, ModalComparison, compare_modes
 from twin.identify.rigid import Bands
 from twin.identify.rigid_compare import LogComparison, compare_log
@@ -126,6 +127,8 @@ def compare(
     check_out(out)
     bands = Bands(fit=low_pass)
     given = read_recordings(recordings)
+    if bands.fit != Bands().fit and all(recording.kind != "motion-log" for recording in given):
+        tell("--low-pass", "", "concerns motion logs, and none is given: not used")
     result = Compared({}, {})
     for recording in given:
         described = recording.described(robot, without)

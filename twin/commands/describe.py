@@ -115,7 +115,7 @@ def describe(
     tree = read_tree(path)
     stand_on(tree, given.mount)
     reduced = reduce_tree(tree, given.tip)
-    given.check(len(reduced.chain.axes), sheet or "sheet")
+    given.check([joint.name for joint, _ in reduced.chain.axes], sheet or "sheet")
     fit_tools(reduced.chain, read_tools(tool), tool or "tool")
     data = robot_data(reduced.chain)
     data["name"] = given.name or data["name"]

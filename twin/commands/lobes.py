@@ -21,7 +21,7 @@ from twin.milling.tool_point import ToolModes, ToolPoint, measured_point, tool_p
 from twin.milling.zeroth_order import limiting_depth
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.ranges import check_count
+from twin.ranges import FASTEST_RPM, SLOWEST_RPM, check_count
 from twin.result import Result, written
 from twin.robot.description import Robot, load_robot
 from twin.table import Table
@@ -353,8 +353,9 @@ def _complete(cut: Cut | None, of_file: Cut | None, spindle_rpm: tuple[float, fl
         )
     if spindle_rpm is not None:
         low, high = spindle_rpm
-        if not 1 <= low < high <= 3e5:
-            raise InputError("--rpm", f"{low:g} {high:g}", "expected a lowest and a highest speed, 1 to 300000 rpm")
+        if not SLOWEST_RPM <= low < high <= FASTEST_RPM:
+            expected = f"expected a lowest and a highest speed, {SLOWEST_RPM:g} to {FASTEST_RPM:g} rpm"
+            raise InputError("--rpm", f"{low:g} {high:g}", expected)
         changed = found.model_copy(update={"spindle_rpm": (float(low), float(high))})
         changed._source, changed._folder = found._source, found._folder
         found = changed

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError
-from twin.files import replacing
 from twin.identify.posterior import FILE
 from twin.measure.campaign import FloatArray
+from twin.measure.hdf5 import created
 from twin.milling import map as work
 from twin.milling.cut import Cut, read_cut
 from twin.milling.ensemble import ensemble
@@ -23,7 +22,7 @@ from twin.milling.postures import tool_place
 from twin.milling.toolpath import Toolpath, read_toolpath
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
-from twin.ranges import FASTEST_RPM, LONGEST_SPACING_M, check_count, implausible
+from twin.ranges import FARTHEST_M, FASTEST_RPM, FREE_TURNS, LONGEST_SPACING_M, SLOWEST_RPM, check_count, implausible
 from twin.result import Result, written
 from twin.robot.description import Robot, load_robot
 from twin.robot.frames import rotation_z
@@ -249,6 +248,12 @@ def make_map(
     return found
 
 
+def _far(number: float, unit: str) -> str | None:
+    """What was expected where a place is farther off, or turned further, than work lies."""
+    most = 360.0 * FREE_TURNS if unit == "°" else FARTHEST_M
+    return implausible(number, unit) if abs(number) <= most else f"expected up to {most:g} {unit}, found {number:g}"
+
+
 def _check_finite(
     place_turn_deg: float,
     place: tuple[float, float, float] | None,
@@ -263,7 +268,7 @@ def _check_finite(
     }
     for option, (numbers, unit) in given.items():
         for number in numbers:
-            problem = implausible(number, unit) if np.isfinite(number) else "expected finite numbers"
+            problem = _far(number, unit) if np.isfinite(number) else "expected finite numbers"
             if problem:
                 raise InputError(option, f"{number:g}", problem)
 
@@ -297,8 +302,9 @@ def _check_asked(
         raise InputError("--posture-grid", text, f"expected {robot.axis_count} numbers above 0, one for each axis")
     if lobes < 0 or draws < 0:
         raise InputError("--lobes" if lobes < 0 else "--draws", str(min(lobes, draws)), "expected 0 or more")
-    if spindle_rpm is not None and not 1 <= spindle_rpm <= FASTEST_RPM:
-        raise InputError("--spindle-rpm", f"{spindle_rpm:g}", f"expected a speed from 1 to {FASTEST_RPM:g}")
+    if spindle_rpm is not None and not SLOWEST_RPM <= spindle_rpm <= FASTEST_RPM:
+        expected = f"expected a speed from {SLOWEST_RPM:g} to {FASTEST_RPM:g}"
+        raise InputError("--spindle-rpm", f"{spindle_rpm:g}", expected)
     if spindle_rpm is not None and lobes:
         raise InputError(
             "--spindle-rpm", "", "full lobes take the speeds of the cut's spindle_rpm; give one or the other"
@@ -422,7 +428,7 @@ def _write(found: Map, name: Outputs) -> None:
 
 def write_map(path: str | Path, found: Map) -> None:
     """The map as HDF5: every array with its unit, postures on the first axis."""
-    with replacing(path) as scratch, h5py.File(scratch, "w") as file:
+    with created(path) as file:
         file.attrs.update(format="twin-map", version=1, robot=found.robot.name, twin=str(found.origin["version"]))
         file.attrs["method"] = "closed form" if found.speeds is None else "full lobes"
         if found.spindle_rpm is not None:

@@ -9,10 +9,11 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from twin.errors import InputError
+from twin.measure.campaign import FASTEST_SAMPLES_HZ, LONGEST_PULSE_S, LONGEST_RECORD_S
 from twin.measure.motion_log import MotionLog, read_motion_log
 from twin.milling.cut import Cut, read_cut
-from twin.ranges import LONGEST_NAME, NAME
-from twin.robot.description import Data, NonNegative, Number, Positive, Robot, first_problem, load_robot
+from twin.ranges import LARGEST_FORCE_N, LEAST_FORCE_N, LONGEST_NAME, NAME
+from twin.robot.description import Data, Number, Robot, first_problem, load_robot
 from twin.yamlfile import read_yaml
 
 LONGEST_RECORD = 2e6  # samples
@@ -26,18 +27,23 @@ def _none_if_false(value: Any) -> Any:
     return {} if value is None else None if value is False else value
 
 
+Force = Annotated[Number, Field(ge=LEAST_FORCE_N, le=LARGEST_FORCE_N)]
+
+
 class Hammer(Data):
     """How the robot is hit; several ``force_n`` are several force levels. Noise is off unless asked for."""
 
-    force_n: Annotated[list[Positive], BeforeValidator(_as_list), Field(min_length=1)] = Field(default=[300.0])
-    pulse_s: Positive = 0.008
-    duration_s: Positive = 16.0
-    sample_rate_hz: Positive = 2048.0
+    force_n: Annotated[list[Force], BeforeValidator(_as_list), Field(min_length=1, max_length=20)] = Field(
+        default=[300.0]
+    )
+    pulse_s: Annotated[Number, Field(ge=1e-6, le=LONGEST_PULSE_S)] = 0.008
+    duration_s: Annotated[Number, Field(gt=0, le=LONGEST_RECORD_S)] = 16.0
+    sample_rate_hz: Annotated[Number, Field(gt=0, le=FASTEST_SAMPLES_HZ)] = 2048.0
     hits: Annotated[int, Field(ge=1, le=1000, strict=True)] = 3
-    force_spread: NonNegative = 0.0
-    force_noise_n: NonNegative = 0.0
-    response_noise: NonNegative = 0.0
-    off_axis_deg: NonNegative = 0.0
+    force_spread: Annotated[Number, Field(ge=0, le=1)] = 0.0
+    force_noise_n: Annotated[Number, Field(ge=0, le=LARGEST_FORCE_N)] = 0.0
+    response_noise: Annotated[Number, Field(ge=0, le=1e4)] = 0.0
+    off_axis_deg: Annotated[Number, Field(ge=0, le=90)] = 0.0
     raw_hits: Annotated[bool, Field(strict=True)] = False
 
     @model_validator(mode="after")

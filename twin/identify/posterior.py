@@ -15,12 +15,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from twin.errors import InputError
-from twin.files import replacing
-from twin.measure.hdf5 import opened
+from twin.measure.hdf5 import created, opened
 from twin.model.parameters import Kind, Parameter, Parameters
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
@@ -125,7 +123,7 @@ class Posterior:
 def save_posterior(path: str | Path, posterior: Posterior) -> None:
     """Write ``posterior.h5``, whole or not at all."""
     items = posterior.parameters.items
-    with replacing(path) as scratch, h5py.File(scratch, "w") as file:
+    with created(path) as file:
         file.attrs.update(format="twin-posterior", version=1)
         for field in ("name", "unit", "kind", "source"):
             file[field] = [str(getattr(p, field)) for p in items]

@@ -12,7 +12,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.identify.rigid import TOO_SHORT, Bands, Rows, in_joints, motion_of_run, rows_of
-from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated
+from twin.measure.motion_log import NO_MOTION, MotionLog, MotionRun, moves, refuse_saturated
 from twin.measure.signals import advance, lowpass
 from twin.model.regressor import Regressor
 from twin.parallel import Progress
@@ -120,7 +120,8 @@ def compare_log(
         rows.append(r)
         predictions.append(predicted + offset)
     pooled = float(np.sqrt(np.mean(squares[0] / squares[1])))
-    return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, replays, log.notes)
+    notes = log.notes if moves(log) else (*log.notes, f"{NO_MOTION}: only weight and friction at rest are compared")
+    return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, replays, notes)
 
 
 def _stepped(robot: Robot, run: MotionRun, bands: Bands, rows: Rows, progress: Progress | None) -> np.ndarray:

@@ -3,13 +3,27 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
 
 from twin.errors import InputError
-from twin.measure.campaign import LABEL, Brakes
+from twin.measure.campaign import FASTEST_SAMPLES_HZ, LABEL, LONGEST_RECORD_S, MOST_AVERAGES, Brakes
 from twin.measure.units import ASK
-from twin.robot.description import Data, Number, Positive, Vector, first_problem
+from twin.ranges import FASTEST_HZ, FREE_TURNS, LARGEST_FORCE_N, LEAST_FORCE_N, RANGES
+from twin.robot.description import Data, Number, Position, first_problem
 from twin.yamlfile import read_yaml
+
+
+def _not_zero(value: float) -> float:
+    if not 1e-12 <= abs(value) <= 1e12:
+        raise ValueError(f"expected a factor of magnitude 1e-12 to 1e12, found {value:g}")
+    return value
+
+
+Factor = Annotated[Number, AfterValidator(_not_zero)]
+Degrees = Annotated[Number, Field(ge=-360 * FREE_TURNS, le=360 * FREE_TURNS)]
+Frequency = Annotated[Number, Field(ge=0, le=FASTEST_HZ)]
+WindowRate = Annotated[Number, Field(ge=0, le=RANGES["1/s"][1])]
+Rate = Annotated[Number, Field(ge=1e-3, le=FASTEST_SAMPLES_HZ)]
 
 
 class Taken(Data):
@@ -17,7 +31,7 @@ class Taken(Data):
 
     channels: str | list[str]
     unit: str = ASK
-    factor: Number | list[Number] = 1.0
+    factor: Factor | list[Factor] = 1.0
 
 
 class LogMap(Data):
@@ -26,7 +40,7 @@ class LogMap(Data):
     makes: Literal["motion-log"]
     robot: str | None = None
     time: Taken | None = None
-    sample_rate_hz: Positive | None = None
+    sample_rate_hz: Rate | None = None
     position: Taken
     torque: Taken
     velocity: Taken | None = None
@@ -38,7 +52,7 @@ class Point(Data):
     """A node on the robot: the body it is fixed to and its place in that body's frame, m."""
 
     body: str = "base"
-    position: Vector = (0.0, 0.0, 0.0)
+    position: Position = (0.0, 0.0, 0.0)
 
 
 class Sensor(Point):
@@ -47,7 +61,7 @@ class Sensor(Point):
     label: Annotated[str, Field(pattern=LABEL)]
     channel: str
     unit: str = ASK
-    factor: Number = 1.0
+    factor: Factor = 1.0
 
 
 class Struck(Point):
@@ -60,7 +74,7 @@ class Struck(Point):
 class Stance(Data):
     """A posture: degrees (m), and patterns for its tables."""
 
-    q_deg: tuple[Number, ...] = ()
+    q_deg: tuple[Degrees, ...] = ()
     brakes: Brakes | None = None
     files: str | list[str] = "*"
 
@@ -74,12 +88,12 @@ class HitsMap(Data):
     force: Taken
     response: Annotated[list[Sensor], Field(min_length=1)]
     excitation: Annotated[list[Struck], Field(min_length=1)]
-    sample_rate_hz: Positive | None = None
-    trigger_n: Positive = 20.0
-    pretrigger_s: Annotated[Number, Field(ge=0)] = 0.05
-    record_s: Positive
-    exponential_window_rate: Annotated[Number, Field(ge=0)] | None = None
-    band_hz: tuple[Number, Positive] | None = None
+    sample_rate_hz: Rate | None = None
+    trigger_n: Annotated[Number, Field(ge=LEAST_FORCE_N, le=LARGEST_FORCE_N)] = 20.0
+    pretrigger_s: Annotated[Number, Field(ge=0, le=LONGEST_RECORD_S)] = 0.05
+    record_s: Annotated[Number, Field(gt=0, le=LONGEST_RECORD_S)]
+    exponential_window_rate: WindowRate | None = None
+    band_hz: tuple[Frequency, Frequency] | None = None
 
 
 class FunctionsMap(Data):
@@ -91,8 +105,8 @@ class FunctionsMap(Data):
     frequency: Taken
     frf: Taken
     coherence: str | None = None
-    averages: Annotated[int, Field(ge=1)] | None = None
-    exponential_window_rate: Annotated[Number, Field(ge=0)] = 0.0
+    averages: Annotated[int, Field(ge=1, le=MOST_AVERAGES)] | None = None
+    exponential_window_rate: WindowRate = 0.0
     response: Annotated[list[Sensor], Field(min_length=1)]
     excitation: Annotated[list[Struck], Field(min_length=1)]
 

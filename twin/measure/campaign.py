@@ -7,6 +7,7 @@ is e^{+iωt}; every frequency response function (FRF) is SI per newton. What the
 
 import hashlib
 import re
+import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,10 +17,19 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.errors import InputError
-from twin.files import replacing
-from twin.measure.hdf5 import Node, opened
-from twin.ranges import FASTEST_HZ, ill_named, implausible
+from twin.errors import InputError, tell
+from twin.measure.hdf5 import Node, created, opened
+from twin.ranges import (
+    FARTHEST_M,
+    FASTEST_HZ,
+    FREE_TURNS,
+    LARGEST_FORCE_N,
+    LEAST_FORCE_N,
+    LONGEST_LABEL,
+    NODE_APART_M,
+    ill_named,
+    implausible,
+)
 
 FORMAT, VERSION = "frf-campaign", 1
 
@@ -31,7 +41,7 @@ Brakes = Literal["on", "off"]
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # the index is the power of s = iω over receptance
 UNITS: dict[str, str] = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s^2)/N"}
-LABEL = re.compile(r"(\d+)([XYZ])([+-])")
+LABEL = re.compile(r"([0-9]+)([XYZ])([+-])")
 
 VARIANCE_FLOOR_QUANTILE = 0.3
 SENSOR_FLOOR = 1e-4  # of the median RMS accelerance of all channels: amplitude a sensor cannot resolve
@@ -39,6 +49,9 @@ ACCELERANCE = (1e-10, 1e6)  # m/s² per newton at the highest peak: a thousandth
 LEAST_COHERENCE = 1e-6  # less is none
 MOST_PADDING = 100  # times as long as its record may a record have been made by zeros
 MOST_AVERAGES = 100_000  # blows, or records of a shaker
+LONGEST_PULSE_S, LONGEST_RECORD_S = 10.0, 1e5
+LARGEST_SHOCK = 1e7  # m/s²: the range of the stiffest shock sensors is ten times less
+FASTEST_SAMPLES_HZ = 1e7
 DEAD_CHANNEL = 1e-6  # of the same: a channel below it carries no signal
 
 
@@ -227,6 +240,19 @@ def check_campaign(source: str | Path, campaign: Campaign) -> None:
         raise InputError(source, f"postures/{again}", problem)
 
 
+def _tell_nodes(source: str | Path, campaign: Campaign) -> None:
+    """Tell where one node number stands for two places."""
+    at: dict[str, tuple[str, FloatArray]] = {}
+    for side, channels in (("response", campaign.response), ("excitation", campaign.excitation)):
+        for label, body, position in zip(channels.label, channels.body, channels.position, strict=True):
+            where, place = at.setdefault(label[:-2], (body, position))
+            if where == body and (apart := float(np.linalg.norm(position - place))) <= NODE_APART_M:
+                continue
+            found = f"on {where} and {body}" if where != body else f"{apart:.3g} m apart"
+            tell(source, f"{side}/position", f"expected node {label[:-2]} at one place, found it {found}")
+            return
+
+
 def _recorded(posture: PostureFRF) -> tuple[object, ...]:
     stated = (posture.q_deg, posture.brakes, posture.quantity, posture.peak_force_n, posture.exponential_window_rate)
     return (*stated, posture.frequency, posture.frf, posture.hits and posture.hits.response)
@@ -256,8 +282,9 @@ def check_channels(source: str | Path, side: str, channels: Channels) -> None:
     if n == 0:
         raise InputError(source, f"{side}/label", "expected at least one channel")
     for label in channels.label:
-        if not LABEL.fullmatch(label):
-            raise InputError(source, f"{side}/label", f"expected node number, axis, sign such as 21Z+, found {label!r}")
+        if not LABEL.fullmatch(label) or len(label) > LONGEST_LABEL:
+            found = reprlib.repr(label)
+            raise InputError(source, f"{side}/label", f"expected node number, axis, sign such as 21Z+, found {found}")
     repeated = sorted({label for label in channels.label if channels.label.count(label) > 1})
     if repeated:
         raise InputError(source, f"{side}/label", f"labels must be unique, {repeated[0]} is there more than once")
@@ -265,6 +292,10 @@ def check_channels(source: str | Path, side: str, channels: Channels) -> None:
         raise InputError(source, f"{side}/body", f"expected one per label ({n}), found {len(channels.body)}")
     for field, array in (("position", channels.position), ("direction", channels.direction)):
         _check_array(source, f"{side}/{field}", array, (n, 3))
+    far = np.abs(channels.position).max(axis=1)
+    if far.max() > FARTHEST_M:
+        text = f"{channels.label[int(far.argmax())]} is {far.max():.4g} m from its body's frame"
+        raise InputError(source, f"{side}/position", f"{text}; expected metres, up to {FARTHEST_M:g}")
     length = np.linalg.norm(channels.direction, axis=1)
     wrong = np.flatnonzero(np.abs(length - 1) > 1e-3)
     if wrong.size:
@@ -291,8 +322,7 @@ def _check_array(
 
 
 def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int, ne: int) -> None:
-    if posture.q_deg.size:
-        _check_array(source, f"{field}: q_deg", posture.q_deg, (None,))
+    check_q_deg(source, field, posture.q_deg)
     if posture.brakes not in (None, "on", "off"):
         raise InputError(source, f"{field}: brakes", f'expected "on" or "off", found {posture.brakes!r}')
     if posture.hits is not None:
@@ -330,11 +360,19 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
             f"{field}/coherence: averages",
             f"expected 1 or more, up to {MOST_AVERAGES}, found {posture.averages}",
         )
-    if posture.peak_force_n is not None and not posture.peak_force_n > 0:
-        raise InputError(source, f"{field}: peak_force_n", f"expected newtons above 0, found {posture.peak_force_n:g}")
-    for name, length in (("pulse_s", posture.pulse_s), ("record_s", posture.record_s)):
-        if length is not None and not 0 < length < np.inf:
-            raise InputError(source, f"{field}: {name}", f"expected seconds above 0, found {length:g}")
+    if posture.hits is not None and posture.averages is not None and posture.averages > posture.hits.force.shape[1]:
+        problem = f"expected no more than the {posture.hits.force.shape[1]} hits, found {posture.averages}"
+        raise InputError(source, f"{field}/coherence: averages", problem)
+    if posture.peak_force_n is not None:
+        _check_force(source, f"{field}: peak_force_n", posture.peak_force_n)
+    longest = {"pulse_s": LONGEST_PULSE_S, "record_s": LONGEST_RECORD_S}
+    for name, most in longest.items():
+        length = getattr(posture, name)
+        if length is not None and not 1e-7 <= length <= most:
+            raise InputError(source, f"{field}: {name}", f"expected seconds, above 0 to {most:g}, found {length:g}")
+    if posture.pulse_s is not None and posture.record_s is not None and posture.pulse_s > posture.record_s:
+        problem = f"expected a blow within its record of {posture.record_s:g} s, found {posture.pulse_s:g}"
+        raise InputError(source, f"{field}: pulse_s", problem)
     spacing = float(np.diff(posture.frequency).mean())
     if posture.record_s is not None and spacing * posture.record_s * MOST_PADDING < 1:
         problem = f"expected lines as far apart as records of {posture.record_s:g} s tell, found {spacing:g} Hz"
@@ -345,6 +383,19 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         )
         raise InputError(source, f"{field}/hits: sample_rate_hz", problem)
     _check_rate(source, field, posture.exponential_window_rate)
+
+
+def check_sample_rate(source: str | Path, field: str, rate: float) -> None:
+    """Raise :class:`InputError` for a rate that nothing samples at."""
+    if not 0 < rate <= FASTEST_SAMPLES_HZ:
+        expected = f"expected Hz above 0, up to {FASTEST_SAMPLES_HZ:g}, found {rate:g}"
+        raise InputError(source, f"{field}: sample_rate_hz", expected)
+
+
+def _check_force(source: str | Path, field: str, peak: float) -> None:
+    if not LEAST_FORCE_N <= peak <= LARGEST_FORCE_N:
+        expected = f"expected newtons, {LEAST_FORCE_N:g} to {LARGEST_FORCE_N:g} at the peak of a blow, found {peak:.4g}"
+        raise InputError(source, field, expected)
 
 
 def _check_axis(source: str | Path, field: str, frequency: FloatArray) -> int:
@@ -376,12 +427,16 @@ def _check_hits(source: str | Path, field: str, hits: Hits, nr: int, ne: int) ->
     _check_array(source, f"{field}/hits/force", hits.force, (ne, None, None), "excitation, hit, sample")
     if not (hits.force != hits.force[..., :1]).any(axis=(1, 2)).all():
         raise InputError(source, f"{field}/hits/force", "expected blows at every point, some have no force at all")
+    for peak in np.abs(hits.force).max(axis=(1, 2)):  # of every point: single blows may have failed
+        _check_force(source, f"{field}/hits/force", float(peak))
     shape = (ne, hits.force.shape[1], nr, hits.force.shape[2])
     _check_array(source, f"{field}/hits/response", hits.response, shape, "excitation, hit, response, sample")
     if not hits.response.any():
         raise InputError(source, f"{field}/hits/response", "expected motion after the blows, every record is silent")
-    if not (np.isfinite(hits.sample_rate_hz) and hits.sample_rate_hz > 0):
-        raise InputError(source, f"{field}/hits: sample_rate_hz", f"expected Hz above 0, found {hits.sample_rate_hz:g}")
+    if (shock := float(np.abs(hits.response).max())) > LARGEST_SHOCK:
+        expected = f"expected m/s², up to {LARGEST_SHOCK:g}, found {shock:.4g}"
+        raise InputError(source, f"{field}/hits/response", expected)
+    check_sample_rate(source, f"{field}/hits", hits.sample_rate_hz)
     if not 0 <= hits.pretrigger_s < hits.force.shape[2] / hits.sample_rate_hz:
         raise InputError(
             source,
@@ -412,6 +467,7 @@ def read_campaign(path: str | Path) -> Campaign:
             raise InputError(path, "format", f'expected "{FORMAT}", found {root.text("format")!r}')
         if root.number("version") != VERSION:
             raise InputError(path, "version", f"expected {VERSION}, found {root.attribute('version')!r}")
+        root.tell_unknown("response", "excitation", "postures")
         postures = root.group("postures")
         campaign = Campaign(
             response=read_channels(root.group("response")),
@@ -422,21 +478,40 @@ def read_campaign(path: str | Path) -> Campaign:
             source=str(path),
         )
     check_campaign(path, campaign)
+    _tell_nodes(path, campaign)
     return campaign
 
 
 def read_channels(node: Node) -> Channels:
     """Channels of a group with ``label``, ``body``, ``position`` and ``direction``."""
+    node.tell_unknown("label", "body", "position", "direction")
     return Channels(node.strings("label"), node.strings("body"), node.real("position", "m"), node.real("direction"))
 
 
-def _read_posture(name: str, node: Node) -> PostureFRF:
+def read_q_deg(node: Node) -> FloatArray:
+    """Axis positions (n,) that a posture's group states; none where it does not."""
     try:
-        q_deg = np.atleast_1d(np.asarray(node.item.attrs.get("q_deg", []), dtype=np.float64))
-    except (TypeError, ValueError):
+        found: FloatArray = np.atleast_1d(np.asarray(node.item.attrs.get("q_deg", []), dtype=np.float64))
+    except (TypeError, ValueError, OSError):
         raise node.fail(f"{node.field}: q_deg", f"expected numbers, found {node.attribute('q_deg')!r}") from None
+    return found
+
+
+def check_q_deg(source: str | Path, field: str, q_deg: FloatArray) -> None:
+    """Raise :class:`InputError` where axis positions (n,), if any, are none that an axis can take."""
+    if not q_deg.size:
+        return
+    _check_array(source, f"{field}: q_deg", q_deg, (None,))
+    if (most := float(np.abs(q_deg).max())) > 360 * FREE_TURNS:
+        raise InputError(source, f"{field}: q_deg", f"expected degrees (m), up to {360 * FREE_TURNS}, found {most:g}")
+
+
+def _read_posture(name: str, node: Node) -> PostureFRF:
+    q_deg = read_q_deg(node)
+    node.tell_unknown("frequency", "frf", "coherence", "hits", "running")
     hits = _read_hits(node.group("hits")) if node.has("hits") else None
-    brakes: Any = node.text("brakes")
+    brakes: Any = node.attribute("brakes")
+    brakes = None if isinstance(brakes, h5py.Empty) else brakes
     if hits is not None and not node.has("frf"):  # time records alone
         empty = np.zeros((0, hits.response.shape[2] if hits.response.ndim == 4 else 0, len(hits.force)))
         return PostureFRF(name, q_deg, brakes, np.zeros(0), empty.astype(complex), "accelerance", hits=hits)
@@ -451,6 +526,8 @@ def _read_posture(name: str, node: Node) -> PostureFRF:
     if node.has("coherence"):
         coherence = node.real("coherence")
         averages = node.dataset("coherence").number("averages", averages)
+        if averages is None:
+            tell(node.source, f"{node.field}/coherence: averages", "is missing: noise is not known from the coherence")
     if averages is not None and not averages.is_integer():
         raise node.fail(f"{node.field}/coherence: averages", f"expected a whole number, found {averages:g}")
     return PostureFRF(
@@ -474,12 +551,15 @@ def _read_hits(node: Node) -> Hits:
     rate = node.number("sample_rate_hz")
     if rate is None:
         raise node.fail(f"{node.field}: sample_rate_hz", "expected Hz, the attribute is missing")
+    node.tell_unknown("force", "response")
+    if (windowed := node.number("windowed", 0.0)) not in (0.0, 1.0):
+        raise node.fail(f"{node.field}: windowed", f"expected true or false, found {windowed:g}")
     return Hits(
         force=node.real("force", "N"),
         response=node.real("response", "m/s^2"),
         sample_rate_hz=rate,
         pretrigger_s=node.number("pretrigger_s") or 0.0,
-        windowed=bool(node.number("windowed", 0.0)),
+        windowed=bool(windowed),
         exponential_window_rate=node.number("exponential_window_rate") or 0.0,
     )
 
@@ -487,7 +567,7 @@ def _read_hits(node: Node) -> Hits:
 def write_campaign(path: str | Path, campaign: Campaign) -> None:
     """Check a campaign and write it as ``frf-campaign`` HDF5; the file appears whole or not at all."""
     check_campaign(path, campaign)
-    with replacing(path) as scratch, h5py.File(scratch, "w") as file:
+    with created(path) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION, "comment": campaign.comment})
         if campaign.robot is not None:
             file.attrs["robot"] = campaign.robot

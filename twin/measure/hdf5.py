@@ -1,21 +1,24 @@
 """Reading HDF5 that others wrote: what is missing, malformed or in another unit becomes one clear line."""
 
+import os
 import re
+import reprlib
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
+from twin.files import replacing
 from twin.parallel import isolated
-from twin.ranges import check_array, check_size
+from twin.ranges import MOST_CHARACTERS, check_array, check_size
 
 _DIMENSION = {  # exponents of m, kg, s of every unit that is SI without a factor
     "m": (1, 0, 0),
@@ -161,6 +164,65 @@ def _allow(seconds: int) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (soon if most < 0 else min(soon, most), most))
 
 
+class _Disk:
+    """A file that the HDF5 library writes into, and that keeps the error of a full disk for whoever opened it: the
+    library itself would end the process over it."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.error: OSError | None = None
+
+    def write(self, data: bytes) -> int:
+        left = memoryview(data).cast("B")
+        count = len(left)
+        try:
+            while len(left) and self.error is None:
+                left = left[self._stream.write(left) :]
+        except OSError as error:
+            self.error = error
+        return count
+
+    def truncate(self, size: int | None = None) -> int:
+        if self.error is None:
+            try:
+                return self._stream.truncate(size)
+            except OSError as error:
+                self.error = error
+        return size or 0
+
+    def read(self, size: int = -1) -> bytes:
+        return self._stream.read(size)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        return self._stream.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._stream.tell()
+
+    def flush(self) -> None:
+        pass  # nothing is kept back
+
+
+@contextmanager
+def created(path: str | Path) -> Iterator[h5py.File]:
+    """A new HDF5 file, to write; it appears whole or not at all.
+
+    Raises:
+        OSError: there is no room for it, or no permission.
+    """
+    with replacing(path) as scratch:
+        with scratch.open("w+b", buffering=0) as stream:
+            disk = _Disk(stream)
+            try:
+                with h5py.File(disk, "w") as file:
+                    yield file
+            except (OSError, RuntimeError):  # that the library met because of it
+                if disk.error is None:
+                    raise
+        if disk.error is not None:
+            raise OSError(disk.error.errno, disk.error.strerror, str(path)) from disk.error
+
+
 class Node:
     """A group or dataset of an open file; every reading method raises :class:`InputError` for what it cannot read."""
 
@@ -180,7 +242,21 @@ class Node:
 
     def text(self, name: str) -> str | None:
         value = self.attribute(name)
-        return None if value is None or isinstance(value, h5py.Empty) else str(value)
+        if value is None or isinstance(value, h5py.Empty):
+            return None
+        if not isinstance(value, str):
+            raise self.fail(f"{self.field}: {name}".strip(": "), f"expected text, found {reprlib.repr(value)}")
+        if len(value) > MOST_CHARACTERS:
+            raise self.fail(f"{self.field}: {name}".strip(": "), f"expected at most {MOST_CHARACTERS} characters")
+        return value
+
+    def tell_unknown(self, *known: str) -> None:
+        """Tell of what else a group holds: it is not read, and may be a known name that was misspelt."""
+        if strange := [name for name in self.item if name not in known]:
+            some = ", ".join(map(reprlib.repr, strange[:3])) + (f" and {len(strange) - 3} more" * (len(strange) > 3))
+            tell(
+                self.source, self.field, f"holds {some}, which no reader knows: not read; known are {', '.join(known)}"
+            )
 
     def number(self, name: str, default: float | None = None) -> float | None:
         value = self.attribute(name)

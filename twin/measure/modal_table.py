@@ -1,7 +1,9 @@
 """The modal table: frequencies, dampings and, where known, shapes per posture, as YAML 1.2."""
 
-from collections.abc import Mapping
+import reprlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +11,16 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.files import writing
-from twin.measure.campaign import FloatArray
+from twin.measure.campaign import LABEL, FloatArray, check_q_deg
 from twin.measure.modal import ModalResult
-from twin.ranges import FASTEST_HZ, ill_named, implausible
+from twin.ranges import FASTEST_HZ, LONGEST_LABEL, ill_named, implausible
 from twin.yamlfile import read_yaml
 
+LEAST_PERCENT = 0.05  # a bare steel bar has more
+LEAP = 100.0  # between neighbours in a table
+LARGEST_SHAPE = 1e12  # of any scaling, to unit modal mass in m/√kg or to unit displacement
 CRITICAL = 100.0  # per cent: what is damped more does not oscillate and has no frequency
 
 
@@ -71,15 +76,18 @@ def read_modal_table(path: str | Path) -> ModalTable:
     """Read and check a modal table; :class:`InputError` says what it lacks."""
     path = Path(path)
     content = read_yaml(path)
+    _refuse_unknown(path, "", content, ("robot", "postures"))
     if not isinstance(content.get("postures"), dict) or not content["postures"]:
         raise InputError(path, "postures", "expected a mapping of posture names to q_deg and modes")
     for name in content["postures"]:
         if problem := ill_named(str(name)):
             raise InputError(path, "postures", problem)
     robot = content.get("robot")
+    if robot is not None and not isinstance(robot, str):
+        raise InputError(path, "robot", f"expected a name or a path, found {reprlib.repr(robot)}")
     return ModalTable(
         {str(name): _read_posture(path, f"postures.{name}", value) for name, value in content["postures"].items()},
-        None if robot is None else str(robot),
+        robot,
         str(path),
     )
 
@@ -87,25 +95,40 @@ def read_modal_table(path: str | Path) -> ModalTable:
 def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
     if not isinstance(value, dict):
         raise InputError(path, where, "expected q_deg and modes")
+    _refuse_unknown(path, where, value, ("q_deg", "modes"))
     q = value.get("q_deg")
     if not isinstance(q, list) or not all(_is_number(x) for x in q):
-        raise InputError(path, f"{where}.q_deg", f"expected a list of numbers, found {q!r}")
+        raise InputError(path, f"{where}.q_deg", f"expected a list of numbers, found {reprlib.repr(q)}")
+    check_q_deg(path, where, np.array(q, dtype=np.float64))
     modes = value.get("modes")
     if not isinstance(modes, list):
-        raise InputError(path, f"{where}.modes", f"expected a list of modes, found {modes!r}")
+        raise InputError(path, f"{where}.modes", f"expected a list of modes, found {reprlib.repr(modes)}")
     read = tuple(_read_mode(path, f"{where}.modes[{n}]", mode) for n, mode in enumerate(modes))
     told = [(mode.frequency_hz, mode.damping_percent, mode.shape) for mode in read]
     if again := next((n for n, mode in enumerate(told) if mode in told[:n]), None):
         raise InputError(path, f"{where}.modes[{again}]", "expected every mode once, it is there twice")
+    _tell_a_leap(path, where, [mode.frequency_hz for mode in read])
     return TablePosture(np.array(q, dtype=np.float64), read)
+
+
+def _refuse_unknown(path: Path, where: str, value: dict[Any, Any], known: Sequence[str]) -> None:
+    if strange := [key for key in value if key not in known]:
+        field = f"{where}.{reprlib.repr(strange[0])}" if where else reprlib.repr(strange[0])
+        raise InputError(path, field, f"no such field; expected {', '.join(known)}")
+
+
+def _tell_a_leap(path: Path, where: str, frequency: list[float]) -> None:
+    """Tell of a mode far above the one before it: a slip of unit in one entry, not a gap in the table."""
+    rising = sorted(frequency)
+    for low, high in pairwise(rising):
+        if high > LEAP * low:
+            tell(path, f"{where}.modes", f"leap from {low:g} to {high:g} Hz: is one in another unit?")
 
 
 def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     if not isinstance(value, dict):
         raise InputError(path, where, f"expected frequency_hz and damping_percent, found {value!r}")
-    known = [one.name for one in fields(TableMode)]
-    if strange := next((key for key in value if key not in known), None):
-        raise InputError(path, f"{where}.{strange}", f"no such field; expected {', '.join(known)}")
+    _refuse_unknown(path, where, value, [one.name for one in fields(TableMode)])
 
     def number(name: str, unit: str) -> float | None:
         entry = value.get(name)
@@ -124,17 +147,32 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     if damping is not None and not 0 <= damping < CRITICAL:
         expected = f"expected per cent of critical damping, 0 to below {CRITICAL:g}, found {damping:g}"
         raise InputError(path, f"{where}.damping_percent", expected)
+    if damping is not None and damping < LEAST_PERCENT:
+        question = "is it a ratio?" if damping else "leave it out where it is not known"
+        tell(path, f"{where}.damping_percent", f"{damping:g} % of critical damping: {question}")
     shape = value.get("shape") or {}
     if not isinstance(shape, dict):
         raise InputError(path, f"{where}.shape", f"expected labels with [re, im], found {shape!r}")
     for label, pair in shape.items():
+        here = f"{where}.shape.{label if isinstance(label, str) else reprlib.repr(label)}"
+        if not (isinstance(label, str) and LABEL.fullmatch(label) and len(label) <= LONGEST_LABEL):
+            raise InputError(path, here, "expected node number, axis, sign such as 21Z+")
         if not (isinstance(pair, list) and len(pair) == 2 and all(_is_number(x) for x in pair)):
-            raise InputError(path, f"{where}.shape.{label}", f"expected [re, im], found {pair!r}")
+            raise InputError(path, here, f"expected [re, im], found {reprlib.repr(pair)}")
+        if max(map(abs, pair)) > LARGEST_SHAPE:
+            raise InputError(path, here, f"expected numbers up to {LARGEST_SHAPE:g}, found {pair}")
+    if shape and not any(any(pair) for pair in shape.values()):
+        raise InputError(path, f"{where}.shape", "expected a shape that moves, every channel is zero")
+    spread = {name: number(name, unit) for name, unit in (("frequency_std_hz", "Hz"), ("damping_std_percent", "%"))}
+    for name, value_of in (("frequency_std_hz", frequency), ("damping_std_percent", damping)):
+        std = spread[name]
+        if std is not None and not 0 <= std <= max(value_of or 0.0, 1.0):
+            raise InputError(path, f"{where}.{name}", f"expected 0 or more, less than the number itself, found {std:g}")
     return TableMode(
         frequency,
         damping,
-        number("frequency_std_hz", "Hz"),
-        number("damping_std_percent", "%"),
+        spread["frequency_std_hz"],
+        spread["damping_std_percent"],
         {str(label): complex(*pair) for label, pair in shape.items()},
     )
 

@@ -10,13 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import h5py
 import numpy as np
 
 from twin.errors import InputError
-from twin.files import replacing, writing
+from twin.files import writing
 from twin.measure.campaign import FloatArray, twice
-from twin.measure.hdf5 import Node, opened
+from twin.measure.hdf5 import Node, created, opened
 from twin.measure.signals import resample
 from twin.ranges import check_array, ill_named, implausible
 
@@ -29,6 +28,10 @@ COARSE_HZ = 250.0  # rate it is then read at, at least: as the shipped recording
 LONGEST_GAP_S = 0.05  # longer ones are not bridged: a spline knows nothing of what a robot did in them
 FLAT_S = 0.02  # torque that stays at its largest value for so long while the axis moves was cut off
 LEAVES = 0.1  # of an axis's range, by which a log may leave it
+LEAST_MOTION = 1e-3  # rad (m)
+NO_MOTION = f"no axis moves by {LEAST_MOTION:g} rad (m)"
+LONE = 20.0  # times the 99 % quantile of the steps between samples: friction that turns steps, and does not come back
+WIND_UP = 0.2  # rad (m): more than a gear twists
 SERIES = {  # units, where a file states them: revolute or linear axis
     "position": ("rad", "m"),
     "torque": ("N·m", "N"),
@@ -92,6 +95,7 @@ def read_motion_log(path: str | Path) -> MotionLog:
             raise InputError(path, "format", f"expected 'motion-log' or 'trajectory', found {kind!r}")
         if root.number("version", VERSION) != VERSION:
             raise InputError(path, "version", f"expected {VERSION}, found {root.attribute('version')!r}")
+        root.tell_unknown("runs")
         groups = root.group("runs")
         if not len(groups.item):
             raise InputError(path, "runs", "expected at least one run")
@@ -102,6 +106,7 @@ def read_motion_log(path: str | Path) -> MotionLog:
             group = groups.group(name)
             if (rate := group.number("sample_rate_hz")) is None:
                 raise InputError(path, f"{group.field}/sample_rate_hz", "missing attribute")
+            group.tell_unknown("time", *SERIES)
             time = group.real("time", "s")
             if (factor := _coarser(time, rate)) > 1:
                 series = {key: _in_parts(group, key, unit, factor) for key, unit in SERIES.items() if group.has(key)}
@@ -159,7 +164,7 @@ def write_motion_log(path: str | Path, log: MotionLog) -> None:
     if path.suffix.lower() == ".csv":
         _write_csv(path, log)
         return
-    with replacing(path) as aside, h5py.File(aside, "w") as file:
+    with created(path) as file:
         torque = all(run.torque is not None for run in log.runs.values())
         file.attrs.update({"format": "motion-log" if torque else "trajectory", "version": VERSION})
         if log.robot:
@@ -224,8 +229,73 @@ def even_run(
         check_array(path, f"{where}/{key}", values, SERIES[key][0])
     if "torque" in series and (problem := implausible(float(np.abs(series["torque"]).max()), "N·m", scale=True)):
         raise InputError(path, f"{where}/torque", problem)
+    _refuse_other_velocity(path, where, time, series)
+    doubts = [*_lone_samples(where, time, series), *_link_encoders(where, series)]
     time, series, rate, notes = _even(path, where, time, series, rate)
-    return MotionRun(name, time, sample_rate_hz=rate, **series), notes
+    return MotionRun(name, time, sample_rate_hz=rate, **series), doubts + notes
+
+
+def _lone_samples(where: str, time: FloatArray, series: dict[str, FloatArray]) -> list[str]:
+    """What to say of samples that leap away from both neighbours, to one side: a recorder's slip, no motion."""
+    found = []
+    for key, values in series.items():
+        step = np.diff(values, axis=0)
+        usual = np.quantile(np.abs(step), 0.99, axis=0)
+        away, back = step[:-1], -step[1:]
+        leap = np.where(away * back > 0, np.minimum(np.abs(away), np.abs(back)), 0.0)
+        alone = (leap > LONE * usual) & (usual > 0)
+        if count := int(alone.sum()):
+            at, axis = np.unravel_index(
+                int(np.argmax(np.where(alone, leap / np.maximum(usual, 1e-300), 0))), leap.shape
+            )
+            found.append(
+                f"{where}/{key}: {count} samples leap away from their neighbours, the farthest of joint{axis + 1} at "
+                f"{time[at + 1]:.3f} s ({values[at + 1, axis]:.4g} beside {values[at, axis]:.4g}): look at the recorder"
+            )
+    return found
+
+
+def _link_encoders(where: str, series: dict[str, FloatArray]) -> list[str]:
+    """What to say of second encoders that do not move as their axes do."""
+    if "link_position" not in series:
+        return []
+    own, link = series["position"], series["link_position"]
+    moved, off = np.ptp(own, axis=0), np.ptp(link - own, axis=0)
+    still = (np.ptp(link, axis=0) == 0) & (moved > WIND_UP / 10)
+    notes = []
+    if (wrong := ~still & (off > WIND_UP + 0.1 * moved)).any():
+        i = int(np.argmax(wrong))
+        notes.append(
+            f"{where}/link_position: joint{i + 1} differs from its motor's position by {off[i]:.3g} rad (m), more than "
+            "a gear winds up: is it in another unit, or of another axis?"
+        )
+    if still.any():
+        names = ", ".join(f"joint{i + 1}" for i in np.flatnonzero(still))
+        notes.append(f"{where}/link_position: that of {names} never moves while the axis does: is there an encoder?")
+    return notes
+
+
+def _refuse_other_velocity(path: Path, where: str, time: FloatArray, series: dict[str, FloatArray]) -> None:
+    """Raise unless a velocity that is given adds up to the positions, but for a constant of each axis.
+
+    Raises:
+        InputError: it does not.
+    """
+    if "velocity" not in series:
+        return
+    own, velocity = series["position"], series["velocity"]
+    part = np.diff(time)[:, None] * (velocity[1:] + velocity[:-1]) / 2
+    off = np.concatenate([np.zeros((1, own.shape[1])), np.cumsum(part, axis=0)]) - own
+    if (span := float(time[-1] - time[0])) > 0:
+        off = off - np.outer((time - time[0]) / span, off[-1] - off[0])
+    far, moved = np.ptp(off, axis=0), np.ptp(own, axis=0)
+    if (wrong := far > WIND_UP + moved / 2).any():
+        i = int(np.argmax(wrong))
+        raise InputError(
+            path, f"{where}/velocity",
+            f"expected that of the positions in rad/s (m/s); joint{i + 1}'s adds up to {far[i]:.3g} rad (m) off them: "
+            "is it in another unit?",
+        )  # fmt: skip
 
 
 def _even(
@@ -370,15 +440,19 @@ def refuse_saturated(run: MotionRun, source: str, most: float = 0.05) -> np.ndar
     return cut
 
 
-def refuse_without_motion(log: MotionLog, source: str, least: float = 1e-3) -> None:
-    """Raise unless some axis moves by ``least`` rad (m) or more.
+def moves(log: MotionLog) -> bool:
+    """Whether some axis moves at all."""
+    return max(float(np.ptp(run.position, axis=0).max()) for run in log.runs.values()) >= LEAST_MOTION
+
+
+def refuse_without_motion(log: MotionLog, source: str) -> None:
+    """Raise unless some axis moves.
 
     Raises:
         InputError: none does.
     """
-    if max(float(np.ptp(run.position, axis=0).max()) for run in log.runs.values()) < least:
-        message = f"no axis moves by {least:g} rad (m): record a motion (`twin excite` plans one)"
-        raise InputError(source, "runs", message)
+    if not moves(log):
+        raise InputError(source, "runs", f"{NO_MOTION}: record a motion (`twin excite` plans one)")
 
 
 def check_against(log: MotionLog, robot: "Robot") -> None:

@@ -31,7 +31,10 @@ from twin.measure.campaign import (
     FloatArray,
     PostureFRF,
     check_channels,
+    check_q_deg,
+    check_sample_rate,
     read_channels,
+    read_q_deg,
 )
 from twin.measure.hdf5 import Node, opened
 from twin.measure.modal import HELD_DAMPING, HELD_FREQUENCY, MAX_REFERENCES, ModalResult, Mode
@@ -41,6 +44,7 @@ from twin.measure.shapes import mac, mpc, real_phase
 from twin.measure.spectra import USABLE
 from twin.measure.stabilisation import DAMPING_RANGE, Chart, chart, clusters, column_share
 from twin.measure.uff import read_uff_responses
+from twin.ranges import ill_named
 
 MOST_OUTPUTS = 8  # of which poles are identified; shapes are of all
 MOST_ORDER = 40  # deviations of a higher order cost minutes
@@ -117,13 +121,15 @@ def _from_hdf5(path: Path) -> tuple[Channels, str | None, tuple[tuple[int, ...],
             rate = running.number("sample_rate_hz")
             if rate is None:
                 raise running.fail(f"{running.field}: sample_rate_hz", "expected Hz, the attribute is missing")
-            q_deg = np.atleast_1d(np.asarray(node.item.attrs.get("q_deg", []), dtype=np.float64))
-            records[name] = Running(q_deg, running.real("response", "m/s^2"), rate)
+            records[name] = Running(read_q_deg(node), running.real("response", "m/s^2"), rate)
         return read_channels(root.group("response")), root.text("robot") or None, (), records
 
 
 def _check(source: Path, name: str, record: Running, channels: int) -> None:
     field = f"postures/{name}/running"
+    if wrong := ill_named(name):
+        raise InputError(source, "postures", wrong)
+    check_q_deg(source, f"postures/{name}", record.q_deg)
     if record.response.ndim != 2 or record.response.shape[0] != channels:
         raise InputError(
             source,
@@ -132,8 +138,7 @@ def _check(source: Path, name: str, record: Running, channels: int) -> None:
         )
     if not np.isfinite(record.response).all():
         raise InputError(source, f"{field}/response", "expected finite numbers, found NaN or infinity")
-    if not (np.isfinite(record.sample_rate_hz) and record.sample_rate_hz > 0):
-        raise InputError(source, f"{field}: sample_rate_hz", f"expected Hz above 0, found {record.sample_rate_hz:g}")
+    check_sample_rate(source, field, record.sample_rate_hz)
     if not record.response.any():
         raise InputError(source, f"{field}/response", "expected a response, every channel is zero")
 

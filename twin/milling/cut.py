@@ -8,10 +8,22 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.physics.payload import Payload
-from twin.ranges import FASTEST_RPM
-from twin.robot.description import Data, Entry, NonNegative, Number, Positive, Robot, Vector, first_problem
+from twin.ranges import FARTHEST_TIP_M, FASTEST_HZ, FASTEST_RPM, HEAVIEST_TOOL_KG, SLOWEST_RPM
+from twin.robot.description import (
+    Data,
+    Distance,
+    Entry,
+    NonNegative,
+    Number,
+    Place,
+    Position,
+    Positive,
+    Robot,
+    Vector,
+    first_problem,
+)
 from twin.robot.frames import matrix_of
 from twin.yamlfile import read_yaml
 
@@ -27,9 +39,9 @@ class ToolMode(Data):
     The first direction is the feed's.
     """
 
-    frequency_hz: Positive
+    frequency_hz: Annotated[Number, Field(ge=1, le=FASTEST_HZ)]
     damping_percent: Annotated[Number, Field(gt=0, lt=100)]
-    stiffness_n_per_m: Annotated[Number, Field(ge=1e4)]
+    stiffness_n_per_m: Annotated[Number, Field(ge=1e4, le=1e12)]
     direction: Literal["x", "y"]
 
 
@@ -52,9 +64,9 @@ class Tool(Data):
     runout_m: Annotated[Number, Field(ge=0, le=1e-3)] = 0.0
     overhang_m: NonNegative = 0.2
     direction: Vector | None = None
-    tip_m: Vector | None = None
-    mass_kg: NonNegative = 0.0
-    com_m: NonNegative | None = None
+    tip_m: Position | None = None
+    mass_kg: Annotated[Number, Field(ge=0, le=HEAVIEST_TOOL_KG)] = 0.0
+    com_m: Distance | None = None
     modes: tuple[ToolMode, ...] = ()
     frf: str | None = None
 
@@ -71,6 +83,13 @@ class Tool(Data):
             raise ValueError(f"diameter_m: expected metres, found {self.diameter_m:g}; is it in mm?")
         if self.direction is not None and abs(np.linalg.norm(self.direction) - 1) > 1e-3:
             raise ValueError(f"direction: expected a unit vector, its length is {np.linalg.norm(self.direction):.4g}")
+        away = float(np.linalg.norm(self.tip_m)) if self.tip_m is not None else self.overhang_m
+        if self.tip_m is not None and away > FARTHEST_TIP_M:
+            raise ValueError(f"tip_m: expected metres, up to {FARTHEST_TIP_M:g} from the flange; are they in mm?")
+        if self.com_m is not None and self.com_m > away:
+            raise ValueError(
+                f"com_m: expected no more than from the flange to the tip ({away:g} m), found {self.com_m:g}"
+            )
         if self.modes and self.frf:
             raise ValueError("frf: give modes or frf, not both")
         return self
@@ -187,7 +206,7 @@ class Cut(Data):
     """What is cut, how.
 
     Attributes:
-        immersion: radial depth of cut over the tool's diameter, 1e-5 to 1.
+        immersion: radial depth of cut over the tool's diameter, 1e-4 to 1.
         milling: ``up`` (conventional) or ``down`` (climb).
         feed_per_tooth_m: advance of the tool from tooth to tooth, m.
         feed_direction: of the tool against the work, in the robot's base frame; made perpendicular to the tool's axis.
@@ -200,13 +219,13 @@ class Cut(Data):
     coefficients: Annotated[Coefficients, BeforeValidator(_by_name)] = Field(
         default="aluminium_7075", validate_default=True
     )
-    immersion: Annotated[Number, Field(ge=1e-5, le=1)] = 0.5
+    immersion: Annotated[Number, Field(ge=1e-4, le=1)] = 0.5
     milling: Literal["up", "down"] = "down"
-    feed_per_tooth_m: Annotated[Number, Field(ge=1e-9, le=5e-3)] = 1e-4
+    feed_per_tooth_m: Annotated[Number, Field(ge=1e-8, le=5e-3)] = 1e-4
     feed_direction: Vector = (1.0, 0.0, 0.0)
     spindle_rpm: tuple[Positive, Positive] = (1000.0, 12000.0)
     depth_max_m: Annotated[Number, Field(ge=1e-6, le=1.0)] = 0.01
-    table_z_m: Number | None = 0.0
+    table_z_m: Place | None = 0.0
     _source: str = PrivateAttr("cut")
     _folder: Path | None = PrivateAttr(None)
 
@@ -215,8 +234,9 @@ class Cut(Data):
         low, high = self.spindle_rpm
         if low >= high:
             raise ValueError(f"spindle_rpm: expected a lowest and a highest speed, found {[low, high]}")
-        if low < 1 or high > FASTEST_RPM:
-            raise ValueError(f"spindle_rpm: expected 1 to 300000 rpm, found {[low, high]}")
+        if low < SLOWEST_RPM or high > FASTEST_RPM:
+            expected = f"expected {SLOWEST_RPM:g} to {FASTEST_RPM:g} rpm, found {[low, high]}"
+            raise ValueError(f"spindle_rpm: {expected}; is it in revolutions per second?")
         if np.linalg.norm(self.feed_direction) < 1e-9:
             raise ValueError("feed_direction: expected a direction, found a zero vector")
         return self
@@ -308,4 +328,24 @@ def read_cut(content: Mapping[str, Any] | str | Path, source: str | Path = "cut"
         where, message = first_problem(error)
         raise InputError(source, ".".join(part for part in (field, where) if part), message) from error
     cut._source, cut._folder = str(source), folder
+    missing = [f"{name} {value}" for name, value in _usual(cut) if not _given(content, name)]
+    if missing:
+        tell(source, field, f"does not state all; usual values are taken: {', '.join(missing)}")
     return cut
+
+
+def _usual(cut: Cut) -> list[tuple[str, str]]:
+    """What decides a cut, with its value."""
+    known = published_coefficients().items()
+    name = next((name for name, values in known if values == cut.coefficients), "")
+    found = [("coefficients", name), ("immersion", f"{cut.immersion:g}"), ("milling", cut.milling)]
+    found += [("tool.diameter_m", f"{cut.tool.diameter_m:g}"), ("tool.teeth", f"{cut.tool.teeth}")]
+    return found + ([] if cut.tool.tip_m is not None else [("tool.overhang_m", f"{cut.tool.overhang_m:g}")])
+
+
+def _given(content: Mapping[str, Any], name: str) -> bool:
+    """Whether a mapping holds a field, as ``tool.teeth``."""
+    first, _, rest = name.partition(".")
+    if first not in content or not rest:
+        return first in content
+    return not isinstance(content[first], Mapping) or _given(content[first], rest)

@@ -9,20 +9,29 @@
 
 import csv
 import re
+import reprlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 
 MM, INCH = 1e-3, 25.4e-3
+UNITS = {"MM": MM, "INCHES": INCH, "INCH": INCH, "IN": INCH, "M": 1.0, "CM": 1e-2}
 FINEST_ARC = np.deg2rad(5.0)  # between points that stand for an arc
 FARTHEST_M = 100.0  # from the origin: more is a wrong unit
 GCODE = (".nc", ".ngc", ".gcode", ".tap", ".cnc")
 APT = (".apt", ".cls", ".clsf", ".cl")
 IGNORED = {"F", "S", "T", "M", "N", "H", "D", "P", "O"}
 NO_MOVE = {0, 1, 2, 3, 17, 18, 19, 20, 21, 40, 49, 50, 54, 61, 64, 80, 90, 91, 94, 95, 97}
+MODAL = ({0, 1, 2, 3}, {17, 18, 19}, {20, 21}, {90, 91})  # of each, one counts in a line
+SILENT = {  # APT words that move nothing: what CAM systems write between GOTO points
+    "PARTNO", "MACHIN", "PPRINT", "LOADTL", "LOAD", "TOOL PATH", "TLDATA", "PAINT", "MULTAX", "SPINDL", "FEDRAT",
+    "COOLNT", "CUTTER", "CUTCOM", "DELAY", "DWELL", "END", "END-OF-PATH", "FINI", "INTOL", "OUTTOL", "INSERT",
+    "MODE", "OPSTOP", "STOP", "PREFUN", "AUXFUN", "SEQNO", "REMARK", "RETRCT", "SELECT", "TOLER", "TURRET", "TOOLNO",
+    "UNLOAD", "CLEARP", "DISPLY", "NOPOST", "RESERV", "SET", "TLAXIS", "THICK", "CLAMP", "ARCSLP", "LINTOL", "PITCH",
+}  # fmt: skip
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 
 
@@ -127,6 +136,16 @@ def _csv(text: str, path: Path) -> Toolpath:
         raise InputError(path, "line 1", "expected all of i,j,k or none")
     columns = [*(f"{a}_{unit}" for a in "xyz"), *("ijk" if all(tilted) else ())]
     columns += ["rapid"] if "rapid" in header else []
+    if twice := next((name for name in columns if header.count(name) > 1), None):
+        raise InputError(path, "line 1", f"expected every column once, {twice} is there twice")
+    if unit == "m" and any(f"{a}_mm" in header for a in "xyz"):
+        raise InputError(path, "line 1", "expected one unit, found columns in m and in mm")
+    if other := [name for name in header if name not in columns]:
+        tell(
+            path,
+            "line 1",
+            f"columns that are not read: {reprlib.repr(', '.join(other))}; read are {', '.join(columns)}",
+        )
     data, line = [], []
     for number, row in enumerate(rows[1:], 2):
         if not any(cell.strip() for cell in row):
@@ -137,6 +156,12 @@ def _csv(text: str, path: Path) -> Toolpath:
             raise InputError(path, f"line {number}", f"expected numbers for {', '.join(columns)} ({error})") from error
         if not np.isfinite(values).all():
             raise InputError(path, f"line {number}", "expected finite numbers")
+        if "rapid" in columns and values[-1] not in (0.0, 1.0):
+            raise InputError(path, f"line {number}", f"rapid: expected 0 or 1, found {values[-1]:g}")
+        if any(cell.strip() for cell in row[len(header) :]):
+            raise InputError(
+                path, f"line {number}", f"expected {len(header)} values as in the header, found {len(row)}"
+            )
         data.append(values)
         line.append(number)
     if not data:
@@ -177,7 +202,7 @@ class _Points:
 
 def _gcode(text: str, path: Path) -> Toolpath:
     found, unit, relative, plane, motion = _Points(), MM, False, PLANES[17], 0
-    here, known = np.zeros(3), False
+    here, known, stated = np.zeros(3), False, False
     for number, raw in enumerate(text.splitlines(), 1):
         block = re.sub(r"\([^)]*\)", "", raw.split(";")[0]).replace(" ", "").upper().strip("%\t\r")
         if not block or block.startswith("/"):
@@ -186,6 +211,14 @@ def _gcode(text: str, path: Path) -> Toolpath:
         if "".join(a + b for a, b in words) != block:
             raise InputError(path, f"line {number}", f"expected words such as G1 X10, found {raw.strip()!r}")
         values = {letter: float(value) for letter, value in words if letter != "G"}
+        letters = [letter for letter, _ in words if letter not in ("G", "M")]
+        if again := next((letter for letter in letters if letters.count(letter) > 1), None):
+            raise InputError(path, f"line {number}", f"{again}: expected once in a line, found {letters.count(again)}")
+        codes = {float(value) for letter, value in words if letter == "G"}
+        stated = stated or bool(codes & {20, 21})
+        for group in MODAL:
+            if len(both := sorted(codes & group)) > 1:
+                raise InputError(path, f"line {number}", f"expected one of G{both[0]:g} and G{both[1]:g}, found both")
         for letter in values:
             if letter not in IGNORED and letter not in "XYZIJKR":
                 raise InputError(path, f"line {number}", f"{letter}: only X, Y, Z, I, J, K and R move the tool here")
@@ -213,6 +246,8 @@ def _gcode(text: str, path: Path) -> Toolpath:
         else:
             found.add(target, motion == 1 and known, number)
         here, known = target, True
+    if not stated:
+        _tell_no_unit(path, "G20 or G21")
     return found.path()
 
 
@@ -254,11 +289,16 @@ def _arc(
     return points
 
 
+def _tell_no_unit(path: Path, words: str) -> None:
+    tell(path, "", f"states no unit ({words}): taken in mm")
+
+
 def _apt(text: str, path: Path) -> Toolpath:
-    found, unit, rapid, here = _Points(), MM, False, np.zeros(3)
+    found, unit, rapid, here = _Points(), None, False, np.zeros(3)
     upright = np.array([0.0, 0.0, 1.0])
     axis, tilted = upright, False
     pending, first = "", 1
+    unread: dict[str, int] = {}
     for number, raw in enumerate(text.splitlines(), 1):
         line = raw.split("$$")[0].strip().upper()
         if not pending:
@@ -271,7 +311,10 @@ def _apt(text: str, path: Path) -> Toolpath:
         word, _, rest = statement.partition("/")
         word = word.strip()
         if word == "UNITS":
-            unit = INCH if "INCH" in rest else MM
+            found_unit = rest.strip()
+            if found_unit not in UNITS:
+                raise InputError(path, f"line {first}", f"UNITS: expected {' or '.join(UNITS)}, found {rest.strip()!r}")
+            unit = UNITS[found_unit]
         elif word == "RAPID":
             rapid = True
         elif word in ("GOTO", "FROM", "GODLTA"):
@@ -279,9 +322,11 @@ def _apt(text: str, path: Path) -> Toolpath:
                 values = [float(value) for value in rest.split(",") if value.strip()]
             except ValueError as error:
                 raise InputError(path, f"line {first}", f"{word}: expected numbers ({error})") from error
+            if not np.isfinite(values).all():
+                raise InputError(path, f"line {first}", f"{word}: expected finite numbers")
             if len(values) not in (3, 6):
                 raise InputError(path, f"line {first}", f"{word}: expected x, y, z and, if it tilts, i, j, k")
-            step = unit * np.array(values[:3])
+            step = (MM if unit is None else unit) * np.array(values[:3])
             here = here + step if word == "GODLTA" else step
             if len(values) == 6:
                 axis, tilted = _unit(np.array([values[3:]]), path, [first])[0], True
@@ -289,5 +334,12 @@ def _apt(text: str, path: Path) -> Toolpath:
             rapid = False
         elif word in ("CIRCLE", "CYLNDR", "GOFWD", "GOLFT", "GORGT", "GOBACK", "CYCLE", "MOVARC"):
             raise InputError(path, f"line {first}", f"{word} is not read; let the CAM system write GOTO points only")
+        elif word and word not in SILENT:
+            unread.setdefault(word, first)
+    if unit is None:
+        _tell_no_unit(path, "UNITS/")
+    if unread:
+        some = ", ".join(f"{reprlib.repr(word)} (line {line})" for word, line in list(unread.items())[:3])
+        tell(path, "", f"{len(unread)} words are not known and were not read: {some}")
     made = found.path()
     return made if tilted else Toolpath(made.position, None, made.cutting, made.line)

@@ -17,6 +17,7 @@ from twin.measure.campaign import Channels, Hits
 from twin.model.frf import measurement_chain
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import modes, state_matrix_poles
+from twin.ranges import MOST_VALUES
 from twin.robot.mechanism import Mechanism
 from twin.robot.mjcf import build_spec
 
@@ -97,6 +98,7 @@ def simulate_hits(
     """
     linear = linearise(mechanism)
     substeps = steps_per_sample(linear, test.sample_rate_hz)
+    _check_steps(mechanism, linear, substeps * round(test.duration_s * test.sample_rate_hz), threads)
     model = stepping_model(mechanism, 1 / (test.sample_rate_hz * substeps))
     step = model.opt.timestep
     chain = measurement_chain(linear, mechanism.robot, responses, excitations)
@@ -151,6 +153,21 @@ def simulate_hits(
     force += test.force_noise_n * rng.standard_normal(force.shape)
     response += test.response_noise * rng.standard_normal(response.shape)
     return Hits(force, response, test.sample_rate_hz, PRETRIGGER_S)
+
+
+def _check_steps(mechanism: Mechanism, linear: LinearModel, steps: int, threads: int) -> None:
+    """Raise where the states of all records stepped at a time would not fit.
+
+    Raises:
+        InputError: a pole too fast, or records too long.
+    """
+    width = 4 * len(linear.M)  # positions, velocities, forces and what is made of them
+    if threads * steps * width > MOST_VALUES:
+        fastest = np.abs(state_matrix_poles(linear)).max(initial=1.0)
+        raise InputError(
+            mechanism.robot.name, "hammer", f"a pole of {fastest:.1e} rad/s asks for {steps:.1e} steps in a record: "
+            "expected shorter records, or less stiffness and damping over the inertia",
+        )  # fmt: skip
 
 
 def steps_per_sample(linear: LinearModel, sample_rate_hz: float) -> int:

@@ -15,6 +15,7 @@ from twin.model.modes import state_matrix_poles
 from twin.physics import CATALOGUE, effect_of
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import Motion
+from twin.ranges import MOST_VALUES
 from twin.robot.description import Entry, Robot
 from twin.robot.mechanism import Joint, Mechanism, assemble
 from twin.robot.mjcf import build_spec, compile_model
@@ -192,6 +193,9 @@ def _track(
     """Torque (nt, n) of the servos, mean over the sample before, and ``qpos`` (nt, nq); NaN if it diverges."""
     data = mujoco.MjData(model)
     nt, n = motion.position.shape
+    if (values := nt * substeps * 3 * n) > MOST_VALUES:
+        message = f"{nt} samples of {substeps} steps each are {values:.1e} values: replay a shorter run"
+        raise InputError(mechanism.robot.name, "replay", message)
     names = [f"motor{i + 1}" for i in range(n)]
     servo = np.array([model.actuator(name).id for name in names])
     control = model.actuator_ctrladr[servo]

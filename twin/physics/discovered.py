@@ -49,7 +49,12 @@ class Discovered(Effect):
         except (SyntaxError, ValueError, MemoryError, RecursionError):
             return f"formula: {reprlib.repr(formula)} is not an expression"
         problem = _problem(tree, len(values["coefficients"]), DEEPEST_FORMULA)
-        return f"formula: {problem}" if problem else None
+        if problem:
+            return f"formula: {problem}"
+        used = max((int(name[2]) for name in _NAME.finditer(formula) if name[1] == "c"), default=0)
+        if len(values["coefficients"]) > used:
+            return f"coefficients: expected those of the formula, {used}, found {len(values['coefficients'])}"
+        return None
 
     def check_axes(self, values: Values, axes: int) -> str | None:
         named = _NAME.finditer(str(values["formula"]))

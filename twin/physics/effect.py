@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
+MOST_ELEMENTS = 100  # of a list, as springs in parallel or coefficients of a formula
 UNIT_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 Values = Mapping[str, Any]
@@ -69,6 +70,8 @@ class Parameter:
             return f"expected a list of numbers, found {value!r}"
         if self.length > 0 and len(items) != self.length:
             return f"expected {self.length} numbers, found {len(items)}"
+        if len(items) > MOST_ELEMENTS:
+            return f"expected at most {MOST_ELEMENTS} numbers, found {len(items)}"
         for item in items:
             if isinstance(item, bool) or not isinstance(item, int | float) or not np.isfinite(item):
                 return f"expected a finite number [{self.unit}], found {item!r}"

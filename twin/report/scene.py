@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
+from twin.files import replacing
 from twin.model.linear import posture_state
 from twin.model.modes import Modes
 from twin.robot.frames import matrix_of
@@ -498,22 +499,21 @@ _CURVES = ((240, 240, 240), (90, 170, 255), (255, 150, 50), (120, 220, 130))
 
 @contextmanager
 def _recording(path: str | Path, name: str) -> "Iterator[tuple[Any, Any]]":
-    """A recording stream to a file beside ``path``, and the function that closes it with its blueprint."""
+    """A recording stream whose content becomes ``path``, and the function that closes it with its blueprint.
+
+    It is kept in memory until it is whole: the library that writes streams waits for ever on a full disk.
+    """
     import rerun as rr
 
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.stem}.{uuid4().hex}.rrd")
     stream = rr.RecordingStream("twin", recording_id=uuid4())
-    stream.save(aside)
+    kept = stream.memory_recording()
     try:
         stream.send_recording_name(name)
         yield stream, stream.send_blueprint
-        stream.disconnect()
-        os.replace(aside, path)
+        with replacing(path) as aside:
+            aside.write_bytes(kept.drain_as_bytes() or b"")
     finally:
         stream.disconnect()
-        aside.unlink(missing_ok=True)
 
 
 def _log_robot(stream: Any, scene: Scene, root: str, colours: Mapping[str, tuple[int, int, int]]) -> None:

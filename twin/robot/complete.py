@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.model.regressor import flange_path, inertial_vector, link_regressor
 from twin.physics import effect_of
 from twin.physics.motion import Motion
@@ -25,6 +25,8 @@ POSTURES = 2000  # at random, in which the largest static torque and the reach a
 TURN = np.pi  # rad: range either way of an axis whose limits nobody states
 TRAVEL_M = 1.0  # the same of a linear axis
 LINK_SHARE = 0.5  # mass of a link over the one before it, where the file gives none
+HEAVIER = 10.0  # times: drawings hold masses of solid bodies, or of shells
+UNLIKE = 3.0  # times: sheet and drawing of one robot are nearer to each other
 UNLOADED = 0.01  # of the largest static torque: below, gravity says nothing of a drive
 LARGEST_STRAIN_WAVE = 400.0
 """N·m of rated torque above which a gear is taken for a cycloidal one; strain-wave gears of robots end there."""
@@ -110,11 +112,14 @@ def _size(filler: Filler) -> tuple[float, float]:
     """Reach (m) and payload (kg)."""
     sheet, robot = filler.sheet, filler.robot()
     reach, payload = sheet.reach, sheet.payload
+    foot, last = np.array(robot.base.position), robot.links[-1].com
+    body = robot.model_copy(update={"flange": robot.flange.model_copy(update={"position": last})})
+    ends = (flange_path(one, _postures(one)) - foot for one in (robot, body))  # a chain may end in a joint's origin
+    drawn = max(float(np.linalg.norm(tip[:, :2], axis=1).max()) for tip in ends)
+    if reach is not None and drawn > SHORTEST_M and not 1 / UNLIKE < reach / drawn < UNLIKE:
+        tell("sheet", "reach", f"{reach:g} m, and the drawing reaches {drawn:.3g} m: is it in another unit?")
     if reach is None:
-        foot, last = np.array(robot.base.position), robot.links[-1].com
-        body = robot.model_copy(update={"flange": robot.flange.model_copy(update={"position": last})})
-        ends = (flange_path(one, _postures(one)) - foot for one in (robot, body))  # a chain may end in a joint's origin
-        reach = max(float(np.linalg.norm(tip[:, :2], axis=1).max()) for tip in ends)
+        reach = drawn
         if reach < SHORTEST_M:
             raise InputError(
                 filler.data["name"], "reach", "the flange stays above the foot in every posture: expected a reach in "
@@ -130,6 +135,13 @@ def _masses(filler: Filler, payload: float, reach: float) -> None:
     """Masses of links without any: the robot's total split; the sheet's masses scale what the file gives."""
     links, base, sheet = filler.data["links"], filler.data["base"], filler.sheet
     known = [i for i in range(len(links)) if i + 1 not in filler.massless]
+    weighed = sum(links[i]["mass"] for i in known)
+    total_said = sum(sheet.link_masses) if sheet.link_masses else sheet.mass
+    if len(known) == len(links) and total_said and not 1 / HEAVIER < total_said / (weighed + base["mass"]) < HEAVIER:
+        text = f"{total_said:g} kg, and the drawing holds {weighed + base['mass']:.4g} kg: is it in another unit?"
+        tell("sheet", "link_masses" if sheet.link_masses else "mass", text)
+    if (carried := sheet.payload) and total_said is None and carried > weighed > 0 and len(known) == len(links):
+        tell("sheet", "payload", f"{carried:g} kg, and the robot's links weigh {weighed:.4g} kg")
     if sheet.link_masses is not None:
         for link, mass in zip(links, sheet.link_masses, strict=True):
             _scale(link, mass)
@@ -193,6 +205,9 @@ def _torques(filler: Filler, payload: float) -> np.ndarray:
             stated = filler.say(
                 field, margin.value * static[i], "N·m" if filler.turning[i] else "N", margin, "data sheet"
             )
+        elif given[i] and not static[i] / 2 <= stated <= 1e3 * max(static[i], UNLOADED * static.max()):
+            text = f"{stated:g}, and {static[i]:.3g} holds the robot and its payload: is it in another unit?"
+            tell("sheet", f"max_torque[{i}]", text)
         peak[i] = filler.data["axes"][i]["limits"]["torque"] = stated
     return peak
 

@@ -2,31 +2,38 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import trimesh
 from pydantic import Field, ValidationError, model_validator
 
 from twin.errors import InputError
-from twin.ranges import FARTHEST_M, ill_named
+from twin.ranges import FARTHEST_M, HEAVIEST_ROTOR, ill_named
 from twin.robot.bodies import Inertial, fuse
 from twin.robot.description import (
     Acceleration,
+    Coupling,
     Data,
+    Density,
     Inertia,
+    Length,
     Mass,
-    NonNegative,
-    Number,
+    MassIfAny,
+    Moment,
+    Name,
     Placement,
+    Position,
     Positive,
     Ratio,
+    Scale,
     Speed,
     SpeedOfSheet,
     Stiffness,
     Torque,
     Vector,
     check_inertia,
+    check_radius,
     first_problem,
 )
 from twin.robot.frames import inertia_matrix, matrix_of
@@ -34,6 +41,8 @@ from twin.robot.mesh_inertia import closed_mesh
 from twin.robot.tree import Chain, Joint, Part, Shape, Tree, ball_inertia
 from twin.yamlfile import read_yaml
 
+Reach = Annotated[Positive, Field(ge=0.01, le=FARTHEST_M)]
+RotorInertia = Annotated[Moment, Field(gt=0, le=HEAVIEST_ROTOR)]
 Gear = Literal["cycloidal", "strain_wave"]
 
 
@@ -43,9 +52,9 @@ class Mount(Data):
     type: Literal["prismatic", "revolute"]
     axis: Vector
     mass: Mass
-    com: Vector = (0.0, 0.0, 0.0)
-    foot: Vector = (0.0, 0.0, 0.0)
-    position: tuple[Number, Number] | None = None
+    com: Position = (0.0, 0.0, 0.0)
+    foot: Position = (0.0, 0.0, 0.0)
+    position: tuple[Length, Length] | None = None
     velocity: Speed | None = None
     torque: Torque | None = None
 
@@ -57,28 +66,35 @@ class Sheet(Data):
     motor's; ``payload_com`` is in the flange's frame. ``coupling`` as ``Drive.coupling`` has it, by joint.
     """
 
-    name: str | None = None
+    name: Name | None = None
     tip: str | None = None
-    payload: NonNegative | None = None
-    payload_com: Vector = (0.0, 0.0, 0.0)
-    reach: Positive | None = None
+    payload: MassIfAny | None = None
+    payload_com: Position = (0.0, 0.0, 0.0)
+    reach: Reach | None = None
     mass: Mass | None = None
     link_masses: list[Mass] | None = None
     max_speed: list[SpeedOfSheet] | None = None
     max_acceleration: list[Acceleration] | None = None
     max_torque: list[Torque] | None = None
     gear_ratio: list[Ratio] | None = None
-    rotor_inertia: list[Positive] | None = None
+    rotor_inertia: list[RotorInertia] | None = None
     stiffness: list[Stiffness] | None = None
     gears: list[Gear] | None = None
-    coupling: dict[str, dict[str, Number]] = Field(default_factory=dict)
+    coupling: dict[str, dict[str, Coupling]] = Field(default_factory=dict)
     mount: list[Mount] = Field(default_factory=list)
 
-    def check(self, axes: int, path: str | Path) -> None:
-        """Raise ``InputError`` where a list has not one number per axis."""
+    def check(self, axes: list[str], path: str | Path) -> None:
+        """Raise ``InputError`` where a list has not one number per axis, or a coupling names an axis that is not there.
+
+        ``axes``: their names in the drawing.
+        """
         for name, value in self:
-            if isinstance(value, list) and name != "mount" and len(value) != axes:
-                raise InputError(path, name, f"expected {axes} values, one per axis, found {len(value)}")
+            if isinstance(value, list) and name != "mount" and len(value) != len(axes):
+                raise InputError(path, name, f"expected {len(axes)} values, one per axis, found {len(value)}")
+        known = [*axes, *(f"joint{i + 1}" for i in range(len(axes)))]
+        for name, turns in self.coupling.items():
+            if strange := next((axis for axis in (name, *turns) if axis not in known), None):
+                raise InputError(path, f"coupling.{name}", f"no such axis {strange!r}; there are {', '.join(known)}")
 
 
 class Tool(Placement):
@@ -90,25 +106,25 @@ class Tool(Placement):
 
     name: str = "tool"
     mass: Mass | None = None
-    com: Vector | None = None
+    com: Position | None = None
     inertia: Inertia | None = None
     mesh: str | None = None
-    mesh_scale: Positive = 1.0
-    density: Positive | None = None
+    mesh_scale: Scale = 1.0
+    density: Density | None = None
     tip: Placement = Placement()
 
     @model_validator(mode="after")
     def _complete(self) -> "Tool":
         if wrong := ill_named(self.name):
             raise ValueError(f"name: {wrong}")
-        if self.com is not None and max(map(abs, self.com)) > FARTHEST_M:
-            raise ValueError(f"com: expected metres in the flange's frame, up to {FARTHEST_M:g}")
         if self.mesh is None and (self.mass is None or self.com is None):
             raise ValueError("give mass and com, or a mesh with a density or a mass")
         if self.mesh is not None and self.com is None and (self.mass is None) == (self.density is None):
             raise ValueError("needs either a density or a mass beside its mesh")
         if self.inertia is not None:
             check_inertia(self.inertia)
+            if self.mass is not None:
+                check_radius(self.mass, self.inertia)
         return self
 
 

@@ -23,9 +23,20 @@ from pydantic import (
     model_validator,
 )
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.physics import CATALOGUE
-from twin.ranges import FARTHEST_M, LARGEST_RELATIVE, MOST_AXES, implausible
+from twin.ranges import (
+    FARTHEST_M,
+    FREE_TURNS,
+    HEAVIEST_ROTOR,
+    LARGEST_RELATIVE,
+    LONGEST_LABEL,
+    MOST_AXES,
+    RANGES,
+    STRONGEST_GRAVITY,
+    illegible,
+    implausible,
+)
 from twin.robot.frames import inertia_matrix
 from twin.yamlfile import read_yaml, write_yaml
 
@@ -45,6 +56,18 @@ def _within(unit: str, scale: bool = False) -> AfterValidator:
     return AfterValidator(check)
 
 
+def _legible(text: str) -> str:
+    if problem := illegible(text):
+        raise ValueError(problem)
+    return text
+
+
+def _near(value: float) -> float:
+    if abs(value) > FARTHEST_M:
+        raise ValueError(f"expected metres, up to {FARTHEST_M:g}, found {value:g}; these look like mm")
+    return value
+
+
 _Finite = Annotated[float, BeforeValidator(_is_number), Field(allow_inf_nan=False)]
 Number = Annotated[_Finite, _within("")]
 Positive = Annotated[_Finite, Field(gt=0), _within("", scale=True)]
@@ -53,7 +76,11 @@ Mass = Annotated[_Finite, Field(gt=0), _within("kg", scale=True)]
 MassIfAny = Annotated[_Finite, Field(ge=0), _within("kg", scale=True)]
 Relative = Annotated[Number, Field(ge=0, le=LARGEST_RELATIVE)]
 Angle = Annotated[Number, Field(ge=-360, le=360)]  # degrees, of what is fixed
+NonNegativeAngle = Annotated[Number, Field(ge=0, le=360)]
 Length = Annotated[_Finite, _within("m")]
+Place = Annotated[_Finite, AfterValidator(_near)]  # m, in a body's frame
+Distance = Annotated[_Finite, Field(ge=0, le=FARTHEST_M)]
+Name = Annotated[str, AfterValidator(_legible)]
 Moment = Annotated[_Finite, _within("kg·m²")]
 Stiffness = Annotated[_Finite, Field(gt=0), _within("N·m/rad", scale=True)]
 Damping = Annotated[_Finite, Field(ge=0), _within("N·m·s/rad")]
@@ -61,8 +88,12 @@ Speed = Annotated[_Finite, Field(gt=0), _within("rad/s", scale=True)]
 SpeedOfSheet = Annotated[_Finite, Field(gt=0), _within("°/s, m/s on a linear axis", scale=True)]
 Acceleration = Annotated[_Finite, Field(gt=0), _within("rad/s²", scale=True)]
 Torque = Annotated[_Finite, Field(gt=0), _within("N·m", scale=True)]
+Density = Annotated[_Finite, Field(ge=1, le=25_000)]  # kg/m³: foam to osmium
+Scale = Annotated[_Finite, Field(ge=1e-6, le=1e3)]  # of a mesh, to metres: µm to km
 Ratio = Annotated[_Finite, _within("motor turns per turn, rad/m on a linear axis", scale=True)]
-Vector = tuple[Length, Length, Length]
+Coupling = Annotated[_Finite, Field(ge=-1e3, le=1e3)]  # of drives, rad per rad or per m
+Vector = tuple[Number, Number, Number]  # a direction
+Position = tuple[Place, Place, Place]
 Quaternion = tuple[Number, Number, Number, Number]
 Inertia = tuple[Moment, Moment, Moment, Moment, Moment, Moment]
 
@@ -76,7 +107,7 @@ class Data(BaseModel):
 class Placement(Data):
     """A frame in another: position in m, unit quaternion (w, x, y, z)."""
 
-    position: Vector = (0.0, 0.0, 0.0)
+    position: Position = (0.0, 0.0, 0.0)
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -97,6 +128,15 @@ def check_inertia(inertia: Sequence[float]) -> None:
         raise ValueError(f"inertia violates the triangle inequality: {low:.6g} + {middle:.6g} < {high:.6g} kg·m²")
 
 
+def check_radius(mass: float, inertia: Sequence[float]) -> None:
+    """Raise ``ValueError`` where mass (kg) would have to be farther away than a body reaches for its inertia."""
+    far = float(np.sqrt(max(inertia[:3]) / mass))
+    if far > FARTHEST_M:
+        raise ValueError(
+            f"inertia: expected that of {mass:g} kg within {FARTHEST_M:g} m, found a radius of {far:.3g} m"
+        )
+
+
 class Base(Placement):
     """The foot, frame ``base``; ``position`` and ``quaternion`` place the first axis's reference frame in it.
 
@@ -104,7 +144,7 @@ class Base(Placement):
     """
 
     mass: MassIfAny = 0.0
-    com: Vector = (0.0, 0.0, 0.0)
+    com: Position = (0.0, 0.0, 0.0)
     inertia: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     mesh: str | None = None
     collision: str | None = None
@@ -113,6 +153,8 @@ class Base(Placement):
     def _possible(self) -> Self:
         if any(self.inertia):
             check_inertia(self.inertia)
+            if self.mass:
+                check_radius(self.mass, self.inertia)
         return self
 
 
@@ -123,27 +165,21 @@ class Link(Data):
     ``mass`` gets the rest from the mesh. ``collision`` is the shape that other programs test for contact, in metres.
     """
 
-    name: str | None = None
+    name: Name | None = None
     mass: Mass | None = None
-    com: Vector | None = None
+    com: Position | None = None
     inertia: Inertia | None = None
     mesh: str | None = None
-    mesh_scale: Positive = 1.0
+    mesh_scale: Scale = 1.0
     collision: str | None = None
-    density: Positive | None = None
+    density: Density | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.inertia is not None:
             check_inertia(self.inertia)
-        if self.com is not None and max(map(abs, self.com)) > FARTHEST_M:
-            raise ValueError(f"com: expected metres in the link's frame, up to {FARTHEST_M:g}")
         if self.inertia is not None and self.mass is not None:
-            far = float(np.sqrt(max(self.inertia[:3]) / self.mass))
-            if far > FARTHEST_M:
-                raise ValueError(
-                    f"inertia: expected that of {self.mass:g} kg within {FARTHEST_M:g} m, found a radius of {far:.3g} m"
-                )
+            check_radius(self.mass, self.inertia)
         given = (self.com is not None) + (self.inertia is not None)
         if given == 1 or (given == 2 and self.mass is None):
             raise ValueError("give mass, com and inertia together, or a mesh with a density or a mass")
@@ -164,8 +200,8 @@ class Limits(Data):
 
     position: tuple[Length, Length] | None = None
     velocity: Speed | None = None
-    acceleration: Positive | None = None
-    torque: Positive | None = None
+    acceleration: Acceleration | None = None
+    torque: Torque | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -182,11 +218,11 @@ class Axis(Data):
     """
 
     type: Literal["revolute", "prismatic"] = "revolute"
-    name: str | None = None
+    name: Name | None = None
     alpha_deg: Angle = 0.0
-    a: Length = 0.0
+    a: Place = 0.0
     theta_deg: Angle = 0.0
-    d: Length = 0.0
+    d: Place = 0.0
     limits: Limits | None = None
     stiffness: Stiffness | None = None
     damping: Damping = 0.0
@@ -200,9 +236,9 @@ class Drive(Data):
     """
 
     gear_ratio: Ratio = 1.0
-    rotor_inertia: Annotated[Moment, Field(ge=0)] = 0.0
+    rotor_inertia: Annotated[Moment, Field(ge=0, le=HEAVIEST_ROTOR)] = 0.0
     rotor_mass: MassIfAny = 0.0
-    coupling: dict[str, Number] = {}
+    coupling: dict[str, Coupling] = {}
     mesh: str | None = None
 
 
@@ -213,7 +249,7 @@ class TestPoint(Data):
 
     label: str
     body: str
-    position: Vector
+    position: Position
     direction: Vector
 
     @model_validator(mode="after")
@@ -248,7 +284,7 @@ class Prior(Data):
     """
 
     parameter: str
-    factor: Annotated[Number, Field(gt=1)]
+    factor: Annotated[Number, Field(gt=1, le=1e6)]
     source: str = ""
 
 
@@ -267,14 +303,14 @@ class Tolerances(Data):
     """One standard deviation of what a description can be wrong by."""
 
     mass: Relative = 0.03  # relative
-    com: NonNegative = 0.01  # m
+    com: Distance = 0.01  # m
     inertia: Relative = 0.03  # relative
-    posture_deg: NonNegative = 0.2
+    posture_deg: NonNegativeAngle = 0.2
     channel_gain: Relative = 0.01  # relative
-    length: NonNegative = 0.001  # m, of axes
-    angle_deg: NonNegative = 0.1  # twists of axes, zeros of joints, direction of gravity
-    position: NonNegative = 0.005  # m, of sensors and blows
-    direction_deg: NonNegative = 0.1  # of sensors and blows
+    length: Distance = 0.001  # m, of axes
+    angle_deg: NonNegativeAngle = 0.1  # twists of axes, zeros of joints, direction of gravity
+    position: Distance = 0.005  # m, of sensors and blows
+    direction_deg: NonNegativeAngle = 0.1  # of sensors and blows
     torque_gain: Relative = 0.01  # relative, common to all joints
     gear_ratio: Relative = 0.001  # relative
 
@@ -313,7 +349,7 @@ class Workspace(Data):
 class Robot(Data):
     """A serial chain of revolute or prismatic axes, and the physics modelled beyond links, drives and z-springs."""
 
-    name: str
+    name: Name
     description: str = ""
     gravity: Vector = (0.0, 0.0, -9.81)
     total_mass: Mass | None = None
@@ -343,8 +379,8 @@ class Robot(Data):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         n = len(self.axes)
-        if not self.name.strip():
-            raise ValueError(f"name: expected a name, found {self.name!r}")
+        if (strength := float(np.linalg.norm(self.gravity))) > STRONGEST_GRAVITY:
+            raise ValueError(f"gravity: expected m/s², up to {STRONGEST_GRAVITY:g}, found {strength:g}")
         if not self.drives:
             self.__dict__["drives"] = [Drive() for _ in range(n)]
         if not len(self.links) == n == len(self.drives):
@@ -356,16 +392,13 @@ class Robot(Data):
         bodies = {"base", *(f"link{i + 1}" for i in range(n))}
         labels = [point.label for point in self.test_points]
         for k, point in enumerate(self.test_points):
-            if not re.fullmatch(r"\d+[XYZ][+-]", point.label):
-                raise ValueError(
-                    f"test_points[{k}].label: expected node, axis and sign as in 21Z+, found {point.label!r}"
-                )
+            if not re.fullmatch(r"[0-9]+[XYZ][+-]", point.label) or len(point.label) > LONGEST_LABEL:
+                found = reprlib.repr(point.label)
+                raise ValueError(f"test_points[{k}].label: expected node, axis and sign as in 21Z+, found {found}")
             if point.body not in bodies:
                 raise ValueError(
                     f"test_points[{k}].body: unknown body {point.body!r}; bodies are base, link1 … link{n}"
                 )
-            if max(map(abs, point.position)) > FARTHEST_M:
-                raise ValueError(f"test_points[{k}].position: expected metres, up to {FARTHEST_M:g}")
             if point.label in labels[:k]:
                 raise ValueError(f"test_points[{k}].label: {point.label!r} appears twice")
         for label in self.accelerometers:
@@ -434,15 +467,17 @@ class Robot(Data):
         if not np.isfinite(q).all():
             raise InputError(source, field, "expected finite numbers")
         for i, (value, axis) in enumerate(zip(q, self.axes, strict=True)):
-            if axis.limits and axis.limits.position:
-                low, high = axis.limits.position
-                if not low - 1e-9 <= value <= high + 1e-9:
-                    show, unit = (np.rad2deg, "°") if axis.type == "revolute" else (float, " m")
-                    raise InputError(
-                        source, f"{field}[{i}]",
-                        f"joint{i + 1} at {show(value):.6g}{unit} is outside its limits "
-                        f"{show(low):.6g} … {show(high):.6g}{unit}",
-                    )  # fmt: skip
+            most = 2 * np.pi * FREE_TURNS if axis.type == "revolute" else RANGES["m"][1]
+            own = axis.limits.position if axis.limits else None
+            low, high = own or (-most, most)
+            if not low - 1e-9 <= value <= high + 1e-9:
+                show, unit = (np.rad2deg, "°") if axis.type == "revolute" else (float, " m")
+                what = "its limits" if own else "what an axis moves"
+                raise InputError(
+                    source, f"{field}[{i}]",
+                    f"joint{i + 1} at {show(value):.6g}{unit} is outside {what} "
+                    f"{show(low):.6g} … {show(high):.6g}{unit}",
+                )  # fmt: skip
         return q
 
     @property
@@ -632,6 +667,10 @@ def load_robot(name: "str | Path | Robot", relative_to: str | Path | None = None
         from twin.robot.mesh_inertia import complete_inertias
 
         complete_inertias(robot, path)
+    from twin.robot.doubts import doubts
+
+    for where, text in doubts(robot):
+        tell(path, where, text)
     return robot
 
 

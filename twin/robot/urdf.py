@@ -4,6 +4,7 @@ Read with ElementTree rather than MuJoCo's own URDF reader, which drops velocity
 link and cannot say which link or joint a fault is in.
 """
 
+import reprlib
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,8 +15,8 @@ from numpy.linalg import norm
 from scipy.spatial.transform import Rotation
 from trimesh.units import unit_conversion
 
-from twin.errors import InputError
-from twin.ranges import MOST_PARTS, implausible
+from twin.errors import InputError, tell
+from twin.ranges import FARTHEST_M, MOST_PARTS, implausible
 from twin.robot.bodies import Inertial
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix
@@ -40,7 +41,10 @@ def import_urdf(path: str | Path) -> Robot:
         InputError: not a URDF; not one serial chain of revolute, continuous and prismatic joints; a moving link
             without mass or with an impossible inertia; two axes too near to parallel for a common normal.
     """
-    return robot_of(read_urdf(path))
+    tree = read_urdf(path)
+    for note in tree.notes:
+        tell(path, "", note)
+    return robot_of(tree)
 
 
 def read_urdf(path: str | Path) -> Tree:
@@ -62,18 +66,84 @@ def read_urdf(path: str | Path) -> Tree:
         if (count := len(root.findall(tag))) > MOST_PARTS:
             raise InputError(path, tag, f"expected at most {MOST_PARTS}, found {count}")
     tree = Tree(path, root.get("name") or path.stem, {}, [])
+    _note_unknown(tree, root, "the robot")
     for element in root.findall("link"):
         link = _attribute(path, element, "name", "link")
         if link in tree.parts:
             raise InputError(path, f"link {link}", "appears twice")
         where = f"link {link}"
+        _note_unknown(tree, element, where)
         tree.parts[link] = Part(
-            _inertial(path, where, _one(path, where, element, "inertial")),
+            _inertial(tree, where, _one(path, where, element, "inertial")),
             _shapes(tree, where, element.findall("visual")),
             _shapes(tree, where, element.findall("collision")),
         )
-    tree.joints = [_joint(path, element) for element in root.findall("joint")]
+    for element in root.findall("joint"):
+        joint = _joint(path, element)
+        if joint.name in [one.name for one in tree.joints]:
+            raise InputError(path, f"joint {joint.name}", "appears twice")
+        _note_unknown(tree, element, f"joint {joint.name}")
+        tree.joints.append(joint)
+    tree.notes += _doubts(tree)
     return tree
+
+
+def _note_unknown(tree: Tree, element: ElementTree.Element, where: str) -> None:
+    """Note elements and attributes that no reader of URDF knows: misspelt, they would be left out in silence."""
+    attributes, children = KNOWN[element.tag]
+    for key in element.attrib:
+        if key not in attributes and not key.startswith("{"):  # of another program's name space
+            tree.notes.append(f"attribute {reprlib.repr(key)} of <{element.tag}> of {where} is not known: not read")
+    if element.tag == "robot":
+        for child in element:
+            if child.tag not in children and not str(child.tag).startswith("{"):
+                tree.notes.append(f"element <{reprlib.repr(child.tag)[1:-1]}> is not known: not read")
+        return
+    for child in element:
+        if child.tag in KNOWN:
+            _note_unknown(tree, child, where)
+        elif child.tag not in children and isinstance(child.tag, str) and not child.tag.startswith("{"):
+            tree.notes.append(f"element <{reprlib.repr(child.tag)[1:-1]}> of {where} is not known: not read")
+
+
+def _doubts(tree: Tree) -> list[str]:
+    """What to say of limits that are hardly in rad."""
+    found = []
+    for joint in tree.joints:
+        if joint.kind == "revolute" and joint.position and max(map(abs, joint.position)) > LARGEST_LIMIT:
+            low, high = joint.position
+            found.append(f"joint {joint.name} turns from {low:g} to {high:g} rad: are these degrees?")
+        if joint.kind == "revolute" and joint.velocity and not SLOWEST < joint.velocity < FASTEST:
+            found.append(f"joint {joint.name} turns at up to {joint.velocity:g} rad/s: is it in another unit?")
+    return found
+
+
+LARGEST_LIMIT = 8 * np.pi  # rad: four turns
+SLOWEST, FASTEST = 1e-3, 100.0  # rad/s at a joint
+_SHAPE = (("name",), ("origin", "geometry", "material", "verbose", "contact_coefficients"))
+KNOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    # tag → attributes, and children that are not in this table themselves: read over, not read, or of simulators
+    "robot": (("name", "version"), ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control")),
+    "link": (("name", "type"), ("contact", "sensor", "self_collision_checking", "inertial", "visual", "collision")),
+    "inertial": (("name",), ()),
+    "mass": (("value",), ()),
+    "inertia": (("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), ()),
+    "origin": (("xyz", "rpy"), ()),
+    "visual": _SHAPE,
+    "collision": _SHAPE,
+    "geometry": ((), ("plane", "capsule", "ellipsoid")),  # of other dialects: noted where shapes are read
+    "mesh": (("filename", "scale"), ()),
+    "box": (("size",), ()),
+    "cylinder": (("radius", "length"), ()),
+    "sphere": (("radius",), ()),
+    "joint": (("name", "type"), ("safety_controller", "calibration", "hardwareInterface", "mechanicalReduction")),
+    "parent": (("link",), ()),
+    "child": (("link",), ()),
+    "axis": (("xyz",), ()),
+    "limit": (("lower", "upper", "velocity", "effort"), ()),
+    "dynamics": (("damping", "friction"), ()),
+    "mimic": (("joint", "multiplier", "offset"), ()),
+}
 
 
 def _one(path: Path, where: str, element: ElementTree.Element, tag: str) -> ElementTree.Element | None:
@@ -84,13 +154,21 @@ def _one(path: Path, where: str, element: ElementTree.Element, tag: str) -> Elem
     return found[0] if found else None
 
 
-def _inertial(path: Path, where: str, inertial: ElementTree.Element | None) -> Inertial:
+def _inertial(tree: Tree, where: str, inertial: ElementTree.Element | None) -> Inertial:
     if inertial is None:
         return Part().inertial
-    mass = float(_numbers(path, where, _one(path, where, inertial, "mass"), "value", [0.0])[0])
+    path = tree.path
+    weight = _one(path, where, inertial, "mass")
+    if weight is None:
+        tree.notes.append(f"<inertial> of {where} has no <mass>: taken as 0")
+    else:
+        _attribute(path, weight, "value", where)
+    mass = float(_numbers(path, where, weight, "value", [0.0], "kg")[0])
     placement = _origin(path, where, inertial)
     terms = _one(path, where, inertial, "inertia")
-    six = [float(_numbers(path, where, terms, f"i{ij}", [0.0])[0]) for ij in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    six = [
+        float(_numbers(path, where, terms, f"i{ij}", [0.0], "kg·m²")[0]) for ij in ("xx", "yy", "zz", "xy", "xz", "yz")
+    ]
     inertia = placement[:3, :3] @ inertia_matrix(six) @ placement[:3, :3].T
     return mass, placement[:3, 3], inertia
 
@@ -99,6 +177,8 @@ def _shapes(tree: Tree, where: str, elements: list[ElementTree.Element]) -> list
     found = []
     for element in elements:
         geometry = _one(tree.path, where, element, "geometry")
+        if geometry is None or not len(geometry):
+            tree.notes.append(f"<{element.tag}> of {where} has no geometry: not drawn")
         for solid in () if geometry is None else geometry:
             if solid.tag == "mesh":
                 file = _mesh_file(tree.path, _attribute(tree.path, solid, "filename", where))
@@ -106,6 +186,8 @@ def _shapes(tree: Tree, where: str, elements: list[ElementTree.Element]) -> list
                     tree.notes.append(f"mesh {solid.get('filename')} of {where} not found: not drawn")
                     continue
                 scale = _numbers(tree.path, where, solid, "scale", [1.0, 1.0, 1.0])
+                if not (scale.all() and 1e-6 <= np.abs(scale).max() <= 1e3):
+                    raise InputError(tree.path, where, f"scale: expected 1e-6 to 1e3 of metres, found {scale.tolist()}")
                 load = partial(_load_mesh, tree.path, where, file, scale)
             else:
                 sizes = {"box": ("size", 3), "cylinder": ("radius", 1), "sphere": ("radius", 1)}
@@ -116,8 +198,9 @@ def _shapes(tree: Tree, where: str, elements: list[ElementTree.Element]) -> list
                 size = _numbers(tree.path, where, solid, key, [0.0] * count)
                 if solid.tag == "cylinder":
                     size = np.append(size, _numbers(tree.path, where, solid, "length", [0.0]))
-                if min(size) <= 0:
-                    raise InputError(tree.path, where, f"<{solid.tag}> must have positive sizes")
+                if min(size) <= 0 or max(size) > FARTHEST_M:
+                    expected = f"<{solid.tag}> must have positive sizes in m, up to {FARTHEST_M:g}"
+                    raise InputError(tree.path, where, f"{expected}, found {size.tolist()}")
                 load = partial(_primitive, solid.tag, size)
             found.append(Shape(_origin(tree.path, where, element), load))
     return found
@@ -165,6 +248,8 @@ def _joint(path: Path, element: ElementTree.Element) -> Joint:
     follows = None
     if mimic is not None:
         leader = _attribute(path, mimic, "joint", where)
+        if _numbers(path, where, mimic, "offset", [0.0]).any():
+            raise InputError(path, where, "<mimic> with an offset is not read: move the zero of the joint instead")
         follows = leader, float(_numbers(path, where, mimic, "multiplier", [1.0])[0])
     ends = []
     for tag in ("parent", "child"):
@@ -174,7 +259,10 @@ def _joint(path: Path, element: ElementTree.Element) -> Joint:
         ends.append(_attribute(path, end, "link", where))
     if ends[0] == ends[1]:
         raise InputError(path, where, f"expected two links, it leads from {ends[0]!r} to itself")
-    axis = _numbers(path, where, _one(path, where, element, "axis"), "xyz", [1.0, 0.0, 0.0])
+    stated = _one(path, where, element, "axis")
+    if stated is not None:
+        _attribute(path, stated, "xyz", where)
+    axis = _numbers(path, where, stated, "xyz", [1.0, 0.0, 0.0])
     if kind == "fixed":
         axis = np.array([1.0, 0.0, 0.0])  # of no consequence; files write zeros
     elif norm(axis) < 1e-6:
@@ -187,9 +275,12 @@ def _joint(path: Path, element: ElementTree.Element) -> Joint:
             raise InputError(path, where, f"limits must increase, found lower {low:g} and upper {high:g}")
         position = (low, high)
     velocity, effort, damping, friction = (
-        float(_numbers(path, where, tag, key, [0.0])[0])
-        for tag, key in ((limit, "velocity"), (limit, "effort"), (dynamics, "damping"), (dynamics, "friction"))
-    )
+        float(_numbers(path, where, tag, key, [0.0], unit)[0])
+        for tag, key, unit in (
+            (limit, "velocity", "rad/s"), (limit, "effort", "N·m"), (dynamics, "damping", "N·m·s/rad"),
+            (dynamics, "friction", "N·m"),
+        )
+    )  # fmt: skip
     if min(velocity, damping, friction) < 0:
         raise InputError(path, where, "velocity limit, damping and friction must not be negative")
     return Joint(
@@ -205,7 +296,9 @@ def _attribute(path: Path, element: ElementTree.Element, key: str, where: str) -
     return value
 
 
-def _numbers(path: Path, where: str, element: ElementTree.Element | None, key: str, default: list[float]) -> np.ndarray:
+def _numbers(
+    path: Path, where: str, element: ElementTree.Element | None, key: str, default: list[float], unit: str = ""
+) -> np.ndarray:
     text = None if element is None else element.get(key)
     if text is None:
         return np.array(default)
@@ -217,7 +310,7 @@ def _numbers(path: Path, where: str, element: ElementTree.Element | None, key: s
         hint = " (expand xacro first)" if "${" in text else ""
         raise InputError(path, where, f"{key}: expected {len(default)} finite number(s), found {text!r}{hint}")
     for value in values:
-        if problem := implausible(value):
+        if problem := implausible(value, unit):
             raise InputError(path, where, f"{key}: {problem}")
     return values
 
@@ -225,6 +318,11 @@ def _numbers(path: Path, where: str, element: ElementTree.Element | None, key: s
 def _origin(path: Path, where: str, element: ElementTree.Element) -> np.ndarray:
     origin = _one(path, where, element, "origin")
     placement = np.eye(4)
-    placement[:3, :3] = Rotation.from_euler("xyz", _numbers(path, where, origin, "rpy", [0.0] * 3)).as_matrix()
-    placement[:3, 3] = _numbers(path, where, origin, "xyz", [0.0] * 3)
+    turns, place = (_numbers(path, where, origin, key, [0.0] * 3) for key in ("rpy", "xyz"))
+    if np.abs(turns).max() > LARGEST_LIMIT:
+        raise InputError(path, where, f"rpy: expected rad, found {turns.tolist()}: are these degrees?")
+    if np.abs(place).max() > FARTHEST_M:
+        raise InputError(path, where, f"xyz: expected metres, up to {FARTHEST_M:g}, found {place.tolist()}")
+    placement[:3, :3] = Rotation.from_euler("xyz", turns).as_matrix()
+    placement[:3, 3] = place
     return placement
