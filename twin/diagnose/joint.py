@@ -154,11 +154,15 @@ def _numbers(moments: FloatArray) -> FloatArray:
 
 
 def _slopes_of(parameters: Parameters, at: list[int], numbers: FloatArray) -> FloatArray:
-    """∂ moments / ∂ x of a body at its numbers; differences of a cubic, good to 1e-6 of it."""
+    """∂ moments / ∂ x of a body at its numbers."""
+    return np.asarray(_moment_slopes(numbers) * np.where([parameters[k].log for k in at], numbers, 1.0))
+
+
+def _moment_slopes(numbers: FloatArray) -> FloatArray:
+    """∂ moments / ∂ numbers, by differences of a cubic: good to 1e-6 of it."""
     step = 1e-3
     sides = [[_moments(numbers + sign * step * e) for e in np.eye(len(numbers))] for sign in (1.0, -1.0)]
-    slopes = (np.array(sides[0]) - np.array(sides[1])).T / (2 * step)
-    return np.asarray(slopes * np.where([parameters[k].log for k in at], numbers, 1.0))
+    return (np.array(sides[0]) - np.array(sides[1])).T / (2 * step)
 
 
 def settled_with(missing: Sequence[Missing], gains: dict[str, float], none: float, other: float) -> (

@@ -76,7 +76,7 @@ def read_modal_table(path: str | Path) -> ModalTable:
     """Read and check a modal table; :class:`InputError` says what it lacks."""
     path = Path(path)
     content = read_yaml(path)
-    _refuse_unknown(path, "", content, ("robot", "postures"))
+    _tell_unknown(path, "", content, ("robot", "postures"))
     if not isinstance(content.get("postures"), dict) or not content["postures"]:
         raise InputError(path, "postures", "expected a mapping of posture names to q_deg and modes")
     for name in content["postures"]:
@@ -95,7 +95,7 @@ def read_modal_table(path: str | Path) -> ModalTable:
 def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
     if not isinstance(value, dict):
         raise InputError(path, where, "expected q_deg and modes")
-    _refuse_unknown(path, where, value, ("q_deg", "modes"))
+    _tell_unknown(path, where, value, ("q_deg", "modes"))
     q = value.get("q_deg")
     if not isinstance(q, list) or not all(_is_number(x) for x in q):
         raise InputError(path, f"{where}.q_deg", f"expected a list of numbers, found {reprlib.repr(q)}")
@@ -109,6 +109,12 @@ def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
         raise InputError(path, f"{where}.modes[{again}]", "expected every mode once, it is there twice")
     _tell_a_leap(path, where, [mode.frequency_hz for mode in read])
     return TablePosture(np.array(q, dtype=np.float64), read)
+
+
+def _tell_unknown(path: Path, where: str, value: dict[Any, Any], known: Sequence[str]) -> None:
+    """Tell of fields beside the table, such as a comment; a number of a mode that is not read is refused."""
+    if strange := [key for key in value if key not in known]:
+        tell(path, where, f"field {reprlib.repr(strange[0])} is not read; known are {', '.join(known)}")
 
 
 def _refuse_unknown(path: Path, where: str, value: dict[Any, Any], known: Sequence[str]) -> None:
@@ -164,10 +170,10 @@ def _read_mode(path: Path, where: str, value: Any) -> TableMode:
     if shape and not any(any(pair) for pair in shape.values()):
         raise InputError(path, f"{where}.shape", "expected a shape that moves, every channel is zero")
     spread = {name: number(name, unit) for name, unit in (("frequency_std_hz", "Hz"), ("damping_std_percent", "%"))}
-    for name, value_of in (("frequency_std_hz", frequency), ("damping_std_percent", damping)):
+    for name, most in (("frequency_std_hz", frequency), ("damping_std_percent", 100.0)):
         std = spread[name]
-        if std is not None and not 0 <= std <= max(value_of or 0.0, 1.0):
-            raise InputError(path, f"{where}.{name}", f"expected 0 or more, less than the number itself, found {std:g}")
+        if std is not None and not 0 <= std <= most:
+            raise InputError(path, f"{where}.{name}", f"expected 0 to {most:g}, found {std:g}")
     return TableMode(
         frequency,
         damping,
