@@ -198,8 +198,9 @@ def stated(folder: Path, cuts: list[dict[str, Any]]) -> list[dict[str, Any]]:
     drawn = ensemble(robot, read_cut(cuts[0]["cut"]), DRAWS, 0)
     assert drawn is not None
     found = []
-    for asked in cuts:
+    for number, asked in enumerate(cuts):
         cut = read_cut({**asked["cut"], "depth_max_m": DEEPEST_M})
+        coefficients = cut.coefficients.draw(np.random.default_rng([0, number]), DRAWS)
         q = robot.angles(asked["q_deg"])[None]
         own = tips(robot, q, cut, "off")
         rotation = cut.frame(own.axis)
@@ -207,7 +208,7 @@ def stated(folder: Path, cuts: list[dict[str, Any]]) -> list[dict[str, Any]]:
         limit = float(lobes(own.modes.turned(rotation), cut, speed)[0, 0])
         seen = drawn.tips(q, cut, "off").modes
         modes = ToolModes(seen.pole[:, 0], seen.shape[:, 0]).turned(rotation[0])
-        depth = lobes(modes, cut, speed, drawn.coefficients)[:, 0]
+        depth = lobes(modes, cut, speed, coefficients)[:, 0]
         ratio = np.quantile(seen.damping_percent[:, 0], (0.05, 0.95), axis=0)
         found.append(
             {
