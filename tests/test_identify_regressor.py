@@ -219,7 +219,7 @@ def test_entries_add_the_laws_of_their_effects(kr90: Robot) -> None:
 
 def test_numbers_that_no_robot_has_are_told_as_the_calculation_s(kr90: Robot) -> None:
     regressor = Regressor(kr90)
-    with pytest.raises(NumericalError, match=r"links\[0\].mass: what the log asks for is no robot .*at most 1e\+07"):
+    with pytest.raises(NumericalError, match=r"links\[0\].mass: what the log asks for is no robot .*at most 1e\+06"):
         regressor.robot_with(regressor.described * 1e6)
 
 

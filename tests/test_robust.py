@@ -88,7 +88,7 @@ def test_the_corpus_is_taken_up_again_and_judged(tmp_path: Path, capsys: pytest.
 def test_formulas_outside_their_grammar_are_refused(formula: str) -> None:
     values = {"formula": formula, "coefficients": [1.0]}
     effect = CATALOGUE["discovered"]
-    assert (effect.check(values) or effect.check_axes(values, 3) or "").startswith("formula: ")
+    assert (effect.check(values) or effect.check_axes(values, 3) or "").startswith(("formula: ", "coefficients: "))
 
 
 def test_formulas_of_the_grammar_pass() -> None:
@@ -126,7 +126,7 @@ def test_numbers_of_no_machine_are_refused(kr90: Robot, place: tuple[Any, ...], 
     if place[-1] == "a" and value < 1:  # what rounding leaves of a zero
         Robot.model_validate(data)
         return
-    with pytest.raises(ValueError, match="plausible"):
+    with pytest.raises(ValueError, match=r"plausible|expected metres, up to 50"):
         Robot.model_validate(data)
 
 
@@ -210,13 +210,17 @@ def test_pipes_are_refused_before_they_are_waited_for(tmp_path: Path, twin: Twin
 def test_millimetres_taken_for_metres_are_told(tmp_path: Path, frf: Path, twin: Twin) -> None:
     campaign = read_campaign(frf)
     far = replace(campaign.excitation, position=1e3 * campaign.excitation.position)
-    write_campaign(tmp_path / "mm.h5", replace(campaign, excitation=far))
+    with pytest.raises(InputError, match="excitation/position: 1Z"):
+        write_campaign(tmp_path / "mm.h5", replace(campaign, excitation=far))
+    shutil.copy(frf, tmp_path / "mm.h5")
+    with h5py.File(tmp_path / "mm.h5", "r+") as file:
+        file["excitation/position"][:] = far.position
     found = twin("compare", tmp_path / "mm.h5", "--as-is")
     assert found.code == 2
     assert "mm.h5: excitation/position: 1Z+ is " in found.err
     assert "expected metres, up to 50" in found.err
     (tmp_path / "tool.yaml").write_text("name: spindle\nmass: 3\ncom: [0, 0, 120]\n")
-    with pytest.raises(InputError, match="com: expected metres in the flange's frame"):
+    with pytest.raises(InputError, match=r"com\[2\]: expected metres"):
         read_tools(tmp_path / "tool.yaml")
 
 
@@ -294,6 +298,7 @@ def test_a_log_that_its_model_misses_still_tells_something_of_links(kr90: Robot)
     for misfit in (1.0, 4.0):
         values = free.values(np.zeros(len(free)))
         log = SimpleNamespace(parameters=free, values=values, covariance=misfit * free.covariance, misfit=misfit)
+        log.z = np.zeros(len(free))
         known = Knowledge.of(cast(Fitted, log)).on(free, kr90)
         np.testing.assert_allclose(known.covariance, free.covariance, rtol=1e-6, atol=1e-12)
 
@@ -494,7 +499,7 @@ def test_a_place_beyond_reason_is_refused(twin: Twin, option: tuple[str, ...]) -
     found = twin("map", "--robot", "kr90", "--random", "1", *option)
     assert (found.code, found.err.count("\n")) == (2, 1)
     assert found.err.startswith(f"twin: {option[0]}: ")
-    assert "expected a plausible number" in found.err
+    assert "expected up to " in found.err
 
 
 def test_what_a_recording_says_twice_must_agree(tmp_path: Path, frf: Path) -> None:
@@ -579,7 +584,7 @@ def test_gears_and_tools_of_no_robot_and_names_that_cannot_be_shown_are_refused(
         parse_robot(data)
     data = kr90.model_dump(mode="json")
     data["test_points"][0]["position"] = [0.8, 0, 100]
-    with pytest.raises(InputError, match=r"test_points\[0\]\.position: expected metres"):
+    with pytest.raises(InputError, match=r"test_points\[0\]\.position\[2\]: expected metres"):
         parse_robot(data)
     for prior, fits in (("link0", False), ("joint9.z.stiffness", False), ("no_effect@*.stiffness", False),
                         ("joint*.damping", True), ("base_compliance@base.r*.stiffness", True)):  # fmt: skip
@@ -590,7 +595,7 @@ def test_gears_and_tools_of_no_robot_and_names_that_cannot_be_shown_are_refused(
         with pytest.raises(InputError, match=r"priors\[0\]\.parameter: .* names no number"):
             parse_robot(some)
     with pytest.raises(InputError, match=r"tool\.mass_kg: expected kg, no more than the robot's links weigh"):
-        with_tool(kr90, read_cut({"tool": {"mass_kg": 12_000}}))
+        with_tool(kr90, read_cut({"tool": {"mass_kg": 1900}}))
     (tmp_path / "tool.yaml").write_text('name: "\\a"\nmass: 3\ncom: [0, 0, 0.1]\n')
     with pytest.raises(InputError, match=r"name: expected names"):
         read_tools(tmp_path / "tool.yaml")
@@ -600,8 +605,8 @@ def test_gears_and_tools_of_no_robot_and_names_that_cannot_be_shown_are_refused(
     ("place", "value", "problem"),
     [
         (("workspace",), {"x": [-3, 3], "y": [-1e12, 3], "z": [-2, 4]}, r"workspace\.y"),
-        (("links", 1, "mass"), 1e-9, r"links\[1\].*inertia: expected that of 1e-09 kg within 50 m"),
-        (("links", 1, "com"), [100, 0, 0], r"links\[1\].*com: expected metres"),
+        (("links", 1, "mass"), 1e-4, r"links\[1\].*inertia: expected that of 0.0001 kg within 50 m"),
+        (("links", 1, "com"), [100, 0, 0], r"links\[1\].*com\[0\]: expected metres"),
         (("tolerances", "mass"), 1e12, r"tolerances\.mass"),
         (("name",), " ", r"name: expected a name"),
         (("priors",), [{"parameter": "joint*.z.stiffness", "factor": 2.0}] * 2, r"priors\[1\]\.parameter: .* twice"),
@@ -623,7 +628,7 @@ def test_a_modal_table_is_diagnosed_within_limits(tmp_path: Path, twin: Twin) ->
     (tmp_path / "modes.yaml").write_text(table)
     found = twin("diagnose", tmp_path / "modes.yaml", "--json")
     assert found.code == 2
-    assert "modes.yaml: postures.a.q_deg[0]: joint1 at 1e+07° is outside its limits" in found.err
+    assert "modes.yaml: postures.a: q_deg: expected degrees (m), up to 3600, found 1e+07" in found.err
 
 
 def test_recordings_that_are_there_twice_are_refused(tmp_path: Path, frf: Path) -> None:
@@ -653,7 +658,7 @@ def test_a_row_that_is_none_is_told_by_its_line(tmp_path: Path, row: str, proble
 @pytest.mark.parametrize(
     ("cut", "problem"),
     [
-        ({"immersion": 1e-306}, "immersion: input should be greater than or equal to 0.00001"),
+        ({"immersion": 1e-306}, "immersion: input should be greater than or equal to 0.0001"),
         ({"feed_per_tooth_m": 1e-300}, "feed_per_tooth_m: input should be greater"),
         ({"tool": {"teeth": "x" * 5000}}, r"tool\.teeth: .{1,99}$"),
     ],

@@ -361,8 +361,8 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
             f"expected 1 or more, up to {MOST_AVERAGES}, found {posture.averages}",
         )
     if posture.hits is not None and posture.averages is not None and posture.averages > posture.hits.force.shape[1]:
-        problem = f"expected no more than the {posture.hits.force.shape[1]} hits, found {posture.averages}"
-        raise InputError(source, f"{field}/coherence: averages", problem)
+        problem = f"{posture.averages}, and {posture.hits.force.shape[1]} hits of each point are in the file"
+        tell(source, f"{field}/coherence: averages", problem)
     if posture.peak_force_n is not None:
         _check_force(source, f"{field}: peak_force_n", posture.peak_force_n)
     longest = {"pulse_s": LONGEST_PULSE_S, "record_s": LONGEST_RECORD_S}

@@ -119,8 +119,8 @@ def _tell_unknown(path: Path, where: str, value: dict[Any, Any], known: Sequence
 
 def _refuse_unknown(path: Path, where: str, value: dict[Any, Any], known: Sequence[str]) -> None:
     if strange := [key for key in value if key not in known]:
-        field = f"{where}.{reprlib.repr(strange[0])}" if where else reprlib.repr(strange[0])
-        raise InputError(path, field, f"no such field; expected {', '.join(known)}")
+        name = strange[0] if isinstance(strange[0], str) and strange[0].isidentifier() else reprlib.repr(strange[0])
+        raise InputError(path, f"{where}.{name}", f"no such field; expected {', '.join(known)}")
 
 
 def _tell_a_leap(path: Path, where: str, frequency: list[float]) -> None:
