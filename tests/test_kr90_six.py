@@ -1,5 +1,7 @@
 """The six-axis KR90: with its wrist locked it is the paper's robot, and the wrist is the maker's."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -87,3 +89,14 @@ def test_a_link_without_length_is_no_suspect_of_bending() -> None:
     six, bending = load_robot("kr90_six"), CATALOGUE["link_flexibility"]
     can = [link for link in range(1, 7) if bending.typical(six, f"link{link}.y") is not None]
     assert can == [1, 2, 3, 6]
+
+
+def test_a_payload_in_a_log_has_an_inertia_of_its_own_where_its_link_has_little() -> None:
+    """On a wrist of a few kg·m² a spindle's own shows; on the column it is less than what is not known of the column."""
+    six, payload = load_robot("kr90_six"), CATALOGUE["payload"]
+    for site, extended in (("flange", True), ("link1", False)):
+        (suspected,) = payload.suspected(SimpleNamespace(robot=six, site=site))
+        assert ("inertia[2]" in {prior.name for prior in suspected.own}) is extended
+        assert len(suspected.starts[0]) == len(suspected.own)
+    odd = payload.nearest(six, "flange", {"mass": 5.0, "com": [0, 0, 0], "inertia": [0.0, 0.3, 0.0]})
+    assert payload.check(odd) is None

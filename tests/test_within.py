@@ -115,3 +115,16 @@ def test_a_name_that_explains_little_of_what_tolerances_leave_is_doubted(
     decision = in_doubt_beside(Decision([best], [0.99], 0.0, 0.01), base, None)
     assert (decision.probability[0] > 0.5) is believed
     assert sum(decision.probability) + decision.none + decision.other == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("mass", "heavy"), [(500.0, False), (3.3e7, True)])
+def test_what_hangs_on_a_robot_is_no_heavier_than_it(kr90: Robot, mass: float, heavy: bool) -> None:
+    """A resonator of 33 thousand tonnes on link 1 once stood for a damper that is not in the vocabulary."""
+    values = {"mass": mass, "frequency_hz": 18.0, "damping_ratio": 1.0, "axis": "y", "position": [0.0, 0.0, 0.0]}
+    piece = entry_hypothesis(kr90, "attached_resonator", "link1", values)
+    parameters = piece.parameters(free_parameters(kr90))
+    z = np.zeros(len(parameters))
+    eye = np.eye(len(z))
+    fit = Fitted(piece, parameters, z, parameters.values(z), kr90, 0.0, 1.0, eye, 1.0, True)
+    assert fit.too_heavy is heavy
+    assert np.isneginf(fit.evidence()) == heavy

@@ -245,5 +245,7 @@ STUDIES: dict[str, Any] = {
 }  # fmt: skip
 
 if __name__ == "__main__":
+    if unknown := [word for word in sys.argv[1:] if word not in STUDIES]:
+        sys.exit(f"{unknown[0]}: expected any of {', '.join(STUDIES)}")
     for study in sys.argv[1:] or STUDIES:
         STUDIES[study]()
