@@ -92,7 +92,7 @@ def test_a_link_without_length_is_no_suspect_of_bending() -> None:
 
 
 def test_a_payload_in_a_log_has_an_inertia_of_its_own_where_its_link_has_little() -> None:
-    """On a wrist of a few kg·m² a spindle's own shows; on the column it is less than what is not known of the column."""
+    """On a light wrist a spindle's own shows; on the column it is less than what is not known of the column."""
     six, payload = load_robot("kr90_six"), CATALOGUE["payload"]
     for site, extended in (("flange", True), ("link1", False)):
         (suspected,) = payload.suspected(SimpleNamespace(robot=six, site=site))
