@@ -1,7 +1,8 @@
 """A link that bends: a hinge about y or z of its frame, half-way to the next joint (flange).
 
-Points and mass inboard of the hinge stay behind. Three numbers say how the mass is divided, see
-:func:`twin.robot.bodies.cut`; those that an entry does not state are those of a cloud.
+Points and mass inboard of the hinge stay behind. Three numbers say how the mass is divided: the outer mass over the
+inner one, the distance of the two centres of mass, and the moment ∫x²dm along the line of the centres, outer over
+inner. What an entry leaves out is as in a normal (Gaussian) cloud of the link's mass, centre of mass and inertia.
 """
 
 from math import inf
