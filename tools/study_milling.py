@@ -88,7 +88,7 @@ def compare(name: str, modes: ToolModes, cut: Cut, speeds: np.ndarray, steps: in
     first = found.first()
     some = np.isfinite(first)
     speeds, first = speeds[some], first[some]
-    direct = limits(modes.without_cross_terms(), cut, speeds, 50 * cut.depth_max_m).first()
+    direct = limits(modes.without_cross_terms(), cut, speeds, 10 * cut.depth_max_m).first()
     simulated, below = simulated_limits(modes, cut, speeds, first, steps, seconds)
     kinds = [str(found.kind[np.argmax(found.row == row)]) for row in np.flatnonzero(some)]
     print(f"{name}: rpm, limit mm, simulated mm, difference %, error without cross terms %, kind")
