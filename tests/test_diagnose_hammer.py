@@ -835,9 +835,9 @@ def test_hammer_tests_of_the_same_points_are_one_test(tmp_path: Path) -> None:
 
     few, rest = test("few.h5", first), test("next.h5", second)
     again = test("next.h5", replace(first, frf=2 * first.frf))
-    (whole,) = _one_test([few, rest, again])
-    assert whole.names == (first.name, second.name, f"{first.name} (next)")
-    assert whole.inputs == ("few.h5", "next.h5", "next.h5")
+    (whole,) = _one_test([few, rest, again, again])
+    assert whole.names == (first.name, second.name, f"{first.name} (next)", f"{first.name} (next 2)")
+    assert whole.inputs == ("few.h5", *["next.h5"] * 3)
     response = replace(campaign.response, position=campaign.response.position + 0.01)
     elsewhere = test("next.h5", second, response=response)
     assert _one_test([few, elsewhere]) == [few, elsewhere]

@@ -12,6 +12,7 @@ from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
 from twin.diagnose.physical import as_written
 from twin.diagnose.refit import Fitted
+from twin.diagnose.search import Search
 from twin.diagnose.within import allowed, without
 from twin.measure.campaign import Channels
 from twin.model.parameters import free_parameters
@@ -128,3 +129,5 @@ def test_what_hangs_on_a_robot_is_no_heavier_than_it(kr90: Robot, mass: float, h
     fit = Fitted(piece, parameters, z, parameters.values(z), kr90, 0.0, 1.0, eye, 1.0, True)
     assert fit.too_heavy is heavy
     assert np.isneginf(fit.evidence()) == heavy
+    search = Search(fit, [], z, 0.0, {piece.identity: fit})
+    assert search.finalists == ([] if heavy else [fit])  # a report cannot write its evidence

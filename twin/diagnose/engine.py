@@ -71,8 +71,11 @@ def _one_test(recordings: Sequence[Recording]) -> list[Recording]:
             found.append(one)
             continue
         first = found[same]
-        new = {n if n not in first.names else f"{n} ({one.stem})": p for n, p in one.content.postures.items()}
-        postures = {**first.content.postures, **{n: replace(p, name=n) for n, p in new.items()}}
+        postures = dict(first.content.postures)
+        for name, posture in one.content.postures.items():
+            told = (name, f"{name} ({one.stem})", *(f"{name} ({one.stem} {k})" for k in range(2, len(recordings) + 2)))
+            free = next(n for n in told if n not in postures)  # files of several folders may have one name
+            postures[free] = replace(posture, name=free)
         content = replace(first.content, postures=postures)
         found[same] = replace(first, content=content, inputs=(*first.inputs, *one.inputs))
     return found

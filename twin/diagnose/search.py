@@ -69,8 +69,8 @@ class Search:
 
     @property
     def finalists(self) -> list[Fitted]:
-        """Refitted hypotheses, most evidence first."""
-        return sorted(self.fits.values(), key=lambda fit: -fit.evidence())
+        """Refitted hypotheses that can be, most evidence first."""
+        return sorted((fit for fit in self.fits.values() if not fit.too_heavy), key=lambda fit: -fit.evidence())
 
 
 def converge(
@@ -459,7 +459,10 @@ class _Place:
 def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
     """What turns the robot about an axis of a likely answer, in the stead of its piece and at convergence."""
     free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
-    axes, (best, *others) = same_axes(robot, postures), search.finalists
+    axes, finalists = same_axes(robot, postures), search.finalists
+    if not finalists:
+        return
+    best, *others = finalists
     likely = [best, *(fit for fit in others if len(fit.hypothesis.pieces) <= len(best.hypothesis.pieces))]
     least = max(search.base.evidence(), best.evidence() - LIKELY)
     for fit in [fit for fit in likely if fit.evidence() > least]:
@@ -487,7 +490,8 @@ def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Samp
         return _nearly(robot, places[number], few, THINNED_COST * min(places[number].worth, reach))
 
     nearly = _best_of_each(spread(near, len(places), search.processes))
-    best = min((THINNED_COST * fit.cost + WITHIN * max(1.0, fit.misfit) for fit in nearly), default=np.inf)
+    ahead = [fit for fit in nearly if not fit.too_heavy]  # what cannot be puts nothing out of the race
+    best = min((THINNED_COST * fit.cost + WITHIN * max(1.0, fit.misfit) for fit in ahead), default=np.inf)
 
     def end(number: int) -> Fitted:
         return _fully(robot, nearly[number], sample, min(worth, reach, best))
@@ -528,8 +532,7 @@ def _fully(robot: Robot, near: Fitted, sample: Sample, hopeless: float) -> Fitte
 
 def _reach(search: Search) -> float:
     """The cost above which a hypothesis is out of the race."""
-    best = min((fit.cost for fit in search.fits.values()), default=search.base.cost)
-    return best + WITHIN if search.fits else np.inf
+    return min((fit.cost + WITHIN for fit in search.finalists), default=np.inf)
 
 
 def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> list[Fitted]:
@@ -613,6 +616,7 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
         or fits[0].evidence() - fit.evidence() < 10 * WITHIN
         or any(fit.hypothesis.under(axes) == other.hypothesis.under(axes) for other in near)
     ]
+    sized = [fit for fit in sized if not fit.too_heavy]  # under a wider prior a mass may grow
     return [*sorted(sized, key=lambda fit: -fit.evidence()), *far, search.base]
 
 
