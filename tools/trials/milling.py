@@ -15,6 +15,7 @@ SPLIT/depths/ID.json         depths stated and true
 
 import argparse
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -56,6 +57,7 @@ MATERIALS = ("aluminium_7075", "aluminium_7075_helical", "steel_s235", "titanium
 HELICES_DEG = (0.0, 30.0, 45.0)
 DEEPEST_M = 0.02  # of interest
 FEED_M = 1e-4
+LATE_S = 240  # for the depths of one model: a mode of kilohertz takes the lobes minutes
 
 
 def make_all(split: Path, robots: int, processes: int) -> None:
@@ -185,11 +187,19 @@ def state(split: Path, name: str) -> None:
     for stage in STAGES:
         folder = split / "models" / name / stage
         if stage not in found and (folder / FILE).exists():
+            signal.signal(signal.SIGALRM, _late)
+            signal.alarm(LATE_S)
             try:
                 found[stage] = stated(folder, store.read(split / "cuts" / f"{name}.json"))
             except InputError as error:  # as `twin lobes` refuses it
                 found.setdefault("refused", {})[stage] = str(error)
+            finally:
+                signal.alarm(0)
             store.write(path, found)
+
+
+def _late(*_: object) -> None:
+    raise InputError("lobes", "", f"no limit within {LATE_S} s")
 
 
 def stated(folder: Path, cuts: list[dict[str, Any]]) -> list[dict[str, Any]]:
