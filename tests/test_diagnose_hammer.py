@@ -22,7 +22,7 @@ from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.physical import as_written, physical
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
-from twin.diagnose.search import Search, _about_the_same_axis, _best_of_each, _taken_over, converge, explain, settle
+from twin.diagnose.search import Search, _best_of_each, _in_its_stead, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, estimates, judge, missing_of, rival_of, strained
 from twin.identify.descent import minimise
@@ -264,7 +264,7 @@ def test_a_partner_about_the_same_axis_is_fitted_though_a_richer_answer_leads_by
     lead = 2 * (simple.evidence() - rich.evidence() + 0.1) / rich.data
     search.fits[both.identity] = replace(rich, misfit=rich.misfit - lead)
     assert search.finalists[0].hypothesis == both
-    _about_the_same_axis(case.base, search, case.sample)
+    _in_its_stead(case.base, search, case.sample)
     assert frozenset({"parameter@joint1.y.stiffness"}) in search.fits
 
 
@@ -282,11 +282,25 @@ def test_of_two_that_turn_about_one_axis_neither_is_tried_twice(tmp_path: Path) 
     start = np.concatenate([base.z, np.zeros(len(parameters) - len(base.z))])
     search = Search(base, [], base.z, 0.0)
     search.fits[both.identity] = descend(case.base, both, parameters, case.sample, start)
-    _about_the_same_axis(case.base, search, case.sample)
+    _in_its_stead(case.base, search, case.sample)
     assert all(
         len({piece.key for piece in fit.hypothesis.pieces}) == len(fit.hypothesis.pieces)
         for fit in search.fits.values()
     )
+
+
+def test_a_slab_that_weighs_nothing_gives_way_to_a_spring(tmp_path: Path) -> None:
+    """The spring may have left the race where the slab's many numbers took up what nodes had not yet."""
+    case = recorded(tmp_path, "--seed", "12", "--postures", "3", "--effect", "base_compliance@base.ry", hold_out=[])
+    base = converge(case.base, case.free, case.sample).base
+    slab = looked_at(case, "floor_mode")[0][0]
+    parameters = slab.parameters(case.free)
+    start = np.concatenate([base.z, np.zeros(len(slab.own))])
+    search = Search(base, [], base.z, 0.0)
+    search.fits[slab.identity] = descend(case.base, slab, parameters, case.sample, start, logarithmic=25)
+    assert search.finalists[0].misfit < 1.5
+    _in_its_stead(case.base, search, case.sample)
+    assert search.finalists[0].hypothesis.key == "base_compliance@base.ry"
 
 
 def test_what_is_left_at_size_nought_has_no_smallest_size() -> None:

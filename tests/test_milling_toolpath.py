@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.errors import InputError
+from twin.errors import InputError, Told
 from twin.milling.toolpath import read_toolpath
 
 POCKET = """%
@@ -51,11 +51,18 @@ def test_csv_in_millimetres_and_metres_agree(tmp_path):
     np.testing.assert_allclose(a.feed, [[1, 0, 0], [1, 0, 0]])
 
 
+def test_a_unit_that_changes_in_the_midst_is_told(tmp_path):
+    """`G2 0 Y20` is `G20 Y20`: blanks within a word mean nothing to a controller."""
+    with pytest.warns(Told, match="line 3: the unit changes to inches"):
+        read_toolpath(_write(tmp_path, "a.nc", "G21\nG1 X0 Y0\nG2 0 Y2\n"))
+
+
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
         ("a.nc", "G1 X1\nG5 X2\n", "line 2: G5 is not read"),
         ("a.nc", "G1 X1 Y\n", "line 1: expected words"),
+        ("a.nc", "G21\nG1 X0\nG1 X10 R20\n", "line 3: R: belongs to an arc"),
         ("a.nc", "G0 X0 Y0\nG2 X10 Y0 I3 J0\n", "line 2: the arc's ends"),
         ("a.nc", "G0 X0\nG0 X10\n", "all moves are rapid"),
         ("a.csv", "x,y,z\n0,0,0\n", "line 1: expected a header"),

@@ -118,6 +118,14 @@ def test_two_drives_that_turn_with_one_axis_are_two_tendons(kr90: Robot) -> None
     assert model.tendon_armature[tendons].tolist() == [5, 10]
 
 
+def test_a_plate_that_rounding_makes_impossible_is_written(kr90: Robot) -> None:
+    """Found by fuzzing: the largest moment is the sum of the others, turned by a product; MuJoCo's own sum is less."""
+    data = kr90.model_dump(mode="json")
+    data["links"][0]["inertia"] = [4.0, 5.0, 1.0, 0.0, 0.1, 0.0]
+    model = build_spec(assemble(parse_robot(data), kr90.angles(POSTURES["upright"]))).compile()
+    assert sorted(model.body_inertia[model.body("link1").id]) == pytest.approx([0.99669, 4.00331, 5.0], rel=1e-4)
+
+
 def test_model_names_do_not_depend_on_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert load_robot("kr90").name == "kr90"

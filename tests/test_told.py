@@ -98,6 +98,7 @@ def put(folder: Path, file: str, old: str, new: str) -> None:
             ("compare", "modes.yaml"), "modes.yaml", "{frequency_hz", "{shape: {1Z+: [0, 0]}, frequency_hz",
             "postures.bent.modes[0].shape",
         ),
+        (SIMULATE, "two.yaml", "gear_ratio: 120", "gear_ratio: 0", "drives[1].gear_ratio"),
         (CSV, "csv-map.yaml", "unit: Nm", "unit: Nm, factor: 0", "torque"),
         (WAV, "wav-map.yaml", "record_s: 0.9", "record_s: 0.9\ntrigger_n: 1.0e+9", "trigger_n"),
         (WAV, "wav-map.yaml", "[10, 40]", "[1.0e+7, 40]", "q_deg"),
@@ -130,6 +131,12 @@ def test_what_no_machine_has_and_what_contradicts_itself_is_refused(
         (SIMULATE, "two.yaml", "gear_ratio: 150", "gear_ratio: 150000", "drives[0].gear_ratio"),
         (SIMULATE, "two.yaml", "rotor_inertia: 2.0e-3", "rotor_inertia: 20", "drives[0].rotor_inertia"),
         (SIMULATE, "two.yaml", "alpha_deg: 90, a: 0.2, ", "", "axes[1]: turns about the same line as joint1"),
+        (SIMULATE, "two.yaml", "acceleration: 6", "acceleration: 6.0e-9", "axes[0].limits.acceleration"),
+        (SIMULATE, "two.yaml", "velocity: 2,", "torque: 3.0e-3, velocity: 2,", "axes[0].limits.torque"),
+        (SIMULATE, "two.yaml", "name: two", "base: {mass: 9.0e+5}\nname: two", "base.mass"),
+        (("describe", "arm.urdf"), "arm.urdf", '<mass value="5"/>', '<mass value="500000"/>', "links[0].inertia"),
+        (("map", "cut.yaml", "--robot", "two.yaml", "--random", "3", "--spacing", "1"), "cut.yaml", "t", "t",
+         "--spacing"),
         (SIMULATE, "two.yaml", "torque: 40", "torque: 400000", "physics[1].torque"),
         (SIMULATE, "two.yaml", "stiffness: 3.0e6", "stiffness: 3.0e+14", "physics[0].stiffness"),
         (SIMULATE, "two.yaml", "1X+, body: link2, position: [0.8", "2X+, body: link2, position: [20", "test_points[0]"),
@@ -152,7 +159,8 @@ def test_what_is_hardly_meant_is_told(
 ) -> None:
     put(folder, "posture.yaml", "hammer: {", "hammer: false  # {")
     put(folder, "posture.yaml", "replay: log.h5", "")
-    assert "note" not in twin(*command[: 2 if "--low-pass" in command else None]).err
+    plain = next((k for k, word in enumerate(command) if word in ("--low-pass", "--spacing")), None)
+    assert "note" not in twin(*command[:plain]).err
     put(folder, file, old, new)
     found = twin(*command)
     assert found.code == 0, found.err

@@ -9,12 +9,13 @@ from xml.etree import ElementTree
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.provenance import provenance, write_json
 from twin.result import Result, written
 from twin.robot.complete import complete
 from twin.robot.datasheet import fit_tools, read_sheet, read_tools, stand_on
 from twin.robot.description import Assumed, Robot, load_robot, save_robot
+from twin.robot.doubts import doubts
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, save_mjcf
 from twin.robot.reduce import reduce_tree
@@ -125,7 +126,10 @@ def describe(
     if out is not None:
         with Outputs(out, "describe") as outputs:
             _write(found, reduced.chain, outputs)
-        found.robot = load_robot(Path(out) / "robot.yaml")
+        found.robot = load_robot(Path(out) / "robot.yaml")  # which tells what it doubts
+    else:
+        for where, text in doubts(found.robot):
+            tell(path, where, text)
     return found
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.identify.posterior import FILE
 from twin.measure.campaign import FloatArray
 from twin.measure.hdf5 import created
@@ -29,6 +29,7 @@ from twin.robot.frames import rotation_z
 from twin.robot.inverse_kinematics import inverse_kinematics
 from twin.table import Table
 
+SPACING_M = 0.01  # of points along a path: a feed of a minute has 10 to 100
 UNITS = {"_m": "m", "_hz": "Hz", "_percent": "%", "_m_per_n": "m/N", "_rad": "rad"}
 
 
@@ -159,7 +160,7 @@ def make_map(
     place: tuple[float, float, float] | None = None,
     place_turn_deg: float = 0.0,
     near_deg: Sequence[float] | None = None,
-    spacing: float = 0.01,
+    spacing: float = SPACING_M,
     spindle_rpm: float | None = None,
     lobes: int = 0,
     draws: int = 50,
@@ -205,6 +206,9 @@ def make_map(
     asked = read_cut(cut) if cut else Cut()
     _check_finite(place_turn_deg, place, box, near_deg)
     _check_asked(loaded, random, grid, posture_grid, path, lobes, draws, spindle_rpm, spacing)
+    for name, given in (("--spacing", spacing != SPACING_M), ("--place-turn-deg", place_turn_deg != 0)):
+        if given and path is None:
+            tell(name, "", "concerns a path (--path), and none is given: not used")
     near = None
     if near_deg is not None:
         near = loaded.check_posture(_angles(loaded, near_deg), "--near", "")

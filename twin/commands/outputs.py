@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 
 from twin.errors import InputError
-from twin.parallel import Progress, silent
+from twin.parallel import Progress, cores, silent, spread
 from twin.result import Result
 from twin.robot.description import SHIPPED
 from twin.stopping import hold, holds, unfinished
@@ -85,9 +85,10 @@ class Outputs:
 
         figures, images = result.figures(), {}
         tick = progress("figures", len(figures))
-        for name, figure in figures.items():
+        for name in figures:
             images[f"{name}.png"] = self(f"{name}.png")
-            save(figure, images[f"{name}.png"])
+        drawn, paths = list(figures.values()), list(images.values())
+        for _ in spread(lambda number: save(drawn[number], paths[number]), len(drawn), cores()):
             tick(1)
         return images
 

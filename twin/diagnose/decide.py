@@ -7,7 +7,6 @@ development cases. What the best entry leaves of the misfit tells whether the tr
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from twin.diagnose.search import WITHIN, in_doubt
 from twin.diagnose.within import allowed
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
+from twin.parallel import spread
 from twin.robot.description import Robot
 
 FIRST_ORDER = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
@@ -60,6 +60,7 @@ def decide(
     kept: Sample | None = None,
     unnamed: Callable[[Fitted], Mapping[str, float]] | None = None,
     axes: Mapping[str, str] | None = None,
+    processes: int = 1,
 ) -> Decision:
     """Probabilities of hypotheses fitted to the same lines as the base model.
 
@@ -75,6 +76,7 @@ def decide(
             must hold there.
         unnamed: what a law without a name would gain beside a fit, site by site, in ln evidence.
         axes: what turns the robot about one axis (:func:`twin.diagnose.hypotheses.same_axes`).
+        processes: what was not fitted to is foretold in so many.
     """
     numbers = calibration()
     sites: dict[str, int] = {}
@@ -83,7 +85,7 @@ def decide(
     best_misfit = min([base.misfit, *(fit.misfit for fit in fits)])
     scale = max(1.0, best_misfit) if scale is None else scale
     gains = np.array([fit.evidence(scale) - base.evidence(scale) for fit in fits])
-    unseen = cache(lambda k: foreseen(fits[k] if k < len(fits) else base, kept)) if kept else None
+    unseen = _unseen([*fits, base], _near(gains), kept, processes) if kept else None
     later = _later(gains, scale, unseen) if unseen else np.zeros(len(fits))
     priors = np.array([_prior(fit.hypothesis, sites, numbers["none"]) for fit in fits])
     beside = _beside(fits, base, scale) if handicap is None else np.asarray(handicap)
@@ -138,6 +140,28 @@ def _prior(hypothesis: Hypothesis, sites: Mapping[str, int], none: float) -> flo
     return float(sum(np.log((1 - none) / (len(sites) + 1) / sites.get(p.family, 10)) for p in pieces))
 
 
+def _near(gains: FloatArray) -> list[int]:
+    """Indices of hypotheses that recordings which none was fitted to may bring to the front; the best is among them."""
+    if not len(gains):
+        return []
+    best = int(np.argmax(gains))
+    return [best, *(int(k) for k in np.flatnonzero(gains > max(gains[best], 0.0) - WITHIN) if k != best)]
+
+
+def _unseen(some: Sequence[Fitted], near: Sequence[int], kept: Sample, processes: int) -> Callable[[int], Fitted]:
+    """Of a fit's index how it foretells recordings that none was fitted to; the near ones and the last side by side."""
+    first = [*near, len(some) - 1]
+    told = spread(lambda k: foreseen(some[first[k]], kept), len(first), processes)
+    known = dict(zip(first, told, strict=True))
+
+    def of(k: int) -> Fitted:
+        if k not in known:
+            known[k] = foreseen(some[k], kept)
+        return known[k]
+
+    return of
+
+
 def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> FloatArray:
     """What ln evidence fits gain over the base model, the last of ``unseen``, by recordings that none was fitted to.
 
@@ -145,10 +169,10 @@ def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> 
     """
     if not len(gains):
         return gains
-    nothing, best = unseen(len(gains)).evidence(scale), int(np.argmax(gains))
-    later = np.full(len(gains), unseen(best).evidence(scale) - nothing)
-    for k in np.flatnonzero(gains > max(gains[best], 0.0) - WITHIN):
-        later[k] = unseen(int(k)).evidence(scale) - nothing
+    nothing = unseen(len(gains)).evidence(scale)
+    later = np.full(len(gains), unseen(int(np.argmax(gains))).evidence(scale) - nothing)
+    for k in _near(gains):
+        later[k] = unseen(k).evidence(scale) - nothing
     return later
 
 

@@ -257,7 +257,10 @@ def _answered(
     *fits, settled = settle(base, search, sample)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
-    decision = decide(fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample), axes=axes)
+    decision = decide(
+        fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample), axes=axes,
+        processes=search.processes,
+    )  # fmt: skip
     decision, doubts = sifted(decision, base)
     if doubts:
         settled = base_with(base, search.base.parameters, settled, doubts, sample, sample.thin(REFIT_LINES))

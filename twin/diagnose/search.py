@@ -152,7 +152,7 @@ def explain(
     there = _where_it_is(robot, search, best, sample, suspects, progress)
     if worth(best, there, search.base):
         _needed(robot, search, there, sample)
-    _about_the_same_axis(robot, search, sample)
+    _in_its_stead(robot, search, sample)
     return search
 
 
@@ -456,8 +456,12 @@ class _Place:
     worth: float = np.inf
 
 
-def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
-    """What turns the robot about an axis of a likely answer, in the stead of its piece and at convergence."""
+def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
+    """What turns the robot about an axis of a likely answer, in the stead of its piece and at convergence.
+
+    And what is simpler than a piece of the best answer that holds it, as a foundation without a mass of its own: beside
+    what was found after that piece, the simpler may do as well.
+    """
     free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
     axes, finalists = same_axes(robot, postures), search.finalists
     if not finalists:
@@ -466,19 +470,38 @@ def _about_the_same_axis(robot: Robot, search: Search, sample: Sample) -> None:
     likely = [best, *(fit for fit in others if len(fit.hypothesis.pieces) <= len(best.hypothesis.pieces))]
     least = max(search.base.evidence(), best.evidence() - LIKELY)
     for fit in [fit for fit in likely if fit.evidence() > least]:
-        for piece in [piece for piece in fit.hypothesis.pieces if piece.key in axes]:
+        for piece in fit.hypothesis.pieces:
+            instead = companions(piece, robot, described(free), postures)
+            hopeless = np.inf
+            if piece.key not in axes:
+                instead = [c for c in instead if fit is best and c.law and len(c.own) < len(piece.own)]
+                hopeless = best.cost + WITHIN * max(1.0, best.misfit)
             rest = [other for other in fit.hypothesis.pieces if other is not piece]
             there = {other.key for other in rest}  # both may be missing, but neither twice
-            for companion in [c for c in companions(piece, robot, described(free), postures) if c.key not in there]:
+            for companion in [c for c in instead if c.key not in there]:
                 hypothesis = together(*rest, companion)
                 known, parameters = search.fits.get(hypothesis.identity), hypothesis.parameters(free)
-                starts: tuple[FloatArray, ...] = (_taken_over(fit, [piece], companion, parameters),)
+                starts = [_taken_over(fit, [piece], companion, parameters)]
+                starts += [_brought(fit, one, parameters) for one in _with(search, companion)]
                 if known and known.parameters.names == parameters.names:
-                    starts = (*starts, known.z)
-                near = _nearly(robot, _Place(hypothesis, parameters, starts), few, np.inf)
-                found = _fully(robot, near, sample, np.inf)
+                    starts.append(known.z)
+                near = _nearly(robot, _Place(hypothesis, parameters, tuple(starts)), few, THINNED_COST * hopeless)
+                found = _fully(robot, near, sample, hopeless)
                 if known is None or found.cost < known.cost:
                     search.fits[hypothesis.identity] = found
+
+
+def _with(search: Search, piece: Hypothesis) -> list[Fitted]:
+    """The fit with most evidence that has a piece, if there is one."""
+    return [fit for fit in search.finalists if piece.key in fit.hypothesis.identity][:1]
+
+
+def _brought(fit: Fitted, other: Fitted, parameters: Parameters) -> FloatArray:
+    """Where a hypothesis starts whose numbers are those of a fit, and of another what that has not."""
+    values: dict[str, float] = {}
+    for one in (other, fit):
+        values |= dict(zip(written_names(one.parameters).names, one.values, strict=True))
+    return parameters.coordinates(np.array([values[name] for name in written_names(parameters).names], float))
 
 
 def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Sample) -> list[Fitted]:

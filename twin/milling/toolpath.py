@@ -229,11 +229,15 @@ def _gcode(text: str, path: Path) -> Toolpath:
             if code not in NO_MOVE:
                 raise InputError(path, f"line {number}", f"G{code:g} is not read; expected G0 to G3 and settings")
             motion = int(code) if code in (0, 1, 2, 3) else motion
+            if code in (20, 21) and len(found.line) and unit != (INCH, MM)[int(code) - 20]:
+                tell(path, f"line {number}", f"the unit changes to {('inches', 'mm')[int(code) - 20]} in the midst")
             unit = {20: INCH, 21: MM}.get(int(code), unit)
             relative = {90: False, 91: True}.get(int(code), relative)
             plane = PLANES.get(int(code), plane)
         if not any(a in values for a in "XYZIJ"):
             continue
+        if motion not in (2, 3) and (astray := [letter for letter in values if letter in "IJKR"]):
+            raise InputError(path, f"line {number}", f"{astray[0]}: belongs to an arc (G2 or G3), found G{motion}")
         target = here.copy()
         for k, letter in enumerate("XYZ"):
             if letter in values:

@@ -68,6 +68,12 @@ def _near(value: float) -> float:
     return value
 
 
+def _geared(value: float) -> float:
+    if value == 0:
+        raise ValueError("expected motor turns per joint turn, found 0; a drive without a gear has 1")
+    return value
+
+
 _Finite = Annotated[float, BeforeValidator(_is_number), Field(allow_inf_nan=False)]
 Number = Annotated[_Finite, _within("")]
 Positive = Annotated[_Finite, Field(gt=0), _within("", scale=True)]
@@ -90,7 +96,7 @@ Acceleration = Annotated[_Finite, Field(gt=0), _within("rad/s²", scale=True)]
 Torque = Annotated[_Finite, Field(gt=0), _within("N·m", scale=True)]
 Density = Annotated[_Finite, Field(ge=1, le=25_000)]  # kg/m³: foam to osmium
 Scale = Annotated[_Finite, Field(ge=1e-6, le=1e3)]  # of a mesh, to metres: µm to km
-Ratio = Annotated[_Finite, _within("motor turns per turn, rad/m on a linear axis", scale=True)]
+Ratio = Annotated[_Finite, AfterValidator(_geared), _within("motor turns per turn, rad/m on a linear axis", scale=True)]
 Coupling = Annotated[_Finite, Field(ge=-1e3, le=1e3)]  # of drives, rad per rad or per m
 Vector = tuple[Number, Number, Number]  # a direction
 Position = tuple[Place, Place, Place]

@@ -17,8 +17,11 @@ SMALLER = 30.0  # times: how much less inertia than a ball of that is certainly 
 FARTHER = 2.0  # times the reach, at which a link ends for certain
 LARGEST_TURN = 8 * np.pi  # rad: four turns
 FASTEST, SLOWEST = 100.0, 0.02  # rad/s of a joint: a degree a second
+BRISKEST, SLUGGISH = 1e4, 0.02  # rad/s²: a degree a second, after one
+STRONGEST, WEAKEST = 1e3, 1e-4  # times the weight at arm's length: a limit of torque; a wrist carries little of it
 GEARS = (0.1, 5000.0)  # motor turns per joint turn
 REFLECTED = 100.0  # times the inertia of all links at the robot's reach
+HEAVY_FOOT = 100.0  # times the mass of all links: a foot on a slab of concrete
 NO_LENGTH_M = 1e-9
 WIDEST_PRIOR = 100.0  # a factor that says nothing any more
 
@@ -35,6 +38,8 @@ def doubts(robot: Robot) -> list[tuple[str, str]]:
         found.append(("gravity", f"{np.linalg.norm(robot.gravity):.4g} m/s² is not that of the earth"))
     for i, link in enumerate(robot.links):
         found += [(f"links[{i}].{name}", text) for name, text in _of_link(link.inertial, reach)]
+    if robot.base.mass > HEAVY_FOOT * mass:
+        found.append(("base.mass", f"{robot.base.mass:g} kg, and the robot's links weigh {mass:.4g} kg"))
     for i, (axis, before) in enumerate(zip(robot.axes[1:], robot.axes, strict=False), start=1):
         along = abs(axis.a) < NO_LENGTH_M and abs(np.sin(np.deg2rad(axis.alpha_deg))) < NO_LENGTH_M
         if along and axis.type == before.type == "revolute":
@@ -52,8 +57,12 @@ def doubts(robot: Robot) -> list[tuple[str, str]]:
             found.append((f"{where}.limits.position", f"{low:g} … {high:g} rad are more than four turns: degrees?"))
         if turns and limits and limits.velocity and not SLOWEST <= limits.velocity <= FASTEST:
             found.append((f"{where}.limits.velocity", f"{limits.velocity:g} rad/s: is it in another unit?"))
-        if turns and limits and limits.torque and held and limits.torque > 1e3 * held:
-            text = f"{limits.torque:g} N·m, and its weight at arm's length makes {held:.3g}: is it in N·mm?"
+        if turns and limits and limits.acceleration and not SLUGGISH <= limits.acceleration <= BRISKEST:
+            text = f"{limits.acceleration:g} rad/s²: is it in another unit?"
+            found.append((f"{where}.limits.acceleration", text))
+        if turns and limits and limits.torque and held and not WEAKEST * held <= limits.torque <= STRONGEST * held:
+            slip = "is it in N·mm?" if limits.torque > held else "is it in kN·m, or a mass in g?"
+            text = f"{limits.torque:g} N·m, and its weight at arm's length makes {held:.3g}: {slip}"
             found.append((f"{where}.limits.torque", text))
         if turns and not GEARS[0] <= abs(drive.gear_ratio) <= GEARS[1]:
             found.append((f"drives[{i}].gear_ratio", f"{drive.gear_ratio:g} motor turns per joint turn"))

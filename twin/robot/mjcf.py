@@ -21,6 +21,7 @@ EQUIVALENT_HZ = 15.0
 """Structural damping is written as the viscous damper that dissipates as much at this frequency."""
 
 ROTOR_MASS = 1e-9  # kg: MuJoCo refuses moving bodies without mass; a link's mass already holds its motor's
+FLAT = 1e-9  # of the largest moment: MuJoCo finds principal axes to less
 FOOT_INERTIA = (
     0.1  # kg·m²: without any, base yaw and the collinear torsion of joint 1 would share a singular mass matrix
 )
@@ -216,6 +217,12 @@ def _defaults(spec: mujoco.MjSpec) -> None:
     hammer.actuator.gear = [0, 0, 1, 0, 0, 0]  # ctrl is the force along the site's z, N
 
 
+def _rounding(inertia: np.ndarray) -> float:
+    """What is added to each moment (kg·m²) of a body so flat that rounding lets one exceed the sum of the others."""
+    low, middle, high = np.linalg.eigvalsh(inertia)
+    return float(max(high * (1 + FLAT) - low - middle, 0.0))
+
+
 def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: bool) -> mujoco.MjsBody:
     item = parent.add_body(name=body.name, pos=body.position, quat=body.quaternion)
     if body.mass > 0 or body.joints:
@@ -223,7 +230,7 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
         item.mass = max(body.mass, ROTOR_MASS)
         item.ipos = body.com
         if np.trace(body.inertia) > 0:
-            item.fullinertia = inertia_six(body.inertia)
+            item.fullinertia = inertia_six(body.inertia + _rounding(body.inertia) * np.eye(3))
         else:
             item.inertia = [FOOT_INERTIA if body.kind == "base" else item.mass * 1e-3] * 3
     for joint in body.joints:
