@@ -153,7 +153,10 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
         out[:, axis] += run.filtered(torque)
     if effect.role == "friction" and np.any(state.sliding):
         axis = axis_of(entry.site)
-        if level := effect.turning(values, run.motion.velocity[:, axis]):
+        level: float | FloatArray = effect.turning(values, run.motion.velocity[:, axis])
+        if effect.refers:
+            level = level + effect.turning_under(values, run.filtered(np.abs(state.load[:, axis])))
+        if np.any(level):
             out[:, axis] += level * state.turning[:, axis] / max(state.sliding[axis], 1e-300)
         if level := effect.uneven(values):
             out[:, axis] += level * state.uneven[:, axis]

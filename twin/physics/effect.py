@@ -371,6 +371,10 @@ class Effect:
         """
         return 0.0
 
+    def turning_under(self, values: Values, load: np.ndarray) -> np.ndarray:
+        """The same, as it differs from its mean (m,) under ``load`` (m,) N·m (N), the size of what the gear transmits."""
+        return np.zeros_like(load)
+
     def uneven(self, values: Values) -> float:
         """Friction, N·m (N), that does not change sign with the direction but is held at rest, too."""
         return 0.0
