@@ -58,7 +58,7 @@ INWARDS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # shares of the way to the descri
 PRESLIDING_TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
 PRESLIDING = 0.5  # share of dry friction that does, per travel, common to all joints
-APART = 5e-4  # and of one joint alone
+APART = 5e-4  # and of one joint alone, of the kind (hinge or slide) that most of them are; another kind has its own
 ZERO = 0.005  # of its range: deviation of a current sensor's zero (0.2 to 1 % in data sheets of Hall sensors)
 DRIFT = 0.01  # of a joint's RMS torque: deviation of that zero from run to run
 
@@ -127,13 +127,19 @@ class Base:
             ]
         )
 
+    @cached_property
+    def apart(self) -> FloatArray:
+        """Prior deviation (n,) of the share of a joint's dry friction that turns round otherwise than that of all."""
+        return _apart(self.regressor.robot)
+
     def design(self, k: int, joint: int) -> FloatArray:
         """Torque (m, a) of a joint in run k per unit of the numbers that can act on it."""
         presliding = self.presliding[k][:, joint]
         offsets = np.broadcast_to(self.offset[joint, k], (len(presliding), len(self.runs)))
         rows = self.matrix[k][:, joint] @ self.spread
         return np.concatenate(
-            [rows, PRESLIDING * presliding, self.ripple[k][:, joint], APART * presliding, offsets], axis=1
+            [rows, PRESLIDING * presliding, self.ripple[k][:, joint], self.apart[joint] * presliding, offsets],
+            axis=1,
         )
 
     @property
@@ -150,7 +156,7 @@ class Base:
         common, own, alone = np.split(z[self.spread.shape[1] :][: travels + n * (orders + travels)],
                                       [travels, travels + n * orders])  # fmt: skip
         torque += np.einsum("mjo,jo->mj", self.ripple[k], own.reshape(n, orders))
-        shares = PRESLIDING * common + APART * alone.reshape(n, travels)
+        shares = PRESLIDING * common + self.apart[:, None] * alone.reshape(n, travels)
         turning, uneven = (np.einsum("mjt,jt->mj", part[k], shares) for part in (self.presliding, self.uneven))
         torque += turning
         load = on_dense(run, run.bodies[:, :, :links] @ (values[:links] + self.regressor.weights))
@@ -161,7 +167,16 @@ class Base:
                 load[:, axis] += values[column] * law
             elif roles[column] == "friction":
                 friction[:, axis] += values[column] * law
-        return State(torque, load, friction, turning, self.sliding, uneven, np.ones(n))
+        return State(torque, load, friction, turning, self.sliding, self._excess(values), uneven, np.ones(n))
+
+    def _excess(self, values: FloatArray) -> FloatArray:
+        """Dry friction (n,) of the regressor's values (p,) less ``sliding``; none where the description has none."""
+        dry = np.full(len(self.sliding), np.nan)
+        for column, value in zip(self.regressor.columns, values, strict=False):
+            name, _, place = column.name.partition("@")
+            if column.group == "entry" and effect_named(name).part == "dry":
+                dry[axis_of(place.partition(".")[0])] = value
+        return np.where(np.isnan(dry) | (self.sliding == 0), 0.0, dry - self.sliding)
 
 
 def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | None = None) -> Base:
@@ -195,7 +210,7 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
         none.append(np.zeros((*run.torque.shape, len(PRESLIDING_TRAVELS["revolute"]))))
         angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
         ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
-    own = [*others, *_ordinary(runs, sizes, offset)]
+    own = [*others, *_ordinary(runs, sizes, offset, _apart(robot))]
     parameters = join(Parameters(tuple(links), covariance), independent(own))
     base = Base(
         regressor, list(runs), matrices, known, np.pad(regressor.described, (0, len(numbers))), spread, parameters,
@@ -250,12 +265,19 @@ def _other_parameters(
     return found
 
 
-def _ordinary(runs: Sequence[Run], waves: FloatArray, offset: FloatArray) -> list[Parameter]:
+def _apart(robot: Robot) -> FloatArray:
+    """See :attr:`Base.apart`."""
+    types = [axis.type for axis in robot.axes]
+    usual = max(dict.fromkeys(types), key=types.count)
+    return np.array([APART if one == usual else PRESLIDING for one in types])
+
+
+def _ordinary(runs: Sequence[Run], waves: FloatArray, offset: FloatArray, apart: FloatArray) -> list[Parameter]:
     """What every drive and recording has: presliding alike at all joints, waves, presliding of one joint, offsets."""
     joints = range(1, len(offset) + 1)
     slides = [
         Parameter(f"ordinary_presliding{where}.travel{k + 1}", "1", "gain", False, 0.0, width)
-        for where, width in (("", PRESLIDING), *((f"@joint{j}", APART) for j in joints))
+        for where, width in (("", PRESLIDING), *((f"@joint{j}", float(apart[j - 1])) for j in joints))
         for k in range(len(PRESLIDING_TRAVELS["revolute"]))
     ]
     ripple = [
@@ -914,7 +936,7 @@ def with_presliding(system: System, z: FloatArray, robot: Robot, slight: float =
         moved = np.concatenate([r.motion.velocity[:, j] for r in base.runs])
         here = [e for e in found if axis_of(e.site) == j]
         level = base.sliding[j] + sum(CATALOGUE[e.effect].turning(e.values, moved) for e in here)
-        share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + APART * own)
+        share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + base.apart[j] * own)
         ends, torque = _slip_elements(PRESLIDING_TRAVELS[base.regressor.robot.axes[j].type], share)
         coulomb = dry_level(physics[dry])
         turned = (CATALOGUE[e.effect].shared_dry(robot.values(e)) for e in physics)

@@ -36,6 +36,7 @@ class State:
         load, friction: (nt, n) on the dense clock.
         turning: (m, n) of the torque, how ordinary friction turns round; in proportion to friction as it was recorded.
         sliding: (n,) N·m (N), dry friction that does so.
+        excess: (n,) N·m (N), dry friction of the model less that, of which no law that varies with load or time knows.
         uneven: (m, n) the same of what friction has alike in both directions, per unit: at rest it holds, too.
         gain, delay, lag: of the recording: torque constants (n,), or (m, n) of motors that warm; lateness s; time
             constant of a low-pass of first order, s.
@@ -46,6 +47,7 @@ class State:
     friction: FloatArray
     turning: FloatArray = field(default_factory=lambda: np.zeros(1))
     sliding: FloatArray = field(default_factory=lambda: np.zeros(1))
+    excess: FloatArray = field(default_factory=lambda: np.zeros(1))
     uneven: FloatArray = field(default_factory=lambda: np.zeros(1))
     gain: FloatArray = field(default_factory=lambda: np.ones(1))
     delay: float = 0.0
@@ -101,6 +103,8 @@ def add(run: Run, state: State, entry: Entry) -> None:
         state.gain, state.delay, state.lag = _recording(run, state, entry, entry.values)
         return
     extra = _law_torque(run, state, entry, entry.values)
+    if _varies(effect):
+        state.excess[axis_of(entry.site)] = 0.0
     if effect.weight(entry.values) is not None:
         state.load[...] += on_dense(run, extra)
     elif effect.role != "drive":
@@ -151,16 +155,27 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
     motion = replace(run.dense, load=state.load, friction=state.friction) if effect.steps else run.smooth
     for axis, torque in effect.felt(motion, entry.site, values).items():
         out[:, axis] += run.filtered(torque)
-    if effect.role == "friction" and np.any(state.sliding):
+    if not np.any(state.sliding):
+        return out
+    level: float | FloatArray = 0.0
+    if _varies(effect):
         axis = axis_of(entry.site)
-        level: float | FloatArray = effect.turning(values, run.motion.velocity[:, axis])
-        if effect.refers:
-            level = level + effect.turning_under(values, run.filtered(np.abs(state.load[:, axis])))
-        if np.any(level):
-            out[:, axis] += level * state.turning[:, axis] / max(state.sliding[axis], 1e-300)
-        if level := effect.uneven(values):
-            out[:, axis] += level * state.uneven[:, axis]
+        rows = replace(run.motion, load=run.filtered(state.load))
+        dry = float(state.sliding[axis] + state.excess[axis])
+        level = state.excess[axis] + effect.turning_under(values, rows, entry.site, dry)
+    elif effect.role == "friction":
+        axis = axis_of(entry.site)
+        level = effect.turning(values, run.motion.velocity[:, axis])
+        if even := effect.uneven(values):
+            out[:, axis] += even * state.uneven[:, axis]
+    if np.any(level):
+        out[:, axis] += level * state.turning[:, axis] / max(state.sliding[axis], 1e-300)
     return out
+
+
+def _varies(effect: Effect) -> bool:
+    """Whether dry friction that turns round differs with load or time by an effect."""
+    return type(effect).turning_under is not Effect.turning_under
 
 
 def delayed(torque: FloatArray, run: Run, delay: float, lag: float = 0.0) -> FloatArray:

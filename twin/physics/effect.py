@@ -371,9 +371,9 @@ class Effect:
         """
         return 0.0
 
-    def turning_under(self, values: Values, load: np.ndarray) -> np.ndarray:
-        """The same as it varies (m,) with ``load`` (m,) N·m (N), the size through the gear, about its mean."""
-        return np.zeros_like(load)
+    def turning_under(self, values: Values, motion: "Motion", site: str, dry: float) -> np.ndarray:
+        """Dry friction (nt,), N·m (N), that turns round beside ``dry``, the joint's own, by load or time."""
+        return np.zeros(len(motion.time))
 
     def uneven(self, values: Values) -> float:
         """Friction, N·m (N), that does not change sign with the direction but is held at rest, too."""

@@ -32,6 +32,9 @@ class FrictionDrift(Effect):
         starts = [[0.0, T] for T in (30.0, 100.0, 250.0, 600.0, 1500.0)]
         return [Suspected({"amplitude": 0.0, "time_constant": 300.0}, own, starts)]
 
+    def turning_under(self, values: Values, motion: "Motion", site: str, dry: float) -> np.ndarray:
+        return np.asarray(values["amplitude"] * np.exp(-motion.time / values["time_constant"]) * dry)
+
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)
         return {i: values["amplitude"] * np.exp(-motion.time / values["time_constant"]) * motion.friction[:, i]}

@@ -31,8 +31,8 @@ class LoadDependentFriction(Effect):
         size = Prior("coefficient", view.size({"coefficient": 1.0}))
         return [Suspected({"coefficient": 0.0}, [size], [[0.0]], passive=True)]
 
-    def turning_under(self, values: Values, load: np.ndarray) -> np.ndarray:
-        return np.asarray(values["coefficient"] * (load - load.mean()))
+    def turning_under(self, values: Values, motion: "Motion", site: str, dry: float) -> np.ndarray:
+        return np.asarray(values["coefficient"] * np.abs(motion.load[:, axis_of(site)]))
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)
