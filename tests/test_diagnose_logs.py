@@ -562,6 +562,19 @@ def test_friction_that_follows_the_load_feels_a_payload_that_is_found_beside_it(
     assert low < 0.05 < high
 
 
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "friction_drift@joint2:amplitude=0.8,time_constant=40",
+        pytest.param("load_dependent_friction@joint2:coefficient=0.06", marks=pytest.mark.slow),
+    ],
+)
+def test_what_varies_dry_friction_varies_how_it_turns_round(tmp_path: Path, kr90: Robot, effect: str) -> None:
+    """Bristles carry as much as friction does just then; else slip or asymmetry was named beside it."""
+    found = diagnose_log(recorded(tmp_path, "--friction", "lugre", "--effect", effect), kr90)
+    assert [m.first.key for m in found.missing] == [effect.partition(":")[0]]
+
+
 def test_a_ripple_has_one_amplitude_and_phase(tmp_path: Path, kr90: Robot) -> None:
     """−A sin(φ) is A sin(φ ± π): the amplitude is given above zero."""
     log = recorded(tmp_path, "--effect", "torque_ripple@joint2:amplitude=30,order=16,phase=-2.5")
