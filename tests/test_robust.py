@@ -527,9 +527,11 @@ def test_a_node_that_is_struck_has_a_place(tmp_path: Path, frf: Path) -> None:
     write_uff(tmp_path / "a.unv", read_campaign(frf))
     text = (tmp_path / "a.unv").read_text().splitlines(keepends=True)
     nodes = text.index(next(line for line in text if line.strip() == "15"))
-    (tmp_path / "a.unv").write_text("".join(text[: nodes + 1] + text[nodes + 2 :]))
-    with pytest.raises(InputError, match=r"node 1: expected its coordinates in the data set of nodes"):
-        read_uff(tmp_path / "a.unv")
+    end = next(k for k in range(nodes, len(text)) if text[k].strip() == "-1")
+    for first, last in ((nodes + 1, nodes + 2), (nodes - 1, end + 1)):  # a node of them; the whole set
+        (tmp_path / "a.unv").write_text("".join(text[:first] + text[last:]))
+        with pytest.raises(InputError, match=r"node 1: expected its coordinates in a data set of nodes"):
+            read_uff(tmp_path / "a.unv")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """``twin describe``: a URDF or MJCF and a data sheet in; a robot that can be simulated, fitted and diagnosed out."""
 
 import re
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.errors import InputError, tell
+from twin.errors import InputError, Told, tell
 from twin.provenance import provenance, write_json
 from twin.result import Result, written
 from twin.robot.complete import complete
@@ -198,7 +199,9 @@ def _write(found: Described, chain: Chain, name: Outputs) -> None:
                 setattr(holder, "mesh" if kind == "visual" else kind, file)
     target = name("robot.yaml")
     save_robot(target, robot)
-    found.robot = load_robot(target)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Told)  # told once, of the file where it ends
+        found.robot = load_robot(target)
     save_mjcf(name("robot.xml"), build_spec(found.mechanism))
     name.report(found)
     path = name("describe.json")

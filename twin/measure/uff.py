@@ -96,12 +96,11 @@ def read_uff(
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     source = files[0]
     groups: dict[str, _Functions] = {}
-    nodes, placed = dict(points or {}), False
+    nodes = dict(points or {})
     lines: list[tuple[int, ...]] = []
     for file in files:
         for number, dataset in _datasets(file).items():
             if dataset.get("type") in (15, 2411) and points is None:
-                placed = True
                 nodes |= _points(file, number, dataset)
             elif dataset.get("type") == 82:
                 lines += _polylines(dataset["nodes"])
@@ -125,10 +124,9 @@ def read_uff(
         raise InputError(source, "", "expected data sets 58 with frequency response functions, there is none")
     response, excitation = _labels(groups.values(), 0), _labels(groups.values(), 1)
     bodies = {node: body for group in groups.values() for node, body in group.bodies.items()}
-    if placed and (lost := sorted(set(bodies) - set(nodes))):
-        raise InputError(
-            source, f"node {lost[0]}", "expected its coordinates in the data set of nodes, they are missing"
-        )
+    if points is None and (lost := sorted(set(bodies) - set(nodes))):
+        problem = "expected its coordinates in a data set of nodes (15 or 2411), they are missing"
+        raise InputError(source, f"node {lost[0]}", problem)
     for one, body in bodies.items():
         if points and one in points and points[one].body != body:
             text = f"expected one body, found {body} in the file and {points[one].body} in the map"

@@ -55,6 +55,13 @@ class Payload(Effect):
         """The link's own mass. A payload on the last link is one at the flange, under whose name it is sought."""
         return [Companion("parameter", f"link{self.carrier(robot, site) + 1}.mass")]
 
+    def merged(self, robot: "Robot", site: str, values: Values, other: str, place: str) -> list[Companion]:
+        """Beside a link whose own inertia is off: a body with an inertia of its own, on a link as described."""
+        if other != "parameter" or place != f"link{self.carrier(robot, site) + 1}.inertia" or values.get("inertia"):
+            return []
+        cube, _ = self._cube(robot, site, values["mass"])
+        return [Companion(self.name, site, {**values, "inertia": [cube] * 3})]
+
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if values["mass"] > 0:
             body = f"link{self.carrier(mechanism.robot, site) + 1}"
