@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 from tools.fuzz import seeds
 from twin.errors import InputError, Told
 from twin.measure.campaign import read_campaign
-from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log, write_motion_log
+from twin.measure.motion_log import MotionLog, MotionRun, check_against, read_motion_log, write_motion_log
 from twin.milling.toolpath import read_toolpath
 from twin.robot.description import load_robot
 from twin.robot.urdf import read_urdf
@@ -323,3 +324,11 @@ def test_a_tool_path_tells_what_is_not_read(tmp_path: Path, name: str, text: str
     (tmp_path / name).write_text(text)
     with pytest.warns(Told, match=said):
         read_toolpath(tmp_path / name)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e-6, "kN·m"), (1e4, "N·mm")])
+def test_a_torque_that_no_robot_of_its_weight_has_is_told(folder: Path, factor: float, unit: str) -> None:
+    log, robot = read_motion_log(folder / "log.h5"), load_robot(folder / "two.yaml")
+    runs = {name: replace(run, torque=factor * run.torque) for name, run in log.runs.items() if run.torque is not None}
+    with pytest.warns(Told, match=f"path: torque.* look like {unit}"):
+        check_against(replace(log, runs=runs), robot)

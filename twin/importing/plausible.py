@@ -11,8 +11,8 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.identify.rigid_compare import compare_log
-from twin.measure.campaign import Campaign, FloatArray
-from twin.measure.motion_log import MotionLog, MotionRun, check_against
+from twin.measure.campaign import Campaign
+from twin.measure.motion_log import MotionLog, MotionRun, check_against, torque_slip, weight_felt
 from twin.measure.units import INCH_M, POUND_FORCE_N, STANDARD_GRAVITY, measure
 from twin.robot.description import Robot
 
@@ -49,23 +49,10 @@ def check_log(log: MotionLog, robot: Robot | None, position: str = "rad", torque
     if robot is None:
         return
     check_against(log, robot)
-    held = _held(robot)
-    if not held.all():
+    if not weight_felt(robot).all():
         return
-    for name, run in log.runs.items():
-        if run.torque is None:
-            continue
-        largest = np.abs(run.torque).max(axis=0)
-        worst = int(np.argmax(largest / held))
-        unit, arm = ("N·m", " at arm's length") if robot.axes[worst].type == "revolute" else ("N", "")
-        expected = f"the robot's weight{arm} makes {held[worst]:.3g}; these look like "
-        if largest[worst] > 30 * held[worst]:
-            expected += "N·mm" if arm else "mN"
-        elif largest[worst] < held[worst] / 1000:
-            expected += f"k{unit}, or like torque at the motor (factor: the gear ratio)"
-        else:
-            continue
-        raise InputError(log.source, f"{name}: torque", f"reaches {largest[worst]:.4g} {unit}; {expected}")
+    if found := torque_slip(log, robot):
+        raise InputError(log.source, *found)
     _check_slips(log, robot, _slips(position, torque))
 
 
@@ -109,14 +96,6 @@ def _check_slips(log: MotionLog, robot: Robot, slips: dict[tuple[float, float], 
             f"torques miss those of {robot.name} as described by {declared:.0%}, otherwise by {found[likely]:.0%}: "
             f"{slips[likely]}",
         )  # fmt: skip
-
-
-def _held(robot: Robot) -> FloatArray:
-    """What the moving links' weight would ask of each axis (n,): N on a slide; N·m on a hinge, at half the reach."""
-    weight = STANDARD_GRAVITY * sum(link.inertial[0] for link in robot.links)
-    reach = sum(float(np.hypot(axis.a, axis.d)) for axis in robot.axes)
-    reach += float(np.linalg.norm(robot.flange.position))
-    return np.array([weight * (reach / 2 if axis.type == "revolute" else 1.0) for axis in robot.axes])
 
 
 def check_campaign_units(campaign: Campaign, robot: Robot | None) -> None:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.files import writing
 from twin.measure.campaign import FloatArray, twice
 from twin.measure.hdf5 import Node, created, opened
 from twin.measure.signals import resample
+from twin.measure.units import STANDARD_GRAVITY
 from twin.ranges import check_array, ill_named, implausible
 
 if TYPE_CHECKING:
@@ -480,6 +481,36 @@ def check_against(log: MotionLog, robot: "Robot") -> None:
             else:
                 expected = f"its limits are {low:.4g} … {high:.4g}, {speed:.3g} per s (rad, m)"
             raise InputError(log.source, f"runs/{name}/position", f"{found}; {expected}")
+    if told := torque_slip(log, robot):
+        tell(log.source, *told)
+
+
+def torque_slip(log: MotionLog, robot: "Robot") -> tuple[str, str] | None:
+    """Field and text where a torque is far from what the robot's weight asks for, and what unit it looks like."""
+    held = weight_felt(robot)
+    for name, run in log.runs.items():
+        if run.torque is None or not held.all():
+            continue
+        largest = np.abs(run.torque).max(axis=0)
+        worst = int(np.argmax(largest / held))
+        unit, arm = ("N·m", " at arm's length") if robot.axes[worst].type == "revolute" else ("N", "")
+        expected = f"the robot's weight{arm} makes {held[worst]:.3g}; these look like "
+        if largest[worst] > 30 * held[worst]:
+            expected += "N·mm" if arm else "mN"
+        elif largest[worst] < held[worst] / 1000:
+            expected += f"k{unit}, or like torque at the motor (factor: the gear ratio)"
+        else:
+            continue
+        return f"{name}: torque", f"reaches {largest[worst]:.4g} {unit}; {expected}"
+    return None
+
+
+def weight_felt(robot: "Robot") -> FloatArray:
+    """What the moving links' weight would ask of each axis (n,): N on a slide; N·m on a hinge, at half the reach."""
+    weight = STANDARD_GRAVITY * sum(link.inertial[0] for link in robot.links)
+    reach = sum(float(np.hypot(axis.a, axis.d)) for axis in robot.axes)
+    reach += float(np.linalg.norm(robot.flange.position))
+    return np.array([weight * (reach / 2 if axis.type == "revolute" else 1.0) for axis in robot.axes])
 
 
 def _read_csv(path: Path) -> MotionLog:
