@@ -122,7 +122,7 @@ def diagnose_log(
             *prepared.notes, *faults, *not_sought(robot), *map(_restless, restless), *_told_apart(search),
             *_narrow(search), *_bodies(prepared, search, errors),
         ],
-        fit=after, finalists=_finalists(search, found_plays), foretold=search.foretold,
+        fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
         following=partial(_following, search.system, after, gaps),
     )  # fmt: skip

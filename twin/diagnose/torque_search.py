@@ -160,7 +160,8 @@ class Search:
         other: the joint where something without a name is likeliest, and the probability that it is there.
         law: what was discovered there, with the joint it is at.
         aside: the base model's columns on the rows kept aside, where there are any.
-        foretold: χ² per datum of the rows kept aside under all that was found, doubt of its numbers beside their noise.
+        foretold: χ² per datum of the rows kept aside under all that was found, doubt of its numbers beside their noise;
+            ``bare`` the same under the base model.
         narrow: times as wide as described the tolerances of the description were taken in the end.
     """
 
@@ -175,6 +176,7 @@ class Search:
     law: tuple[int, Trial, Fitted] | None = None
     aside: Base | None = None
     foretold: float = 0.0
+    bare: float = 0.0
     narrow: float = 1.0
 
     @property
@@ -243,7 +245,8 @@ def explain(
     system = with_doubts(_all_grown(steps, system, judge))
     left = free_gains(system, processes)
     search = Search(plain, steps[0], steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
-    search.foretold = judge.misfit(system, search.after) if judge else 0.0
+    if judge:
+        search.foretold, search.bare = judge.misfit(system, search.after), judge.misfit(plain, steps[0].base)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:

@@ -122,7 +122,8 @@ class Finding:
         finalists: what the answer was chosen from, as :func:`twin.diagnose.decide.finalists` has it.
         gain: ln likelihood that the answer of a hammer test gains over the base model, all angles of postures free;
             ``None``: as the records have it.
-        foretold: χ² per datum of what was held out, doubt of the model's numbers beside its noise; 0 where not known.
+        foretold: χ² per datum of what was held out, doubt of the base model's numbers beside its noise; 0 where not
+            known.
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
         damping: how well the answer foretells damping in postures that were held out.
     """
