@@ -25,6 +25,7 @@ from twin.robot.mechanism import Mechanism
 UNITS = {"receptance": "m/N", "mobility": "m/(s·N)", "accelerance": "m/(s²·N)"}
 PALETTE = ("#1f4e9c", "#e8590c", "#1098ad", "#7048a8", "#f0a202", "#846358", "#343a40", "#c77dbb")
 """Curves of one kind, told apart without red against green."""
+WHITE_ON = 0.7  # of a scale of blues: below, black letters are told better
 
 _CURVES: tuple[dict[str, Any], ...] = (
     {"color": "#1f4e9c", "linewidth": 2.0},
@@ -256,7 +257,7 @@ def replay(
             difference = given[curve][:, i] - given[reference][:, i]
             residual.plot(time, difference, **_TORQUES[curve])
             rms = float(np.sqrt(np.mean(difference**2)))
-            texts.append(f"{curve}: {rms:.3g} {unit} rms" + (f", {rms / scale:.1%}" if scale else ""))
+            texts.append(f"{curve}: {rms:.3g} {unit} rms" + (f", {100 * rms / scale:.1f} %" if scale else ""))
         torque.set_ylabel(f"{name}, {unit}", fontsize=9)
         residual.set_ylabel(f"residual, {unit}", fontsize=9)
         residual.set_title("   ".join(texts), loc="right", fontsize=8, pad=2)

@@ -155,6 +155,7 @@ def _environment() -> Environment:
     environment.filters["small"] = _small
     environment.filters["as_script"] = _as_script
     environment.filters["breakable"] = _breakable
+    environment.filters["told"] = _told
     return environment
 
 
@@ -179,7 +180,13 @@ def _small(image: Path) -> bool:
 
 def _breakable(cell: object) -> Markup:
     """A long name may break after its underscores, dots and at-signs, not inside a word."""
-    return Markup(re.sub(r"(?<=[a-z0-9\]][_.@])(?=[a-z])", "<wbr>", str(escape(cell))))
+    return Markup(re.sub(r"(?<=[a-z0-9\]][_.@])(?=[a-z])", "<wbr>", str(_told(cell))))
+
+
+def _told(text: object) -> Markup:
+    """A percent sign stays with its number, a space before it; an option stays whole."""
+    bound = re.sub(r"(?<=\d) ?%", "\u00a0%", str(escape(text)))
+    return Markup(re.sub(r"(?<!\S)--[a-z-]+", r'<span class="option">\g<0></span>', bound))
 
 
 def _as_script(data: dict[str, Any]) -> str:
