@@ -372,7 +372,7 @@ class Effect:
         return 0.0
 
     def turning_under(self, values: Values, load: np.ndarray) -> np.ndarray:
-        """The same as it varies (m,) with ``load`` (m,) N·m (N), the size of what the gear transmits, about its mean."""
+        """The same as it varies (m,) with ``load`` (m,) N·m (N), the size through the gear, about its mean."""
         return np.zeros_like(load)
 
     def uneven(self, values: Values) -> float:
