@@ -99,8 +99,7 @@ class Identified(Result):
         consistent = found.base.combine @ self.found.parameters
         rows = [
             (
-                name, f"{found.value[k]:.5g}", "{:.5g} … {:.5g}".format(*found.interval90[k]),
-                f"{described[k]:.5g}", f"{consistent[k]:.5g}", found.base.units[k],
+                name, *_as_sure(found.interval90[k], found.value[k], described[k], consistent[k]), found.base.units[k],
                 "" if found.identifiable[k] else "not identifiable from this log",
             )
             for k, name in enumerate(found.base.names)
@@ -158,6 +157,15 @@ class Identified(Result):
 def _two(value: float) -> str:
     """Two digits, without a power of ten where plain digits do."""
     return f"{float(f'{value:.2g}'):g}"
+
+
+def _as_sure(interval: np.ndarray, value: float, *others: float) -> tuple[str, ...]:
+    """Value, interval and what stands beside them, to two digits of half of the interval's width, five at most."""
+    low, high = interval
+    half = float(high - low) / 2
+    last = 1 - int(np.floor(np.log10(half))) if np.isfinite(half) and half > 0 else 12
+    value_, low_, high_, *rest = (f"{round(float(v), last) + 0.0:.5g}" for v in (value, low, high, *others))
+    return value_, f"{low_} … {high_}", *rest
 
 
 def identify(

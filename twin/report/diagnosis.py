@@ -39,7 +39,7 @@ RIM = 2.5  # points by which before is larger, to be seen where after is the sam
 NARROW = 0.015  # of an axis: an interval that a dot hides
 _BANDS, _FINE_BANDS = 48, 96  # of frequency, in the picture and in the map one can zoom
 _ROWS = 40  # channels at most of a posture's map: those that miss most
-_COLOURS = 32
+_COLOURS, _DARKEST = 32, 0.8  # darker colours would be lost on a dark page
 FREED = {
     "frf-campaign": "gain in ln evidence, if this spring may have any law",
     "motion-log": "gain in ln evidence, if this joint has any torque over position and velocity",
@@ -48,7 +48,7 @@ FREED = {
 """What the picture of sites says of each kind of recording."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CAPTIONS = {
-    "probabilities.png": "Probabilities, of nothing missing and of something without a name, too.",
+    "probabilities.png": "Probability of each answer.",
     "errors.png": "Error of every posture or run under the three models. The bar is the noise.",
     "overlay.png": "FRF where the answer shows best, used and held out; below, phase and residual.",
     "torque.png": "Torque where the answer shows best: recorded, before and after, and the residuals.",
@@ -358,7 +358,7 @@ def mismatch_map(records: Sequence[FrfRecord]) -> Map:
         "Residual over noise (RMS), before and after, in one scale of colours; 1 is noise alone. Of a posture the "
         f"{_ROWS} channels at most that miss most. Arrow keys move from cell to cell."
     )
-    colours = [to_hex(colormaps["magma_r"](k / (_COLOURS - 1))) for k in range(_COLOURS)]
+    colours = [to_hex(colormaps["magma_r"](_DARKEST * k / (_COLOURS - 1))) for k in range(_COLOURS)]
     return Map(caption, noise, panels, (0.7, max(10.0, top)), colours)
 
 

@@ -146,14 +146,17 @@ def frf_matrix(
 def standing(mechanism: Mechanism) -> Figure:
     """The robot at rest in its posture."""
     stage = scene.stage(mechanism)
-    figure = Figure(figsize=(6.0, 5.4), layout="constrained")
+    width = 4.4  # inches: whole on a telephone
+    figure = Figure(figsize=(width, width), layout="constrained")
     ax = figure.subplots()
     ax.set_axis_off()
     at = scene.poses(stage, stage.rest[None])
     _draw(ax, stage, at, _camera(scene.sight(stage)), dict.fromkeys(stage.bodies, "#b8bcc4"), 1.0)
     _same_limits([ax])
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
-    figure.set_figheight(float(np.clip(6.0 * (high - low) / (right - left), 2.0, 5.4)))  # no wider frame than it needs
+    figure.set_figheight(
+        float(np.clip(width * (high - low) / (right - left), 0.4 * width, width))
+    )  # no wider frame than it needs
     return figure
 
 
@@ -344,16 +347,18 @@ def _same_limits(axes: Iterable[Axes], wide: float = 0.0) -> None:
 
 
 def _mark_modes(ax: Axes, modes_hz: np.ndarray, frequency: np.ndarray) -> None:
-    """Frequencies above the panel, pushed apart where they would overlap."""
+    """Frequencies above the panel, pushed apart where they would overlap, each led to from its line."""
     shown = modes_hz[(modes_hz >= frequency[0]) & (modes_hz <= frequency[-1])]
     span = np.log(frequency[-1] / frequency[0])
     place = np.log(shown / frequency[0]) / span
+    lines = place.copy()
     for k in range(1, len(place)):
         place[k] = max(place[k], place[k - 1] + 0.045)
-    for x, f in zip(place, shown, strict=True):
+    for line, x, f in zip(lines, place, shown, strict=True):
+        ax.plot([line, x], [1.0, 1.04], transform=ax.transAxes, color=_GREY, linewidth=0.7, clip_on=False)
         ax.text(
             x,
-            1.02,
+            1.05,
             f"{f:.1f}",
             transform=ax.transAxes,
             rotation=90,

@@ -91,7 +91,7 @@ def mac_matrices(
     matrices: Mapping[str, FloatArray], measured: Mapping[str, Sequence[float]], model: Mapping[str, Sequence[float]]
 ) -> Figure:
     """MAC of measured (rows) and model's (columns) modes, one panel per posture, frequencies in Hz on the axes."""
-    axes, figure = _panels(len(matrices), 4, (3.6, 3.3))
+    axes, figure = _panels(len(matrices), 3, (3.6, 3.3))
     for ax, (posture, matrix) in zip(axes, matrices.items(), strict=True):
         ax.imshow(matrix, vmin=0, vmax=1, cmap="Blues")
         for i, j in np.ndindex(matrix.shape):

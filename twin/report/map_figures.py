@@ -215,7 +215,9 @@ def _plain(axis: Any) -> None:
     """1, 2 and 5 of every decade, or even steps where that leaves few, as people write them."""
     low, high = axis.get_view_interval()
     wide = high > 8 * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20) if wide else MaxNLocator(6))
+    axis.set_major_locator(
+        LogLocator(subs=(1.0, 2.0, 5.0), numticks=20) if wide else MaxNLocator(7, steps=[1, 2, 5, 10])
+    )
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
