@@ -160,12 +160,16 @@ def _two(value: float) -> str:
 
 
 def _as_sure(interval: np.ndarray, value: float, *others: float) -> tuple[str, ...]:
-    """Value, interval and what stands beside them, to two digits of half of the interval's width, five at most."""
-    low, high = interval
-    half = float(high - low) / 2
-    last = 1 - int(np.floor(np.log10(half))) if np.isfinite(half) and half > 0 else 12
-    value_, low_, high_, *rest = (f"{round(float(v), last) + 0.0:.5g}" for v in (value, low, high, *others))
-    return value_, f"{low_} … {high_}", *rest
+    """Value, interval and what stands beside them, to two digits of half of the interval's width, or of their own."""
+    half = float(interval[1] - interval[0]) / 2
+
+    def shown(number: float) -> str:
+        if not number or not (np.isfinite(half) and half > 0):
+            return f"{number:.5g}"
+        digits = int(np.floor(np.log10(abs(number))) - np.floor(np.log10(half)))
+        return f"{number:.{int(np.clip(2 + digits, 2, 5))}g}"
+
+    return shown(value), " … ".join(map(shown, interval)), *map(shown, others)
 
 
 def identify(

@@ -268,7 +268,7 @@ class Verdict(Result):
             answers.append((missing.first.title, f"{missing.probability:.2f}"))
             answers += [(f"or {rival.title}", f"{p:.2f}") for rival, p in missing.rivals]
         answers.append(("nothing missing", f"{self.none:.2f}"))
-        answers += [("a known effect, none clear", f"{self.unclear:.2f}")] if self.unclear else []
+        answers += [("something known but not clear", f"{self.unclear:.2f}")] if self.unclear else []
         answers.append(("something else", f"{self.other:.2f}"))
         numbers = [(m.first.title, row) for m in self.missing for row in parameter_rows(m.first.parameters)]
         errors = [
@@ -292,7 +292,7 @@ class Verdict(Result):
                 lines.append(f"      torque {missing.first.formula}")
             lines += [f"  or {rival.title}   probability {p:.2f}" for rival, p in missing.rivals]
             lines.append(f"  {missing.evidence}")
-        unclear = f"a known effect, none clear, {self.unclear:.2f}, " if self.unclear else ""
+        unclear = f"something known but not clear {self.unclear:.2f}, " if self.unclear else ""
         lines.append(f"  nothing missing {self.none:.2f}, {unclear}something else {self.other:.2f}")
         for finding in self.findings:
             if len(self.findings) > 1:

@@ -165,7 +165,7 @@ def probabilities(verdict: Verdict) -> Figure:
     panels: list[tuple[str, list[tuple[str, float, str]]]] = []
     others = [("nothing missing", verdict.none), ("something else", verdict.other)]
     if verdict.unclear:
-        others.insert(1, ("a known effect,\nnone clear", verdict.unclear))
+        others.insert(1, ("something known,\nbut not clear", verdict.unclear))
     rest = [(name, p, "#8a8f98") for name, p in others]
     for number, missing in enumerate(verdict.missing):
         bars = [(f"{missing.first.effect}\n{missing.first.site}", missing.probability, COLOURS["after"])]
@@ -671,9 +671,9 @@ def lead(verdict: Verdict) -> str:
 
 def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     """The parts of the page; ``drawn``: file name → PNG."""
-    unclear = f"a known effect, none of them clear, {verdict.unclear:.2f}, " if verdict.unclear else ""
+    unclear = f" Something known but not clear: {verdict.unclear:.2f}." if verdict.unclear else ""
     probable = [
-        f"Nothing missing {verdict.none:.2f}, {unclear}something without a name here {verdict.other:.2f}. "
+        f"Nothing missing: {verdict.none:.2f}.{unclear} Something without a name here: {verdict.other:.2f}. "
         "Probabilities are calibrated on development cases: of answers given 0.9, nine in ten are right."
     ]
     found = [

@@ -203,7 +203,7 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float
                 *tail.T, *(head - tail).T, angles="xy", scale_units="xy", scale=1, width=0.004,
                 color="#1f4e9c", edgecolor="white", linewidth=0.4, zorder=5,
             )  # fmt: skip
-        dominant = ", ".join(f"{name} {value:.0%}" for name, value in modes.dominant(k))
+        dominant = ", ".join(f"{name} {100 * value:.0f} %" for name, value in modes.dominant(k))
         ax.set_title(f"{scene.mode_title(modes, k)}; drawn ± {1e3 * size.motion:.0f} mm\n{dominant}", fontsize=8)
     _same_limits(axes[:number], wide=1.35)  # as wide as the titles
     shown = list(axes[:number])

@@ -18,7 +18,7 @@ from PIL import Image
 from twin.files import writing
 from twin.table import Table
 
-LONG = 22  # letters: a name that may break
+SHORT = 22  # letters: a name that paper has room for
 SMALL = 700  # pixels: legible at half of a page's width
 
 
@@ -180,10 +180,9 @@ def _small(image: Path) -> bool:
 
 
 def _breakable(cell: object) -> Markup:
-    """A long name may break after its underscores, dots and at-signs, not inside a word."""
-    if len(str(cell)) < LONG:
-        return _told(cell)
-    return Markup(re.sub(r"(?<=[a-z0-9\]][_.@])(?=[a-z])", "<wbr>", str(_told(cell))))
+    """A name may break after its underscores, dots and at-signs, not inside a word; a short one only where narrow."""
+    place = "<wbr>" if len(str(cell)) > SHORT else '<wbr class="narrow">'
+    return Markup(re.sub(r"(?<=[a-z0-9\]][_.@])(?=[a-z])", place, str(_told(cell))))
 
 
 def _told(text: object) -> Markup:
