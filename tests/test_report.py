@@ -337,7 +337,7 @@ def test_mode_shapes_name_frequency_damping_and_dominant_joints(milling, tmp_pat
     titles = [ax.get_title() for ax in panels]
     for title, frequency in zip(titles, ("9.96", "11.07", "18.72", "23.82"), strict=True):
         assert f"{frequency} Hz" in title
-    assert "joint3.z 90%" in titles[3]
+    assert "joint3.z 90 %" in titles[3]
     assert len({(ax.get_xlim(), ax.get_ylim()) for ax in panels}) == 1
     figures.save(figure, tmp_path / "shapes.png")
 

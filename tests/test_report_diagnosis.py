@@ -8,7 +8,7 @@ from scipy.signal import find_peaks
 
 from twin.diagnose.joint import Knowledge, settled_with, together
 from twin.diagnose.physical import physical
-from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord
+from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord, pooled_floor
 from twin.diagnose.sentences import PROMINENCE, _summits, best_spot, fall, off_by, percents, sentence
 from twin.diagnose.torque import pooled
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
@@ -46,10 +46,12 @@ ERRORS = {
 
 def test_the_sentence_names_mode_posture_channel_and_by_how_much_it_is_off() -> None:
     shifted = record(oscillators(11.0 * 1.08, 20.0), oscillators(11.0, 20.0), oscillators(11.0, 20.0))
-    text = sentence("payload at flange", [shifted], ERRORS, ["rigid"])
+    held = replace(shifted, name="rigid", held_out=True, variance=np.full(shifted.measured.shape, 4e-4))
+    text = sentence("payload at flange", [shifted, held], ERRORS, ["rigid"])
     assert "mode 1 at 11.00 Hz (peak of 21Z+/4Y+) in 'upright' comes out 8 % too high" in text
     assert "with it at 11.00 Hz" in text
-    assert "20.00% → 1.00%, and on rigid, not used, 30.00% → 2.00% (noise alone 0.90%)" in text
+    assert held.floor == pytest.approx(2 * shifted.floor)
+    assert f"20.00% → 1.00%, and on rigid, not used, 30.00% → 2.00% (noise alone {held.floor:.2%})" in text
 
 
 def test_a_peak_of_the_right_place_and_wrong_height_is_told_by_its_height() -> None:
@@ -102,6 +104,21 @@ def test_the_error_of_a_record_is_the_weighted_ratio_and_noise_alone_gives_its_f
     r = record(H * 1.1, H, H + noise, variance=np.full(H.shape, 1e-4))
     assert r.error("after") == pytest.approx(r.floor, rel=0.02)
     assert r.error("before") == pytest.approx(0.1, rel=0.01)
+
+
+def test_every_row_of_the_errors_has_the_noise_of_its_own_recordings(kr90: Robot) -> None:
+    H = oscillators(11.0, 20.0)
+    used = record(1.1 * H, H, H)
+    held = replace(used, name="rigid", held_out=True, variance=np.full(H.shape, 4e-4))
+    assert pooled_floor([used]) == pytest.approx(used.floor)
+    assert used.floor < (pooled_floor([used, held]) or 0) < held.floor
+    errors = {**ERRORS, "as_given": ERRORS["before"]}
+    finding = Finding(
+        "a.h5", "frf-campaign", "adequate", [], 1.0, 0.0, kr90, kr90, kr90, errors, ["rigid"], [used, held]
+    )
+    floors = {row[0]: row[-1] for row in diagnosis._error_table(finding).rows}
+    assert floors["all used"] == floors["upright"] == f"{used.floor:.2%}"
+    assert floors["all held out"] == floors["rigid (held out)"] == f"{held.floor:.2%}"
 
 
 def log_record(**changed: object) -> LogRecord:

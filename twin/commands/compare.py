@@ -58,9 +58,10 @@ class Compared(Result):
 
     def tables(self) -> list[Table]:
         """Error per recording and posture or run."""
-        rows = []
+        rows, files = [], [Path(source).name for source in self.found]
+        names = dict(zip(self.found, files if len(set(files)) == len(files) else self.found, strict=True))
         for source, found in self.found.items():
-            rows.append((source, "all", "", f"{found.error:.2%}"))
+            rows.append((names[source], "all", "", f"{found.error:.2%}"))
             rows += [
                 ("", str(part.get("posture") or part.get("run")), part.get("site") or "", f"{part['error']:.2%}")
                 for part in found.parts
@@ -91,7 +92,7 @@ def _modes(found: ModalComparison) -> Table:
         )
     header = ["posture", "measured", "model", "difference", "measured ζ", "model ζ", "MAC"]
     shown = len(header) - (not any(row[-1] for row in rows))
-    return Table(header[:shown], [row[:shown] for row in rows], range(1, shown))
+    return Table(header[:shown], [row[:shown] for row in rows], range(1, shown), title="Modes, measured and modelled")
 
 
 def _percent(share: float | None) -> str:

@@ -113,10 +113,8 @@ class FitResult(Fitting, Result):
         if self.left_out:
             left = "  ".join(f"{name} {value:.2%}" for name, value in self.left_out.items())
             lines.append(f"  each posture left out in turn: {left}")
-        lines.append(
-            f"  {fit.agreeing} of {len(fit.starts)} starts agree · χ² per datum {fit.misfit:.2f} · "
-            f"{sum(e.identifiable for e in self.estimates)} of {len(self.estimates)} numbers held by the data"
-        )
+        held = sum(e.identifiable for e in self.estimates)
+        lines.append(f"  {fit.told} · {held} of {len(self.estimates)} numbers held by the data")
         for name, posture in self.postures.items():
             for mode in posture["modes"]:
                 measured = mode.get("measured_hz")

@@ -99,8 +99,7 @@ class Identified(Result):
         consistent = found.base.combine @ self.found.parameters
         rows = [
             (
-                name, f"{found.value[k]:.5g}", "{:.5g} … {:.5g}".format(*found.interval90[k]),
-                f"{described[k]:.5g}", f"{consistent[k]:.5g}", found.base.units[k],
+                name, *_as_sure(found.interval90[k], found.value[k], described[k], consistent[k]), found.base.units[k],
                 "" if found.identifiable[k] else "not identifiable from this log",
             )
             for k, name in enumerate(found.base.names)
@@ -158,6 +157,19 @@ class Identified(Result):
 def _two(value: float) -> str:
     """Two digits, without a power of ten where plain digits do."""
     return f"{float(f'{value:.2g}'):g}"
+
+
+def _as_sure(interval: np.ndarray, value: float, *others: float) -> tuple[str, ...]:
+    """Value, interval and what stands beside them, to two digits of half of the interval's width, or of their own."""
+    half = float(interval[1] - interval[0]) / 2
+
+    def shown(number: float) -> str:
+        if not number or not (np.isfinite(half) and half > 0):
+            return f"{number:.5g}"
+        digits = int(np.floor(np.log10(abs(number))) - np.floor(np.log10(half)))
+        return f"{number:.{int(np.clip(2 + digits, 2, 5))}g}"
+
+    return shown(value), " … ".join(map(shown, interval)), *map(shown, others)
 
 
 def identify(

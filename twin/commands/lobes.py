@@ -171,10 +171,11 @@ class StabilityLobes(Result):
         )
         rpm, depth, shaken = self.forced
         k = int(np.argmin(np.abs(rpm - place["spindle_rpm"])))
-        high, low = shaken[k].surface_error_m
+        high, low = (f"{1e6 * wall:.3g}" for wall in shaken[k].surface_error_m)
+        deep = f"{1e3 * depth[k]:.3g} mm deep" + (", 90 % of the limit" if found.safe_m is None else "")
         lines.append(
-            f"there the tip moves {1e6 * shaken[k].peak_to_peak_m.max():.3g} µm peak to peak "
-            f"({1e3 * depth[k]:.3g} mm deep); surface location error {1e6 * low:.3g} … {1e6 * high:.3g} µm"
+            f"there the tip moves {1e6 * shaken[k].peak_to_peak_m.max():.3g} µm peak to peak ({deep}); "
+            f"surface location error {low if low == high else f'{low} … {high}'} µm"
         )
         for rpm_, depth_ in self.in_time:
             linear = np.interp(rpm_, found.spindle_rpm, found.depth_m)
@@ -183,7 +184,10 @@ class StabilityLobes(Result):
                 f"in time{hit}, at {rpm_:.0f} rpm: chatter from {1e3 * depth_:.3g} mm (linear {1e3 * linear:.3g} mm)"
             )
         if found.safe_m is None:
-            lines.append("how sure is not known: no posterior beside the robot; twin fit and twin diagnose write one")
+            lines.append(
+                "how sure this is cannot be told: no fit's posterior lies beside the robot; twin fit and twin diagnose "
+                "write one"
+            )
         return [*lines, *case.notes]
 
     def __str__(self) -> str:
@@ -349,7 +353,7 @@ def _complete(cut: Cut | None, of_file: Cut | None, spindle_rpm: tuple[float, fl
     if found is None:
         found = Cut()
         notes.append(
-            "no cut was given; a usual one is taken: Al7075, overhang 200 mm, feed 0.1 mm per tooth; --cut for yours"
+            "no cut was given; a usual one is taken: Al7075, overhang 200 mm, feed 0.1 mm per tooth; --cut takes yours"
         )
     if spindle_rpm is not None:
         low, high = spindle_rpm

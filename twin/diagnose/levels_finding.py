@@ -207,11 +207,11 @@ def levels_sentence(levels: Levels) -> str:
     loud = sure > np.quantile(sure, 0.5)
     spread = float(np.ptp(np.quantile(k[loud], [0.05, 0.95])))
     joint = levels.base.values[levels.base.parameters.names.index(f"{best.site}.stiffness")]
-    others = ", ".join(f"{place.site} {place.cost / best.cost:.1f} times" for place in levels.places[1:])
-    return (
-        f"Seen as a linear spring, {best.site} changes its stiffness by {spread / joint:.1%} from blow to blow; "
-        f"left free at another joint instead, that leaves more unexplained ({others})."
-    )
+    more = {place.site: f"{place.cost / best.cost:.1f}" for place in levels.places[1:]}
+    others = ", ".join(f"{site} {times} times" for site, times in more.items() if times != "1.0")
+    instead = f"; left free at another joint instead, that leaves more unexplained ({others})" if others else ""
+    changes = f"{best.site} changes its stiffness by {spread / joint:.1%} from blow to blow"
+    return f"Seen as a linear spring, {changes}{instead}."
 
 
 def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from twin.diagnose.decide import Decision, decide
 from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together
 from twin.diagnose.next_test import WEIGH
+from twin.diagnose.note import Note
 from twin.diagnose.physical import as_written
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
@@ -143,7 +144,7 @@ def diagnose_table(
     missing = missing_of(decision, before) if answered else []
     finding = Finding(
         source, "modal-table", word, missing, decision.none, decision.other, given, robots["before"], robots["after"],
-        error, list(kept) or ([f"{name} (left out in turn)" for name in used] if plain.by_posture else []), records,
+        error, list(kept) or (["each posture in turn"] if plain.by_posture else []), records,
         warnings=told(fits, before, used, plain, crossed, word),
     )  # fmt: skip
     if word == "ambiguous":
@@ -365,10 +366,16 @@ def told(
     )
     if not plain.by_posture:
         return [f"{text}; a single posture leaves nothing to judge a name by"]
-    notes = [f"{text}, each posture left out in turn {plain.pooled:.1%} ({_listed(plain)})"]
+    notes: list[str] = [
+        Note(f"{text}, each posture left out in turn {plain.pooled:.1%} ({_listed(plain)})", "note", "note")
+    ]
     notes += [
-        f"with {' and '.join(f'{effect} at {site}' for effect, site in parts(fit))}: "
-        f"{_error(fit.robot, postures):.1%}, left out {out.pooled:.1%} ({_listed(out)})"
+        Note(
+            f"with {' and '.join(f'{effect} at {site}' for effect, site in parts(fit))}: "
+            f"{_error(fit.robot, postures):.1%}, left out {out.pooled:.1%} ({_listed(out)})",
+            "note",
+            "note",
+        )
         for fit in fits
         if (out := crossed.get(fit.hypothesis.key))
     ]

@@ -146,6 +146,20 @@ class ModalRecord:
 Record = FrfRecord | LogRecord | ModalRecord
 
 
+def pooled_floor(records: Sequence[Record]) -> float | None:
+    """Error of a residual that is all noise, pooled over records of one kind as their errors are; ``None`` of none."""
+    frfs = [r for r in records if isinstance(r, FrfRecord)]
+    logs = [r for r in records if isinstance(r, LogRecord)]
+    tables = [r for r in records if isinstance(r, ModalRecord)]
+    if frfs:
+        count = sum(np.isfinite(r.variance).sum() for r in frfs)
+        return float(np.sqrt(2 * count / sum(r._power for r in frfs)))
+    if logs:
+        power = np.mean(np.concatenate([r.measured[r.valid] for r in logs]) ** 2, axis=0)
+        return float(np.sqrt(np.mean(logs[0].noise ** 2 / np.maximum(power, 1e-300))))
+    return float(np.sqrt(np.nanmean(np.concatenate([r.deviation[:, 0] for r in tables]) ** 2))) if tables else None
+
+
 def frf_records(
     given: Robot,
     before: Fitted,

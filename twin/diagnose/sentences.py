@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord, Record
+from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord, Record, pooled_floor
 from twin.measure.campaign import FloatArray
 
 PROMINENCE = np.log(2.0)  # of a peak above the valleys beside it
@@ -129,7 +129,7 @@ def sentence(
     Args:
         name: as ``backlash at joint2.z``.
         records: beside the models before and after.
-        errors: ``before`` and ``after`` → ``train``, ``held_out``; ``noise_floor``.
+        errors: ``before`` and ``after`` → ``train``, ``held_out``; ``noise_floor``, ``None`` where not known.
         held_out: names of postures or runs not used.
         joint: zero-based, on whose torque it acts; the one that is put right most by default.
     """
@@ -141,12 +141,14 @@ def sentence(
         told = _log_sentence(name, logs, joint)
     elif tables := [r for r in records if isinstance(r, ModalRecord)]:
         told = _modal_sentence(name, tables)
-    return f"{told} {fall(errors, held_out)}".strip()
+    judged = [r for r in records if r.held_out] or records
+    floor = None if errors["noise_floor"] is None else pooled_floor(judged)
+    return f"{told} {fall(errors, held_out, floor)}".strip()
 
 
-def fall(errors: dict[str, Any], held_out: Sequence[str]) -> str:
-    """How the error falls from before to after."""
-    before, after, floor = errors["before"], errors["after"], errors["noise_floor"]
+def fall(errors: dict[str, Any], held_out: Sequence[str], floor: float | None = None) -> str:
+    """How the error falls from before to after; ``floor``: what noise alone gives on what is told last."""
+    before, after = errors["before"], errors["after"]
     held = ""
     if before["held_out"] is not None:
         was, now = percents(before["held_out"], after["held_out"], 2)

@@ -12,7 +12,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
 from twin.diagnose.edit import check_replayed
 from twin.diagnose.joint import followed, shared
-from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage
+from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage, pooled_floor
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
 from twin.diagnose.torque_faults import put_right
@@ -497,8 +497,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
     for stage in STAGES:
         errors[stage] = pooled(records, stage)
     judged = [r for r in records if r.held_out] or records  # the floor is what the error on runs not used is held to
-    power = np.mean(np.concatenate([r.measured[r.valid] for r in judged]) ** 2, axis=0)
-    errors["noise_floor"] = float(np.sqrt(np.mean(noise**2 / np.maximum(power, 1e-300))))
+    errors["noise_floor"] = pooled_floor(judged)
     return records, errors
 
 

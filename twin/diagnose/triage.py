@@ -71,7 +71,7 @@ def _told(some: Sequence[Check]) -> str:
     elif worst.kind == "driving point":
         told = f"{worst.kind} {worst.subject}: {1 - worst.value:.0%} of its energy has the wrong sign"
     elif worst.kind == "linearity":
-        told = f"{told}, about 1 in a linear robot: the FRFs depend on the force"
+        told = f"{worst.kind} {worst.subject}: the FRFs differ beyond noise, so they depend on the force"
     return told if len(some) == 1 else f"{told} in the worst of {len(some)} postures where this fails"
 
 

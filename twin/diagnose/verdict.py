@@ -205,6 +205,12 @@ class Verdict(Result):
         return {**both, "noise_floor": {f.recording: f.error["noise_floor"] for f in self.findings}}
 
     @property
+    def unclear(self) -> float:
+        """Probability of all known effects together where none is told; 0 where it would be told as 0.00."""
+        rest = 0.0 if self.missing else 1 - self.none - self.other
+        return rest if rest >= 0.005 else 0.0
+
+    @property
     def location(self) -> list[dict[str, Any]]:
         """Where the base model misses, recording by recording; first those that it does not do for."""
         told = sorted(self.findings, key=lambda finding: finding.word == "adequate")
@@ -262,7 +268,9 @@ class Verdict(Result):
         for missing in self.missing:
             answers.append((missing.first.title, f"{missing.probability:.2f}"))
             answers += [(f"or {rival.title}", f"{p:.2f}") for rival, p in missing.rivals]
-        answers += [("nothing missing", f"{self.none:.2f}"), ("something else", f"{self.other:.2f}")]
+        answers.append(("nothing missing", f"{self.none:.2f}"))
+        answers += [("something known but not clear", f"{self.unclear:.2f}")] if self.unclear else []
+        answers.append(("something else", f"{self.other:.2f}"))
         numbers = [(m.first.title, row) for m in self.missing for row in parameter_rows(m.first.parameters)]
         errors = [
             (finding.recording, stage.replace("_", " "), *(_percent(finding.error[stage][p]) for p in PARTS))
@@ -285,7 +293,8 @@ class Verdict(Result):
                 lines.append(f"      torque {missing.first.formula}")
             lines += [f"  or {rival.title}   probability {p:.2f}" for rival, p in missing.rivals]
             lines.append(f"  {missing.evidence}")
-        lines.append(f"  nothing missing {self.none:.2f}, something else {self.other:.2f}")
+        unclear = f"something known but not clear {self.unclear:.2f}, " if self.unclear else ""
+        lines.append(f"  nothing missing {self.none:.2f}, {unclear}something else {self.other:.2f}")
         for finding in self.findings:
             if len(self.findings) > 1:
                 lines.append(f"  {finding.recording}: {finding.word}")

@@ -77,6 +77,13 @@ class Fit:
         """s², by which the variance of the data is multiplied (Birge's ratio): never below 1 where it was measured."""
         return max(1.0, self.misfit) if self.noise_known else self.misfit
 
+    @property
+    def told(self) -> str:
+        """``4 of 4 starts agree · χ² per datum 1.02``."""
+        tried = len(self.starts)
+        agree = f"{self.agreeing} of {tried}" if self.agreeing > 1 or tried < 2 else f"no two of {tried}"
+        return f"{agree} starts agree · χ² per datum {self.misfit:.{2 if self.misfit < 100 else 0}f}"
+
 
 # --- the fit ----------------------------------------------------------------------------------------------------------
 

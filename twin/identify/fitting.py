@@ -357,7 +357,7 @@ def correlated(found: Fit) -> list[tuple[str, str, float]]:
 def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
     found, fitted = [], result.fit
     if len(fitted.starts) > 1 and fitted.agreeing < 2:
-        found.append(f"no two of {len(fitted.starts)} starts agree: this may be a false minimum; try more starts")
+        found.append("the minimum may be a false one: try more starts")
     if fitted.rival is not None and fitted.rival < CLOSE_RIVAL * fitted.scale:
         found.append(
             f"a second minimum costs only {fitted.rival:.1f} more (in ½χ²): the data hardly tell the two apart; "

@@ -679,8 +679,8 @@ def _without_friction(robot: Robot, parts: Split, parameters: FloatArray, most: 
 def _lost_terms(robot: Robot, run: MotionRun, bands: Bands) -> list[str]:
     """Of a run as recorded, what the low-pass leaves of rotors' terms, in words."""
     return [
-        f"{term}: not identifiable, the low-pass leaves {share:.0%} of its torque's amplitude (sin 2Nq)"
+        f"{term}: not identifiable, the low-pass leaves {share:.0%} of its torque, a sine of twice the motor's angle"
         if share < PASSED
-        else f"{term}: not modelled, though {share:.0%} of its torque's amplitude passes (sin 2Nq)"
+        else f"{term}: not modelled, though {share:.0%} of its torque passes, a sine of twice the motor's angle"
         for term, share in lost_rotor_terms(robot, joint_run(robot, run), bands).items()
     ]

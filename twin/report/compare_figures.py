@@ -31,7 +31,7 @@ def draw(found: "Compared") -> dict[str, Figure]:
         elif isinstance(compared, Comparison):
             drawn[f"{stem}-errors.png"] = fit_figures.errors({stem: compared})
             for r, H in zip(compared.judged.recordings, compared.judged.predicted, strict=True):
-                drawn[f"{stem}-frf-{r.group}.png"] = overlay(r, H, "measured")
+                drawn[f"{stem}-frf-{r.group}.png"] = overlay(r, H)
     return drawn
 
 

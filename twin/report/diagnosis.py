@@ -21,7 +21,7 @@ from matplotlib.ticker import (
     ScalarFormatter,
 )
 
-from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, Stage
+from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, Stage, pooled_floor
 from twin.diagnose.sentences import Spot, best_spot, off_by
 from twin.diagnose.verdict import MEANING, Finding, Verdict, parameter_rows
 from twin.measure.campaign import QUANTITIES
@@ -36,9 +36,10 @@ COLOURS: dict[Stage, str] = {"as_given": "#8a8f98", "before": "#e8590c", "after"
 NAMES: dict[Stage, str] = {"as_given": "as given", "before": "before: refitted", "after": "after: with the answer"}
 _INK, _GRID = "#222222", "#e3e6ea"
 RIM = 2.5  # points by which before is larger, to be seen where after is the same
+NARROW = 0.015  # of an axis: an interval that a dot hides
 _BANDS, _FINE_BANDS = 48, 96  # of frequency, in the picture and in the map one can zoom
 _ROWS = 40  # channels at most of a posture's map: those that miss most
-_COLOURS = 32
+_COLOURS, _DARKEST = 32, 0.8  # darker colours would be lost on a dark page
 FREED = {
     "frf-campaign": "gain in ln evidence, if this spring may have any law",
     "motion-log": "gain in ln evidence, if this joint has any torque over position and velocity",
@@ -47,7 +48,7 @@ FREED = {
 """What the picture of sites says of each kind of recording."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CAPTIONS = {
-    "probabilities.png": "Probability of every answer, of nothing missing, and of something without a name.",
+    "probabilities.png": "Probability of each answer.",
     "errors.png": "Error of every posture or run under the three models. The bar is the noise.",
     "overlay.png": "FRF where the answer shows best, used and held out; below, phase and residual.",
     "torque.png": "Torque where the answer shows best: recorded, before and after, and the residuals.",
@@ -55,7 +56,7 @@ CAPTIONS = {
     "mismatch.png": "Residual over noise, before and after, by posture, channel and frequency.",
     "residual.png": "Residual before and after, over time, position and speed.",
     "sites.png": "Where more freedom of the model would help most.",
-    "smallest_visible.png": "Size from which each effect would have shown, over its usual size. A dot is a site.",
+    "smallest_visible.png": "Size from which an effect would have shown, over its usual size. A dot is a site.",
 }
 BOTH = {
     "overlay.png": "FRF that the model misses most, used and held out; below, phase and residual.",
@@ -63,6 +64,8 @@ BOTH = {
 }
 """Of a recording that the answer does not change, or where there is none."""
 
+PARTS = (("used", "train", False), ("held out", "held_out", True))
+"""What a row says, its key in the errors, and whether its records were held out."""
 _DOTS = 3000  # drawn at most per cloud
 _ANSWERS = 10  # listed at most
 
@@ -105,22 +108,20 @@ def _draw_finding(finding: Finding) -> dict[str, Figure]:
 
 def errors(finding: Finding) -> Figure:
     """Error of every posture or run under the three models, against its noise floor; pooled rows on top."""
-    groups = [
-        (title, part, [r for r in finding.records if r.held_out == held])
-        for title, part, held in (("used", "train", False), ("held out", "held_out", True))
-    ]
+    groups = [(title, part, [r for r in finding.records if r.held_out == held]) for title, part, held in PARTS]
     rows: list[tuple[str, dict[Stage, float], float | None, bool]] = []
     for title, part, records in groups:
-        if records:
+        if finding.error["before"][part] is not None:
             pooled = {stage: finding.error[stage][part] for stage in STAGES}
-            rows.append((f"all {title}", pooled, finding.error["noise_floor"] if part == "train" else None, True))
+            rows.append((f"all {title}", pooled, _floor(finding, records or finding.records), True))
             rows += [(r.name, {stage: r.error(stage) for stage in STAGES}, r.floor, False) for r in records]
     figure = Figure(figsize=(7.2, 1.5 + 0.3 * len(rows)), layout="constrained")
     ax = figure.subplots()
+    stages = _stages(finding.records)
     for y, (_, values, floor, pooled_row) in enumerate(rows):
         size = 9.0 if pooled_row else 6.0
         ax.plot([100 * values["before"], 100 * values["after"]], [y, y], color="#c9ced6", linewidth=1.2, zorder=1)
-        for stage in STAGES:
+        for stage in (s for s in stages if values[s] is not None):
             hollow = stage == "as_given"
             ax.plot(
                 100 * values[stage], y, "o", markersize=size + RIM * (stage == "before"), color=COLOURS[stage],
@@ -140,17 +141,32 @@ def errors(finding: Finding) -> Figure:
     ax.set_xlabel("error: RMS of residual over RMS of data", fontsize=9)
     handles = [
         Line2D([], [], marker="o", linestyle="", color=COLOURS[s], label=NAMES[s],
-               markerfacecolor="white" if s == "as_given" else COLOURS[s]) for s in STAGES
+               markerfacecolor="white" if s == "as_given" else COLOURS[s]) for s in stages
     ]  # fmt: skip
-    handles.append(Line2D([], [], color=_INK, linewidth=1.6, label="noise floor"))
+    if any(floor is not None and np.isfinite(floor) for _, _, floor, _ in rows):
+        handles.append(Line2D([], [], color=_INK, linewidth=1.6, label="noise floor"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=8.5)
     return figure
+
+
+def _stages(records: Sequence[Record]) -> tuple[Stage, ...]:
+    """What is drawn of the models: not that with the answer, where the answer is nothing."""
+    same = all(np.array_equal(r.predicted["before"], r.predicted["after"], equal_nan=True) for r in records)
+    return STAGES[:-1] if same else STAGES
+
+
+def _floor(finding: Finding, records: Sequence[Record]) -> float | None:
+    """The noise floor of these records together, where the noise is known; a table's postures take turns."""
+    return None if finding.error["noise_floor"] is None else pooled_floor(records)
 
 
 def probabilities(verdict: Verdict) -> Figure:
     """Who is left: the first answer of each thing missing, its alternatives, nothing, and something without a name."""
     panels: list[tuple[str, list[tuple[str, float, str]]]] = []
-    rest = [("nothing missing", verdict.none, "#8a8f98"), ("something else", verdict.other, "#8a8f98")]
+    others = [("nothing missing", verdict.none), ("something else", verdict.other)]
+    if verdict.unclear:
+        others.insert(1, ("something known,\nbut not clear", verdict.unclear))
+    rest = [(name, p, "#8a8f98") for name, p in others]
     for number, missing in enumerate(verdict.missing):
         bars = [(f"{missing.first.effect}\n{missing.first.site}", missing.probability, COLOURS["after"])]
         shown = [(c, p) for c, p in missing.alternatives if p >= 1e-4][: _ANSWERS - 3]
@@ -342,7 +358,7 @@ def mismatch_map(records: Sequence[FrfRecord]) -> Map:
         "Residual over noise (RMS), before and after, in one scale of colours; 1 is noise alone. Of a posture the "
         f"{_ROWS} channels at most that miss most. Arrow keys move from cell to cell."
     )
-    colours = [to_hex(colormaps["magma_r"](k / (_COLOURS - 1))) for k in range(_COLOURS)]
+    colours = [to_hex(colormaps["magma_r"](_DARKEST * k / (_COLOURS - 1))) for k in range(_COLOURS)]
     return Map(caption, noise, panels, (0.7, max(10.0, top)), colours)
 
 
@@ -379,11 +395,12 @@ def overlay(records: Sequence[FrfRecord]) -> Figure:
             columns.append((spot.record, spot.channel, spot) if spot else (*_worst(of), None))
     figure = Figure(figsize=(0.6 + 5.3 * len(columns), 6.0), layout="constrained")
     axes = figure.subplots(3, len(columns), squeeze=False, sharex="col", gridspec_kw={"height_ratios": [3.2, 1.2, 1.6]})
+    stages = _stages(records)[1:]
     for column, (record, pair, spot) in enumerate(columns):
-        _overlay_column(axes[:, column], record, pair, spot)
+        _overlay_column(axes[:, column], record, pair, spot, stages)
     handles = [
         Line2D([], [], color=_INK, linewidth=2.4, alpha=0.45, label="measured"),
-        *(Line2D([], [], color=COLOURS[s], linewidth=1.3, label=NAMES[s]) for s in ("before", "after")),
+        *(Line2D([], [], color=COLOURS[s], linewidth=1.3, label=NAMES[s]) for s in stages),
         Line2D([], [], color="#c9ced6", linewidth=5, label="noise (RMS)"),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
@@ -391,7 +408,7 @@ def overlay(records: Sequence[FrfRecord]) -> Figure:
     return figure
 
 
-def _overlay_column(axes: Any, record: FrfRecord, pair: int, spot: Spot | None) -> None:
+def _overlay_column(axes: Any, record: FrfRecord, pair: int, spot: Spot | None, stages: Sequence[Stage]) -> None:
     flat = record.channel(pair)
     f, H, sigma = record.frequency, record.measured[flat], np.sqrt(2 * record.variance[flat])
     amplitude, phase, rest = axes
@@ -399,7 +416,7 @@ def _overlay_column(axes: Any, record: FrfRecord, pair: int, spot: Spot | None) 
     start = -270 + 90 * QUANTITIES.index(record.quantity)  # far from the phases between resonances
     phase.plot(f, _wrapped(H, start), ".", color=_INK, markersize=3.2, alpha=0.45)
     rest.fill_between(f, 0, np.where(np.isfinite(sigma), sigma, 0), color="#c9ced6", linewidth=0)
-    for stage in ("before", "after"):
+    for stage in stages:
         model = record.predicted[stage][flat]
         style: dict[str, Any] = {"color": COLOURS[stage], "linewidth": 1.3}
         amplitude.plot(f, np.abs(model), **style)
@@ -439,7 +456,8 @@ def _mark(ax: Axes, spot: Spot) -> None:
     else:
         text = f"{f:.2f} Hz: 'before' is {off_by(spot.before[0], f)}"
     right = f > np.mean(ax.get_xlim())
-    ax.text(f, top / 1.6, f" {text} ", fontsize=8.5, ha="right" if right else "left", va="center")
+    ax.set_ylim(top=3 * top)  # a strip of its own: no peak runs through the words
+    ax.text(f, 1.6 * top, f" {text} ", fontsize=8.5, ha="right" if right else "left", va="center")
 
 
 def _worst(records: Sequence[FrfRecord]) -> tuple[FrfRecord, int]:
@@ -473,8 +491,9 @@ def residual(records: Sequence[LogRecord], robot: Robot) -> Figure:
     positions, torques = axis_units(robot)
     figure = Figure(figsize=(11, 0.9 + 1.55 * n), layout="constrained")
     axes = figure.subplots(n, 3, squeeze=False, gridspec_kw={"width_ratios": [1.7, 1, 1]})
+    stages = _stages(records)[1:]
     for i in range(n):
-        for stage in ("before", "after"):
+        for stage in stages:
             for k, values in enumerate(("time", "position", "velocity")):
                 for r in records:
                     x = getattr(r, values)
@@ -498,10 +517,7 @@ def residual(records: Sequence[LogRecord], robot: Robot) -> Figure:
     axes[-1, 0].set_xlabel("time, s", fontsize=8)
     for ax, title in zip(axes[0], ("over time", "over position", "over velocity"), strict=True):
         ax.set_title(f"residual torque {title}", fontsize=9.5, loc="left")
-    handles = [
-        Line2D([], [], marker="o", markersize=4, linestyle="", color=COLOURS[s], label=NAMES[s])
-        for s in ("before", "after")
-    ]
+    handles = [Line2D([], [], marker="o", markersize=4, linestyle="", color=COLOURS[s], label=NAMES[s]) for s in stages]
     handles.append(Line2D([], [], color="#c9ced6", linewidth=6, label="noise, ± one standard deviation"))
     figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
     figure.align_ylabels(axes[:, 0])
@@ -518,12 +534,13 @@ def torque(records: Sequence[LogRecord], robot: Robot) -> Figure:
             columns.append(max(((*_joint(r), r) for r in of), key=lambda item: item[1]))
     figure = Figure(figsize=(0.6 + 5.3 * len(columns), 4.4), layout="constrained")
     axes = figure.subplots(2, len(columns), squeeze=False, sharex="col", gridspec_kw={"height_ratios": [2, 1]})
+    stages = _stages(records)[1:]
     for column, (i, _, r) in enumerate(columns):
         top, bottom = axes[:, column]
         time = r.time - r.time[0]
         hidden = np.where(r.valid, 0.0, np.nan)
         top.plot(time, r.measured[:, i] + hidden, color=_INK, linewidth=2.4, alpha=0.45)
-        for stage in ("before", "after"):
+        for stage in stages:
             model = r.predicted[stage][:, i] + hidden
             top.plot(time, model, color=COLOURS[stage], linewidth=1.0)
             bottom.plot(time, r.measured[:, i] - model, color=COLOURS[stage], linewidth=0.8)
@@ -537,7 +554,7 @@ def torque(records: Sequence[LogRecord], robot: Robot) -> Figure:
             _plain(ax, "both")
     handles = [
         Line2D([], [], color=_INK, linewidth=2.4, alpha=0.45, label="recorded"),
-        *(Line2D([], [], color=COLOURS[s], linewidth=1.3, label=NAMES[s]) for s in ("before", "after")),
+        *(Line2D([], [], color=COLOURS[s], linewidth=1.3, label=NAMES[s]) for s in stages),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
     figure.align_ylabels()
@@ -553,21 +570,23 @@ def _joint(record: LogRecord) -> tuple[int, float]:
 
 def modal(records: Sequence[ModalRecord]) -> Figure:
     """Modelled over measured frequency and damping of every mode, before and after, with measured uncertainty."""
-    rows = [(r, k) for r in records for k in range(len(r.measured))]
+    rows, stages = [(r, k) for r in records for k in range(len(r.measured))], _stages(records)
     figure = Figure(figsize=(9, 1.3 + 0.27 * len(rows)), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
+    axes, narrow = figure.subplots(1, 2, sharey=True), True
     for column, ax in enumerate(axes):
         for y, (r, k) in enumerate(rows):
             reference = r.measured[k, column]
             width = 164.5 * r.deviation[k, column]
             ax.plot([-width, width], [y, y], color="#c9ced6", linewidth=6, solid_capstyle="butt", zorder=0)
-            for stage in STAGES:
+            for stage in stages:
                 ax.plot(
                     100 * (r.predicted[stage][k, column] / reference - 1), y, "o", color=COLOURS[stage],
                     markersize=5 + RIM * (stage == "before"),
                     markerfacecolor="white" if stage == "as_given" else COLOURS[stage],
                 )  # fmt: skip
         ax.axvline(0, color=_INK, linewidth=0.8)
+        low, high = ax.get_xlim()
+        narrow &= 329 * max(float(np.nanmax(r.deviation[:, column])) for r in records) < NARROW * (high - low)
         ax.set_xlabel(f"{('frequency', 'damping ratio')[column]}, model against measured, %", fontsize=9)
         _plain(ax, "x")
     names = [f"{r.name}{' *' if r.held_out else ''}  {r.measured[k, 0]:.2f} Hz" for r, k in rows]
@@ -575,9 +594,12 @@ def modal(records: Sequence[ModalRecord]) -> Figure:
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     handles = [
         Line2D([], [], marker="o", linestyle="", color=COLOURS[s], label=NAMES[s],
-               markerfacecolor="white" if s == "as_given" else COLOURS[s]) for s in STAGES
+               markerfacecolor="white" if s == "as_given" else COLOURS[s]) for s in stages
     ]  # fmt: skip
-    handles.append(Line2D([], [], color="#c9ced6", linewidth=6, label="measured, 90 %"))
+    if narrow:
+        figure.supxlabel("90 % intervals of what was measured are narrower than the dots", fontsize=8.5)
+    else:
+        handles.append(Line2D([], [], color="#c9ced6", linewidth=6, label="measured, 90 %"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=8.5)
     return figure
 
@@ -649,9 +671,10 @@ def lead(verdict: Verdict) -> str:
 
 def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     """The parts of the page; ``drawn``: file name → PNG."""
+    unclear = f" Something known but not clear: {verdict.unclear:.2f}." if verdict.unclear else ""
     probable = [
-        f"Nothing missing {verdict.none:.2f}, something without a name here {verdict.other:.2f}. Probabilities are "
-        "calibrated on development cases: of answers given 0.9, nine in ten are right."
+        f"Nothing missing: {verdict.none:.2f}.{unclear} Something without a name here: {verdict.other:.2f}. "
+        "Probabilities are calibrated on development cases: of answers given 0.9, nine in ten are right."
     ]
     found = [
         Section(
@@ -667,9 +690,11 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
             name: path for name, path in drawn.items() if not several or name.startswith(Path(finding.recording).stem)
         }
         error_text = _error_text(finding, bool(verdict.missing))
+        notes = [text for text in finding.warnings if getattr(text, "severity", "") == "note"]
         found.append(
             Section(
-                f"Errors{several}", [error_text], finding.warnings, [_error_table(finding)],
+                f"Errors{several}", [error_text, *(_sentence(note) for note in notes)],
+                [text for text in finding.warnings if text not in notes], [_error_table(finding)],
                 pick(of, "errors.png", CAPTIONS["errors.png"]),
             )
         )  # fmt: skip
@@ -683,7 +708,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
                 _plots(finding),
             ),
             (
-                "Where the model without it misses" if shown else "Where the model misses most",
+                "What the refitted model misses" if shown else "Where the model misses most",
                 _location_text(finding),
                 ("mismatch.png", "residual.png", "sites.png"),
                 [mismatch_map(frfs)] if frfs else [],
@@ -703,8 +728,8 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     found.append(Section("The new model", checks, failed, tables))
     if verdict.smallest_visible:
         text = (
-            "The smallest size of each effect that these recordings would have shown, although all free numbers of the "
-            "model may move to hide it."
+            "The smallest size of an effect that these recordings would have shown, although all free numbers of the "
+            "model may move to hide it. The picture has the effects that have a usual size, the table the others."
         )
         figures = pick(drawn, "smallest_visible.png", CAPTIONS["smallest_visible.png"])
         tables = _visible_table(verdict.smallest_visible, verdict.base)
@@ -723,14 +748,15 @@ def _plots(finding: Finding) -> list[Plot]:
     frfs: dict[str, Panel] = {}
     torques: dict[str, Panel] = {}
     quantity, (_, units) = QUANTITIES[-1], axis_units(finding.robot)
+    stages = _stages(finding.records)[1:]
     for r in finding.records:
         name = f"{r.name}, {'held out' if r.held_out else 'used'}"
         if isinstance(r, FrfRecord):
-            curves = {"measured": r.measured} | {NAMES[s]: r.predicted[s] for s in ("before", "after")}
+            curves = {"measured": r.measured} | {NAMES[s]: r.predicted[s] for s in stages}
             frfs |= frf_panels(name, r.frequency, curves, r.response.label, r.excitation.label)
             quantity = r.quantity
         elif isinstance(r, LogRecord):
-            torque = {"recorded": r.measured} | {NAMES[s]: r.predicted[s] for s in ("before", "after")}
+            torque = {"recorded": r.measured} | {NAMES[s]: r.predicted[s] for s in stages}
             torques |= torque_panels(name, r.time, torque, r.units or units[: r.measured.shape[1]], r.valid)
     return ([frf_plot(frfs, quantity)] if frfs else []) + ([torque_plot(torques, units)] if torques else [])
 
@@ -767,10 +793,12 @@ def _error_table(finding: Finding) -> Table:
     def cell(value: float | None) -> str:
         return "" if value is None or not np.isfinite(value) else f"{value:.2%}"
 
-    rows = [
-        ("all used", *(cell(finding.error[s]["train"]) for s in STAGES), cell(finding.error["noise_floor"])),
-        ("all held out", *(cell(finding.error[s]["held_out"]) for s in STAGES), ""),
-    ]
+    rows = []
+    for title, part, held in PARTS:
+        if finding.error["before"][part] is None:
+            continue
+        floor = _floor(finding, [r for r in finding.records if r.held_out == held] or finding.records)
+        rows.append((f"all {title}", *(cell(finding.error[s][part]) for s in STAGES), cell(floor)))
     rows += [(_named(r), *(cell(r.error(s)) for s in STAGES), cell(r.floor)) for r in finding.records]
     return Table(("", "as given", "before", "after", "noise floor"), rows, (1, 2, 3, 4))
 
@@ -787,9 +815,8 @@ def _location_text(finding: Finding) -> str:
     band = spot.get("band_hz")
     at = f" at {band[0]:.3g}–{band[1]:.3g} Hz" if band else ""
     channels = f", mostly on {', '.join(spot['channels'])}" if spot.get("channels") else ""
-    return (
-        f"Most of it is in '{where}'{at}{channels}: {spot['share']:.0%} of the weighted misfit of the refitted model."
-    )
+    there = f"{spot['share']:.0%} of its weighted misfit"
+    return f"The refitted model misses most in '{where}'{at}{channels}: {there} is there."
 
 
 def _edit_table(edit: Mapping[str, Any]) -> Table:

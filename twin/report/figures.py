@@ -25,6 +25,7 @@ from twin.robot.mechanism import Mechanism
 UNITS = {"receptance": "m/N", "mobility": "m/(s·N)", "accelerance": "m/(s²·N)"}
 PALETTE = ("#1f4e9c", "#e8590c", "#1098ad", "#7048a8", "#f0a202", "#846358", "#343a40", "#c77dbb")
 """Curves of one kind, told apart without red against green."""
+WHITE_ON = 0.7  # of a scale of blues: below, black letters are told better
 
 _CURVES: tuple[dict[str, Any], ...] = (
     {"color": "#1f4e9c", "linewidth": 2.0},
@@ -145,14 +146,17 @@ def frf_matrix(
 def standing(mechanism: Mechanism) -> Figure:
     """The robot at rest in its posture."""
     stage = scene.stage(mechanism)
-    figure = Figure(figsize=(6.0, 5.4), layout="constrained")
+    width = 4.4  # inches: whole on a telephone
+    figure = Figure(figsize=(width, width), layout="constrained")
     ax = figure.subplots()
     ax.set_axis_off()
     at = scene.poses(stage, stage.rest[None])
     _draw(ax, stage, at, _camera(scene.sight(stage)), dict.fromkeys(stage.bodies, "#b8bcc4"), 1.0)
     _same_limits([ax])
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
-    figure.set_figheight(float(np.clip(6.0 * (high - low) / (right - left), 2.0, 5.4)))  # no wider frame than it needs
+    figure.set_figheight(
+        float(np.clip(width * (high - low) / (right - left), 0.4 * width, width))
+    )  # no wider frame than it needs
     return figure
 
 
@@ -199,7 +203,7 @@ def mode_shapes(mechanism: Mechanism, modes: Modes, count: int = 4, phase: float
                 *tail.T, *(head - tail).T, angles="xy", scale_units="xy", scale=1, width=0.004,
                 color="#1f4e9c", edgecolor="white", linewidth=0.4, zorder=5,
             )  # fmt: skip
-        dominant = ", ".join(f"{name} {value:.0%}" for name, value in modes.dominant(k))
+        dominant = ", ".join(f"{name} {100 * value:.0f} %" for name, value in modes.dominant(k))
         ax.set_title(f"{scene.mode_title(modes, k)}; drawn ± {1e3 * size.motion:.0f} mm\n{dominant}", fontsize=8)
     _same_limits(axes[:number], wide=1.35)  # as wide as the titles
     shown = list(axes[:number])
@@ -256,7 +260,7 @@ def replay(
             difference = given[curve][:, i] - given[reference][:, i]
             residual.plot(time, difference, **_TORQUES[curve])
             rms = float(np.sqrt(np.mean(difference**2)))
-            texts.append(f"{curve}: {rms:.3g} {unit} rms" + (f", {rms / scale:.1%}" if scale else ""))
+            texts.append(f"{curve}: {rms:.3g} {unit} rms" + (f", {100 * rms / scale:.1f} %" if scale else ""))
         torque.set_ylabel(f"{name}, {unit}", fontsize=9)
         residual.set_ylabel(f"residual, {unit}", fontsize=9)
         residual.set_title("   ".join(texts), loc="right", fontsize=8, pad=2)
@@ -343,16 +347,18 @@ def _same_limits(axes: Iterable[Axes], wide: float = 0.0) -> None:
 
 
 def _mark_modes(ax: Axes, modes_hz: np.ndarray, frequency: np.ndarray) -> None:
-    """Frequencies above the panel, pushed apart where they would overlap."""
+    """Frequencies above the panel, pushed apart where they would overlap, each led to from its line."""
     shown = modes_hz[(modes_hz >= frequency[0]) & (modes_hz <= frequency[-1])]
     span = np.log(frequency[-1] / frequency[0])
     place = np.log(shown / frequency[0]) / span
+    lines = place.copy()
     for k in range(1, len(place)):
         place[k] = max(place[k], place[k - 1] + 0.045)
-    for x, f in zip(place, shown, strict=True):
+    for line, x, f in zip(lines, place, shown, strict=True):
+        ax.plot([line, x], [1.0, 1.04], transform=ax.transAxes, color=_GREY, linewidth=0.7, clip_on=False)
         ax.text(
             x,
-            1.02,
+            1.05,
             f"{f:.1f}",
             transform=ax.transAxes,
             rotation=90,

@@ -6,20 +6,20 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, ScalarFormatter, StrMethodFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from twin.identify.elastic_compare import Comparison
 from twin.identify.uncertainty import NINETY, Estimate
 from twin.measure.campaign import FloatArray
-from twin.report.figures import PALETTE
+from twin.report.figures import PALETTE, WHITE_ON
 
-_DATA, _PRIOR, _PALE = "#1f4e9c", "#c8cdd4", "#9aa7b5"
+_DATA, _PRIOR, _PALE = "#1f4e9c", "#dde1e6", "#7d8ea3"
 
 
 def intervals(estimates: Sequence[Estimate]) -> Figure:
     """90 % intervals of springs and dampers over those of their priors, relative to the prior's median.
 
-    Blue: the data hold the parameter; pale: they do not, and what is shown is mostly the prior.
+    Blue: the data hold the parameter; grey: they do not, and what is shown is mostly the prior.
     """
     shown = [e for e in estimates if e.parameter.kind in ("spring", "entry") and e.parameter.log]
     groups = [
@@ -43,10 +43,11 @@ def intervals(estimates: Sequence[Estimate]) -> Figure:
         ax.invert_yaxis()
         ax.axvline(1, color="#444444", linewidth=0.6)
         ax.grid(True, axis="x", which="both", color="#e3e6ea", linewidth=0.5)
-        ax.set_title(f"{title} over the prior's median; grey: prior, 90 %", fontsize=9, loc="left")
-        if title == "stiffness":
-            ax.xaxis.set_major_locator(FixedLocator([0.5, 0.7, 1.0, 1.4, 2.0]))
-            ax.xaxis.set_major_formatter(ScalarFormatter())
+        ax.set_title(f"{title} over the prior's median; wide bar: prior, 90 %", fontsize=9, loc="left")
+        low, high = ax.get_xlim()
+        if high < 1e3 * low:
+            ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            ax.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
             ax.xaxis.set_minor_formatter(NullFormatter())
         ax.tick_params(labelsize=8)
     return figure
@@ -76,7 +77,7 @@ def errors(comparisons: Mapping[str, Comparison]) -> Figure:
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         ax.yaxis.set_minor_formatter(NullFormatter())
-        ax.set_title(f"{role}: {comparison.error:.2%}", fontsize=10, loc="left")
+        ax.set_title(f"{role}: {100 * comparison.error:.2f} %", fontsize=10, loc="left")
         ax.set_xlabel("frequency, Hz")
         ax.grid(True, which="both", color="#e3e6ea", linewidth=0.5)
         ax.legend(
@@ -90,11 +91,11 @@ def mac_matrices(
     matrices: Mapping[str, FloatArray], measured: Mapping[str, Sequence[float]], model: Mapping[str, Sequence[float]]
 ) -> Figure:
     """MAC of measured (rows) and model's (columns) modes, one panel per posture, frequencies in Hz on the axes."""
-    axes, figure = _panels(len(matrices), 4, (3.6, 3.3))
+    axes, figure = _panels(len(matrices), 3, (3.6, 3.3))
     for ax, (posture, matrix) in zip(axes, matrices.items(), strict=True):
         ax.imshow(matrix, vmin=0, vmax=1, cmap="Blues")
         for i, j in np.ndindex(matrix.shape):
-            colour = "white" if matrix[i, j] > 0.6 else "#333333"
+            colour = "white" if matrix[i, j] > WHITE_ON else "#111111"
             ax.text(j, i, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
         ax.set_xticks(range(matrix.shape[1]), [f"{f:.1f}" for f in model[posture]], fontsize=8)
         ax.set_yticks(range(matrix.shape[0]), [f"{f:.1f}" for f in measured[posture]], fontsize=8)
@@ -114,12 +115,14 @@ def profiles(found: Mapping[str, tuple[FloatArray, FloatArray]], units: Mapping[
     figure.supylabel("rise of 2 × cost, everything else refitted", fontsize=9)
     for ax, (name, (value, drop)) in zip(axes, found.items(), strict=True):
         ax.plot(value, drop, "o-", color=_DATA, markersize=3, linewidth=1.2)
-        ax.axhline(2.71, color="#444444", linestyle=":", linewidth=1)
+        ax.axhline(2.71, color="#444444", linestyle=":", linewidth=1, label="2.71: below lies the 90 % interval")
         ax.set_ylim(0, 8)
         if value[0] > 0 and value[-1] > 10 * value[0]:
             ax.set_xscale("log")
         ax.set_title(f"{name}, {units[name]}".removesuffix(", 1"), fontsize=9)
         ax.tick_params(labelsize=8)
+    if axes:
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", frameon=False, fontsize=8)
     return figure
 
 

@@ -17,8 +17,11 @@ from twin.report.plots import frf_panels, frf_plot
 if TYPE_CHECKING:
     from twin.commands.fit import FitResult
 
-PARAMETERS = "Stiffness and damping with 90 % intervals, and the prior; pale is what the prior holds alone."
-PROFILES = "Misfit over a number, everything else refitted: the flatter, the less the data know."
+PARAMETERS = "Stiffness and damping with 90 % intervals, and the prior; grey is what the prior holds alone."
+PROFILES = (
+    "Misfit over a number, everything else refitted: the flatter, the less the data know. Below the dotted line (2.71) "
+    "lies the 90 % interval."
+)
 BOUNDED = 0.75  # share of the prior's variance above which what the data give is a bound
 WORST_HELD = 6  # combinations shown
 
@@ -44,7 +47,7 @@ def draw(found: "FitResult") -> dict[str, Figure]:
     return drawn
 
 
-def overlay(r: Recorded, predicted: ComplexArray, role: str) -> Figure:
+def overlay(r: Recorded, predicted: ComplexArray, role: str = "") -> Figure:
     """Measured and modelled FRFs between up to three responses and the hammer points at their nodes."""
     response, excitation = r.setup.response, r.setup.excitation
     rows = np.arange(min(3, len(response.label)))
@@ -53,7 +56,7 @@ def overlay(r: Recorded, predicted: ComplexArray, role: str) -> Figure:
     pick = np.ix_(np.arange(len(r.s)), rows, columns)
     return figures.frf_matrix(
         r.frequency,
-        {f"{r.group}, {role}": r.frf[pick], "model": predicted[pick]},
+        {f"measured in '{r.group}'{role and f' ({role})'}": r.frf[pick], "model": predicted[pick]},
         [response.label[i] for i in rows],
         [excitation.label[j] for j in columns],
         QUANTITIES[r.power],
@@ -79,9 +82,7 @@ def sections(found: "FitResult", drawn: Mapping[str, Path]) -> list[Section]:
     springs = [e for e in found.estimates if e.parameter.kind in ("spring", "entry")]
     others = [e for e in found.estimates if e.parameter.kind not in ("spring", "entry")]
     fit = found.fit
-    errors = [
-        f"{fit.agreeing} of {len(fit.starts)} starts agree. χ² per datum {fit.misfit:.2f} over {fit.data} real numbers."
-    ]
+    errors = [f"{fit.told[:1].upper()}{fit.told[1:]} over {fit.data} real numbers."]
     if explained := found.expected.get("held_out"):
         errors.append(f"Noise and what the tolerances leave open explain {explained:.2%} on what was held out.")
     left_out = Table(("posture left out", "error"), [(k, f"{v:.2%}") for k, v in found.left_out.items()], (1,))
@@ -141,8 +142,7 @@ def _numbers(shown: Sequence[Estimate]) -> Table:
     rows = [
         (
             e.parameter.name,
-            f"{e.value:.4g}",
-            f"{e.interval90[0]:.4g} … {e.interval90[1]:.4g}",
+            *_with_interval(e.value, *e.interval90),
             e.parameter.unit,
             f"{e.share:.1%}",
             f"{e.drift:+.2f}",
@@ -152,6 +152,13 @@ def _numbers(shown: Sequence[Estimate]) -> Table:
     ]
     header = ("parameter", "value", "90 % interval", "unit", "data's share", "drift, prior σ", "held by")
     return Table(header, rows, (1, 2, 4, 5), [k for k, e in enumerate(shown) if not e.identifiable])
+
+
+def _with_interval(value: float, low: float, high: float) -> tuple[str, str]:
+    """Value and interval; what is next to nothing beside the interval's width is 0."""
+    least = 1e-4 * (high - low)
+    value, low, high = (0.0 if abs(v) < least else v for v in (value, low, high))
+    return f"{value:.4g}", f"{low:.4g} … {high:.4g}"
 
 
 def _modes(found: "FitResult") -> Table:
@@ -179,5 +186,6 @@ def _combinations(found: "FitResult") -> Table:
     rows = []
     for c in found.combinations[::-1][:WORST_HELD]:
         terms = sorted(c.weights.items(), key=lambda item: -abs(item[1]))[:4]
-        rows.append((f"{c.share:.1%}", " ".join(f"{weight:+.2f} {name}" for name, weight in terms)))
+        written = [f"{'+−'[weight < 0]} {abs(weight):.2f} {name}" for name, weight in terms if abs(weight) >= 0.005]
+        rows.append((f"{c.share:.1%}", " ".join(written).removeprefix("+ ")))
     return Table(("data's share", "combination"), rows, (0,))

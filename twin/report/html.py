@@ -18,6 +18,7 @@ from PIL import Image
 from twin.files import writing
 from twin.table import Table
 
+SHORT = 22  # letters: a name that paper has room for
 SMALL = 700  # pixels: legible at half of a page's width
 
 
@@ -155,6 +156,7 @@ def _environment() -> Environment:
     environment.filters["small"] = _small
     environment.filters["as_script"] = _as_script
     environment.filters["breakable"] = _breakable
+    environment.filters["told"] = _told
     return environment
 
 
@@ -178,8 +180,15 @@ def _small(image: Path) -> bool:
 
 
 def _breakable(cell: object) -> Markup:
-    """A long name may break after its underscores, dots and at-signs, not inside a word."""
-    return Markup(re.sub(r"(?<=[a-z0-9\]][_.@])(?=[a-z])", "<wbr>", str(escape(cell))))
+    """A name may break after its underscores, dots and at-signs, not inside a word; a short one only where narrow."""
+    place = "<wbr>" if len(str(cell)) > SHORT else '<wbr class="narrow">'
+    return Markup(re.sub(r"(?<=[a-z0-9\]][_.@])(?=[a-z])", place, str(_told(cell))))
+
+
+def _told(text: object) -> Markup:
+    """A percent sign stays with its number, a space before it; an option stays whole."""
+    bound = re.sub(r"(?<=\d) ?%", "\u00a0%", str(escape(text)))
+    return Markup(re.sub(r"(?<!\S)--[a-z-]+", r'<span class="option">\g<0></span>', bound))
 
 
 def _as_script(data: dict[str, Any]) -> str:

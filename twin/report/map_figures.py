@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from twin.identify.recorded import without_limits
 from twin.report.figures import PALETTE
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 COLOURS = colormaps["viridis"]
 _GREY, _BLUE, _ORANGE = "#8a8f98", "#1f4e9c", "#e8590c"
-MODES = PALETTE[:4]
+MODES = (*PALETTE[:3], PALETTE[7])
+NARROW = 0.015  # of an axis: an interval that a dot hides
 RAPID = 2.5  # times the usual spacing of points: the tool was lifted between them
 _VIEWS = ((0, 2, "from the side"), (0, 1, "from above"))
 
@@ -71,7 +72,10 @@ def workspace(found: "Map") -> Figure:
     for ax, (a, b, name) in zip(axes, _VIEWS, strict=True):
         ax.scatter(tip[:, a], tip[:, b], c=depth, s=size, cmap=COLOURS, norm=norm, linewidths=0, rasterized=True)
         ax.plot(0, 0, "^", color="#111111", markersize=8)
-        ax.annotate("foot", (0, 0), textcoords="offset points", xytext=(8, -4), fontsize=8)
+        ax.annotate(
+            "foot", (0, 0), textcoords="offset points", xytext=(8, -4), fontsize=8, zorder=5,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+        )  # fmt: skip
         ax.set_aspect("equal", adjustable="datalim")
         ax.set_xlabel(f"{'xyz'[a]}, m")
         ax.set_ylabel(f"{'xyz'[b]}, m")
@@ -89,27 +93,32 @@ def modes(found: "Map") -> Figure:
     axes = figure.subplots(1, 2)
     order = np.argsort(found.ranked)
     share = 100 * np.arange(len(order)) / max(1, len(order) - 1)
+    size, seen = float(np.clip(600 / len(order), 2, 5)), False
     for ax, name, label in zip(
         axes, ("frequency_hz", "damping_percent"), ("frequency, Hz", "damping ratio, %"), strict=True
     ):
         values = found.result[name][order]
-        band = found.result.get(f"{name}_interval90")
+        band, widest = found.result.get(f"{name}_interval90"), 0.0
         for k in range(min(len(MODES), values.shape[1])):
             if np.isnan(values[:, k]).all():
                 continue
             colour = MODES[k]
             if band is not None and len(order) <= 2000:
                 low, high = band[order, k].T
-                ax.vlines(share, low, high, color=colour, alpha=0.25, linewidth=0.8)
-            ax.plot(share, values[:, k], ".", markersize=2, color=colour, label=f"mode {k + 1}")
+                ax.vlines(share, low, high, color=colour, alpha=0.5, linewidth=1.2)
+                widest = max(widest, float(np.nanmedian(np.log(high / low))))
+            ax.plot(share, values[:, k], ".", markersize=size, color=colour, label=f"mode {k + 1}")
         ax.set_yscale("log")
-        ax.set_xlabel("postures in the order of their depth, %: left the worst")
+        seen |= widest > NARROW * float(np.log(np.divide(*ax.get_ylim()[::-1])))
+        ax.set_xlabel("postures from the shallowest to the deepest cut, %")
         ax.set_ylabel(label)
         _plain(ax.yaxis)
         _tidy(ax)
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize=8, markerscale=4, ncols=4, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-    figure.suptitle(f"{found.robot.name}: modes over the map" + (", 90 % intervals" if found.safe is not None else ""))
+            ax.legend(
+                fontsize=8, markerscale=8 / size, ncols=4, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0)
+            )
+    figure.suptitle(f"{found.robot.name}: modes over the map" + (", 90 % intervals" if seen else ""))
     return figure
 
 
@@ -203,8 +212,12 @@ def _tidy(ax: Axes) -> None:
 
 
 def _plain(axis: Any) -> None:
-    """1, 2 and 5 of every decade, as people write them."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+    """1, 2 and 5 of every decade, or even steps where that leaves few, as people write them."""
+    low, high = axis.get_view_interval()
+    wide = high > 8 * low
+    axis.set_major_locator(
+        LogLocator(subs=(1.0, 2.0, 5.0), numticks=20) if wide else MaxNLocator(7, steps=[1, 2, 5, 10])
+    )
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

@@ -12,7 +12,7 @@ from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal import ModalResult
 from twin.measure.shapes import cmif, mac, mode_indicator, summation
 from twin.measure.wireframe import Wireframe
-from twin.report.figures import PALETTE, mode_shapes, phase_deg
+from twin.report.figures import PALETTE, WHITE_ON, mode_shapes, phase_deg
 from twin.report.html import Section, pick
 from twin.report.plots import frf_panels, frf_plot
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from twin.commands.modal import ModalAnalysis
 
 SYMBOLS = {"o": "new pole", "f": "frequency", "d": "frequency, damping", "v": "frequency, vector", "s": "stable"}
-COLOURS = {"o": "0.75", "f": "0.5", "d": "tab:blue", "v": "tab:cyan", "s": "#e8590c"}
-MARKERS = {"o": "o", "f": "|", "d": "d", "v": "v", "s": "s"}
+COLOURS = {"o": "0.75", "f": "0.35", "d": "tab:blue", "v": "tab:cyan", "s": "#e8590c"}
+MARKERS = {"o": "o", "f": "^", "d": "d", "v": "v", "s": "s"}
 MOST_PANELS = 6
 MOST_SHAPES = 12
 MOST_WRITTEN = 16  # modes whose MAC is written into its square
@@ -95,7 +95,7 @@ def wireframe_figure(frame: Wireframe, titles: Sequence[str]) -> Figure:
         phase = -0.5 * float(np.angle(np.sum(frame.motion[k] ** 2)))
         rest, moved = (at @ np.column_stack([right, up]) for at in (frame.position, frame.displaced(k, phase)))
         size = np.linalg.norm((frame.motion[k] * np.exp(1j * phase)).real, axis=1)
-        axes.add_collection(LineCollection(list(rest[frame.lines]), colors="0.8", linewidths=0.7))
+        axes.add_collection(LineCollection(list(rest[frame.lines]), colors="0.6", linewidths=0.9))
         coloured = LineCollection(list(moved[frame.lines]), cmap="coolwarm", linewidths=1.6)
         coloured.set_array(size[frame.lines].mean(axis=1))
         coloured.set_clim(0, 1)
@@ -178,7 +178,13 @@ def mac_figure(
     axes.set_yticks(range(len(names)), names, fontsize=8)
     for (row, column), value in np.ndenumerate(values if max(values.shape) <= MOST_WRITTEN else np.zeros((0, 0))):
         axes.text(
-            column, row, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if value > 0.6 else "black"
+            column,
+            row,
+            f"{value:.2f}",
+            ha="center",
+            va="center",
+            fontsize=7,
+            color="white" if value > WHITE_ON else "black",
         )
     axes.set_title(title, fontsize=10)
     figure.colorbar(image, shrink=0.8).set_label("MAC", fontsize=9)
@@ -190,8 +196,9 @@ CAPTIONS = {
     "frf": "Strongest FRFs, measured and synthesised from the modes, with their likeness (FRAC).",
     "stabilisation": "Stabilisation chart: stable poles stand in columns.",
     "indicators": "Mode indicator functions: modes stand at peaks and dips.",
-    "automac": "Likeness of the shapes among each other (MAC): off the diagonal it should be low.",
+    "automac": "How alike each two shapes are (MAC): off the diagonal it should be low.",
 }
+FRAME = {"shapes": "Mode shapes, enlarged: red moves most, blue least; grey is at rest."}
 RUNNING = {
     "frf": "Strongest spectra, measured and synthesised from the modes, with their likeness (FRAC). "
     "Steps are where one octave ends and the next begins.",
@@ -245,7 +252,7 @@ def sections(found: "ModalAnalysis", drawn: Mapping[str, Path]) -> list[Section]
     for name, result in found.results.items():
         checks = [str(check) for check in found.checks.get(name, []) if not check.passed]
         checks += [result.complaint] if result.complaint else []
-        captions = CAPTIONS | (RUNNING if result.operational else {})
+        captions = CAPTIONS | (RUNNING if result.operational else {}) | (FRAME if name in found.frames else {})
         figures = [
             (caption, drawn[f"{name}_{kind}.png"])
             for kind, caption in captions.items()
@@ -256,5 +263,5 @@ def sections(found: "ModalAnalysis", drawn: Mapping[str, Path]) -> list[Section]
         blows = result.excitation_label or [str(e) for e in range(result.measured.shape[2])]
         plots = [frf_plot(frf_panels(name, result.frequency, curves, labels, blows), *result.quantity)]
         parts.append(Section(f"Posture '{name}'", warnings=checks, figures=figures, plots=plots))
-    across = pick(drawn, "_mac.png", "Likeness of the shapes of two postures (MAC).")
+    across = pick(drawn, "_mac.png", "How alike the shapes of two postures are (MAC).")
     return [*parts, Section("Between postures", figures=across)]

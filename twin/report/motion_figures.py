@@ -143,7 +143,7 @@ def prediction(robot: Robot, rows: Sequence[Rows], curves: Mapping[str, Sequence
         texts = []
         for name, (residual, total) in squares.items():
             rms, ratio = np.sqrt(residual[i] / max(count, 1)), np.sqrt(residual[i] / total[i]) if total[i] else np.nan
-            texts.append(f"{name}: {rms:.3g} {units[i]} rms, {ratio:.2%}")
+            texts.append(f"{name}: {rms:.3g} {units[i]} rms, {100 * ratio:.2f} %")
         axes[2 * i].set_ylabel(f"joint{i + 1}, {units[i]}", fontsize=9)
         axes[2 * i + 1].set_ylabel(f"error, {units[i]}", fontsize=9)
         axes[2 * i + 1].set_title("    ".join(texts), loc="right", fontsize=8, pad=2)
