@@ -18,7 +18,7 @@ from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import ASTRAY, Fitted
 from twin.identify.damping_transfer import Transfer
 from twin.identify.uncertainty import NINETY
-from twin.result import Result, written
+from twin.result import Result, no_model, written
 from twin.robot.description import Robot
 from twin.table import Table
 
@@ -180,7 +180,7 @@ class Verdict(Result):
     robot: Robot
     checks: list[dict[str, Any]] = field(default_factory=list)
     payload_edit: dict[str, Any] | None = None
-    model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
+    model: dict[str, str | None] = field(default_factory=no_model)
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
 
