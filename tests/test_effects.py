@@ -333,5 +333,7 @@ def test_a_joint_that_slides_has_units_that_slide(kr90: Robot) -> None:
         "friction[0] 0.8 N·m·s/rad",
         "friction[1] 2.7 N·m",
     ]
-    columns = {column.name: column.unit for column in Regressor(linear.without(["asymmetric_friction"]), offsets=True).columns}
+    columns = {
+        column.name: column.unit for column in Regressor(linear.without(["asymmetric_friction"]), offsets=True).columns
+    }
     assert [columns[name] for name in ("coulomb_friction@joint1.torque", "torque_offset@joint1")] == ["N", "N"]
