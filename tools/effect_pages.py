@@ -39,6 +39,7 @@ FREQUENCY, COARSE = np.linspace(4.0, 60.0, 1500), np.linspace(4.0, 60.0, 150)
 BAND_HZ = (15.0, 15.4)  # of a mode that an effect adds: between the robot's own
 SWING_S, RATE_HZ, SWING_RAD = 8.0, 250.0, 0.5
 WIDTH = 70  # characters of a line of YAML
+LINE = 50  # of a formula that stays in one line
 SHARE = 0.1  # of an axis' RMS torque: what an added law ordinarily adds, as in twin.diagnose.torque_laws
 LARGER = 2  # prior deviations of an error of either sign, whose usual value is none
 WITHOUT = {"color": "#e8590c", "linewidth": 1.2, "linestyle": "--", "zorder": 3}  # above what it may coincide with
@@ -129,7 +130,7 @@ def index() -> str:
     """A page that lists them all."""
     head = "# Every effect\n\nEach page is made from the effect's own file in `twin/physics/`.\n"
     rows = [
-        f"| [`{name}`]({name}.md) | {_first(inspect.getmodule(effect))} | {_kinds(effect)} |"
+        f"| [`{name}`]({name}.md) | {_formula(_first(inspect.getmodule(effect)))} | {_kinds(effect)} |"
         for name, effect in CATALOGUE.items()
     ]
     return "\n".join([head, "| effect | law | seen in |", "|---|---|---|", *rows, ""])
@@ -203,6 +204,13 @@ def _markdown(text: str) -> str:
 
 def _first(module: Any) -> str:
     return _markdown(" ".join((inspect.getdoc(module) or "").split("\n\n")[0].split())).replace("|", "\\|")
+
+
+def _formula(law: str) -> str:
+    """A law whose short formula, at its end, stays in one line."""
+    words, colon, formula = law.rpartition(": ")
+    whole = len(formula) < LINE and re.search("[=×φ̇]", formula)
+    return words + colon + (formula.replace(" ", "\u00a0") if whole else formula)
 
 
 def _yaml(entry: Entry) -> str:
