@@ -1,11 +1,13 @@
 """Every effect: null is the model without it, native MuJoCo elements do what the law says, sites hold."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from twin.diagnose.verdict import parameter_rows
 from twin.measure.motion_log import MotionRun
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise, posture_state
@@ -16,7 +18,7 @@ from twin.model.sensitivity import structure
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
 from twin.robot.bodies import cut
-from twin.robot.description import Robot
+from twin.robot.description import Robot, load_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, compile_model
 
@@ -313,3 +315,25 @@ def test_the_catalogue_has_the_vocabulary_s_identifiers() -> None:
         assert effect.__doc__
         assert effect.seen_in <= {"hammer", "levels", "log"}
         assert list(effect.fixed_sites(3)) or all("LABEL" in s or "NODE" in s for s in effect.sites)
+
+
+def test_a_joint_that_slides_has_units_that_slide(kr90: Robot) -> None:
+    """A force over a speed at a linear axis, a torque about it at any other; each number of a list has its own."""
+    linear = load_robot(Path(__file__).parent / "data" / "emps.yaml")
+    dry, uneven = CATALOGUE["coulomb_friction"], CATALOGUE["asymmetric_friction"]
+    assert [dry.unit("torque", "joint1", robot) for robot in (kr90, linear)] == ["N·m", "N"]
+    assert uneven.unit("viscous_difference", "joint1", linear) == "N·s/m"
+    assert CATALOGUE["hysteresis"].unit("stiffness[1]", "joint1.z", linear) == "N/m"
+    assert CATALOGUE["transverse_compliance"].unit("stiffness", "joint1.x", linear) == "N·m/rad"
+    assert CATALOGUE["base_compliance"].unit("damping", "base.z", kr90) == "N·s/m"
+    coupling = CATALOGUE["joint_coupling"]
+    assert [coupling.unit(f"friction[{k}]", "joint3", kr90) for k in (0, 1)] == ["N·m·s/rad", "N·m"]
+    friction = {"value": [0.8, 2.7], "unit": "N·m·s/rad, N·m", "interval90": [[0.7, 0.9], [2.6, 2.8]]}
+    assert [row.split("   ")[0] for row in parameter_rows({"friction": friction})] == [
+        "friction[0] 0.8 N·m·s/rad",
+        "friction[1] 2.7 N·m",
+    ]
+    columns = {
+        column.name: column.unit for column in Regressor(linear.without(["asymmetric_friction"]), offsets=True).columns
+    }
+    assert [columns[name] for name in ("coulomb_friction@joint1.torque", "torque_offset@joint1")] == ["N", "N"]

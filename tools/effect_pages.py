@@ -8,6 +8,7 @@ taken out. Another is added, of its usual size.
 import argparse
 import inspect
 import re
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,9 +39,10 @@ FREQUENCY, COARSE = np.linspace(4.0, 60.0, 1500), np.linspace(4.0, 60.0, 150)
 BAND_HZ = (15.0, 15.4)  # of a mode that an effect adds: between the robot's own
 SWING_S, RATE_HZ, SWING_RAD = 8.0, 250.0, 0.5
 WIDTH = 70  # characters of a line of YAML
+LINE = 50  # of a formula that stays in one line
 SHARE = 0.1  # of an axis' RMS torque: what an added law ordinarily adds, as in twin.diagnose.torque_laws
 LARGER = 2  # prior deviations of an error of either sign, whose usual value is none
-WITHOUT = {"color": "#e8590c", "linewidth": 1.2, "linestyle": "--"}
+WITHOUT = {"color": "#e8590c", "linewidth": 1.2, "linestyle": "--", "zorder": 3}  # above what it may coincide with
 WITH = {"color": "#1f4e9c", "linewidth": 1.6}
 SWINGS = ("#9ec5f0", "#4c86c6", "#123a73")
 RECORDED = {"hammer": "hammer tests", "levels": "hammer tests at several force levels", "log": "motion logs"}
@@ -128,7 +130,7 @@ def index() -> str:
     """A page that lists them all."""
     head = "# Every effect\n\nEach page is made from the effect's own file in `twin/physics/`.\n"
     rows = [
-        f"| [`{name}`]({name}.md) | {_first(inspect.getmodule(effect))} | {_kinds(effect)} |"
+        f"| [`{name}`]({name}.md) | {_formula(_first(inspect.getmodule(effect)))} | {_kinds(effect)} |"
         for name, effect in CATALOGUE.items()
     ]
     return "\n".join([head, "| effect | law | seen in |", "|---|---|---|", *rows, ""])
@@ -145,12 +147,12 @@ def _page(effect: Effect, examples: dict[str, Example]) -> str:
     head = ["| parameter | unit | no effect at | may be |", "|---|---|---|---|"]
     parts += ["\n".join([*head, *map(_row, effect.parameters)])]
     if examples:
-        entries = "".join(dict.fromkeys(_yaml(example.entry) for example in examples.values()))
-        parts += [
-            f"In `robot.yaml`, as it is drawn here (large enough to be seen):\n\n```yaml\nphysics:\n{entries}```",
-            "## What it looks like",
-        ]
-        parts += [f"![{CAPTIONS[kind]}]({_file(effect.name, kind)})\n\n*{CAPTIONS[kind]}*" for kind in examples]
+        parts += ["## What it looks like"]
+    entries = {kind: _yaml(example.entry) for kind, example in examples.items()}
+    for entry in dict.fromkeys(entries.values()):  # often one for all pictures
+        parts += [f"In `robot.yaml`, as it is drawn below (large enough to be seen):\n\n```yaml\nphysics:\n{entry}```"]
+        drawn = [kind for kind in entries if entries[kind] == entry]
+        parts += [f"![{CAPTIONS[kind]}]({_file(effect.name, kind)})\n\n*{CAPTIONS[kind]}*" for kind in drawn]
     parts += ["## What is hard to tell from it", _aliases(effect, examples), "## What test shows it", _tests(effect)]
     return "\n\n".join(parts) + "\n"
 
@@ -204,15 +206,23 @@ def _first(module: Any) -> str:
     return _markdown(" ".join((inspect.getdoc(module) or "").split("\n\n")[0].split())).replace("|", "\\|")
 
 
+def _formula(law: str) -> str:
+    """A law whose short formula, at its end, stays in one line."""
+    words, colon, formula = law.rpartition(": ")
+    whole = len(formula) < LINE and re.search("[=×φ̇]", formula)
+    return words + colon + (formula.replace(" ", "\u00a0") if whole else formula)
+
+
 def _yaml(entry: Entry) -> str:
     stream = StringIO()
     writer = YAML()
     writer.default_flow_style = True
-    writer.width = WIDTH
+    writer.width = 10_000  # a list would be cut anywhere
     writer.representer.add_representer(float, _number)
     writer.dump([_rounded(entry.model_dump(mode="json"))], stream)
-    first, *rest = stream.getvalue().strip()[1:-1].splitlines()
-    return "\n".join([f"  - {first.strip()}", *(f"     {line.strip()}" for line in rest), ""])
+    whole = re.sub(r"\[[^]]{,50}\]|\w: ", lambda part: part[0].replace(" ", "\u00a0"), stream.getvalue().strip()[1:-1])
+    lines = textwrap.wrap(whole, WIDTH, initial_indent="  - ", subsequent_indent="     ", break_long_words=False)
+    return "\n".join([*lines, ""]).replace("\u00a0", " ")
 
 
 def _number(representer: Any, value: float) -> Any:
@@ -225,7 +235,7 @@ def _rounded(value: Any) -> Any:
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_rounded(item) for item in value]
-    return float(f"{value:.3g}") if isinstance(value, float) else value
+    return type(value)(float(f"{value:.3g}")) if isinstance(value, int | float) else value
 
 
 # --- examples -----------------------------------------------------------------------------------------------------
@@ -360,7 +370,7 @@ def _frf(example: Example) -> Figure:
     lower.set_xlabel("frequency, Hz")
     lower.set_xlim(FREQUENCY[0], FREQUENCY[-1])
     upper.set_title(f"{labels[i]}/{labels[j]}", loc="left", fontsize=9)
-    upper.legend(frameon=False, fontsize=9)
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=2, frameon=False, fontsize=9)
     _plain(upper, lower)
     return figure
 
@@ -418,6 +428,7 @@ def _torque(example: Example) -> Figure:
     axes["position"].set_ylabel("difference, N·m")
     axes["speed"].plot(motion.velocity[:, axis], added[:, axis], color=WITH["color"], linewidth=1)
     axes["speed"].set_xlabel(f"speed of joint {axis + 1}, rad/s")
+    axes["speed"].set_ylabel("difference, N·m")
     _plain(*axes.values())
     return figure
 

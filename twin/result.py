@@ -27,6 +27,11 @@ def written(files: Sequence[str | Path]) -> str:
     return f"wrote into {folder}: {', '.join(named)}{f' and {more}' if rest else ''}"
 
 
+def no_model() -> dict[str, str | None]:
+    """Where the new model is, before it is written."""
+    return {"robot": None, "mjcf": None}
+
+
 class Result:
     """Base of all results.
 

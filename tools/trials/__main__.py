@@ -266,7 +266,9 @@ def _score(split: Path, target: Path, measured: str, first: str = "") -> None:
     cases, results, manifest, ledger = _opened(split, "score")
     without = {c["id"]: c["without"] for c in manifest["cases"]}
     target.parent.mkdir(parents=True, exist_ok=True)
-    title = {"proof": "Proof", "proof-logs": "Proof: motion logs"}.get(target.stem, f"Proof: {split.name} split")
+    title = {"proof": "Proof: hammer tests", "proof-logs": "Proof: motion logs"}.get(
+        target.stem, f"Proof: {split.name} split"
+    )
     page(target, title, cases, results, split, without, ledger, manifest, measured, first)
     for name, value in score.headline(cases).items():
         print(f"{name:40s} {value:.3g}" if isinstance(value, float) else f"{name:40s} {value}")

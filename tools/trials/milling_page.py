@@ -102,17 +102,13 @@ def _lines(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
 def page(split: Path, deepest: float, ledger: list[dict[str, str]]) -> str:
     """The page as Markdown."""
     cuts = collected(split)
-    engines = sorted({entry["engine"] for entry in ledger})
     shown = [entry for entry, later in zip(ledger, [*ledger[1:], {}], strict=True) if later.get("why") != entry["why"]]
-    events = "; ".join(f"{entry['time']} {entry['why']}" for entry in shown)
     parts = [
         _head(cuts), _stable(cuts, deepest), _cost(cuts), _by_effect(cuts, deepest), _by_cut(cuts, deepest),
         _damping(cuts),
+        ["## Ledger", "", *(f"- {e['time']}: {e['why']} (engine {e['engine']})" for e in shown), ""],
     ]  # fmt: skip
-    told = f"Ledger, engines {', '.join(engines)}: {events}."
-    return "\n".join(
-        ["# Proof: milling with concealed physics", "", *(line for part in parts for line in part), told, ""]
-    )
+    return store.typeset("\n".join(["# Proof: milling", "", *(line for part in parts for line in part)]))
 
 
 def _head(cuts: Sequence[Stated]) -> list[str]:

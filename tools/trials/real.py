@@ -112,7 +112,7 @@ def section(content: dict[str, Any]) -> str:
     for row in content["rows"]:
         lines += [f"### {row['name']}", ""]
         if row["known"]:
-            lines += [f"Known: {row['known']}", ""]
+            lines += [_sentence(f"Known: {row['known']}"), ""]
         d = row["diagnosis"]
         if d is None:
             lines += [f"No answer: {row['complaint']}", ""]
@@ -130,7 +130,7 @@ def section(content: dict[str, Any]) -> str:
             said += f" ({values})" if values else ""
             said += f"; or {rivals}" if rivals else ""
             lines.append(said + (f". {e['evidence']}" if e.get("evidence") else ""))
-        lines += [f"- Triage: {note['text']}" for note in d.get("triage") or []]
+        lines += [_sentence(f"- Triage: {note['text']}") for note in d.get("triage") or []]
         if d["effects"] or d.get("triage"):
             lines.append("")
         lines += [*_errors(d["error"] or {}), ""]
@@ -139,15 +139,22 @@ def section(content: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _sentence(text: str) -> str:
+    return text.rstrip(".") + "."
+
+
 def _share(p: Any) -> str:
     return f"{p:.0%}" if isinstance(p, int | float) else "–"
 
 
 def _value(v: Any) -> str:
+    """A list of numbers in one unit has it at its end; of several, each has its own."""
     value = v.get("value") if isinstance(v, dict) else v
-    unit = v.get("unit", "") if isinstance(v, dict) else ""
-    text = f"{value:.3g}" if isinstance(value, int | float) else ", ".join(f"{x:.3g}" for x in value or [])
-    return f"{text} {unit}".strip() if unit != "1" else text
+    units = (v.get("unit", "") if isinstance(v, dict) else "").removesuffix("1").split(", ")
+    texts = [f"{x:.3g}" for x in (value if isinstance(value, list) else [value])]
+    if len(units) == 1:
+        return f"{', '.join(texts)} {units[0]}".strip()
+    return ", ".join(f"{text} {unit}" for text, unit in zip(texts, units, strict=True))
 
 
 def _errors(error: dict[str, Any]) -> list[str]:

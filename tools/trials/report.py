@@ -15,6 +15,7 @@ import numpy as np
 from tools.trials import baselines, score
 from tools.trials.cases import SIZES
 from tools.trials.score import Rate, Scored, often
+from tools.trials.store import typeset
 
 WANTED: dict[str, tuple[str, float]] = {  # sign: at most, at least
     "false alarms": ("≤", 0.05),
@@ -106,7 +107,7 @@ def page(
         "## Every answer that was not right", "", *_wrong(cases), "",
         "## Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
     ]  # fmt: skip
-    path.write_text("\n".join(parts), encoding="utf-8")
+    path.write_text(typeset("\n".join(parts)), encoding="utf-8")
 
 
 def _reading(path: Path, engines: Sequence[str]) -> list[str]:
@@ -165,7 +166,7 @@ def _weak(cases: Sequence[Scored]) -> list[str]:
         if here:
             faint = sum(bool(c.truth) and c.size < score.VISIBLE for c in here)
             kinds = Counter(c.recording for c in here)
-            rows.append((fault, len(here), faint or "", ", ".join(f"{n} {k}" for k, n in kinds.most_common())))
+            rows.append((fault, len(here), faint, ", ".join(f"{k}: {n}" for k, n in kinds.most_common())))
     lines = _table(("wrong answer", "cases", "of them not clear", "recording"), rows) if rows else ["No wrong answer."]
     poor = [(n, r) for n, (r, _) in score.by_effect(cases).items() if r.value < 0.5]
     if poor:

@@ -11,6 +11,7 @@ SPLIT/ledger.json            the making of the split and every opening of its an
 import hashlib
 import json
 import os
+import re
 import subprocess
 from datetime import UTC, datetime
 from pathlib import Path
@@ -73,3 +74,11 @@ def entered(split: Path, why: str) -> list[dict[str, str]]:
     ledger.append({"time": datetime.now(UTC).isoformat(timespec="seconds"), **entry})
     write(path, ledger)
     return list(ledger)
+
+
+def typeset(page: str) -> str:
+    """Markdown with a blank before every percent sign, and minus signs, outside of code."""
+    parts = re.split(r"(`[^`]*`)", page)
+    for k in range(0, len(parts), 2):
+        parts[k] = re.sub(r"(?<=\d)%", " %", re.sub(r"(?<=[\s(\[])-(?=\d)", "−", parts[k]))
+    return "".join(parts)

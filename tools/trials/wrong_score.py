@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tools.trials.score import HELD_ROOM, Rate, aliases, last_line, named_parameters, numbers, often
+from tools.trials.store import typeset
 from tools.trials.visible import SEEN
 from tools.trials.wrong import OWN
 from tools.truth.wrong import LACKING_NOTHING, WAYS
@@ -290,7 +291,7 @@ def section(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger
         *every([c for c in cases if c.outcome not in CLASSES[:2]]), "",
         "### Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
     ]  # fmt: skip
-    return "\n".join(parts)
+    return typeset("\n".join(parts))
 
 
 def _by_way(cases: Sequence[Judged]) -> list[str]:
@@ -305,7 +306,9 @@ def _by_way(cases: Sequence[Judged]) -> list[str]:
                     (way, recording, len(here), *(counts[kind] or "" for kind in CLASSES),
                      ", ".join(f"{n} × {h}" if n > 1 else h for h, n in names.most_common()))
                 )  # fmt: skip
-    return table(("way", "recording", "cases", *CLASSES, "wrong names"), rows)
+    head = ("way", "recording", "cases", *CLASSES, "wrong names")
+    told = [k for k in range(len(head)) if any(row[k] != "" for row in rows)]
+    return table([head[k] for k in told], [[row[k] for k in told] for row in rows])
 
 
 def every(cases: Sequence[Judged]) -> list[str]:

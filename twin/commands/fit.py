@@ -15,7 +15,7 @@ from twin.measure.recordings import Given, read_one, traced
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import check_band, check_count
-from twin.result import Result, written
+from twin.result import Result, no_model, written
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
@@ -24,10 +24,23 @@ from twin.table import Table
 
 @dataclass
 class FitResult(Fitting, Result):
-    """What ``twin fit`` found; prints itself, and is the JSON of the command."""
+    """What ``twin fit`` found; prints itself, and is the JSON of the command.
+
+    Attributes:
+        robot: the fitted description.
+        estimates: every parameter with its interval.
+        combinations: what the data determine together, and how well.
+        held_out: postures that were not used.
+        error: ``train`` and ``held_out``; ``None`` where nothing was held out.
+        expected: the held-out error that noise and tolerances explain, and the noise floor alone.
+        postures: per posture role, the model's modes and, where there are any, measured ones.
+        left_out: posture → error when only that posture was not used.
+        warnings: what to know before the numbers are used.
+        files: what was written; ``model`` where the new model is.
+    """
 
     files: list[str] = field(default_factory=list)
-    model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
+    model: dict[str, str | None] = field(default_factory=no_model)
     origin: dict[str, Any] = field(default_factory=dict)
 
     drawn_by = "twin.report.fit_report"

@@ -13,7 +13,7 @@ from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Given, read_one, traced
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
-from twin.result import Result, written
+from twin.result import Result, no_model, written
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
@@ -37,7 +37,7 @@ class Identified(Result):
     found: Identification
     log: MotionLog
     files: list[str] = field(default_factory=list)
-    model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
+    model: dict[str, str | None] = field(default_factory=no_model)
     origin: dict[str, Any] = field(default_factory=dict)
 
     drawn_by = "twin.report.identify_figures"

@@ -29,7 +29,6 @@ from twin.yamlfile import read_yaml
 
 Given = str | Path | Robot | Campaign | Mapping[str, Any] | Sequence[float] | np.ndarray
 
-DRAWS = 100
 SHOWN = 8  # speeds in the table
 FORCED = 60  # speeds at which forced vibration is given
 HARDEST_BLOW_N_S = 100.0  # a sledge hammer of 10 kg at 10 m/s
@@ -221,7 +220,7 @@ def lobes(
     posture: str | None = None,
     brakes: Literal["on", "off"] | None = None,
     spindle_rpm: tuple[float, float] | None = None,
-    draws: int = DRAWS,
+    draws: int = 100,
     in_time: int = 0,
     blow_n_s: float = 0.0,
     out: str | Path | None = None,

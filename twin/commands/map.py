@@ -38,7 +38,8 @@ class Map(Result):
     """What ``twin map`` found; prints itself, and is the JSON of the command.
 
     Attributes:
-        robot, cut: what cuts.
+        robot: the robot.
+        cut: tool, material and cut.
         places: where, those in reach.
         left_out: how many places were asked for that the robot does not reach.
         result: arrays whose first axis is the places, see :func:`twin.milling.map.compute_block`.

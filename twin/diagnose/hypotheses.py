@@ -146,7 +146,8 @@ def entry_hypothesis(base: Robot, effect: str, site: str, values: dict[str, Any]
             if law.hinge:
                 name = f"{site}.{quantity.name}"
             width = law.deviation(base, site, quantity, k)
-            own.append(Parameter(name, quantity.unit, kind, quantity.log, float(number), width, "usual size"))
+            unit = law.unit(quantity.name + (f"[{k}]" if quantity.length else ""), site, base)
+            own.append(Parameter(name, unit, kind, quantity.log, float(number), width, "usual size"))
     return Hypothesis(effect, site, (entry,), tuple(own))
 
 

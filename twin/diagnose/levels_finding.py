@@ -237,7 +237,7 @@ def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> 
         weight = weight if known else np.column_stack([weight, power])
         variance = np.einsum("vp,pq,vq->v", weight, covariance, weight) + (0.0 if known else (power * FORM) ** 2)
         ends = np.exp(at[:, None] + np.outer(NINETY * np.sqrt(variance), [-1, 1])).tolist()
-        unit = CATALOGUE[objective.law.effect].unit(name)
+        unit = CATALOGUE[objective.law.effect].unit(name, fit.hypothesis.site, fit.robot)
         found[name] = {"value": value, "unit": unit, "interval90": ends if np.ndim(value) else ends[0]}
     return found
 

@@ -65,7 +65,8 @@ def smallest_visible_laws(robot: Robot, base: Fitted, sample: Sample, blow: dict
             name = law.shown or law.names[0]
             found.append({
                 "effect": law.effect, "site": hypothesis.site, "parameter": name,
-                "value": float(np.sum(entry[name])), "unit": CATALOGUE[law.effect].unit(name),
+                "value": float(np.sum(entry[name])),
+                "unit": CATALOGUE[law.effect].unit(name, hypothesis.site, robot),
             })  # fmt: skip
     return found
 

@@ -182,7 +182,7 @@ def with_evidence(finding: Finding) -> list[Missing]:
 def _evidence(missing: Missing, finding: Finding) -> str:
     first = missing.first
     joint = axis_of(first.site) if first.site.startswith("joint") else None
-    name = first.title if len(finding.missing) == 1 else f"{first.title} and what else was found"
+    name = first.title if len(finding.missing) == 1 else f"{first.title} and what else was found,"
     told = sentence(name, finding.records, finding.error, finding.held_out, joint)
     return " ".join([told, *finding.apart.get(first.key, ())])
 

@@ -310,8 +310,7 @@ class Look:
         return Suspect(hypothesis, np.array(suspected.starts, float), suspected.sizes, least)
 
     def _named(self, prior: Prior) -> Parameter:
-        name = prior.name.partition("[")[0]
-        unit = next(p.unit for p in CATALOGUE[self.effect].parameters if p.name == name).split(",")[0]
+        unit = CATALOGUE[self.effect].unit(prior.name, self.site, self.robot)
         key = f"{self.effect}@{self.site}.{prior.name}"
         return Parameter(key, unit, "entry", prior.log, prior.mean, prior.deviation, "usual size")
 

@@ -18,7 +18,8 @@ ADVICE: dict[Test, str] = {
     "speed",
     "mass": "the same motion once more with a known mass at the flange: it scales with the torque constant, "
     "and adds to a payload",
-    "acceleration": "one axis at a time, at rest and at the largest acceleration: what the others do to it shows apart",
+    "acceleration": "one axis at a time, at rest and at the largest acceleration: what the other axes do to it then "
+    "shows by itself",
     "sweep": "one slow sweep of the axis over its whole range, there and back: torque over position at constant speed",
 }
 """Tests, the most telling first."""

@@ -18,7 +18,7 @@ from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import ASTRAY, Fitted
 from twin.identify.damping_transfer import Transfer
 from twin.identify.uncertainty import NINETY
-from twin.result import Result, written
+from twin.result import Result, no_model, written
 from twin.robot.description import Robot
 from twin.table import Table
 
@@ -181,7 +181,7 @@ class Verdict(Result):
     robot: Robot
     checks: list[dict[str, Any]] = field(default_factory=list)
     payload_edit: dict[str, Any] | None = None
-    model: dict[str, str | None] = field(default_factory=lambda: {"robot": None, "mjcf": None})
+    model: dict[str, str | None] = field(default_factory=no_model)
     files: list[str] = field(default_factory=list)
     origin: dict[str, Any] = field(default_factory=dict)
 
@@ -236,7 +236,6 @@ class Verdict(Result):
             if not np.isfinite(item["value"]):
                 continue
             key = item["effect"], item["site"], item["parameter"]
-            item = {**item, "unit": unit_at(item["unit"], item["site"])}
             wins = max if item["parameter"] == "stiffness" else min
             best[key] = wins((best.get(key, item), item), key=lambda one: one["value"])
         return list(best.values())
@@ -348,9 +347,11 @@ def parameter_rows(parameters: dict[str, Any]) -> list[str]:
     for name, item in parameters.items():
         many = isinstance(item["value"], list)
         values, ranges = (item["value"], item["interval90"]) if many else ([item["value"]], [item["interval90"]])
+        units = item["unit"].split(", ")
         for k, (value, (low, high)) in enumerate(zip(values, ranges, strict=True)):
             title, n = f"{name}[{k}]" if many else name, _digits(low, high)
-            rows.append(f"{title} {value:.{n}g} {item['unit']}   90 %: {low:.{n}g} … {high:.{n}g}")
+            unit = units[min(k, len(units) - 1)]
+            rows.append(f"{title} {value:.{n}g} {unit}   90 %: {low:.{n}g} … {high:.{n}g}")
     return rows
 
 
@@ -480,22 +481,15 @@ def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
         deviation = float(np.sqrt(covariance[k, k]))
         ends = sorted(float(parameter.value(x[k] + side * NINETY * deviation)) for side in (-1, 1))
         name = parameter.name.rpartition(".")[2]
-        unit = unit_at(parameter.unit, parameter.site.rpartition("@")[2])
-        found[name] = {"value": float(fit.values[k]), "unit": unit, "interval90": ends}
+        found[name] = {"value": float(fit.values[k]), "unit": parameter.unit, "interval90": ends}
     for name in [name for name in found if name.endswith("[0]")]:
         stem = name[:-3]
         items = [found.pop(key) for key in [key for key in found if key.startswith(f"{stem}[")]]
         found[stem] = {
-            "value": [i["value"] for i in items], "unit": items[0]["unit"],
+            "value": [i["value"] for i in items], "unit": ", ".join(dict.fromkeys(i["unit"] for i in items)),
             "interval90": [i["interval90"] for i in items],
         }  # fmt: skip
     return found
-
-
-def unit_at(unit: str, site: str) -> str:
-    """The unit at a site, of an effect that turns at some and slides at others (``N·m/rad or N/m``)."""
-    turning, _, sliding = unit.partition(" or ")
-    return sliding if sliding and site in ("base.x", "base.y", "base.z") else turning
 
 
 def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:

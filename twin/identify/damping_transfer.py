@@ -96,7 +96,7 @@ class Transfer:
         )
 
 
-def transfer(misses: Sequence[Miss]) -> Transfer:
+def transfer(misses: Sequence[Miss] = ()) -> Transfer:
     """τ of greatest likelihood, from modes in postures that were not fitted to."""
     if not misses:
         return Transfer(*UNKNOWN)

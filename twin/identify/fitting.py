@@ -79,7 +79,7 @@ class Fitting:
     left_out: dict[str, float] = field(default_factory=dict)
     comparisons: dict[str, Comparison] = field(default_factory=dict)
     profiles: dict[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
-    damping: Transfer = field(default_factory=lambda: transfer([]))
+    damping: Transfer = field(default_factory=transfer)
 
 
 # --- FRFs -------------------------------------------------------------------------------------------------------------

@@ -66,7 +66,9 @@ class Task:
     """Everything that a block needs to know.
 
     Attributes:
-        robot, cut, brakes: what cuts.
+        robot: the robot.
+        cut: tool, material and cut.
+        brakes: on or off.
         places: where.
         ensemble: robots that the recordings allow, or ``None``.
         spindle_rpm: speed of the closed form, ``None`` for the smallest limit of all speeds.

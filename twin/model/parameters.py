@@ -338,7 +338,8 @@ def elastic_parameters(robot: Robot) -> list[Parameter]:
             if value <= 0:
                 continue
             name = f"{entry.site}.{item.name}" if effect.hinge else f"{key}.{item.name}"
-            found.append(_scale(robot, name, item.unit, "spring" if effect.hinge else "entry", value, item.spread))
+            unit = effect.unit(item.name, entry.site, robot)
+            found.append(_scale(robot, name, unit, "spring" if effect.hinge else "entry", value, item.spread))
     return found
 
 
@@ -353,10 +354,11 @@ def entry_parameter(robot: Robot, name: str, deviation: float | None = None) -> 
     item = next(p for p in CATALOGUE[entry.effect].parameters if p.name == quantity)
     value = robot.values(entry)[quantity]
     value = float(value if index is None else value[index])
+    unit = CATALOGUE[entry.effect].unit(name.rpartition(".")[2], entry.site, robot)
     if item.log and value > 0:
-        scale = _scale(robot, name, item.unit, "entry", value, item.spread)
+        scale = _scale(robot, name, unit, "entry", value, item.spread)
         return scale if deviation is None else replace(scale, deviation=deviation)
-    return Parameter(name, item.unit, "entry", False, value, deviation or item.spread or abs(value) or 1.0, "usual")
+    return Parameter(name, unit, "entry", False, value, deviation or item.spread or abs(value) or 1.0, "usual")
 
 
 def link_parameters(robot: Robot) -> tuple[list[Parameter], FloatArray]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.errors import InputError, NumericalError
 from twin.physics import CATALOGUE
-from twin.physics.effect import axis_of
+from twin.physics.effect import axis_of, unit_at
 from twin.physics.motion import Motion
 from twin.physics.statements import Part
 from twin.robot.description import Entry, Robot, parse_robot
@@ -264,13 +264,19 @@ class Regressor:
         for entry in self.entries:
             key = f"{entry.effect}@{entry.site}"
             columns += [
-                Column(f"{key}.{part.name}", part.unit, "entry", float(part.value), part.nonnegative)
+                Column(
+                    f"{key}.{part.name}",
+                    unit_at(part.unit, entry.site, self.robot),
+                    "entry",
+                    float(part.value),
+                    part.nonnegative,
+                )
                 for part in CATALOGUE[entry.effect].linear_parts(entry.values)
             ]
         if self.offsets:
             leaning = {entry.site for entry in self.entries if CATALOGUE[entry.effect].leaning}
             columns += [
-                Column(f"torque_offset@{name}", "N·m", "offset", 0.0)
+                Column(f"torque_offset@{name}", unit_at("N·m", name, self.robot), "offset", 0.0)
                 for name in self.robot.joint_names
                 if name not in leaning
             ]

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class BaseCompliance(Effect):
-    """Natively: a hinge or slide of the base body. Units are N·m/rad about, N/m along an axis."""
+    """Natively: a hinge or slide of the base body. Units are N·m/rad about an axis, and N/m along one."""
 
     name = "base_compliance"
     sites = ("base.rx", "base.ry", "base.rz", "base.x", "base.y", "base.z")

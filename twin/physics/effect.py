@@ -190,9 +190,11 @@ class Effect:
         """Why the values do not fit a robot of so many axes, or ``None``."""
         return None
 
-    def unit(self, name: str) -> str:
-        """Of a parameter."""
-        return next(p.unit for p in self.parameters if p.name == name)
+    def unit(self, name: str, site: str, robot: "Robot") -> str:
+        """Of a parameter at a site, or of one number of a list (``friction[1]``)."""
+        name, _, index = name.partition("[")
+        units = next(p.unit for p in self.parameters if p.name == name).split(", ")
+        return unit_at(units[int(index[:-1])] if index and len(units) > 1 else units[0], site, robot)
 
     def complete(self, robot: "Robot", site: str, given: Values) -> Values:
         """The parameters as given, with those filled in that an entry leaves to the rest of the description."""
@@ -482,6 +484,19 @@ def axis_of(site: str) -> int:
     if not found:
         raise ValueError(f"no axis in site {site!r}")
     return int(found.group(1)) - 1
+
+
+SLIDING = {
+    "N·m": "N", "N·m/rad": "N/m", "N·m/rad³": "N/m³", "N·m·s/rad": "N·s/m", "kg·m²": "kg", "rad": "m", "rad/s": "m/s",
+}  # fmt: skip
+
+
+def unit_at(unit: str, site: str, robot: "Robot") -> str:
+    """The unit at a site that turns or slides: ``N·m`` is N at a prismatic joint, ``N·m/rad or N/m`` is one of both."""
+    turning, _, sliding = unit.partition(" or ")
+    joint = re.fullmatch(r"joint(\d+)(\.z)?", site)
+    slides = robot.axes[int(joint[1]) - 1].type == "prismatic" if joint else site in ("base.x", "base.y", "base.z")
+    return (sliding or SLIDING.get(turning, turning)) if slides else turning
 
 
 def usual_stiffness(robot: "Robot") -> float:

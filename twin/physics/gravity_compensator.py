@@ -1,4 +1,4 @@
-"""A spring or gas cylinder that relieves a joint: Σ B_l cos(l q), l = 1, 2, 3, added to the recorded drive torque."""
+"""A spring or gas cylinder that relieves a joint: Σ B_k cos(k q), k = 1, 2, 3, added to the recorded drive torque."""
 
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class GravityCompensator(Effect):
-    """Natively: three cogging elements on the motor's joint, cos(l q) = sin(l q + π/2). B₁ < 0 unloads the motor."""
+    """Natively: three cogging elements on the motor's joint, cos(k q) = sin(k q + π/2). B₁ < 0 unloads the motor."""
 
     name = "gravity_compensator"
     sites = ("joint{i}",)

@@ -12,7 +12,7 @@ class GravityDirection(Effect):
     sites = ("base",)
     parameters = (Parameter("angles", "rad", length=2, spread=0.02),)
     seen_in = frozenset({"log"})
-    ordinary = "the direction of gravity is a number that a log's fit has free; the answer has this name"
+    ordinary = "every fit to a log leaves the direction of gravity free, and a leaning foot is answered by this name"
 
     def gravity(self, gravity: np.ndarray, site: str, values: Values) -> np.ndarray:
         (sa, sb), (ca, cb) = np.sin(values["angles"]), np.cos(values["angles"])

@@ -18,7 +18,7 @@ class JointOffset(Effect):
     sites = ("joint{i}",)
     parameters = (Parameter("angle", "rad", spread=0.02),)
     seen_in = frozenset({"hammer", "log"})
-    ordinary = "the zero of every axis is a number that a log's fit has free; the answer has this name"
+    ordinary = "every fit to a log leaves the zero of each axis free, and a wrong zero is answered by this name"
 
     def encoder_zero(self, site: str, values: Values) -> dict[int, float]:
         return {axis_of(site): float(values["angle"])}

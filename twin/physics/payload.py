@@ -1,4 +1,6 @@
-"""A rigid mass beyond the description, on a link or at the flange; com in the frame of that (the last) link."""
+"""A rigid mass beyond the description, on a link or at the flange. Its com is in the frame of that link, at the flange
+of the last one.
+"""
 
 from typing import TYPE_CHECKING, Any
 

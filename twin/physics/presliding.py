@@ -23,7 +23,7 @@ class Presliding(Hysteresis):
     part = "slip"
     refines = ""
     memory = False
-    ordinary = "friction turns round over a travel at every joint: the base model fits it as a tolerance"
+    ordinary = "friction turns round over a travel at every joint, and the base model fits it as a tolerance"
 
     def joint(self, mechanism: "Mechanism", site: str) -> "Joint | None":
         return mechanism.motor(axis_of(site))
