@@ -492,6 +492,8 @@ def test_a_long_wait_is_told_beforehand(
     assert found.code == 0
     assert found.err.startswith("twin: about 3 minutes for a recording of this size")
     assert effort.expected_s("identify", [tmp_path / "none.h5", Path(__file__)]) == 0
+    test = [EXAMPLES / "cell" / "campaign.h5"]
+    assert 0 < effort.expected_s("compare --as-is", test) < effort.expected_s("compare", test)
 
 
 @pytest.mark.parametrize("option", [("--place-turn-deg", "-1e300"), ("--place", "0", "1e7", "0")])
