@@ -97,7 +97,8 @@ def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable
             for file in files:
                 if os.path.exists(file) and not os.path.isfile(file) and not os.path.isdir(file):
                     raise InputError(file, "", "is a pipe or a device; expected a file")
-            if (wait := told(expected_s(f"{name} --as-is" if given.get("as_is") else name, files))) and not _asked("quiet"):
+            work = f"{name} --as-is" if given.get("as_is") else name
+            if (wait := told(expected_s(work, files))) and not _asked("quiet"):
                 print(f"twin: {wait} for a recording of this size", file=sys.stderr)
             with numbers_of(", ".join(files) or name):
                 function(**given)
