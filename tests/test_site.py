@@ -109,7 +109,8 @@ def test_formulas_of_plain_text_are_set_and_code_is_left_alone() -> None:
     page = "<p>F_c of |H|²_rms, e^(−σ_w t), 1e-9 and 2.4e8 at 30 Hz</p><pre>F_c 1e-9</pre>"
     page += "<p><code>a_b --grid</code></p>"
     assert site_hooks.on_page_content(page) == (
-        '<p>F<sub>c</sub> of |H<span class="whole">|²<sub>rms</sub></span>, e<sup>−σ<sub>w</sub> t</sup>, '
+        '<p>F<sub>c</sub> of |H<span class="whole">|²<sub>rms</sub></span>, '
+        'e<sup class="whole">−σ<sub>w</sub> t</sup>, '
         "10<sup>−9</sup> and "
         "2.4\u00a0×\u00a010<sup>8</sup> at 30\u00a0Hz</p>"
         '<pre tabindex="0">F_c 1e-9</pre><p><code>a_b <span class="whole">--grid</span></code></p>'

@@ -73,7 +73,7 @@ def _typeset(part: str) -> str:
     if part.startswith("<"):
         return part
     part = re.sub(r"(?<![\w.])(\d(?:\.\d+)?)e[+]?([−-]?)0*(\d+)\b", _power, part)
-    part = re.sub(r" (?=\|[^\s|]+\|)|(?<=\|) (?=sgn)|(?<=\bsgn) ", "\u00a0", part)  # μ |τ| sgn q̇
+    part = re.sub(r"(?<=\b[α-ω]) (?=\|)|(?<=\|) (?=sgn)|(?<=\bsgn) ", "\u00a0", part)  # μ |τ| sgn q̇
     part = re.sub(r"\[[\d.]+ ?%?, [\d.]+ ?%?\]", r'<span class="whole">\g<0></span>', part)
     part = re.sub(r"(?<![\w-])--[a-z][\w-]*", r'<span class="whole">\g<0></span>', part)
     part = re.sub(r"\be\^(?:\(([^)]*)\)|\{([^}]*)\})", lambda e: f'e<sup class="whole">{e[1] or e[2]}</sup>', part)
