@@ -332,3 +332,11 @@ def test_a_torque_that_no_robot_of_its_weight_has_is_told(folder: Path, factor: 
     runs = {name: replace(run, torque=factor * run.torque) for name, run in log.runs.items() if run.torque is not None}
     with pytest.warns(Told, match=f"path: torque.* look like {unit}"):
         check_against(replace(log, runs=runs), robot)
+
+
+def test_blows_that_are_not_those_of_the_frfs_are_told(folder: Path) -> None:
+    read_campaign(folder / "hits.h5")
+    with h5py.File(folder / "hits.h5", "r+") as file:
+        file["postures/bent/hits/response"][...] *= 1e-6
+    with pytest.warns(Told, match="postures/bent/hits: make accelerances 1e-06 times those of frf"):
+        read_campaign(folder / "hits.h5")

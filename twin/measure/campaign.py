@@ -51,6 +51,7 @@ MOST_PADDING = 100  # times as long as its record may a record have been made by
 MOST_AVERAGES = 100_000  # blows, or records of a shaker
 LONGEST_PULSE_S, LONGEST_RECORD_S = 10.0, 1e5
 LARGEST_SHOCK = 1e7  # m/s²: the range of the stiffest shock sensors is ten times less
+OTHER = 100.0  # times: so far apart are no FRFs of one test
 SILENT = 1e-9  # m/s²: a thousandth of what the quietest seismic sensors resolve
 FASTEST_SAMPLES_HZ = 1e7
 DEAD_CHANNEL = 1e-6  # of the same: a channel below it carries no signal
@@ -383,7 +384,24 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
             f"expected twice the highest line ({posture.frequency[-1]:g} Hz), found {posture.hits.sample_rate_hz:g}"
         )
         raise InputError(source, f"{field}/hits: sample_rate_hz", problem)
+    if posture.hits is not None and posture.frequency[-1] > 0:
+        _tell_other_hits(source, field, posture, posture.hits)
     _check_rate(source, field, posture.exponential_window_rate)
+
+
+def _tell_other_hits(source: str | Path, field: str, posture: PostureFRF, hits: Hits) -> None:
+    """Tell of blows at the first point whose accelerance over the band is not that of the file by a factor OTHER."""
+    force, response = np.fft.rfft(hits.force[0], axis=-1), np.fft.rfft(hits.response[0], axis=-1)
+    frequency = np.fft.rfftfreq(hits.force.shape[2], 1 / hits.sample_rate_hz)
+    band = (frequency >= posture.frequency[0]) & (frequency <= posture.frequency[-1]) & (frequency > 0)
+    power = np.sum(np.abs(force[:, None, band]) ** 2)
+    stated = float(np.sqrt(np.mean(np.abs(_accelerance(posture)[posture.frequency > 0, :, 0]) ** 2)))
+    if not (band.any() and power > 0 and stated > 0):
+        return
+    seen = float(np.sqrt(np.sum(np.abs(response[..., band]) ** 2) / power / response.shape[1]))
+    if not 1 / OTHER < seen / stated < OTHER:
+        problem = f"make accelerances {seen / stated:.2g} times those of frf: is one of them in another unit?"
+        tell(source, f"{field}/hits", problem)
 
 
 def check_sample_rate(source: str | Path, field: str, rate: float) -> None:
