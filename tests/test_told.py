@@ -1,6 +1,7 @@
 """What is taken but hardly meant is told; what contradicts itself, or is out of every range, is refused by its name."""
 
 import shutil
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from tools.fuzz import seeds
 from twin.errors import InputError, Told
+from twin.importing.plausible import check_log
 from twin.measure.campaign import read_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, check_against, read_motion_log, write_motion_log
 from twin.milling.toolpath import read_toolpath
@@ -340,3 +342,12 @@ def test_blows_that_are_not_those_of_the_frfs_are_told(folder: Path) -> None:
         file["postures/bent/hits/response"][...] *= 1e-6
     with pytest.warns(Told, match="postures/bent/hits: make accelerances 1e-06 times those of frf"):
         read_campaign(folder / "hits.h5")
+
+
+def test_units_that_nobody_declared_are_not_told(folder: Path) -> None:
+    """Found by fuzzing: torques that miss were tried in other units, and those were told."""
+    log, robot = read_motion_log(folder / "log.h5"), load_robot(folder / "two.yaml")
+    runs = {name: replace(run, torque=run.torque[::-1]) for name, run in log.runs.items() if run.torque is not None}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Told)
+        check_log(replace(log, runs=runs), robot)

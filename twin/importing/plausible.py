@@ -5,11 +5,12 @@ some tens of per cent, while a slip is a factor of 4.4 or more. Torques are held
 length, and against the torque that the described robot needs for the motion.
 """
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, Told
 from twin.identify.rigid_compare import compare_log
 from twin.measure.campaign import Campaign
 from twin.measure.motion_log import MotionLog, MotionRun, check_against, torque_slip, weight_felt
@@ -80,10 +81,12 @@ def _check_slips(log: MotionLog, robot: Robot, slips: dict[tuple[float, float], 
 
     def error(turns: float, torques: float) -> float:
         scaled = MotionRun(name, time, turns * position, run.sample_rate_hz, torques * torque)
-        try:
-            return compare_log(replace(log, runs={name: scaled}), robot).error
-        except InputError:  # too short to judge, or no motion of this robot
-            return np.inf
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Told)  # what is told is of units that nobody declared
+            try:
+                return compare_log(replace(log, runs={name: scaled}), robot).error
+            except InputError:  # too short to judge, or no motion of this robot
+                return np.inf
 
     declared = error(1.0, 1.0)
     if not (slips and UNLIKE < declared < np.inf):
