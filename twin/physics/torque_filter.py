@@ -16,7 +16,7 @@ USUAL_HZ = (4.0, 7.0, 12.0, 20.0, 40.0)  # cutoffs from which a search starts
 class TorqueFilter(Effect):
     """Acts on the record of all joints alike. Far below its cutoff it is a delay of 1/(2π f_c).
 
-    ``lead`` is 0 for a filter of wires. One that computes y_k = a y_{k-1} + (1 - a) x_k answers half a sample sooner.
+    ``lead`` is 0 for a filter of wires. One that computes y_k = a y_{k−1} + (1 − a) x_k answers half a sample sooner.
     """
 
     name = "torque_filter"
