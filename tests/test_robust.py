@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +31,7 @@ from twin.commands.example import EXAMPLES
 from twin.commands.outputs import Outputs, exchange
 from twin.diagnose.joint import Knowledge
 from twin.diagnose.refit import Fitted
-from twin.errors import InputError, NumericalError, numbers_of
+from twin.errors import InputError, NumericalError, Told, numbers_of
 from twin.importing import matlab
 from twin.importing.map import LogMap
 from twin.measure import hdf5
@@ -367,6 +368,21 @@ def test_an_earlier_run_is_replaced_whole_and_the_users_own_files_stay(tmp_path:
     }
     assert found == {"robot.yaml": "new", "sub/mine.txt": "mine", "modes.yaml": "of another command"}
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_file_of_another_command_that_is_replaced_is_told(tmp_path: Path) -> None:
+    """Two commands on one recording have one folder, and its robot.yaml is that of the last."""
+    with Outputs(tmp_path / "out", "identify") as name:
+        name("robot.yaml").write_text(OLD)
+    with (
+        pytest.warns(Told, match="robot.yaml of `twin identify`: replaced"),
+        Outputs(tmp_path / "out", "diagnose") as name,
+    ):
+        name("robot.yaml").write_text("new")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Told)
+        with Outputs(tmp_path / "out", "diagnose") as name:
+            name("robot.yaml").write_text("newer")
 
 
 @pytest.mark.parametrize("swap", [True, False], ids=["exchange", "two renames"])

@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.parallel import Progress, cores, silent, spread
 from twin.result import Result
 from twin.robot.description import SHIPPED
@@ -126,6 +126,7 @@ class Outputs:
         umask = os.umask(0)
         os.umask(umask)
         self.stage.chmod(0o777 & ~umask)
+        self._tell_replaced(made)
         if not self.place.exists():
             self.stage.rename(self.place)
         elif self.place in (Path.cwd(), *Path.cwd().parents) or self.place.is_mount():
@@ -159,9 +160,23 @@ class Outputs:
 
     def _before(self) -> set[str]:
         """Names of what the same command wrote into the folder."""
-        listed = self.place / self.list
-        names = listed.read_text(errors="replace").splitlines() if listed.is_file() else []
-        return {name for name in names if not Path(name).is_absolute() and ".." not in Path(name).parts}
+        return _listed(self.place / self.list)
+
+    def _tell_replaced(self, made: list[str]) -> None:
+        """Tell of files of another command that have the names of new ones."""
+        own = self._before()
+        for listed in sorted(self.place.glob(f"{LISTED}*")):
+            lost = sorted(name for name in (_listed(listed) & set(made)) - own if (self.place / name).exists())
+            if lost and listed.name != self.list:
+                some = ", ".join(lost[:3]) + (f" and {len(lost) - 3} more" * (len(lost) > 3))
+                command = listed.name.removeprefix(LISTED)
+                tell("--out", str(self.out), f"{some} of `twin {command}`: replaced; -o names another folder")
+
+
+def _listed(path: Path) -> set[str]:
+    """Names in a list of what a command wrote."""
+    names = path.read_text(errors="replace").splitlines() if path.is_file() else []
+    return {name for name in names if not Path(name).is_absolute() and ".." not in Path(name).parts}
 
 
 def exchange(stage: Path, place: Path) -> None:
