@@ -49,12 +49,12 @@ FREED = {
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CAPTIONS = {
     "probabilities.png": "Probability of each answer.",
-    "errors.png": "Error of every posture or run under the three models. The bar is the noise.",
+    "errors.png": "Error of every posture or run under each model. The bar is the noise.",
     "overlay.png": "FRF where the answer shows best, used and held out; below, phase and residual.",
     "torque.png": "Torque where the answer shows best: recorded, before and after, and the residuals.",
     "modes.png": "Frequency and damping of every mode, measured, before and after.",
     "mismatch.png": "Residual over noise, before and after, by posture, channel and frequency.",
-    "residual.png": "Residual before and after, over time, position and speed.",
+    "residual.png": "Residual over time, position and speed.",
     "sites.png": "Where more freedom of the model would help most.",
     "smallest_visible.png": "Size from which an effect would have shown, over its usual size. A dot is a site.",
 }
