@@ -15,13 +15,17 @@ from test_identify_real import emps, needs, tx40
 from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from twin.diagnose import engine, torque
+from twin.diagnose.calibration import calibration
 from twin.diagnose.joint import followed
 from twin.diagnose.sentences import sentence
 from twin.diagnose.torque import diagnose_log, pooled, predicted_by, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
+    APART,
+    PRESLIDING,
     Columns,
     Trial,
+    _apart,
     _correlation,
     _rounded,
     base_fit,
@@ -121,6 +125,14 @@ def test_a_hose_pack_is_named_measured_and_put_back(drifting: Finding) -> None:
     assert drifting.error["after"]["held_out"] < drifting.error["before"]["held_out"]
 
 
+def test_a_slide_among_hinges_has_presliding_of_its_own(kr90: Robot) -> None:
+    data = kr90.model_dump(mode="json")
+    data["axes"][0]["type"] = "prismatic"
+    own, *others = _apart(parse_robot(data))
+    assert own == PRESLIDING
+    assert others == [APART, APART] == _apart(kr90)[1:].tolist()
+
+
 def test_what_a_log_says_does_not_depend_on_how_many_processes_look(drifting: Finding, tmp_path: Path) -> None:
     options = ("--effect", "cable_stiffness@joint1:stiffness=60,rest=0.3")
     other = diagnose_log(recorded(tmp_path, *options), load_robot("kr90"), "cable.h5", processes=2)
@@ -137,6 +149,7 @@ def test_dry_friction_left_out_is_named_and_its_level_found(tmp_path: Path, kr90
     assert missing.first.key == "coulomb_friction@joint2"
     assert missing.first.parameters["torque"]["value"] == pytest.approx(373.24, rel=0.03)
     assert found.error["after"]["held_out"] < 0.1 * found.error["before"]["held_out"]
+    assert found.foretold > calibration()["held_out_adequate"]  # by the base model: it is left if the name goes
 
 
 @pytest.mark.slow

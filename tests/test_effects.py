@@ -337,3 +337,16 @@ def test_a_joint_that_slides_has_units_that_slide(kr90: Robot) -> None:
         column.name: column.unit for column in Regressor(linear.without(["asymmetric_friction"]), offsets=True).columns
     }
     assert [columns[name] for name in ("coulomb_friction@joint1.torque", "torque_offset@joint1")] == ["N", "N"]
+
+
+def test_a_payload_beside_its_links_inertia_may_be_one_body() -> None:
+    """It was named beside `parameter` at that link; a payload that has an inertia, or another link, is left alone."""
+    robot, law = load_robot("kr90_six"), CATALOGUE["payload"]
+    point = law.typical(robot, "flange")
+    (one,) = law.merged(robot, "flange", point, "parameter", "link6.inertia")
+    assert (one.effect, one.site) == ("payload", "flange")
+    assert one.values is not None
+    assert one.values["mass"] == point["mass"]
+    assert min(one.values["inertia"]) > 0
+    assert law.merged(robot, "flange", dict(one.values), "parameter", "link6.inertia") == []
+    assert law.merged(robot, "flange", point, "parameter", "link5.inertia") == []
