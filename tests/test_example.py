@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from tools import make_arm, make_example, readme_example
 from tools.truth.effects import parse
@@ -68,6 +69,11 @@ def test_the_first_screen_of_the_readme_is_what_is_printed(tmp_path: Path, monke
     assert f"{concealed['effect']} at {concealed['site']}" in printed
     low, high = map(float, re.findall(r"stiffness .*90 %: (\S+) … (\S+)", printed)[0])
     assert low < concealed["stiffness"] < high
+    drawn = imread(tmp_path / "out" / "campaign" / "overlay.png")
+    shown_there = imread(readme_example.PICTURE)
+    assert drawn.shape == shown_there.shape
+    moved = np.mean(np.abs(drawn - shown_there).max(axis=2) > 0.2)  # a curve's edge may shift, a label may not
+    assert moved < 0.01, "python -m tools.readme_example"
 
 
 def test_quiet_says_one_line_and_verbose_names_every_file(
