@@ -22,7 +22,7 @@ from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 NONE = Hypothesis("none", "")
-ROUGH = 3.0  # in ln evidence: nearer the optimum on a few lines is no nearer that on all
+ENOUGH = 3.0  # in ln evidence: nearer the optimum on a few lines is no nearer that on all
 ASTRAY = 100.0  # times the variance of noise: how badly such a fit foretells needs no last digit
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
 LEVELS = 5  # widths over which a tolerance may be too narrow
@@ -253,7 +253,7 @@ def foreseen(fit: Fitted, kept: Sample) -> Fitted:
         known = Sprung(known.items, known.covariance, after(fit.parameters.written))
     steps = 8 if fit.misfit < ASTRAY else 2
     z, thin = np.zeros(len(known)), kept.thin(50)
-    few = descend(fit.robot, NONE, known, thin, z, tempered=0, linear=steps, tolerance=ROUGH)
+    few = descend(fit.robot, NONE, known, thin, z, tempered=0, linear=steps, tolerance=ENOUGH)
     return descend(fit.robot, NONE, known, kept, few.z, tempered=0, linear=steps, tolerance=0.1)
 
 

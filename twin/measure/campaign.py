@@ -367,6 +367,14 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
         tell(source, f"{field}/coherence: averages", problem)
     if posture.peak_force_n is not None:
         _check_force(source, f"{field}: peak_force_n", posture.peak_force_n)
+    _check_times(source, field, posture)
+    if posture.hits is not None and posture.frequency[-1] > 0:
+        _tell_other_hits(source, field, posture, posture.hits)
+    _check_rate(source, field, posture.exponential_window_rate)
+
+
+def _check_times(source: str | Path, field: str, posture: PostureFRF) -> None:
+    """Length of the pulse and of the record, and the lines that records of such a length and rate can tell."""
     longest = {"pulse_s": LONGEST_PULSE_S, "record_s": LONGEST_RECORD_S}
     for name, most in longest.items():
         length = getattr(posture, name)
@@ -384,9 +392,6 @@ def _check_posture(source: str | Path, field: str, posture: PostureFRF, nr: int,
             f"expected twice the highest line ({posture.frequency[-1]:g} Hz), found {posture.hits.sample_rate_hz:g}"
         )
         raise InputError(source, f"{field}/hits: sample_rate_hz", problem)
-    if posture.hits is not None and posture.frequency[-1] > 0:
-        _tell_other_hits(source, field, posture, posture.hits)
-    _check_rate(source, field, posture.exponential_window_rate)
 
 
 def _tell_other_hits(source: str | Path, field: str, posture: PostureFRF, hits: Hits) -> None:

@@ -568,13 +568,7 @@ def slopes(
         elif parameter.kind == "link":
             links.setdefault(site.partition(".")[0], []).append((row, p))
         elif parameter.kind == "spring" and site in index:
-            k = index[site]
-            if what == "stiffness":
-                out.K[row, k, k] = 1.0
-                out.loss[row, k, k] = model.loss[k, k] / model.strain[k]
-                out.integral[row, k, k] = model.integral[k, k] / model.strain[k]
-            else:
-                out.C[row, k, k] = 1.0
+            _apply_spring(out, row, what, index[site], model)
         elif parameter.kind == "posture" and site == f"posture.{setup.name}":
             axis = int(what[1:]) - 1
             if turned is None:
@@ -606,6 +600,16 @@ def slopes(
     if turns:
         _apply_turns(out, turns, parameters, values, robot, stated, setup, model)
     return out
+
+
+def _apply_spring(out: Observed, row: int, what: str, k: int, model: Structure) -> None:
+    """Of the stiffness or damping of coordinate k."""
+    if what == "stiffness":
+        out.K[row, k, k] = 1.0
+        out.loss[row, k, k] = model.loss[k, k] / model.strain[k]
+        out.integral[row, k, k] = model.integral[k, k] / model.strain[k]
+    else:
+        out.C[row, k, k] = 1.0
 
 
 def sag_slopes(

@@ -15,6 +15,7 @@ from twin.ranges import implausible
 
 if TYPE_CHECKING:
     from twin.physics.chain import MeasurementChain
+    from twin.physics.doubt import Weight
     from twin.physics.joint_law import Law
     from twin.physics.motion import Motion
     from twin.robot.description import Robot
@@ -189,6 +190,10 @@ class Effect:
     def check_axes(self, values: Values, axes: int) -> str | None:
         """Why the values do not fit a robot of so many axes, or ``None``."""
         return None
+
+    def doubts(self, robot: "Robot", site: str, values: Values, weight: "Weight") -> list[tuple[str, str]]:
+        """Parameter and question: values that are possible, and hardly meant on a robot of that weight."""
+        return []
 
     def unit(self, name: str, site: str, robot: "Robot") -> str:
         """Of a parameter at a site, or of one number of a list (``friction[1]``)."""

@@ -11,6 +11,7 @@ from twin.physics.statements import LogView, Prior, Suspected
 from twin.robot.frames import inertia_six, nearest_body
 
 if TYPE_CHECKING:
+    from twin.physics.doubt import Weight
     from twin.robot.description import Robot
     from twin.robot.mechanism import Mechanism
 
@@ -49,6 +50,11 @@ class Payload(Effect):
         if principal[0] < 0 or principal[0] + principal[1] < principal[2] * (1 - 1e-9):
             return "inertia: no body of positive mass can have it (triangle inequality)"
         return None
+
+    def doubts(self, robot: "Robot", site: str, values: Values, weight: "Weight") -> list[tuple[str, str]]:
+        if values["mass"] <= weight.mass:
+            return []
+        return [("mass", f"{values['mass']:g} kg, and the robot's links weigh {weight.mass:.4g}")]
 
     def carrier(self, robot: "Robot", site: str) -> int:
         return robot.axis_count - 1 if site == "flange" else axis_of(site)

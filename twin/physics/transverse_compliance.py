@@ -3,6 +3,7 @@
 from math import inf
 from typing import TYPE_CHECKING, Any
 
+from twin.physics.doubt import Weight, of_spring
 from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of, light_damping, usual_stiffness
 
 if TYPE_CHECKING:
@@ -24,6 +25,10 @@ class TransverseCompliance(Effect):
     part = "tilt"
     sprung = True
     hinge = True
+
+    def doubts(self, robot: "Robot", site: str, values: Values, weight: Weight) -> list[tuple[str, str]]:
+        turns = robot.axes[axis_of(site)].type == "revolute"
+        return of_spring(values["stiffness"], values["damping"], weight.torque) if turns else []
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         body = f"link{axis_of(site) + 1}"

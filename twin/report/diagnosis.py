@@ -685,40 +685,7 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     if verdict.next_test:
         found.append(Section("Next test", [_sentence(verdict.next_test["description"])]))
     for finding in verdict.findings:
-        several = f" · {Path(finding.recording).name}" if len(verdict.findings) > 1 else ""
-        of = {
-            name: path for name, path in drawn.items() if not several or name.startswith(Path(finding.recording).stem)
-        }
-        error_text = _error_text(finding, bool(verdict.missing))
-        notes = [text for text in finding.warnings if getattr(text, "severity", "") == "note"]
-        found.append(
-            Section(
-                f"Errors{several}", [error_text, *(_sentence(note) for note in notes)],
-                [text for text in finding.warnings if text not in notes], [_error_table(finding)],
-                pick(of, "errors.png", CAPTIONS["errors.png"]),
-            )
-        )  # fmt: skip
-        frfs = [r for r in finding.records if isinstance(r, FrfRecord)]
-        shown = bool(verdict.missing) and _changes(finding)
-        for heading, text, names, plots in (
-            (
-                "Where it shows" if shown else "Recorded and predicted",
-                "",
-                ("overlay.png", "torque.png", "modes.png"),
-                _plots(finding),
-            ),
-            (
-                "What the refitted model misses" if shown else "Where the model misses most",
-                _location_text(finding),
-                ("mismatch.png", "residual.png", "sites.png"),
-                [mismatch_map(frfs)] if frfs else [],
-            ),
-        ):
-            figures = [
-                pair for name in names for pair in pick(of, name, (CAPTIONS if shown else CAPTIONS | BOTH)[name])
-            ]
-            if figures:
-                found.append(Section(heading + several, [text] if text else [], figures=figures, plots=plots))
+        found += _of_recording(verdict, finding, drawn)
     checks = [f"{check['description']}." for check in verdict.checks if check["passed"]]
     failed = [f"failed: {check['description']}" for check in verdict.checks if not check["passed"]]
     edit, tables = verdict.payload_edit, []
@@ -734,6 +701,42 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
         figures = pick(drawn, "smallest_visible.png", CAPTIONS["smallest_visible.png"])
         tables = _visible_table(verdict.smallest_visible, verdict.base)
         found.append(Section("What could have been seen", [text], tables=tables, figures=figures))
+    return found
+
+
+def _of_recording(verdict: Verdict, finding: Finding, drawn: Mapping[str, Path]) -> list[Section]:
+    """Errors of one recording, where they show, and where the model misses most."""
+    several = f" · {Path(finding.recording).name}" if len(verdict.findings) > 1 else ""
+    of = {name: path for name, path in drawn.items() if not several or name.startswith(Path(finding.recording).stem)}
+    error_text = _error_text(finding, bool(verdict.missing))
+    notes = [text for text in finding.warnings if getattr(text, "severity", "") == "note"]
+    found = [
+        Section(
+            f"Errors{several}", [error_text, *(_sentence(note) for note in notes)],
+            [text for text in finding.warnings if text not in notes], [_error_table(finding)],
+            pick(of, "errors.png", CAPTIONS["errors.png"]),
+        )
+    ]  # fmt: skip
+    frfs = [r for r in finding.records if isinstance(r, FrfRecord)]
+    shown = bool(verdict.missing) and _changes(finding)
+    captions = CAPTIONS if shown else CAPTIONS | BOTH
+    for heading, text, names, plots in (
+        (
+            "Where it shows" if shown else "Recorded and predicted",
+            "",
+            ("overlay.png", "torque.png", "modes.png"),
+            _plots(finding),
+        ),
+        (
+            "What the refitted model misses" if shown else "Where the model misses most",
+            _location_text(finding),
+            ("mismatch.png", "residual.png", "sites.png"),
+            [mismatch_map(frfs)] if frfs else [],
+        ),
+    ):
+        figures = [pair for name in names for pair in pick(of, name, captions[name])]
+        if figures:
+            found.append(Section(heading + several, [text] if text else [], figures=figures, plots=plots))
     return found
 
 

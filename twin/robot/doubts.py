@@ -6,12 +6,11 @@ They are told and not refused: a fit or a diagnosis may write such numbers, and 
 import numpy as np
 
 from twin.measure.units import STANDARD_GRAVITY
+from twin.physics import CATALOGUE
+from twin.physics.doubt import Weight, of_spring
 from twin.ranges import NODE_APART_M
-from twin.robot.description import Robot
+from twin.robot.description import Axis, Drive, Robot
 
-LEAST_SAG, MOST_SAG = 1e-8, 1.0  # rad, of a gear under the robot's weight at arm's length
-SLOWEST_S = 0.3  # damping over stiffness: a damper that stops a spring within its first swing has less
-FRICTION = 30.0  # times the robot's weight at arm's length, as torques of a log
 DENSEST = 22_600.0  # kg/m³: osmium
 SMALLER = 30.0  # times: how much less inertia than a ball of that is certainly a slip
 FARTHER = 2.0  # times the reach, at which a link ends for certain
@@ -44,52 +43,18 @@ def doubts(robot: Robot) -> list[tuple[str, str]]:
         along = abs(axis.a) < NO_LENGTH_M and abs(np.sin(np.deg2rad(axis.alpha_deg))) < NO_LENGTH_M
         if along and axis.type == before.type == "revolute":
             found.append((f"axes[{i}]", f"turns about the same line as joint{i}: are alpha_deg and a missing?"))
-    held = STANDARD_GRAVITY * mass * reach / 2
+    weight = Weight(mass, STANDARD_GRAVITY * mass * reach / 2)
     for i, (axis, drive) in enumerate(zip(robot.axes, robot.drives, strict=True)):
-        where, turns = f"axes[{i}]", axis.type == "revolute"
-        if turns and axis.stiffness is not None:
-            found += [(f"{where}.{name}", text) for name, text in _of_spring(axis.stiffness, axis.damping, held)]
+        if axis.type == "revolute":
+            found += [(f"axes[{i}].{name}", text) for name, text in _of_joint(axis, weight.torque)]
         if axis.stiffness is None and axis.damping:
-            found.append((f"{where}.damping", "is not used: an axis without a stiffness is rigid"))
-        limits = axis.limits
-        if turns and limits and limits.position and max(map(abs, limits.position)) > LARGEST_TURN:
-            low, high = limits.position
-            found.append((f"{where}.limits.position", f"{low:g} … {high:g} rad are more than four turns: degrees?"))
-        if turns and limits and limits.velocity and not SLOWEST <= limits.velocity <= FASTEST:
-            found.append((f"{where}.limits.velocity", f"{limits.velocity:g} rad/s: is it in another unit?"))
-        if turns and limits and limits.acceleration and not SLUGGISH <= limits.acceleration <= BRISKEST:
-            text = f"{limits.acceleration:g} rad/s²: is it in another unit?"
-            found.append((f"{where}.limits.acceleration", text))
-        if turns and limits and limits.torque and held and not WEAKEST * held <= limits.torque <= STRONGEST * held:
-            slip = "is it in N·mm?" if limits.torque > held else "is it in kN·m, or a mass in g?"
-            text = f"{limits.torque:g} N·m, and its weight at arm's length makes {held:.3g}: {slip}"
-            found.append((f"{where}.limits.torque", text))
-        if turns and not GEARS[0] <= abs(drive.gear_ratio) <= GEARS[1]:
-            found.append((f"drives[{i}].gear_ratio", f"{drive.gear_ratio:g} motor turns per joint turn"))
-        if turns and (felt := drive.rotor_inertia * drive.gear_ratio**2) > REFLECTED * mass * reach**2:
-            text = f"{felt:.3g} kg·m² at the joint, and all links make {mass * reach**2:.3g} at most"
-            found.append((f"drives[{i}].rotor_inertia", text))
-    for k, point in enumerate(robot.test_points):
-        first = next(p for p in robot.test_points if p.label[:-2] == point.label[:-2])
-        apart = float(np.linalg.norm(np.subtract(point.position, first.position)))
-        if first.body != point.body or apart > NODE_APART_M:
-            found.append((f"test_points[{k}].position", f"is not that of {first.label}, which is the same node"))
-        if (far := float(np.linalg.norm(point.position))) > FARTHER * reach + 1:
-            text = f"{far:.3g} m from its body's frame; the robot reaches {reach:.3g} m"
-            found.append((f"test_points[{k}].position", text))
+            found.append((f"axes[{i}].damping", "is not used: an axis without a stiffness is rigid"))
+        if axis.type == "revolute":
+            found += [(f"drives[{i}].{name}", text) for name, text in _of_drive(drive, mass * reach**2)]
+    found += _of_points(robot, reach)
     for k, entry in enumerate(robot.physics):
-        where, values = f"physics[{k}]", entry.values
-        turning = (
-            entry.site.startswith("joint") and robot.axes[int(entry.site[5:].split(".")[0]) - 1].type == "revolute"
-        )
-        if turning and entry.effect == "transverse_compliance":
-            spring = _of_spring(values["stiffness"], values["damping"], held)
-            found += [(f"{where}.{name}", text) for name, text in spring]
-        if turning and entry.effect == "coulomb_friction" and held and values["torque"] > FRICTION * held:
-            text = f"{values['torque']:g} N·m, and its weight at arm's length makes {held:.3g}: is it in N·mm?"
-            found.append((f"{where}.torque", text))
-        if entry.effect == "payload" and values["mass"] > mass:
-            found.append((f"{where}.mass", f"{values['mass']:g} kg, and the robot's links weigh {mass:.4g}"))
+        asked = CATALOGUE[entry.effect].doubts(robot, entry.site, entry.values, weight)
+        found += [(f"physics[{k}].{name}", text) for name, text in asked]
     for k, prior in enumerate(robot.priors):
         if prior.factor > WIDEST_PRIOR:
             found.append((f"priors[{k}].factor", f"×/÷ {prior.factor:g} says hardly anything"))
@@ -110,13 +75,44 @@ def _of_link(inertial: tuple[float, np.ndarray, np.ndarray], reach: float) -> li
     return found
 
 
-def _of_spring(stiffness: float, damping: float, held: float) -> list[tuple[str, str]]:
+def _of_joint(axis: Axis, held: float) -> list[tuple[str, str]]:
+    """Of an axis that turns; ``held``: N·m, the robot's weight at arm's length."""
+    found = [] if axis.stiffness is None else of_spring(axis.stiffness, axis.damping, held)
+    limits = axis.limits
+    if limits is None:
+        return found
+    if limits.position and max(map(abs, limits.position)) > LARGEST_TURN:
+        low, high = limits.position
+        found.append(("limits.position", f"{low:g} … {high:g} rad are more than four turns: degrees?"))
+    if limits.velocity and not SLOWEST <= limits.velocity <= FASTEST:
+        found.append(("limits.velocity", f"{limits.velocity:g} rad/s: is it in another unit?"))
+    if limits.acceleration and not SLUGGISH <= limits.acceleration <= BRISKEST:
+        found.append(("limits.acceleration", f"{limits.acceleration:g} rad/s²: is it in another unit?"))
+    if limits.torque and held and not WEAKEST * held <= limits.torque <= STRONGEST * held:
+        slip = "is it in N·mm?" if limits.torque > held else "is it in kN·m, or a mass in g?"
+        text = f"{limits.torque:g} N·m, and its weight at arm's length makes {held:.3g}: {slip}"
+        found.append(("limits.torque", text))
+    return found
+
+
+def _of_drive(drive: Drive, largest: float) -> list[tuple[str, str]]:
+    """Of a drive that turns an axis; ``largest``: kg·m², of all links at the robot's reach."""
     found = []
-    if held and np.isfinite(stiffness) and not LEAST_SAG <= (sag := held / stiffness) <= MOST_SAG:
-        text = f"{stiffness:g} N·m/rad, and its weight at arm's length ({held:.3g} N·m) bends it by {sag:.2g} rad"
-        found.append(("stiffness", text))
-    if damping > SLOWEST_S * stiffness:
-        found.append(
-            ("damping", f"{damping:g} N·m·s/rad on {stiffness:g} N·m/rad: the joint creeps instead of ringing")
-        )
+    if not GEARS[0] <= abs(drive.gear_ratio) <= GEARS[1]:
+        found.append(("gear_ratio", f"{drive.gear_ratio:g} motor turns per joint turn"))
+    if (felt := drive.rotor_inertia * drive.gear_ratio**2) > REFLECTED * largest:
+        found.append(("rotor_inertia", f"{felt:.3g} kg·m² at the joint, and all links make {largest:.3g} at most"))
+    return found
+
+
+def _of_points(robot: Robot, reach: float) -> list[tuple[str, str]]:
+    found = []
+    for k, point in enumerate(robot.test_points):
+        first = next(p for p in robot.test_points if p.label[:-2] == point.label[:-2])
+        apart = float(np.linalg.norm(np.subtract(point.position, first.position)))
+        if first.body != point.body or apart > NODE_APART_M:
+            found.append((f"test_points[{k}].position", f"is not that of {first.label}, which is the same node"))
+        if (far := float(np.linalg.norm(point.position))) > FARTHER * reach + 1:
+            text = f"{far:.3g} m from its body's frame; the robot reaches {reach:.3g} m"
+            found.append((f"test_points[{k}].position", text))
     return found
