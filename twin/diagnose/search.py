@@ -16,7 +16,7 @@ from twin.diagnose.hypotheses import Hypothesis, companions, merged, same_axes, 
 from twin.diagnose.locate import free_laws
 from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
-from twin.diagnose.within import allowed
+from twin.diagnose.within import allowed, members
 from twin.identify.descent import minimise
 from twin.identify.elastic import AGREEMENT
 from twin.identify.objective import Objective, Sample
@@ -460,7 +460,7 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
     """What turns the robot about an axis of a likely answer, in the stead of its piece and at convergence.
 
     And what is simpler than a piece of the best answer that holds it, as a foundation without a mass of its own: beside
-    what was found after that piece, the simpler may do as well.
+    what was found after that piece, the simpler may do as well. So may one node far astray that was freed with all.
     """
     free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
     axes, finalists = same_axes(robot, postures), search.finalists
@@ -478,6 +478,8 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
                 hopeless = best.cost + WITHIN * max(1.0, best.misfit)
             rest = [other for other in fit.hypothesis.pieces if other is not piece]
             there = {other.key for other in rest}  # both may be missing, but neither twice
+            if fit is best:
+                instead += members(fit, piece)
             for companion in [c for c in instead if c.key not in there]:
                 hypothesis = together(*rest, companion)
                 known, parameters = search.fits.get(hypothesis.identity), hypothesis.parameters(free)
@@ -604,7 +606,7 @@ def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis,
     known: dict[str, float] = {}
     for piece in sorted(gone, key=lambda piece: -len(piece.own)):
         known |= {_role(piece, p): fitted[p.name] for p in piece.own}
-    own = {p.name: known.get(_role(companion, p), p.mean) for p in companion.own}
+    own = {p.name: fitted.get(p.name, known.get(_role(companion, p), p.mean)) for p in companion.own}
     names = written_names(parameters).names
     return parameters.coordinates(np.array([own.get(name, fitted.get(name)) for name in names], float))
 

@@ -17,6 +17,7 @@ from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
 from twin.identify.objective import Sample
 from twin.model.parameters import Parameter, Parameters
+from twin.physics.chain import node_of
 from twin.robot.description import Robot
 
 RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
@@ -35,6 +36,27 @@ def allowed(fit: Fitted, robot: Robot) -> tuple[Hypothesis, ...]:
         if off @ off <= 2 * gammaincinv(len(off) / 2, 1 - RARE):  # χ² of so many numbers
             found.append(piece)
     return tuple(found)
+
+
+def members(fit: Fitted, piece: Hypothesis) -> list[Hypothesis]:
+    """Of a piece that frees all nodes: each node that is farther astray than so many nodes within tolerance would be.
+
+    Alone, and beside the others, which are then free in a piece of their own.
+    """
+    if piece.law is not None or not piece.own or "node:*" not in piece.site:
+        return []
+    values = dict(zip(fit.parameters.names, fit.values, strict=True))
+    nodes: dict[str, list[Parameter]] = {}
+    for p in piece.own:
+        nodes.setdefault(node_of(p.site.partition(".")[0]), []).append(p)
+    found = []
+    for node, own in nodes.items():
+        off = np.array([(values[p.name] - p.mean) / p.deviation for p in own]) * DOUBT
+        if off @ off > 2 * gammaincinv(len(own) / 2, 1 - RARE / len(nodes)):
+            alone = replace(piece, site=piece.site.replace("node:*", node), own=tuple(own))
+            rest = tuple(p for p in piece.own if p not in own)
+            found += [alone, together(alone, replace(piece, own=rest))] if rest else [alone]
+    return found
 
 
 def _tolerance(piece: Hypothesis, parameter: Parameter, robot: Robot) -> float | None:
