@@ -185,7 +185,7 @@ def _beside(fits: Sequence[Fitted], base: Fitted, scale: float) -> FloatArray:
     taken: dict[frozenset[str], float] = {}
     for identity in sorted(known, key=len):
         simpler = [rest for key in identity if (rest := identity - {key}) in known]
-        doubts = (max(taken[rest], in_doubt(known[rest], known[identity], base, scale)) for rest in simpler)
+        doubts = (max(taken[rest], in_doubt(known[rest], known[identity], base, known, scale)) for rest in simpler)
         taken[identity] = max(doubts, default=0.0)
     return np.array([taken[fit.hypothesis.identity] for fit in fits])
 

@@ -66,6 +66,11 @@ class Hypothesis:
         """What the catalogue states of the effect; ``None`` of a number of the description."""
         return CATALOGUE.get(self.effect)
 
+    @property
+    def exact(self) -> bool:
+        """Whether there is no law that could be off: a number of the description, or how motion is recorded."""
+        return self.law is None or not self.law.changes_robot
+
     def under(self, axes: Mapping[str, str]) -> tuple[str, ...]:
         """Keys of the pieces, those that turn about the same axis (:func:`same_axes`) under that axis' name."""
         return tuple(sorted(axes.get(piece.key, piece.key) for piece in self.pieces))

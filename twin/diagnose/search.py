@@ -5,7 +5,7 @@ long as the evidence grows; then every thing found is taken out in turn and the 
 place, since one thing may have been found in the stead of another. All finalists end on all lines, at convergence.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -137,9 +137,9 @@ def explain(
         if not found or found[0].evidence() <= best.evidence():
             break
         before, best = best, _without_last(robot, search, best, found[0], sample)
-        if not worth(before, found[0], search.base):  # recordings that are not fitted to may yet bear it out
+        if not worth(before, found[0], search):  # recordings that are not fitted to may yet bear it out
             break
-        if not worth(best, found[0], search.base):  # it had only not converged
+        if not worth(best, found[0], search):  # it had only not converged
             continue
         first = _all_at_once(robot, search, found, sample, suspects)
         everywhere = _everywhere(robot, search, [first, *found], sample, suspects)
@@ -150,7 +150,7 @@ def explain(
             best = _reconsider(robot, search, best, sample, suspects, progress)
     best = _needed(robot, search, best, sample)
     there = _where_it_is(robot, search, best, sample, suspects, progress)
-    if worth(best, there, search.base):
+    if worth(best, there, search):
         _needed(robot, search, there, sample)
     _in_its_stead(robot, search, sample)
     return search
@@ -178,7 +178,7 @@ def _where_it_is(
     site, gain = next(iter(search.lawless(best, sample).items()), ("", 0.0))
     joint = site.partition(".")[0]
     there = [variants for variants in suspects if variants[0].site.partition(".")[0] == joint]
-    if gain <= max(WORTH, inexact(best, search.base)) or not there:
+    if gain <= max(WORTH, inexact(best, search.base, search.fits)) or not there:
         return best
     for fit in _round(robot, search, search.base, sample, there, progress, every=True):
         if not fit.converged and len(fit.hypothesis.pieces) == 1:
@@ -204,31 +204,35 @@ def _where_it_is(
     return max([best, *_refits(robot, search, places, sample)], key=lambda fit: fit.evidence())
 
 
-def worth(simpler: Fitted, richer: Fitted, base: Fitted) -> bool:
+def worth(simpler: Fitted, richer: Fitted, search: Search) -> bool:
     """Whether what a hypothesis has more than a simpler one pays for the search to go on."""
     gain = richer.evidence() - simpler.evidence()
-    return gain >= WORTH * max(1.0, richer.misfit) and gain > in_doubt(simpler, richer, base)
+    return gain >= WORTH * max(1.0, richer.misfit) and gain > in_doubt(simpler, richer, search.base, search.fits)
 
 
-def in_doubt(simpler: Fitted, richer: Fitted, base: Fitted, scale: float = 1.0) -> float:
+def in_doubt(
+    simpler: Fitted, richer: Fitted, base: Fitted, fits: Mapping[frozenset[str], Fitted], scale: float = 1.0
+) -> float:
     """ln evidence of a hypothesis that may be the error of a simpler one's laws: none where the data do not move.
 
     Or a part of what nothing explains: where a good deal of the misfit stays, a thing that takes little of it away has
     no name.
     """
     moved = 0.5 * (simpler.misfit * simpler.data - richer.misfit * richer.data) / scale
-    doubt, numbers = inexact(simpler, base, scale), calibration()
+    doubt, numbers = inexact(simpler, base, fits, scale), calibration()
     if simpler.hypothesis is not NONE:
         stays = 0.5 * max(richer.misfit - numbers["noise_misfit"], 0.0) * richer.data / scale
         doubt += numbers["unexplained_share"] * stays
     return min(doubt, max(moved, 0.0))
 
 
-def inexact(fit: Fitted, base: Fitted, scale: float = 1.0) -> float:
+def inexact(fit: Fitted, base: Fitted, fits: Mapping[frozenset[str], Fitted], scale: float = 1.0) -> float:
     """ln evidence that the laws of a fit may be off by: a share of what they gain over the base model.
 
-    A structure that is not exactly the named one, or a test that is not exactly as stated, leaves as much.
+    A structure that is not exactly the named one leaves as much. A turned sensor, a gain or a number of the description
+    has no law that could be off: where ``fits`` have those alone, the others' gain counts from there.
     """
+    base = fits.get(frozenset(piece.key for piece in fit.hypothesis.pieces if piece.exact), base)
     return calibration()["inexact_linear"] * max(fit.evidence(scale) - base.evidence(scale), 0.0)
 
 
@@ -298,7 +302,7 @@ def _all_at_once(
                 places.append(_Place(hypothesis, parameters, (np.concatenate([fit.z, np.zeros(len(group.own))]),)))
         fits = _refits(robot, search, places, sample)
         freed = max([best, *fits], key=lambda fit: fit.evidence())
-        if not worth(best, freed, search.base):
+        if not worth(best, freed, search):
             break
         best = freed
     return best
@@ -354,7 +358,7 @@ def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitte
         fit = descend(robot, rest, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=near)
         if known is None or fit.cost < known.cost:
             search.fits[rest.identity] = known = fit
-        if not worth(known, best, search.base):
+        if not worth(known, best, search):
             return _needed(robot, search, known, sample)
     return best
 

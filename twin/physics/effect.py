@@ -321,6 +321,13 @@ class Effect:
             return f"sites: expected joint{{i}}.z, where laws of amplitude act, found {', '.join(self.sites)}"
         return None
 
+    @property
+    def changes_robot(self) -> bool:
+        """Whether it is physics of the robot, and not of how that is recorded alone."""
+        own = type(self)
+        recorded = own.record is not Effect.record or own.encoder_zero is not Effect.encoder_zero
+        return not recorded or own.write is not Effect.write
+
     # --- motion logs -----------------------------------------------------------------------------------------------
 
     @property
