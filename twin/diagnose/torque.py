@@ -15,7 +15,7 @@ from twin.diagnose.joint import followed, shared
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage, pooled_floor
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque_faults import put_right
+from twin.diagnose.torque_faults import in_radians, put_right
 from twin.diagnose.torque_fit import (
     Base,
     System,
@@ -641,9 +641,12 @@ class Log:
 
     def explain(self, given: Robot, told_by: Finding | None, **options: Any) -> Finding:
         """See :class:`twin.diagnose.evidence.Evidence`."""
-        in_joints(self.recording.content, given)  # axes, units and limits fit
-        start = told_by.robot if told_by else given
-        return diagnose_log(self.recording.content, start, self.recording.source, **options)
+        log, notes = in_radians(self.recording.content, given)
+        in_joints(log, given)  # axes, units and limits fit
+        self.recording = replace(self.recording, content=log)
+        finding = diagnose_log(log, told_by.robot if told_by else given, self.recording.source, **options)
+        finding.warnings = [*notes, *finding.warnings]
+        return finding
 
     def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
         """What the log said, with the errors of the model that all end with, and what the last recording adds to it."""

@@ -1,4 +1,4 @@
-"""What is wrong with a log itself, told before physics: torques reversed or exchanged, and a clock that runs apart.
+"""What is wrong with a log itself, told before physics: positions in degrees, torques exchanged, a clock that runs apart.
 
 Each test compares the recorded torque with that of the description. It asks for sign, order and time alone, so that a
 description may be far off. A fault that is found is put right, with a note.
@@ -13,10 +13,13 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
 from twin.diagnose.note import Note
-from twin.diagnose.torque_signal import Run
+from twin.diagnose.torque_signal import Run, prepare
+from twin.errors import InputError
+from twin.identify.rigid import in_joints
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.model.regressor import Regressor
+from twin.robot.description import Robot
 
 ALIKE = 0.9  # correlation of a recorded torque with a described one that is taken for the same
 UNLIKE = 0.5  # less is not
@@ -60,6 +63,39 @@ def put_right(log: MotionLog, regressor: Regressor, runs: Sequence[Run]) -> tupl
     return log, notes
 
 
+def in_radians(log: MotionLog, robot: Robot) -> tuple[MotionLog, list[Note]]:
+    """A log whose positions are in degrees in radians, and a note; any other as it is.
+
+    Positions fit the axes' limits as degrees alone, and with them the description's torque goes as the recorded one.
+    """
+    try:
+        in_joints(log, robot)
+        return log, []
+    except InputError:
+        pass
+    turned = replace(log, runs={name: _turned(run, robot) for name, run in log.runs.items()})
+    try:
+        in_joints(turned, robot)
+        prepared = prepare(turned, robot, log.source)
+    except InputError:  # the log as it is will be refused, with the cause
+        return log, []
+    runs = [*{r.name: r for r in (*prepared.kept, *prepared.used)}.values()]
+    alike, _ = _likeness(runs, [described_torque(prepared.regressor, run) for run in runs])
+    if np.abs(alike).max() < ALIKE:
+        return log, []
+    text = "positions are in degrees: as radians they leave the axes' limits; they were taken as degrees"
+    return turned, [Note(text, "unit", "fail")]
+
+
+def _turned(run: MotionRun, robot: Robot) -> MotionRun:
+    """A run from degrees to radians; what slides stays."""
+    unit = np.where([axis.type == "revolute" for axis in robot.axes], np.pi / 180, 1.0)
+    names = ("position", "velocity", "acceleration", "link_position")
+    return replace(
+        run, **{n: x * unit for n in names if (x := getattr(run, n)) is not None and x.shape[1] == len(unit)}
+    )
+
+
 def described_torque(regressor: Regressor, run: Run) -> FloatArray:
     """Torque (m, n) of the description along a run, at its rows."""
     values = regressor.described
@@ -73,12 +109,7 @@ def described_torque(regressor: Regressor, run: Run) -> FloatArray:
 
 def _channels(runs: Sequence[Run], described: Sequence[FloatArray]) -> tuple[NDArray[np.intp], FloatArray]:
     """Which recorded torque (n,) is that of each joint, and its sign (n,)."""
-    recorded, model = (
-        np.concatenate([part[run.valid] - part[run.valid].mean(axis=0) for part, run in zip(parts, runs, strict=True)])
-        for parts in ([run.torque for run in runs], described)
-    )
-    size = np.maximum(np.linalg.norm(recorded, axis=0)[:, None] * np.linalg.norm(model, axis=0), 1e-300)
-    alike = (recorded.T @ model) / size  # (recorded, described)
+    alike, recorded = _likeness(runs, described)
     left = _left(runs, described, recorded)
     order, sign = np.arange(len(left)), np.ones(len(left))
     taken, of = linear_sum_assignment(left)
@@ -90,6 +121,16 @@ def _channels(runs: Sequence[Run], described: Sequence[FloatArray]) -> tuple[NDA
         if alike[order[j], j] < -ALIKE:
             sign[j] = -1.0
     return order, sign
+
+
+def _likeness(runs: Sequence[Run], described: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Correlation (n, n) of recorded torques with described ones; the recorded ones (m, n) without their means."""
+    recorded, model = (
+        np.concatenate([part[run.valid] - part[run.valid].mean(axis=0) for part, run in zip(parts, runs, strict=True)])
+        for parts in ([run.torque for run in runs], described)
+    )
+    size = np.maximum(np.linalg.norm(recorded, axis=0)[:, None] * np.linalg.norm(model, axis=0), 1e-300)
+    return (recorded.T @ model) / size, recorded
 
 
 def _left(runs: Sequence[Run], described: Sequence[FloatArray], recorded: FloatArray) -> FloatArray:
