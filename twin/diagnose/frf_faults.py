@@ -101,7 +101,11 @@ def _order(phase: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
     recorded, described = linear_sum_assignment(-np.abs(phase))
     order[described] = recorded
     moved = np.flatnonzero(order != np.arange(n))
-    there, here = (float(np.abs(phase[of, moved]).mean()) if moved.size else 0.0 for of in (order[moved], moved))
+    as_it_is = np.where(phase < -IN_PHASE, -phase, phase)  # out of phase, but not by a sign: no such channel
+    there, here = (
+        float(some.mean()) if moved.size else 0.0
+        for some in (np.abs(phase[order[moved], moved]), as_it_is[moved, moved])
+    )
     if there < IN_PHASE or here > 0.5 * there:  # one channel alone may be out of phase: its modes are elsewhere
         order = np.arange(n)
     sign[[k for k in range(n) if phase[order[k], k] < -IN_PHASE]] = -1.0

@@ -1,4 +1,4 @@
-"""What is wrong with a log itself, told before physics: positions in degrees, torques exchanged, a clock that runs apart.
+"""What is wrong with a log itself, before physics: degrees, torques reversed or exchanged, a clock that runs apart.
 
 Each test compares the recorded torque with that of the description. It asks for sign, order and time alone, so that a
 description may be far off. A fault that is found is put right, with a note.
