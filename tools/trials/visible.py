@@ -71,10 +71,12 @@ def multiple_of_visible(
     *,
     described: Chain | None = None,
     known: Tolerances | None = None,
+    tension: bool = True,
 ) -> Effect:
     """The effect at so many times its smallest visible size on the recording of `truth`, which is without it.
 
-    `described`: the robot as its description has it (default: KR90), `known` how well it knows it.
+    `described`: the robot as its description has it (default: KR90), `known` how well it knows it. `tension`: what
+    shows as numbers far from their description counts, too; without it what the recording itself keeps.
 
     Raises:
         ValueError: the recording shows no usual size of it, or less of that multiple than of the smallest.
@@ -91,14 +93,14 @@ def multiple_of_visible(
         return scaled(effect, smallest * multiple)
     nuisances = list(_nuisances(truth, described or kr90(), known or Tolerances()))
     tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
-    hiding, left = _hidden(signal, truth, nuisances, tangent)
+    hiding, left = _hidden(signal, truth, nuisances, tangent, tension)
     if not left > 0:
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
     factor = float(np.sqrt(2 * SEEN / left) * multiple)
     for _ in range(CORRECTIONS):
         if factor > LARGEST_FACTOR:
             break
-        shown = _refitted(signal, truth, nuisances, base + changed(factor), factor * hiding)
+        shown = _refitted(signal, truth, nuisances, base + changed(factor), factor * hiding, tension)
         share = SEEN * multiple**2 / shown
         if 1 / NEAR < share < NEAR:
             break
@@ -116,14 +118,17 @@ def shows(truth: Truth, signal: Signal, change: Array, described: Chain, known: 
     return 0.5 * _hidden(signal, truth, list(_nuisances(truth, described, known)), change)[1]
 
 
-def _hidden(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], change: Array) -> tuple[Array, float]:
+def _hidden(
+    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], change: Array, tension: bool = True
+) -> tuple[Array, float]:
     """Deviations by which nuisances hide a change of the recording best, to first order, and the squares left."""
     ends = ((n.change(truth, STEP), n.change(truth, -STEP)) for n in nuisances)
     J = np.array([(signal(up) - signal(down)) / (2 * STEP) for up, down in ends]).T
     # by orthogonal factors: what is left may be 1e-5 of the signature, which normal equations lose
     Q, R = np.linalg.qr(np.vstack([J, np.eye(J.shape[1])]))
     whole = np.concatenate([change, np.zeros(J.shape[1])])
-    return np.linalg.solve(R, Q.T @ whole), float(np.sum((whole - Q @ (Q.T @ whole)) ** 2))
+    left = (whole - Q @ (Q.T @ whole))[: None if tension else len(change)]
+    return np.linalg.solve(R, Q.T @ whole), float(np.sum(left**2))
 
 
 def overlap(first: Effect, second: Effect, truth: Truth, signal: Signal) -> float:
@@ -137,8 +142,10 @@ def _with(truth: Truth, effect: Effect) -> Truth:
     return replace(truth, effects=(*truth.effects, effect))
 
 
-def _refitted(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, z: Array) -> float:
-    """½ |what the nuisances leave of a recording|² + ½ |z|², fitted from what derivatives make of z.
+def _refitted(
+    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, z: Array, tension: bool = True
+) -> float:
+    """½ |what the nuisances leave of a recording|² and, as `tension`, ½ |z|², fitted from what derivatives make of z.
 
     A spring in series makes the logarithm of a neighbour's stiffness move as log(1 + size), not as its derivative.
     """
@@ -163,7 +170,8 @@ def _refitted(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen:
 
     with np.errstate(invalid="ignore"):
         first = min((start, np.zeros(len(z))), key=lambda z: float(np.sum(residual(z) ** 2)))
-        return float(least_squares(residual, first, slopes, max_nfev=FITS, ftol=1e-3).cost)
+        found = least_squares(residual, first, slopes, max_nfev=FITS, ftol=1e-3)
+    return float(0.5 * np.sum(found.fun[: None if tension else len(seen)] ** 2))
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:

@@ -296,8 +296,11 @@ def _concealed(way: str, recording: str, machine: Machine, seed: int) -> list[Ef
 
 
 def _sized(world: World, effect: Effect, machine: Machine) -> Effect:
-    """The effect at `MULTIPLE` times its smallest visible size in the recording of a robot that is as described."""
-    known = {"described": machine.chain, "known": machine.tolerances}
+    """The effect at `MULTIPLE` times its smallest visible size in the recording of a robot that is as described.
+
+    What it leaves in the recording counts, and not the tension against the description: that never names.
+    """
+    known = {"described": machine.chain, "known": machine.tolerances, "tension": False}
     if world.hammer:
         signal: Any = hammer_signal(world.postures, world.test, world.points)
         return multiple_of_visible(effect, world.hammer, signal, MULTIPLE, **known)  # type: ignore[arg-type]

@@ -39,8 +39,9 @@ CLASSES = ("right", "near", "honest", "doubtful", "adequate above its floor", "w
 EXPLAINED = f"""\
 Robots and recordings that are **not** as described: {len(WAYS)} ways, far outside what the description says of itself,
 on three robots (the KR90, an arm half its size, a column with two vertical axes), in hammer tests and motion logs. A
-third has an effect concealed on top, four times its smallest visible size. The command is asked with the recording
-alone. The answer to a case is
+third has an effect concealed on top, four times the smallest size that the recording shows when all numbers within
+tolerance have moved to hide it. (Up to engine 04622b94 tension against the description counted as showing, too.) The
+command is asked with the recording alone. The answer to a case is
 
 - *right*: the cause comes first (the number of the description, the effect, or the fault of the recording in `triage`),
   and nothing else is named; for a robot that lacks nothing, `adequate`;

@@ -345,7 +345,8 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
         given, written[0], written[1], errors, list(found.held_out), records,
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         warnings=[
-            *found.warnings, *elsewhere(search.base, search.others), *strained(best), *taken_in(answer.doubts)
+            *found.warnings, *elsewhere(search.base, search.others), *strained(best),
+            *taken_in(answer.doubts, answer.best),
         ],
         finalists=finalists(search.base, answer.fits), gain=gained(free),
         fits=(before, best), damping=transfer(misses_of_frf(physical(best.robot), Posterior.of(best), found.kept)),

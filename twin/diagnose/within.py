@@ -20,6 +20,8 @@ from twin.model.parameters import Parameter, Parameters
 from twin.physics.chain import node_of
 from twin.robot.description import Robot
 
+WORDS = {"response": "sensor", "excitation": "blow", "position": "node"}
+FARTHEST = 3  # points that a note lists
 RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
 
 
@@ -88,10 +90,23 @@ def without(robot: Robot, pieces: tuple[Hypothesis, ...]) -> Robot:
     return robot.model_copy(update={"physics": [e for e in robot.physics if (e.effect, e.site) not in gone]})
 
 
-def taken_in(pieces: tuple[Hypothesis, ...]) -> list[Note]:
-    """What was found and is allowed, in one sentence."""
+def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
+    """What was found and is allowed, in one sentence; of nodes how far the farthest ones are off in a fit with them."""
     if not pieces:
         return []
+    values = dict(zip(fit.parameters.names, fit.values, strict=True))
     names = ", ".join(piece.site if piece.law is None else piece.key for piece in pieces)
     text = f"{names}: off by what the description's tolerances allow, which every fit took into account; no finding"
-    return [Note(text, "description", "note")]
+    told = [_farthest(piece, values) for piece in pieces if piece.law is None and piece.site.endswith(".position")]
+    return [Note("; ".join([text, *filter(None, told)]), "description", "note")]
+
+
+def _farthest(piece: Hypothesis, values: Mapping[str, float]) -> str:
+    """The points that a piece has farthest from where they are described, mm."""
+    off: dict[str, float] = {}
+    for p in piece.own:
+        node, side, _ = p.name.removeprefix("node:").split(".")
+        point = f"{WORDS[side]} {node}"
+        off[point] = float(np.hypot(off.get(point, 0.0), values.get(p.name, p.mean) - p.mean))
+    first = sorted(off, key=lambda point: -off[point])[:FARTHEST]
+    return "farthest: " + ", ".join(f"{point} by {1e3 * off[point]:.1f} mm" for point in first)
