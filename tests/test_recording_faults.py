@@ -11,7 +11,7 @@ import twin
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose.frf_faults import put_right
+from twin.diagnose.frf_faults import _order, put_right
 from twin.diagnose.states import sorted_out
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import Verdict
@@ -29,6 +29,7 @@ from twin.robot.description import load_robot
         ("swapped_channels", "hammer", 441, "swapped_channels"),
         ("clock", "log", 313, "clock"),
         ("reversed_torque", "log", 314, "reversed_channel"),
+        ("degrees", "log", 315, "unit"),
     ],
 )
 def test_a_fault_is_told_and_put_right(way: str, recording: str, seed: int, kind: str, tmp_path: Path) -> None:
@@ -36,6 +37,15 @@ def test_a_fault_is_told_and_put_right(way: str, recording: str, seed: int, kind
     told = [note["kind"] for note in verdict.data()["triage"] if note["severity"] == "fail"]
     assert told == [kind]
     assert verdict.word == "adequate"
+
+
+@pytest.mark.parametrize(("own", "swapped"), [(-0.3, True), (0.4, False), (-0.9, False)])
+def test_channels_are_exchanged_where_the_other_order_fits_and_theirs_does_not(own: float, swapped: bool) -> None:
+    """Half out of phase is no channel of that place; fully out of phase is one with the opposite sign."""
+    phase = np.array([[own, 0.6, 0.1], [0.6, own, 0.1], [0.0, 0.1, 0.8]])
+    order, sign = _order(phase)
+    assert order.tolist() == ([1, 0, 2] if swapped else [0, 1, 2])
+    assert sign.tolist() == ([-1, -1, 1] if own < -0.5 else [1, 1, 1])
 
 
 @pytest.mark.slow

@@ -11,14 +11,15 @@ from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
 from twin.diagnose.physical import as_written
-from twin.diagnose.refit import Fitted
-from twin.diagnose.search import Search
-from twin.diagnose.within import allowed, without
+from twin.diagnose.refit import NONE, Fitted
+from twin.diagnose.search import Search, inexact
+from twin.diagnose.within import allowed, members, taken_in, without
 from twin.measure.campaign import Channels
 from twin.model.parameters import free_parameters
 from twin.robot.description import Entry, Robot
 
 SENSORS = Channels(("21X+", "21Y+", "21Z+"), ("link3",) * 3, np.tile([1.5, 0.0, 0.1], (3, 1)), np.eye(3))
+SERVO = {"stiffness": 1e7, "damping": 1e3, "inertia": 50.0, "integral_time": 0.5}
 BLOWS = Channels(("21Z+", "7Y+"), ("link3", "link2"), np.array([[1.5, 0, 0.1], [0.6, 0.2, 0]]), np.eye(3)[[2, 1]])
 
 
@@ -45,6 +46,32 @@ def test_nodes_within_their_tolerance_are_no_finding(kr90: Robot, what: str, tim
     off = times * tolerance * np.resize([1.0, -1.0], len(group.own))
     fit = fitted(kr90, group, np.array([p.mean for p in group.own]) + off)
     assert (allowed(fit, kr90) == (group,)) is is_allowed
+
+
+def test_one_node_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:
+    """A blow 21 mm off is lost in the χ² of all nodes; alone, and beside the others, it is a hypothesis of its own."""
+    group = nodes(kr90)
+    at = np.array([p.mean for p in group.own])
+    blow = np.array([p.name == "node:7Y+.excitation.z" for p in group.own])
+    far, near = (fitted(kr90, group, at + step * blow) for step in (0.021, 0.007))
+    alone, beside = members(far, group)
+    assert alone.key == "parameter@node:7.position"
+    assert {p.name for p in alone.own} == {f"node:7Y+.excitation.{x}" for x in "xyz"}
+    assert beside.identity == {"parameter@node:7.position", "parameter@node:*.position"}
+    assert len({p.name for p in beside.own}) == len(beside.own) == len(group.own)
+    assert members(near, group) == []
+    (note,) = taken_in((group,), near)
+    assert "farthest: blow 7Y+ by 7.0 mm" in note
+
+
+def test_laws_that_cannot_be_off_cast_no_doubt(kr90: Robot) -> None:
+    """What a turned sensor explains is exact; what a soft bearing explains may be off by a share of it."""
+    turned, soft = nodes(kr90, "direction"), entry_hypothesis(kr90, "servo_compliance", "joint2", SERVO)
+    bare = fitted(kr90, NONE, np.zeros(0))
+    sensor, spring = fitted(kr90, turned, np.zeros(len(turned.own))), fitted(kr90, soft, np.array(list(SERVO.values())))
+    fits, bare = {one.hypothesis.identity: one for one in (sensor, spring)}, replace(bare, misfit=1e5)
+    assert inexact(fits[frozenset([turned.key])], bare, fits) == 0
+    assert inexact(fits[frozenset([soft.key])], bare, fits) > 5
 
 
 def test_a_blow_off_its_axis_is_a_finding_beyond_its_tolerance_alone(kr90: Robot) -> None:
