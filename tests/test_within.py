@@ -60,8 +60,10 @@ def test_one_node_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:
     assert beside.identity == {"parameter@node:7.position", "parameter@node:*.position"}
     assert len({p.name for p in beside.own}) == len(beside.own) == len(group.own)
     assert members(near, group) == []
-    (note,) = taken_in((group,), near)
-    assert "farthest: blow 7Y+ by 7.0 mm" in note
+    _, note = taken_in((group,), near)
+    assert (note.kind, note.severity) == ("position", "warning")
+    assert "tolerance of 5 mm: blow 7Y+ by 7.0 mm;" in note
+    assert len(taken_in((group,), fitted(kr90, group, at + 0.004 * blow))) == 1
 
 
 def test_laws_that_cannot_be_off_cast_no_doubt(kr90: Robot) -> None:

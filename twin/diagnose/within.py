@@ -91,22 +91,28 @@ def without(robot: Robot, pieces: tuple[Hypothesis, ...]) -> Robot:
 
 
 def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
-    """What was found and is allowed, in one sentence; of nodes how far the farthest ones are off in a fit with them."""
+    """What was found and is allowed, in one sentence; a warning where a node is farther off than one tolerance."""
     if not pieces:
         return []
     values = dict(zip(fit.parameters.names, fit.values, strict=True))
     names = ", ".join(piece.site if piece.law is None else piece.key for piece in pieces)
     text = f"{names}: off by what the description's tolerances allow, which every fit took into account; no finding"
-    told = [_farthest(piece, values) for piece in pieces if piece.law is None and piece.site.endswith(".position")]
-    return [Note("; ".join([text, *filter(None, told)]), "description", "note")]
+    places = [piece for piece in pieces if piece.law is None and piece.site.endswith(".position")]
+    return [Note(text, "description", "note"), *filter(None, (_farthest(piece, values) for piece in places))]
 
 
-def _farthest(piece: Hypothesis, values: Mapping[str, float]) -> str:
-    """The points that a piece has farthest from where they are described, mm."""
+def _farthest(piece: Hypothesis, values: Mapping[str, float]) -> Note | None:
+    """The points that a piece has farthest from where the file says, mm; none where all are within one tolerance."""
     off: dict[str, float] = {}
     for p in piece.own:
         node, side, _ = p.name.removeprefix("node:").split(".")
         point = f"{WORDS[side]} {node}"
         off[point] = float(np.hypot(off.get(point, 0.0), values.get(p.name, p.mean) - p.mean))
-    first = sorted(off, key=lambda point: -off[point])[:FARTHEST]
-    return "farthest: " + ", ".join(f"{point} by {1e3 * off[point]:.1f} mm" for point in first)
+    tolerance = piece.own[0].deviation / DOUBT
+    first = sorted((point for point in off if off[point] > tolerance), key=lambda point: -off[point])
+    if not first:
+        return None
+    told = ", ".join(f"{point} by {1e3 * off[point]:.1f} mm" for point in first[:FARTHEST])
+    more = f" and {len(first) - FARTHEST} more" if len(first) > FARTHEST else ""
+    text = f"not where the file says, by more than its tolerance of {1e3 * tolerance:g} mm: {told}{more}"
+    return Note(f"position of nodes: {text}; the fits have them where the recordings do", "position")
