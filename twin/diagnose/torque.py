@@ -62,6 +62,9 @@ from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 
+SHORT_S = 40.0  # of motion in all: 10 Hz of it have 800 rows of a joint, some ten for each number of a robot
+WIDER = (2.0, 4.0)  # times the low-pass, tried on what is shorter
+
 
 def diagnose_log(
     log: MotionLog,
@@ -90,9 +93,11 @@ def diagnose_log(
         InputError: no torque, too short, or runs that are not there.
     """
     prepared = prepare(log, robot, source, hold_out, bands)
+    if bands is None:
+        prepared = _wide_enough(prepared, log, source, hold_out)
     log, faults = put_right(log, prepared.regressor, [*{r.name: r for r in (*prepared.kept, *prepared.used)}.values()])
     if faults:
-        prepared = prepare(log, robot, source, hold_out, bands)
+        prepared = prepare(log, robot, source, hold_out, prepared.bands)
     suspects = log_suspects(robot, prepared.used)
     system = system_of(prepared, suspects, processes=processes)
     suspects = log_suspects(base_fit(system).robot, prepared.used)  # what drives have, as the log shows it
@@ -124,7 +129,7 @@ def diagnose_log(
         ],
         fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
-        following=partial(_following, search.system, after, gaps),
+        following=partial(_following, search.system, after, gaps), bands=prepared.bands,
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
@@ -532,6 +537,35 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any], worse: f
     ]
 
 
+def _wide_enough(prepared: Prepared, log: MotionLog, source: str, hold_out: list[str] | None) -> Prepared:
+    """A short log through the low-pass whose base model foretells the runs kept aside best.
+
+    A few seconds below 10 Hz have fewer rows than a robot has numbers. A wider band has more, if the robot is rigid in
+    it; of a longer log it would only have more noise.
+    """
+    seconds = sum(float(run.time[-1] - run.time[0]) for run in log.runs.values())
+    if seconds >= SHORT_S or not prepared.kept:
+        return prepared
+    some, rate = [prepared], min(run.sample_rate_hz for run in log.runs.values())
+    for times in WIDER:
+        stop = times * prepared.bands.fit[1]
+        if 1.5 * stop < 0.4 * rate:
+            wide = Bands((0.8 * stop, stop), (1.2 * stop, 1.5 * stop))
+            some.append(prepare(log, prepared.regressor.robot, source, hold_out, wide))
+    return min(some, key=_missed) if len(some) > 1 else prepared
+
+
+def _missed(prepared: Prepared) -> float:
+    """RMS over joints of what the base model, fitted to the runs used, misses of torque in those kept aside."""
+    z = system_of(prepared, ()).z
+    base, shares = base_of(prepared.regressor, prepared.kept), []
+    for k, run in enumerate(prepared.kept):
+        measured = run.torque[run.valid]
+        rest = measured - predicted_torque(base, k, z, (), run.valid)[run.valid]
+        shares.append(np.mean(rest**2, axis=0) / np.maximum(np.mean(measured**2, axis=0), 1e-300))
+    return float(np.mean(shares))
+
+
 def predicted_torque(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], valid: np.ndarray) -> FloatArray:
     """Torque (m, n) of run k, its offsets estimated under their prior."""
     run = base.runs[k]
@@ -594,7 +628,7 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
     }  # the numbers may have moved since
     recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
     robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
-    prepared = prepare(log, _smooth(robot, finding), finding.recording, hold_out)
+    prepared = prepare(log, _smooth(robot, finding), finding.recording, hold_out, finding.bands)
     fit, found = finding.fit, []
     fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
     records = {(r.name, r.held_out): r for r in finding.records if isinstance(r, LogRecord)}

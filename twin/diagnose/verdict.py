@@ -6,7 +6,7 @@ Whatever the recording (hammer test, modal table, motion log), an engine hands o
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from twin.identify.uncertainty import NINETY
 from twin.result import Result, no_model, written
 from twin.robot.description import Robot
 from twin.table import Table
+
+if TYPE_CHECKING:
+    from twin.identify.rigid import Bands
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]
@@ -126,6 +129,7 @@ class Finding:
             known.
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
         damping: how well the answer foretells damping in postures that were held out.
+        bands: low-passes through which a motion log was fitted.
     """
 
     recording: str
@@ -154,6 +158,7 @@ class Finding:
     apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None
     following: Callable[[Robot], Robot] | None = None
+    bands: "Bands | None" = None
 
     @property
     def model(self) -> Robot:
