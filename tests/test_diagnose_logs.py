@@ -12,13 +12,15 @@ import pytest
 from scipy.signal import lfilter
 from test_identify_real import emps, needs, tx40
 
+from tools.truth import motion as truth_motion
 from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
+from tools.truth.robots import machines, write_description
 from twin.diagnose import engine, torque
 from twin.diagnose.calibration import calibration
 from twin.diagnose.joint import followed
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque import diagnose_log, pooled, predicted_by, with_evidence
+from twin.diagnose.torque import _missed, _wide_enough, diagnose_log, pooled, predicted_by, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
     APART,
@@ -433,6 +435,29 @@ def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> N
     for robot in (found.model, found.model.model_copy(update={"physics": moved})):
         again = pooled(predicted_by(robot, log, found, found.held_out), "after")
         assert again["held_out"] == pytest.approx(found.error["after"]["held_out"], rel=0.05)
+
+
+@pytest.mark.parametrize(("seconds", "wider"), [(5.0, True), (45.0, False)])
+def test_a_short_log_is_fitted_through_the_low_pass_that_foretells_best(
+    seconds: float, wider: bool, tmp_path: Path
+) -> None:
+    """Some seconds below 10 Hz have fewer rows of a joint than a robot has numbers; 45 s have enough."""
+    machine = machines()["six"]
+    rng = np.random.default_rng(5)
+    robot = draw_truth(5, (), (), machine.tolerances, chain=machine.chain, log=True)
+    how = truth_motion.Log(white=machine.torque, coloured=machine.torque)
+    clock = np.arange(int(seconds * how.rate_hz)) / how.rate_hz
+    runs = {}
+    for k in range(2):
+        path = truth_motion.draw_fourier(machine.chain, rng, seconds)
+        found = truth_motion.record(robot, truth_motion.Run(f"run{k}", path, clock, 60.0 * k), how, rng)
+        runs[f"run{k}"] = MotionRun(f"run{k}", clock + 60 * k, found.position, how.rate_hz, torque=found.torque)
+    write_description(machine, tmp_path / "arm.yaml")
+    first = prepare(MotionLog(runs), load_robot(tmp_path / "arm.yaml"), "log", ["run1"])
+    chosen = _wide_enough(first, MotionLog(runs), "log", ["run1"])
+    assert (chosen is not first) is wider
+    if wider:
+        assert _missed(chosen) < _missed(first)
 
 
 def test_a_second_log_keeps_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:
