@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from twin.diagnose import decide
 from twin.diagnose.decide import Decision, at_noise, in_doubt_beside, sifted
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
@@ -14,6 +15,7 @@ from twin.diagnose.physical import as_written
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.search import Search, inexact
 from twin.diagnose.within import allowed, members, taken_in, without
+from twin.identify.objective import Sample
 from twin.measure.campaign import Channels
 from twin.model.parameters import free_parameters
 from twin.robot.description import Entry, Robot
@@ -74,6 +76,17 @@ def test_laws_that_cannot_be_off_cast_no_doubt(kr90: Robot) -> None:
     fits, bare = {one.hypothesis.identity: one for one in (sensor, spring)}, replace(bare, misfit=1e5)
     assert inexact(fits[frozenset([turned.key])], bare, fits) == 0
     assert inexact(fits[frozenset([soft.key])], bare, fits) > 5
+
+
+def test_a_prediction_that_breaks_down_speaks_against_its_fit(kr90: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Foretelling a kept posture met a singular matrix, and the whole diagnosis ended with it."""
+
+    def broken(*_: object) -> Fitted:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(decide, "foreseen", broken)
+    fit = fitted(kr90, NONE, np.zeros(0))
+    assert decide._foretold(fit, Sample(())).evidence() < -1e20
 
 
 def test_a_blow_off_its_axis_is_a_finding_beyond_its_tolerance_alone(kr90: Robot) -> None:

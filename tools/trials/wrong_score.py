@@ -323,7 +323,7 @@ def every(cases: Sequence[Judged]) -> list[str]:
         triage = ", ".join(f"{n} × {k}" if n > 1 else k for k, n in kinds.most_common(3))
         shows = "" if c.shown is None else f"{c.shown:.0f}"
         case = (c.outcome, c.way, c.recording, c.robot, c.size, shows, c.top)
-        rows.append((*case, c.verdict, said or c.complaint[:80], errors, triage, c.name[:6]))
+        rows.append((*case, c.verdict, said or re.sub(r"\S*/", "", c.complaint)[:80], errors, triage, c.name[:6]))
     head = ("", "way", "recording", "robot", "how far", "shows", "on top")
     head += ("verdict", "said", "held out", "triage", "case")
     return table(head, rows) if rows else ["None."]

@@ -22,6 +22,7 @@ from twin.parallel import spread
 from twin.robot.description import Robot
 
 FIRST_ORDER = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
+BROKEN = 1e30  # ½ χ² of a prediction that breaks down
 
 
 @dataclass(frozen=True)
@@ -151,15 +152,23 @@ def _near(gains: FloatArray) -> list[int]:
 def _unseen(some: Sequence[Fitted], near: Sequence[int], kept: Sample, processes: int) -> Callable[[int], Fitted]:
     """Of a fit's index how it foretells recordings that none was fitted to; the near ones and the last side by side."""
     first = [*near, len(some) - 1]
-    told = spread(lambda k: foreseen(some[first[k]], kept), len(first), processes)
+    told = spread(lambda k: _foretold(some[first[k]], kept), len(first), processes)
     known = dict(zip(first, told, strict=True))
 
     def of(k: int) -> Fitted:
         if k not in known:
-            known[k] = foreseen(some[k], kept)
+            known[k] = _foretold(some[k], kept)
         return known[k]
 
     return of
+
+
+def _foretold(fit: Fitted, kept: Sample) -> Fitted:
+    """:func:`foreseen`; a fit that breaks down there (a body at its limits) foretells nothing."""
+    try:
+        return foreseen(fit, kept)
+    except np.linalg.LinAlgError:
+        return replace(fit, cost=BROKEN, misfit=2 * BROKEN / max(fit.data, 1))
 
 
 def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> FloatArray:

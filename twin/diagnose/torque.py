@@ -362,8 +362,10 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         return "unexplained", missing, 0.0, other
     if not missing and search.foretold > calibration()["held_out_adequate"]:
         return "unexplained", [], 0.0, 1.0
+    if not missing and word_of(first) not in ("adequate", "unexplained"):
+        return "adequate", [], 1 - first.other, first.other  # what was named first was taken back, and nothing lacks
     if not missing:
-        return "adequate" if first.none >= 0.5 else word_of(first), [], first.none, first.other
+        return word_of(first), [], first.none, first.other
     word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"
     if any(effect_named(m.first.effect).part == "law" for m in missing):
         word = "located"
