@@ -48,7 +48,7 @@ from twin.diagnose.torque_fit import (
 )
 from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
 from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_once, seen_at_rest_only, too_narrow
-from twin.diagnose.torque_signal import Run, prepare, thinned
+from twin.diagnose.torque_signal import Run, bands_of, prepare, thinned
 from twin.diagnose.verdict import Finding, Missing, Verdict
 from twin.errors import InputError
 from twin.identify.rigid import Bands, in_joints
@@ -745,7 +745,8 @@ def test_the_tx40s_wrist_is_found_to_be_coupled() -> None:
     """Nine seconds of a small robot, its axes recorded: joints 5 and 6 are predicted as when the coupling is known."""
     described = load_robot(DATA / "tx40.yaml")
     drives = [drive.model_copy(update={"coupling": {}}) for drive in described.drives]
-    found = diagnose_log(in_joints(tx40(), described), described.model_copy(update={"drives": drives}), "tx40")
+    log = in_joints(tx40(), described)
+    found = diagnose_log(log, described.model_copy(update={"drives": drives}), bands=bands_of(log))  # 10 Hz: RMS
     assert found.missing[0].first.key == "joint_coupling@joint5"
     assert not any(missing.first.effect == "stribeck_friction" for missing in found.missing)
     before, after = _held_out_rms(found)
