@@ -39,6 +39,8 @@ def told(seconds: float) -> str:
     if seconds < TELL_S:
         return ""
     minutes = seconds / 60
+    if minutes < 1.5:
+        return "about a minute"
     return f"about {minutes:.0f} minutes" if minutes < 90 else f"about {minutes / 60:.0f} hours"
 
 
