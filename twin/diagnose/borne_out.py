@@ -97,7 +97,9 @@ def borne_out(verdict: Verdict) -> Verdict:
         )
     findings = [_without(finding) for finding in verdict.findings]
     kind = "other_robot" if worse and len(verdict.findings) > 1 else "tension"
-    findings[0].warnings = [*findings[0].warnings, Note(reason, kind)]
+    firsts = [missing.first for missing in verdict.missing]
+    refused = tuple(f.site if f.effect == "parameter" else f.key for f in firsts) if kind == "tension" else ()
+    findings[0].warnings = [*findings[0].warnings, Note(reason, kind, sites=refused)]
     words = [finding.word for finding in findings]
     word: Word = "unexplained" if worse or "unexplained" in words else "adequate"
     none, other = (

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.diagnose.borne_out import gained
 from twin.diagnose.calibration import calibration
-from twin.diagnose.decide import Decision, at_noise, decide, finalists, in_doubt_beside, sifted
+from twin.diagnose.decide import Decision, at_noise, decide, finalists, in_doubt_beside, sifted, that_show
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import cut_short, put_right, without_hum
@@ -255,6 +255,7 @@ def _answered(
 ) -> _Answer:
     """The decision over everything that was fitted; ``told``: the prior of masses is another recording's."""
     *fits, settled = settle(base, search, sample)
+    fits = that_show(fits)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     decision = decide(

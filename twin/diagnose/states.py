@@ -140,8 +140,8 @@ def grouped(
     what: str,
     alone: Callable[[int], Fit | None],
     beside: Callable[[Sequence[int], Fit, int], Fit | None],
-) -> list[Note]:
-    """A note on groups of recordings, each explained by one model; none where one explains all, or not each alone.
+) -> tuple[list[list[str]], list[Note]]:
+    """Groups of recordings, each explained by one model, and a note; none where one explains all, or not each alone.
 
     Args:
         names: of the recordings, ``what`` they are.
@@ -152,7 +152,7 @@ def grouped(
     for number in range(len(names)):
         own = alone(number)
         if own is None:
-            return []
+            return [], []
         for k, (members, known) in enumerate(groups):
             if (fit := beside(members, known, number)) is not None:
                 groups[k] = ([*members, number], fit)
@@ -160,10 +160,11 @@ def grouped(
         else:
             groups.append(([number], own))
     if not 1 < len(groups) < len(names):
-        return []
+        return [], []
     told = _told(names, [members for members, _ in groups])
+    some = [[names[k] for k in members] for members, _ in groups]
     text = f"one model explains each of these groups of {what}, none explains them together: {told}. {MEANS}"
-    return [Note(text, "other_robot", "fail", runs=tuple(names) if what == "runs" else ())]
+    return some, [Note(text, "other_robot", "fail", runs=tuple(names) if what == "runs" else ())]
 
 
 def _told(names: Sequence[str], groups: Sequence[Sequence[int]]) -> str:

@@ -12,10 +12,11 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
 from twin.diagnose.edit import check_replayed
 from twin.diagnose.joint import followed, shared
+from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage, pooled_floor
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque_faults import in_radians, put_right
+from twin.diagnose.torque_faults import clock_note, clock_rates, described_torque, in_radians, on_time, put_right
 from twin.diagnose.torque_fit import (
     Base,
     System,
@@ -30,7 +31,7 @@ from twin.diagnose.torque_fit import (
     with_presliding,
     worth,
 )
-from twin.diagnose.torque_laws import log_suspects, model_torque, not_sought, with_values
+from twin.diagnose.torque_laws import Suspect, log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_numbers import GAIN, follow
@@ -48,7 +49,7 @@ from twin.diagnose.torque_search import (
     smallest_visible,
 )
 from twin.diagnose.torque_signal import Prepared, Run, prepare
-from twin.diagnose.torque_states import run_states
+from twin.diagnose.torque_states import RunStates
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands, in_joints
@@ -95,13 +96,29 @@ def diagnose_log(
     prepared = prepare(log, robot, source, hold_out, bands)
     if bands is None:
         prepared = _wide_enough(prepared, log, source, hold_out)
-    log, faults = put_right(log, prepared.regressor, [*{r.name: r for r in (*prepared.kept, *prepared.used)}.values()])
-    if faults:
-        prepared = prepare(log, robot, source, hold_out, prepared.bands)
+    log, prepared, faults, rates = _sound(log, prepared, source, hold_out)
     suspects = log_suspects(robot, prepared.used)
     system = system_of(prepared, suspects, processes=processes)
-    suspects = log_suspects(base_fit(system).robot, prepared.used)  # what drives have, as the log shows it
-    search = explain(system, prepared.kept, suspects, progress, processes)
+    states = RunStates(prepared, suspects, processes)
+    groups, apart = states.groups() if states.mixed(system) else ([], [])
+    largest = max(groups, key=len, default=[])
+    if 2 * len(largest) > len(states.runs):
+        some = replace(log, runs={name: run for name, run in log.runs.items() if name in largest})
+        finding = diagnose_log(
+            some, robot, source, hold_out=[name for name in hold_out or [] if name in largest] or None, seed=seed,
+            progress=progress, bands=prepared.bands, processes=processes,
+        )  # fmt: skip
+        told = Note(f"{', '.join(apart)}; what follows is of {', '.join(largest)} alone", "other_robot", "fail")
+        finding.warnings = [told, *faults, *(clock_note(rates) for _ in range(bool(rates))), *finding.warnings]
+        return finding
+    search, suspects = _explained(system, prepared, progress, processes)
+    if late := clock_rates(_runs(prepared), _foretold(prepared, search)):  # with what was found, it shows better
+        rates = {name: rates.get(name, 0.0) + late.get(name, 0.0) for name in {**rates, **late}}
+        log = on_time(log, late)
+        prepared = prepare(log, robot, source, hold_out, prepared.bands)
+        system = system_of(prepared, log_suspects(robot, prepared.used), processes=processes)
+        search, suspects = _explained(system, prepared, progress, processes)
+    faults += [clock_note(rates)] if rates else []
     word, missing, none, other = _answer(search)
     base = search.first.base
     records, errors = log_records(prepared, base, search)
@@ -123,19 +140,59 @@ def diagnose_log(
         [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
         warnings=[
             *_still_off(records),
-            *(run_states(prepared, suspects, processes) if mixed else ()),
+            *(RunStates(prepared, suspects, processes).groups()[1] if mixed else ()),
             *prepared.notes, *faults, *not_sought(robot), *map(_restless, restless), *_told_apart(search),
             *_narrow(search), *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
-        following=partial(_following, search.system, after, gaps), bands=prepared.bands,
+        following=partial(_following, search.system, after, gaps), bands=prepared.bands, content=log,
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
     finding.apart = _slips(search) | _late(search)
     finding.missing = with_evidence(finding)
     return finding
+
+
+def _runs(prepared: Prepared) -> list[Run]:
+    """Every run once."""
+    return [*{run.name: run for run in (*prepared.kept, *prepared.used)}.values()]
+
+
+def _sound(
+    log: MotionLog, prepared: Prepared, source: str, hold_out: list[str] | None
+) -> tuple[MotionLog, Prepared, list[str], dict[str, float]]:
+    """A log without the faults that its description's torque shows, as rows, notes on them, and rates of clocks, s/s."""
+    robot, bands = prepared.regressor.robot, prepared.bands
+
+    def described() -> list[FloatArray]:
+        return [described_torque(prepared.regressor, run) for run in _runs(prepared)]
+
+    log, faults = put_right(log, _runs(prepared), described())
+    if faults:
+        prepared = prepare(log, robot, source, hold_out, bands)
+    rates = clock_rates(_runs(prepared), described())
+    if rates:
+        log = on_time(log, rates)
+        prepared = prepare(log, robot, source, hold_out, bands)
+    return log, prepared, [*faults], rates
+
+
+def _explained(
+    system: System, prepared: Prepared, progress: Progress | None, processes: int
+) -> tuple[Search, list[Suspect]]:
+    """What is missing, and what was suspected: what drives have, as the log shows it."""
+    suspects = log_suspects(base_fit(system).robot, prepared.used)
+    return explain(system, prepared.kept, suspects, progress, processes), suspects
+
+
+def _foretold(prepared: Prepared, search: Search) -> list[FloatArray]:
+    """Torque (m, n) of every run, with what was found."""
+    after, entries = _after(search)
+    runs = _runs(prepared)
+    base, z = base_of(prepared.regressor, runs, search.plain.base.sliding), search.system.plain(after.z)
+    return [predicted_torque(base, k, z, entries, run.valid) for k, run in enumerate(runs)]
 
 
 def _following(system: System, fit: Fitted, gaps: Sequence[Play], robot: Robot) -> Robot:
@@ -630,6 +687,7 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
     }  # the numbers may have moved since
     recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
     robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
+    hold_out = [name for name in hold_out or [] if name in log.runs] or None
     prepared = prepare(log, _smooth(robot, finding), finding.recording, hold_out, finding.bands)
     fit, found = finding.fit, []
     fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
@@ -686,7 +744,7 @@ class Log:
 
     def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
         """What the log said, with the errors of the model that all end with, and what the last recording adds to it."""
-        finding.records = predicted_by(robot, self.recording.content, finding, hold_out)
+        finding.records = predicted_by(robot, finding.content, finding, hold_out)
         finding.error = {**finding.error, "after": pooled(finding.records, "after")}
         finding.missing = [followed(m, finding.model, robot) for m in finding.missing]
         finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]

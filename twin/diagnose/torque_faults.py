@@ -4,7 +4,7 @@ Each test compares the recorded torque with that of the description. It asks for
 description may be far off. A fault that is found is put right, with a note.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,34 +33,41 @@ REPEATED = 3  # measurements of lateness
 DRIFTED = 0.5  # samples of the log over a run: less is a clock's ordinary jitter
 
 
-def put_right(log: MotionLog, regressor: Regressor, runs: Sequence[Run]) -> tuple[MotionLog, list[str]]:
-    """A log without the faults that are found in it, and a note on each.
+def put_right(log: MotionLog, runs: Sequence[Run], described: Sequence[FloatArray]) -> tuple[MotionLog, list[Note]]:
+    """A log with its torque channels in order and of the right sign, and a note on each fault.
 
     Args:
         log: in the coordinates of the motors.
-        regressor: of the description.
         runs: of the log, as rows.
+        described: (m, n) torque of the description, of each.
     """
-    described = [described_torque(regressor, run) for run in runs]
-    notes: list[str] = []
     order, sign = _channels(runs, described)
-    for kind, note in _told(order, sign):
-        notes.append(Note(note, kind, "fail"))
+    notes = [Note(note, kind, "fail") for kind, note in _told(order, sign)]
     if notes:
         torque = {name: sign * run.torque[:, order] for name, run in log.runs.items() if run.torque is not None}
         log = replace(log, runs={name: replace(run, torque=torque.get(name)) for name, run in log.runs.items()})
-        return log, notes
-    rates = {run.name: _clock(run, torque) for run, torque in zip(runs, described, strict=True)}
-    rates = {name: rate for name, rate in rates.items() if rate}
-    if rates:
-        told = ", ".join(f"{1e6 * rate:+.0f} ppm in '{name}'" for name, rate in rates.items())
-        text = (
-            f"the clock of torque runs apart from that of positions: torque falls behind by {told}; it was put back "
-            "before the diagnosis"
-        )
-        notes.append(Note(text, "clock", "fail", runs=tuple(rates)))
-        log = replace(log, runs={name: _on_time(run, rates.get(name, 0.0)) for name, run in log.runs.items()})
     return log, notes
+
+
+def clock_rates(runs: Sequence[Run], torque: Sequence[FloatArray]) -> dict[str, float]:
+    """By how much recorded torque falls behind a model's (m, n) per second, s/s, of the runs where it does."""
+    rates = {run.name: _clock(run, model) for run, model in zip(runs, torque, strict=True)}
+    return {name: rate for name, rate in rates.items() if rate}
+
+
+def on_time(log: MotionLog, rates: Mapping[str, float]) -> MotionLog:
+    """A log with its torque where it belongs."""
+    return replace(log, runs={name: _on_time(run, rates.get(name, 0.0)) for name, run in log.runs.items()})
+
+
+def clock_note(rates: Mapping[str, float]) -> Note:
+    """That clocks run apart, s/s by run."""
+    told = ", ".join(f"{1e6 * rate:+.0f} ppm in '{name}'" for name, rate in rates.items())
+    text = (
+        f"the clock of torque runs apart from that of positions: torque falls behind by {told}; it was put back "
+        "before the diagnosis"
+    )
+    return Note(text, "clock", "fail", runs=tuple(rates))
 
 
 def in_radians(log: MotionLog, robot: Robot) -> tuple[MotionLog, list[Note]]:

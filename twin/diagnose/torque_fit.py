@@ -27,6 +27,7 @@ from twin.diagnose.torque_laws import (
     State,
     Suspect,
     canonical,
+    delayed,
     entry_torque,
     model_torque,
     on_dense,
@@ -132,15 +133,18 @@ class Base:
         """Prior deviation (n,) of the share of a joint's dry friction that turns round otherwise than that of all."""
         return _apart(self.regressor.robot)
 
-    def design(self, k: int, joint: int) -> FloatArray:
-        """Torque (m, a) of a joint in run k per unit of the numbers that can act on it."""
-        presliding = self.presliding[k][:, joint]
+    def design(self, k: int, joint: int, state: State | None = None) -> FloatArray:
+        """Torque (m, a) of a joint in run k per unit of the numbers that can act on it; as a state's recording has it."""
+        presliding, ripple = self.presliding[k][:, joint], self.ripple[k][:, joint]
         offsets = np.broadcast_to(self.offset[joint, k], (len(presliding), len(self.runs)))
         rows = self.matrix[k][:, joint] @ self.spread
-        return np.concatenate(
-            [rows, PRESLIDING * presliding, self.ripple[k][:, joint], self.apart[joint] * presliding, offsets],
-            axis=1,
-        )
+        if state is not None:
+            gain = np.atleast_2d(state.gain)[:, joint, None]
+            rows, ripple = gain * rows, gain * ripple
+        robot = np.concatenate([rows, PRESLIDING * presliding, ripple, self.apart[joint] * presliding], axis=1)
+        if state is not None and (state.delay or state.lag):
+            robot = delayed(robot, self.runs[k], state.delay, state.lag)
+        return np.concatenate([robot, offsets], axis=1)
 
     @property
     def lasting(self) -> int:
@@ -396,15 +400,17 @@ class System:
     Attributes:
         whitening: (n, order + 1) prediction-error filter per joint over the noise's deviation.
         parameters: the base model's numbers; ``found`` entries that belong to it, beyond the description's.
-        A: whitened design, as (N, z); ``data`` (N,) whitened torque less the description's, ``y`` (N,) the same less
-            what was found, but for what is linear in its numbers.
+        design: whitened torque per prior deviation of the description's numbers, as (N, z).
+        A: the same and what was found, as the recording has it at the tolerances in force; ``data`` (N,) whitened
+            torque less the description's, ``y`` (N,) the same less what A is not linear in.
         state: per run, what laws that act on other torques see.
         level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
         noise: (n,) RMS of the noise at the rows, N·m (N).
         widened: number in z → factor on the prior deviation its description gives it.
         slopes: of what was found, by name: numbers they depend on, and whitened slopes there.
         screened: whitened columns of the suspects' starts, which stay the same when something is found.
-        recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any.
+        recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any;
+            ``through`` the design as such a recording has it.
         stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
         turning: (n, n) speeds of the drives per speed of the axes, where drives were found to turn with other axes too.
         late: s, by which the stops are, where the torque was found to be recorded late.
@@ -415,6 +421,7 @@ class System:
     parameters: Parameters
     found: tuple[Suspect, ...] = ()
     A: Design = field(default_factory=lambda: Design(0, 0, (), np.zeros(0)))
+    design: Design = field(default_factory=lambda: Design(0, 0, (), np.zeros(0)))
     data: FloatArray = field(default_factory=lambda: np.zeros(0))
     y: FloatArray = field(default_factory=lambda: np.zeros(0))
     state: list[State] = field(default_factory=list)
@@ -425,6 +432,7 @@ class System:
     widened: dict[int, float] = field(default_factory=dict)
     slopes: dict[str, tuple[FloatArray, Columns]] = field(default_factory=dict)
     recording: FloatArray = field(default_factory=lambda: np.zeros(0))
+    through: tuple[FloatArray, Design] | None = None
     turning: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     late: float = 0.0
 
@@ -484,11 +492,28 @@ class System:
     def assemble(self) -> None:
         """Whiten design and data."""
         base = self.base
-        self.stops = _stops(self)
-        axes, runs = range(len(self.whitening)), range(len(base.runs))
-        blocks = tuple(Block(j, base.acting(j), self.whitened(j, [base.design(k, j) for k in runs])) for j in axes)
-        self.A = Design(self.count, len(axes), blocks, np.ones(len(base.parameters)))
+        self.stops, self.through = _stops(self), None
+        self.A = self.design = self._designed([None] * len(base.runs))
         self.data = self.y = self.full(self.whiten(base.rest))[:, 0]
+
+    def _designed(self, states: Sequence[State | None]) -> Design:
+        """The base model's columns whitened, as the states' recordings have them."""
+        base, axes = self.base, range(len(self.whitening))
+        parts = ([base.design(k, j, state) for k, state in enumerate(states)] for j in axes)
+        blocks = tuple(Block(j, base.acting(j), self.whitened(j, part)) for j, part in zip(axes, parts, strict=True))
+        return Design(self.count, len(axes), blocks, np.ones(len(base.parameters)))
+
+    def recorded(self, alike: float = 0.01) -> Design:
+        """The base model's columns as the recording has them, at the tolerances in force.
+
+        Through a recording whose gains, and delay in rows, are so much ``alike``, they are what they were.
+        """
+        now = recording_of(self)
+        if not np.any(now[0]) and np.all(now[1:] == 1):
+            return self.design.scaled(self.widened)
+        if self.through is None or np.abs(self.through[0] - now).max() > alike:
+            self.through = now, self._designed(self.state)
+        return self.through[1].scaled(self.widened)
 
     @cached_property
     def information(self) -> FloatArray:
@@ -693,13 +718,19 @@ def refer(system: System, z: FloatArray, alike: float = 1e-3) -> list[FloatArray
     Through a recording whose gains, and delay in rows, are so much ``alike``, columns are what they were.
     """
     added = _refer(system, z, system.entries(z))
-    state = system.state[0]
-    now = np.array([(state.delay + state.lag) * system.base.runs[0].rate_hz, *np.atleast_2d(state.gain).mean(axis=0)])
+    now = recording_of(system)
     if len(system.recording) and np.abs(now - system.recording).max() > alike:
         system.screened, system.slopes, system.recording = {}, {}, now
     elif not len(system.recording):
         system.recording = now
     return added
+
+
+def recording_of(system: System) -> FloatArray:
+    """(1 + n,) delay in rows, and gains, through which a system's torque is recorded."""
+    state = system.state[0]
+    rows = (state.delay + state.lag) * system.base.runs[0].rate_hz
+    return np.array([rows, *np.atleast_2d(state.gain).mean(axis=0)])
 
 
 def _refer(system: System, z: FloatArray, entries: Sequence[Entry]) -> list[FloatArray]:
@@ -758,9 +789,8 @@ def worth(system: System, suspect: Suspect) -> float:
 def relinearised(system: System, iterations: int = 8, exact: float = 1e-5) -> System:
     """The same rows with all that was found linearised at its numbers as they are beside all else.
 
-    Gauss–Newton on all numbers at once: each was linearised where it was found, before the others were. What a
-    recording's gain and delay make of a change of the base model is left out of the slopes, not of the torque. It ends
-    where a step gains less than ``CONVERGED`` and ``exact`` times the cost.
+    Gauss–Newton on all numbers at once: each was linearised where it was found, before the others were. It ends where a
+    step gains less than ``CONVERGED`` and ``exact`` times the cost.
     """
     z = _taken(system)
     here, cost = linearised(system, z)
@@ -814,7 +844,7 @@ def with_doubts(system: System, mistimed: float = 0.02) -> System:
     here = replace(system, turning=still, late=late)
     here.assemble()
     slopes = (system.slopes[suspect.name][1] for suspect in system.found)
-    A = here.A.scaled(here.widened).beside(*((columns.joints, columns.rows) for columns in slopes))
+    A = here.recorded().beside(*((columns.joints, columns.rows) for columns in slopes))
     return relinearised(replace(here, A=A, y=system.y + here.data - system.data, slopes={}, screened={}))
 
 
@@ -827,10 +857,13 @@ def linearised(
     """
     size = len(system.base.parameters)
     doubt = np.sqrt(np.diag(system.inverse)) if doubt is None else doubt
-    here = replace(system, A=system.A.first(size), slopes=dict(system.slopes))
+    plain = system.design.scaled(system.widened)
+    here = replace(system, A=plain, slopes=dict(system.slopes))
     added = here.full(here.whiten(refer(here, z)))[:, 0]
-    rest = here.data - added - here.A.times(z[:size])
-    here.y = here.data - added
+    rest = here.data - added - plain.times(z[:size])
+    here.A = here.recorded()
+    system.through = here.through
+    here.y = rest + here.A.times(z[:size])
     beside = []
     for suspect in here.found:
         at = here.own(suspect)
@@ -1428,11 +1461,13 @@ def start(system: System, suspect: Suspect, largest_kept: int = 20_000_000) -> T
 
 
 def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
-    """u with sizes that cannot be negative at zero or above, and shapes where they are looked for."""
+    """u with sizes where they can be, and shapes where they are looked for."""
     own = suspect.hypothesis.own
-    bounded = zip(own, suspect.nonnegative, strict=True)
-    least = [-FARTHEST_SHAPE if p.log else -p.mean / p.deviation if bound else -np.inf for p, bound in bounded]
-    return np.clip(u, least, [FARTHEST_SHAPE if p.log else np.inf for p in own])
+    ends = [
+        (-FARTHEST_SHAPE, FARTHEST_SHAPE) if p.log else (np.array(limits) - p.mean) / p.deviation
+        for p, limits in zip(own, suspect.limits, strict=True)
+    ]
+    return np.clip(u, *np.transpose(ends))
 
 
 def reach(system: System, trial: Trial, iterations: int = 2, usual: float = 0.3) -> Trial:

@@ -240,7 +240,8 @@ def explain(
             if _borne_out(beside, steps, judge):
                 steps.append(beside)
                 system = accepted(system, beside)
-        system = with_doubts(_all_grown(steps, _pruned(steps, system), judge))
+        system = _one_for_two(steps, _pruned(steps, system), suspects, processes)
+        system = with_doubts(_all_grown(steps, system, judge))
     system = _pruned(steps, _revised(steps, system, suspects, judge))
     system = with_doubts(_all_grown(steps, system, judge))
     left = free_gains(system, processes)
@@ -345,7 +346,7 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     least = numbers["further"] if earlier else numbers["first"]
     needed = max(numbers["inexact"] * gained, least * max(1.0, step.misfit))
     gain = step.borne
-    enough = gain > (min(needed, numbers["first"]) if judge is not None else needed)
+    enough = not (step.trial and _at_a_limit(step.trial)) and gain > (min(needed, numbers["first"]) if judge is not None else needed)
     if enough and judge is not None:  # what runs not used say counts as what those used do
         step.held, enough = judge.gain(step.system, step.first, step.trial)
         enough = enough and gain + max(step.held, 0.0) > needed
@@ -355,6 +356,13 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
         step.trials = {**step.trials, step.key: unshrunk(from_every_start(step.system, step.trial))}
     step.accepted = enough
     return enough
+
+
+def _at_a_limit(trial: Trial, near: float = 0.99) -> bool:
+    """Whether a number of a trial is as far from no effect as a real robot can have it: it would go on."""
+    values = own_values(trial.suspect.hypothesis.own, trial.u)
+    ends = np.where(trial.suspect.limits == 0, np.nan, trial.suspect.limits)
+    return bool(np.nanmax(values[:, None] / ends, initial=0.0) > near)
 
 
 def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Iterator[Step]:
@@ -375,6 +383,32 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
         yield found
         if found.accepted:
             system = accepted(system, found)
+
+
+def _one_for_two(steps: list[Step], system: System, suspects: Sequence[Suspect], processes: int) -> System:
+    """The model with one thing at a joint in the stead of two, where one explains as much.
+
+    Of an effect with two forms, as a torque constant that is off or falls, the first look may have taken the wrong one,
+    and the next what that lacks.
+    """
+    found = [s for s in steps if s.accepted and len(s.joints) == 1]
+    for joint in {s.joints for s in found}:
+        both = [s for s in found if s.joints == joint][-2:]
+        if len(both) < 2 or any(s.effect.memory for s in both):
+            continue
+        rest = left_out(system, *both)
+        there = [s for s in suspects if s.hypothesis.site.partition(".")[0] == f"joint{joint[0] + 1}"]
+        step = _look(rest, there, lambda count: None, processes)
+        if step.trial is None or step.joints != joint:
+            continue
+        step.trials[step.key] = unshrunk(step.trial)
+        one = accepted(rest, step)
+        if base_fit(one).evidence() > base_fit(system).evidence() - calibration()["further"] and possible(one, step):
+            for other in both:
+                other.accepted = False
+            step.accepted, system = True, one
+            steps.append(step)
+    return system
 
 
 def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judge: "Judge | None") -> System:
@@ -498,7 +532,7 @@ def _clear(system: System, step: Step) -> bool:
     suspect = step.trials[step.key].suspect
     at = system.own(suspect)
     doubt = np.sqrt(np.diag(np.linalg.inv(system.information))[at]) * [p.deviation for p in suspect.hypothesis.own]
-    sizes = suspect.nonnegative & ~np.array([p.log for p in suspect.hypothesis.own])
+    sizes = (suspect.limits[:, 0] == 0) & ~np.array([p.log for p in suspect.hypothesis.own])
     return bool((own_values(suspect.hypothesis.own, system.z[at]) > calibration()["far"] * doubt)[sizes].all())
 
 
@@ -516,7 +550,7 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
     longer = Entry.model_validate({"effect": entry.effect, "site": entry.site, **lists})
     grown = replace(
         suspect, hypothesis=replace(hypothesis, entries=(longer,), own=tuple(own)),
-        nonnegative=np.concatenate([suspect.nonnegative, suspect.nonnegative[:width]]),
+        limits=np.concatenate([suspect.limits, suspect.limits[:width]]),
     )  # fmt: skip
     return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
@@ -524,16 +558,18 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
 def _pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0) -> System:
     """The model without what later finds have made needless, least needed first; it is accepted no more.
 
-    What loses at once ``doubtful`` times what it needs is not tried without, but for what acts on the same joint.
+    What loses at once ``doubtful`` times what it needs is not tried without, but for what acts on the same joint, or on
+    the recording, as the last find does.
     """
     further = calibration()["further"]
     while True:
         found = [s for s in steps if s.accepted]
-        near = set(found[-1].joints) if found and len(found[-1].joints) < 3 else set()  # the recording is at all joints
         shorter = {
             k: left_out(system, step, iterations=REFITTED)
             for k, step in enumerate(found[:-1])
-            if step.trial is None or set(step.joints) & near or worth(system, step.trial.suspect) < doubtful * further
+            if step.trial is None
+            or _side_by_side(step, found[-1])
+            or worth(system, step.trial.suspect) < doubtful * further
         }
         if not shorter:
             return system
@@ -541,6 +577,13 @@ def _pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0) -> Sy
         if base_fit(system).evidence() - base_fit(shorter[needless]).evidence() > further:
             return system
         found[needless].accepted, system = False, relinearised(shorter[needless])
+
+
+def _side_by_side(one: Step, other: Step) -> bool:
+    """Whether two finds act on the same joint, or both on the recording, which is at all joints."""
+    if one.effect.records_torque and other.effect.records_torque:
+        return True
+    return len(other.joints) < 3 and bool(set(one.joints) & set(other.joints))
 
 
 def at_once(system: System, suspect: Suspect, otherwise: float = 0.05) -> list[int]:
@@ -589,7 +632,7 @@ def possible(system: System, step: Step) -> bool:
         return True
     suspect = step.trial.suspect
     values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)])
-    return bool((values[suspect.nonnegative] >= 0).all())
+    return bool(((values >= suspect.limits[:, 0]) & (values <= suspect.limits[:, 1])).all())
 
 
 def _locate(search: Search, joint: int, judge: "Judge | None") -> None:
@@ -837,7 +880,6 @@ class Judge:
         lasting = np.r_[:shared, len(fit.z) - own : len(fit.z)]
         here = replace(
             self.system, found=system.found, parameters=system.parameters, widened=system.widened,
-            A=self.system.A.scaled(system.widened),
         )  # fmt: skip
         z = np.concatenate([fit.z[:shared], np.zeros(width - shared), fit.z[len(fit.z) - own :]])
         prior, covariance, doubt = (

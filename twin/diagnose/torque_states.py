@@ -2,6 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
@@ -11,25 +14,50 @@ from twin.diagnose.torque_laws import Suspect
 from twin.diagnose.torque_search import Judge
 from twin.diagnose.torque_signal import Prepared
 
+NOISIER = 2.0  # times the scatter that each run has about its own model: all about one have more
 
-def run_states(prepared: Prepared, suspects: Sequence[Suspect], processes: int = 1) -> list[Note]:
-    """A note on groups of runs that one model explains each, where it does not explain them together.
+
+class RunStates:
+    """The runs of a log by themselves.
 
     Args:
         prepared: the runs used and kept aside; blocks of one run say nothing of states.
         suspects: as for :func:`twin.diagnose.torque_fit.system_of`.
     """
-    most = calibration()["held_out_adequate"]
-    runs = sorted([*prepared.used, *prepared.kept], key=lambda run: run.name)
-    if len({run.name for run in runs}) < len(runs):
-        return []
 
-    def fitted(members: Sequence[int]) -> System | None:
-        system = system_of(replace(prepared, used=[runs[k] for k in members]), suspects, processes=processes)
-        return system if base_fit(system).misfit <= most else None
+    def __init__(self, prepared: Prepared, suspects: Sequence[Suspect], processes: int = 1) -> None:
+        self.prepared, self.suspects, self.processes = prepared, suspects, processes
+        self.runs = sorted([*prepared.used, *prepared.kept], key=lambda run: run.name)
+        self.several = len({run.name for run in self.runs}) == len(self.runs) > 1
 
-    def beside(members: Sequence[int], known: System, number: int) -> System | None:
-        foretold = Judge(known, [runs[number]]).misfit(known, base_fit(known)) <= most
-        return fitted([*members, number]) if foretold else None
+    @cached_property
+    def alone(self) -> list[System]:
+        """Each run's own system."""
+        return [self._system([k]) for k in range(len(self.runs))]
 
-    return grouped([run.name for run in runs], "runs", lambda number: fitted([number]), beside)
+    def mixed(self, system: System) -> bool:
+        """Whether runs scatter far more about the one model of a system than each about its own."""
+        if not self.several:
+            return False
+        own = np.median([one.noise for one in self.alone], axis=0)
+        return bool(np.any(system.noise > NOISIER * own))
+
+    def groups(self) -> tuple[list[list[str]], list[Note]]:
+        """Groups of runs that one model explains each, where it does not explain them together, and a note on them."""
+        most = calibration()["held_out_adequate"]
+
+        def explained(system: System) -> System | None:
+            return system if base_fit(system).misfit <= most else None
+
+        def beside(members: Sequence[int], known: System, number: int) -> System | None:
+            foretold = Judge(known, [self.runs[number]]).misfit(known, base_fit(known)) <= most
+            return explained(self._system([*members, number])) if foretold else None
+
+        if not self.several:
+            return [], []
+        names = [run.name for run in self.runs]
+        return grouped(names, "runs", lambda number: explained(self.alone[number]), beside)
+
+    def _system(self, members: Sequence[int]) -> System:
+        used = [self.runs[k] for k in members]
+        return system_of(replace(self.prepared, used=used), self.suspects, processes=self.processes)

@@ -18,6 +18,7 @@ from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import ASTRAY, Fitted
 from twin.identify.damping_transfer import Transfer
 from twin.identify.uncertainty import NINETY
+from twin.model.parameters import Parameter
 from twin.result import Result, no_model, written
 from twin.robot.description import Robot
 from twin.table import Table
@@ -129,7 +130,7 @@ class Finding:
             known.
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
         damping: how well the answer foretells damping in postures that were held out.
-        bands: low-passes through which a motion log was fitted.
+        bands: low-passes through which a motion log was fitted; ``content`` the log without its faults.
     """
 
     recording: str
@@ -159,6 +160,7 @@ class Finding:
     written: Robot | None = None
     following: Callable[[Robot], Robot] | None = None
     bands: "Bands | None" = None
+    content: Any = None
 
     @property
     def model(self) -> Robot:
@@ -507,40 +509,51 @@ def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
 
 
 def strained(fit: Fitted) -> list[Note]:
-    """Described numbers that a fit takes much further than their description allows, a sentence each.
+    """Described numbers that a fit takes much further than their description allows, a sentence each, farthest first.
 
     What is in series with such a spring, about its axis, may be all that is wrong with it.
     """
-    found: list[Note] = []
     if fit.misfit > ASTRAY:
         times = fit.misfit**0.5
         text = f"the fit still misses the recording by {times:.0f} times its noise: none of its numbers can be believed"
         return [Note(text, "note", "note")]
+    found: list[tuple[float, Note]] = []
     answered = dict(fit.hypothesis.scale)
     base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
-    for p, value in base:
+    for k, (p, value) in enumerate(base):
         if p.kind == "sag" or p.quantity == "damping" or (p.name in answered and p.kind != "posture"):
             continue
         change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
         off = abs(change) / p.deviation * answered.get(p.name, 1.0)
         if off > STRAINED and p.kind == "posture":  # which of all angles is wrong, where they are the answer, too
-            posture, _, axis = p.name.removeprefix("posture.").rpartition(".")
-            wrong = f"{np.rad2deg(change):+.2g}°" if p.unit == "rad" else f"{change:+.2g} {p.unit}"
-            text = (
-                f"{posture}: {axis} comes out {wrong} from what the file says, {off:.1f} standard deviations off: "
-                "is that the posture that was hit?"
-            )
-            found.append(Note(text, "posture", "fail" if p.name in answered else "warning"))
-            continue
-        if off > STRAINED:
-            told = (
-                f"comes out at {value:.3g} {p.unit} where {p.mean:.3g} is described, {off:.1f} standard deviations off"
-            )
-            if p.quantity == "stiffness":
-                text = (
-                    f"{p.site} {told}: either that is wrong, or something in series about the same axis looks like it"
-                )
-            else:
-                text = f"{p.name} {told}: it may be wrong there, or the description's tolerance too narrow"
-            found.append(Note(text, "description"))
-    return found
+            found.append((off, _elsewhere_hit(p, change, off, p.name in answered)))
+        elif off > STRAINED:
+            found.append((off, _off_description(fit, k, off)))
+    return [note for _, note in sorted(found, key=lambda one: -one[0])]
+
+
+def _elsewhere_hit(p: Parameter, change: float, off: float, answered: bool) -> Note:
+    """That a posture may not be where the file says."""
+    posture, _, axis = p.name.removeprefix("posture.").rpartition(".")
+    wrong = f"{np.rad2deg(change):+.2g}°" if p.unit == "rad" else f"{change:+.2g} {p.unit}"
+    text = (
+        f"{posture}: {axis} comes out {wrong} from what the file says, {off:.1f} standard deviations off: "
+        "is that the posture that was hit?"
+    )
+    return Note(text, "posture", "fail" if answered else "warning")
+
+
+def _off_description(fit: Fitted, k: int, off: float) -> Note:
+    """That a number is not as described, with its value, its interval and by how many deviations."""
+    p = fit.parameters[k]
+    (one,) = estimates_of(fit, [k]).values()
+    low, high = one["interval90"]
+    told = (
+        f"comes out at {one['value']:.3g} {p.unit} (90 %: {low:.3g} to {high:.3g}) where {p.mean:.3g} is described, "
+        f"{off:.1f} standard deviations off"
+    )
+    if p.quantity == "stiffness":
+        text = f"{p.site} {told}: either that is wrong, or something in series about the same axis looks like it"
+    else:
+        text = f"{p.name} {told}: it may be wrong there, or the description's tolerance too narrow"
+    return Note(text, "description", sites=(p.name,))

@@ -115,4 +115,5 @@ def _farthest(piece: Hypothesis, values: Mapping[str, float]) -> Note | None:
     told = ", ".join(f"{point} by {1e3 * off[point]:.1f} mm" for point in first[:FARTHEST])
     more = f" and {len(first) - FARTHEST} more" if len(first) > FARTHEST else ""
     text = f"not where the file says, by more than its tolerance of {1e3 * tolerance:g} mm: {told}{more}"
-    return Note(f"position of nodes: {text}; the fits have them where the recordings do", "position")
+    text = f"position of nodes: {text}; the fits have them where the recordings do"
+    return Note(text, "position", sites=tuple(f"node:{point.split()[1]}.position" for point in first))
