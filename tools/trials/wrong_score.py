@@ -51,6 +51,9 @@ command is asked with the recording alone. The answer to a case is
 - *adequate above its floor*; *wrong name*, at {NAMED:g} or more; *no answer*: a crash, a refusal that
   does not tell the cause, no time.
 
+A number may be far off its description where no prediction shows it. It is then no name: a warning tells value, interval
+and by how many deviations it is off. Such a warning does not make an answer *right*; it has two rows of its own.
+
 Every rate has Wilson's 95 % interval."""
 
 
@@ -62,6 +65,7 @@ class Judged:
     text; kind empty in version 1. `held_out`: pairs of error before and after, one per recording. `floor`: error after
     over the noise floor, the largest. `inside`: by number, whether its 90 % interval holds the truth.
     `shown`: how far it shows that the robot is not as described, logarithm of a likelihood ratio, where that is known.
+    `off`: EFFECT@SITE of what warnings of triage say is off its description, farthest first.
     """
 
     name: str
@@ -83,6 +87,7 @@ class Judged:
     cpu_s: float | None
     complaint: str
     shown: float | None = None
+    off: tuple[str, ...] = ()
 
     @property
     def lacks_nothing(self) -> bool:
@@ -130,6 +135,16 @@ class Judged:
     def cause_first(self) -> bool:
         """Whether the cause is among the first answers, or told by triage."""
         return self.told or any(self.is_cause(h) for h, _ in self.named)
+
+    @property
+    def cause_told(self) -> bool:
+        """Whether the cause is among the first answers, or what a warning says is farthest off its description."""
+        return self.cause_first or any(self.is_cause(site) for site in self.off[:1])
+
+    @property
+    def misled(self) -> bool:
+        """Whether a warning says that a number is off its description which is neither a cause nor what is on top."""
+        return any(not self.allowed(site) for site in self.off)
 
     @property
     def top_named(self) -> bool:
@@ -183,8 +198,15 @@ def judged(answer: dict[str, Any], result: dict[str, Any]) -> Judged:
         tuple(cause["triage"]), tuple(cause["fair"]), f"{top['effect']}@{top['site']}" if top else "", d["verdict"],
         groups, tuple(_triage(item) for item in d.get("triage") or []), tuple(zip(before, after, strict=False)),
         max(over, default=None), _inside(answer, d["effects"]), float(result["wall_s"]), result.get("cpu_s"),
-        "" if result["diagnosis"] else last_line(result.get("complaint", "")), answer.get("shown"),
+        "" if result["diagnosis"] else last_line(result.get("complaint", "")), answer.get("shown"), _off(d),
     )  # fmt: skip
+
+
+def _off(diagnosis: dict[str, Any]) -> tuple[str, ...]:
+    """EFFECT@SITE of what warnings say is off its description."""
+    items = [item for item in diagnosis.get("triage") or [] if isinstance(item, dict) and item["severity"] != "note"]
+    sites = [site for item in items for site in item.get("sites", [])]
+    return tuple(site if "@" in site else f"parameter@{site}" for site in sites)
 
 
 def _triage(item: Any) -> tuple[str, str, str]:
@@ -235,6 +257,8 @@ def headline(cases: Sequence[Judged]) -> dict[str, Any]:
         "any answer whose held-out error does not fall": rate(cases, lambda c: not c.fallen),
         "true cause first": rate(off, lambda c: c.cause_first),
         f"true cause first, where it shows (ln likelihood ratio ≥ {SEEN:g})": rate(clear, lambda c: c.cause_first),
+        "true cause first, or told as farthest off its description": rate(off, lambda c: c.cause_told),
+        "a number told to be off that is not": rate(cases, lambda c: c.misled),
         "true cause first, and no wrong name beside it": rate(off, lambda c: c.outcome == "right"),
         "true cause, near it, or honest": rate(off, lambda c: c.outcome in CLASSES[:3]),
         "right cause, near it, or honest; nulls adequate": rate(cases, lambda c: c.outcome in CLASSES[:3]),

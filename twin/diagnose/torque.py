@@ -97,29 +97,33 @@ def diagnose_log(
     if bands is None:
         prepared = _wide_enough(prepared, log, source, hold_out)
     log, prepared, faults, rates = _sound(log, prepared, source, hold_out)
-    suspects = log_suspects(robot, prepared.used)
-    system = system_of(prepared, suspects, processes=processes)
-    states = RunStates(prepared, suspects, processes)
-    groups, apart = states.groups() if states.mixed(system) else ([], [])
-    largest = max(groups, key=len, default=[])
-    if 2 * len(largest) > len(states.runs):
+
+    def again(largest: Sequence[str], notes: Sequence[str]) -> Finding:
+        """The finding of the runs of one robot, with what was put right."""
         some = replace(log, runs={name: run for name, run in log.runs.items() if name in largest})
+        held = [name for name in hold_out or [] if name in largest] or None
         finding = diagnose_log(
-            some, robot, source, hold_out=[name for name in hold_out or [] if name in largest] or None, seed=seed,
-            progress=progress, bands=prepared.bands, processes=processes,
-        )  # fmt: skip
-        told = Note(f"{', '.join(apart)}; what follows is of {', '.join(largest)} alone", "other_robot", "fail")
-        finding.warnings = [told, *faults, *(clock_note(rates) for _ in range(bool(rates))), *finding.warnings]
+            some, robot, source, hold_out=held, progress=progress, bands=prepared.bands, processes=processes
+        )
+        finding.warnings = [*notes, *faults, *_clocks(rates), *finding.warnings]
         return finding
+
+    system = _system(prepared, processes)
+    states = RunStates(prepared, log_suspects(robot, prepared.used), processes)
+    of_one, notes = states.largest() if states.mixed(system) else ([], [])
+    if of_one:
+        return again(of_one, notes)
     search, suspects = _explained(system, prepared, progress, processes)
     if late := clock_rates(_runs(prepared), _foretold(prepared, search)):  # with what was found, it shows better
         rates = {name: rates.get(name, 0.0) + late.get(name, 0.0) for name in {**rates, **late}}
         log = on_time(log, late)
         prepared = prepare(log, robot, source, hold_out, prepared.bands)
-        system = system_of(prepared, log_suspects(robot, prepared.used), processes=processes)
-        search, suspects = _explained(system, prepared, progress, processes)
-    faults += [clock_note(rates)] if rates else []
+        search, suspects = _explained(_system(prepared, processes), prepared, progress, processes)
     word, missing, none, other = _answer(search)
+    if not notes and (word == "unexplained" or search.foretold > calibration()["held_out_adequate"]):
+        of_one, notes = RunStates(prepared, suspects, processes).largest()
+    if of_one:
+        return again(of_one, notes)
     base = search.first.base
     records, errors = log_records(prepared, base, search)
     after, _ = _after(search)
@@ -131,18 +135,14 @@ def diagnose_log(
         missing.append(missing_play(play, robot_after))
         word, none = "named" if word in ("adequate", "unexplained") else word, min(none, 1 - play.probability)
     restless = disturbances(log, search, source, processes)
-    mixed = word == "unexplained" or search.foretold > calibration()["held_out_adequate"]
-    where = spots(records, source, prepared.bands.fit[1]) + restless
-    sites = {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)}
     finding = Finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
-        list(prepared.held_out), records, where, sites,
-        [*smallest_visible(system, suspects, processes), *_visible(found_plays)],
+        list(prepared.held_out), records, spots(records, source, prepared.bands.fit[1]) + restless,
+        {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)},
+        [*smallest_visible(search.plain, suspects, processes), *_visible(found_plays)],
         warnings=[
-            *_still_off(records),
-            *(RunStates(prepared, suspects, processes).groups()[1] if mixed else ()),
-            *prepared.notes, *faults, *not_sought(robot), *map(_restless, restless), *_told_apart(search),
-            *_narrow(search), *_bodies(prepared, search, errors),
+            *_still_off(records), *notes, *prepared.notes, *faults, *_clocks(rates), *not_sought(robot),
+            *map(_restless, restless), *_told_apart(search), *_narrow(search), *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
@@ -153,6 +153,16 @@ def diagnose_log(
     finding.apart = _slips(search) | _late(search)
     finding.missing = with_evidence(finding)
     return finding
+
+
+def _system(prepared: Prepared, processes: int) -> System:
+    """The base model on the rows used."""
+    return system_of(prepared, log_suspects(prepared.regressor.robot, prepared.used), processes=processes)
+
+
+def _clocks(rates: dict[str, float]) -> list[Note]:
+    """A note on clocks that run apart, s/s, if any do."""
+    return [clock_note(rates)] if rates else []
 
 
 def _runs(prepared: Prepared) -> list[Run]:

@@ -346,7 +346,9 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     least = numbers["further"] if earlier else numbers["first"]
     needed = max(numbers["inexact"] * gained, least * max(1.0, step.misfit))
     gain = step.borne
-    enough = not (step.trial and _at_a_limit(step.trial)) and gain > (min(needed, numbers["first"]) if judge is not None else needed)
+    enough = not (step.trial and _at_a_limit(step.trial)) and gain > (
+        min(needed, numbers["first"]) if judge is not None else needed
+    )
     if enough and judge is not None:  # what runs not used say counts as what those used do
         step.held, enough = judge.gain(step.system, step.first, step.trial)
         enough = enough and gain + max(step.held, 0.0) > needed

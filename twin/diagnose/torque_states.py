@@ -42,8 +42,8 @@ class RunStates:
         own = np.median([one.noise for one in self.alone], axis=0)
         return bool(np.any(system.noise > NOISIER * own))
 
-    def groups(self) -> tuple[list[list[str]], list[Note]]:
-        """Groups of runs that one model explains each, where it does not explain them together, and a note on them."""
+    def largest(self) -> tuple[list[str], list[Note]]:
+        """The runs that one model explains where none explains all, if they are most, and a note on what is apart."""
         most = calibration()["held_out_adequate"]
 
         def explained(system: System) -> System | None:
@@ -56,7 +56,15 @@ class RunStates:
         if not self.several:
             return [], []
         names = [run.name for run in self.runs]
-        return grouped(names, "runs", lambda number: explained(self.alone[number]), beside)
+        groups, notes = grouped(names, "runs", lambda number: explained(self.alone[number]), beside)
+        largest = max(groups, key=len, default=[])
+        if 2 * len(largest) <= len(names):
+            return [], notes
+        told = [
+            Note(f"{n}; what follows is of {', '.join(largest)} alone", n.kind, n.severity, n.channels, n.runs)
+            for n in notes
+        ]
+        return largest, told
 
     def _system(self, members: Sequence[int]) -> System:
         used = [self.runs[k] for k in members]
