@@ -20,7 +20,7 @@ from twin.diagnose import engine, torque
 from twin.diagnose.calibration import calibration
 from twin.diagnose.joint import followed
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque import _missed, _wide_enough, diagnose_log, pooled, predicted_by, with_evidence
+from twin.diagnose.torque import _missed, diagnose_log, pooled, predicted_by, wide_enough, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
     APART,
@@ -454,7 +454,7 @@ def test_a_short_log_is_fitted_through_the_low_pass_that_foretells_best(
         runs[f"run{k}"] = MotionRun(f"run{k}", clock + 60 * k, found.position, how.rate_hz, torque=found.torque)
     write_description(machine, tmp_path / "arm.yaml")
     first = prepare(MotionLog(runs), load_robot(tmp_path / "arm.yaml"), "log", ["run1"])
-    chosen = _wide_enough(first, MotionLog(runs), "log", ["run1"])
+    chosen = wide_enough(first, MotionLog(runs), "log", ["run1"])
     assert (chosen is not first) is wider
     if wider:
         assert _missed(chosen) < _missed(first)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose import decide
-from twin.diagnose.decide import Decision, at_noise, in_doubt_beside, sifted
+from twin.diagnose.decide import Decision, at_noise, in_doubt_beside, sifted, that_show
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
@@ -114,6 +114,21 @@ def test_answers_that_differ_in_what_is_allowed_are_one(kr90: Robot) -> None:
     assert decision.alike == pytest.approx(0.8)
     same = Decision(ranked[1:3], [0.6, 0.3], 0.05, 0.05)
     assert sifted(same, kr90) == (same, ())
+
+
+@pytest.mark.parametrize(("takes_off", "stays"), [(2.0, False), (20.0, True)])
+def test_tension_alone_names_nothing_beside_a_name(kr90: Robot, takes_off: float, stays: bool) -> None:
+    """Beside a gain, a spring far from its description: an answer only where recordings are missed by less with it."""
+    gain = entry_hypothesis(kr90, "sensor_gain", "sensor:21X+", {"gain": 1.0})
+    spring = Hypothesis("parameter", "joint2.y.stiffness", scale=(("joint2.y.stiffness", 10.0),))
+    one, two = (fitted(kr90, some, np.array([1.2])) for some in (gain, together(gain, spring)))
+    k = two.parameters.names.index("joint2.y.stiffness")
+    one.z[k], two.z[k] = 4.0, 0.4  # its tolerance is ten times as wide
+    one, two = (
+        replace(f, cost=0.5 * float(f.z @ f.z) + missed) for f, missed in ((one, 100.0), (two, 100 - takes_off))
+    )
+    assert that_show([two, one]) == ([two, one] if stays else [one])
+    assert that_show([two]) == [two]  # nothing to compare it with
 
 
 @pytest.mark.parametrize(("misfit", "none"), [(1.0, 0.99), (1.5, 0.05)])

@@ -51,8 +51,8 @@ command is asked with the recording alone. The answer to a case is
 - *adequate above its floor*; *wrong name*, at {NAMED:g} or more; *no answer*: a crash, a refusal that
   does not tell the cause, no time.
 
-A number may be far off its description where no prediction shows it. It is then no name: a warning tells value, interval
-and by how many deviations it is off. Such a warning does not make an answer *right*; it has two rows of its own.
+A number may be far off its description where no prediction shows it. It is then no name: a warning tells its value, its
+interval and by how many deviations it is off. Such a warning makes no answer *right*; it has two rows of its own.
 
 Every rate has Wilson's 95 % interval."""
 

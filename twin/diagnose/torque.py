@@ -95,7 +95,7 @@ def diagnose_log(
     """
     prepared = prepare(log, robot, source, hold_out, bands)
     if bands is None:
-        prepared = _wide_enough(prepared, log, source, hold_out)
+        prepared = wide_enough(prepared, log, source, hold_out)
     log, prepared, faults, rates = _sound(log, prepared, source, hold_out)
 
     def again(largest: Sequence[str], notes: Sequence[str]) -> Finding:
@@ -108,17 +108,17 @@ def diagnose_log(
         finding.warnings = [*notes, *faults, *_clocks(rates), *finding.warnings]
         return finding
 
-    system = _system(prepared, processes)
+    system = base_system(prepared, processes)
     states = RunStates(prepared, log_suspects(robot, prepared.used), processes)
     of_one, notes = states.largest() if states.mixed(system) else ([], [])
     if of_one:
         return again(of_one, notes)
-    search, suspects = _explained(system, prepared, progress, processes)
-    if late := clock_rates(_runs(prepared), _foretold(prepared, search)):  # with what was found, it shows better
+    search, suspects = searched(system, prepared, progress, processes)
+    if late := clock_rates(_runs(prepared), predicted_runs(prepared, search)):  # with what was found, it shows better
         rates = {name: rates.get(name, 0.0) + late.get(name, 0.0) for name in {**rates, **late}}
         log = on_time(log, late)
         prepared = prepare(log, robot, source, hold_out, prepared.bands)
-        search, suspects = _explained(_system(prepared, processes), prepared, progress, processes)
+        search, suspects = searched(base_system(prepared, processes), prepared, progress, processes)
     word, missing, none, other = _answer(search)
     if not notes and (word == "unexplained" or search.foretold > calibration()["held_out_adequate"]):
         of_one, notes = RunStates(prepared, suspects, processes).largest()
@@ -155,7 +155,7 @@ def diagnose_log(
     return finding
 
 
-def _system(prepared: Prepared, processes: int) -> System:
+def base_system(prepared: Prepared, processes: int = 1) -> System:
     """The base model on the rows used."""
     return system_of(prepared, log_suspects(prepared.regressor.robot, prepared.used), processes=processes)
 
@@ -173,7 +173,7 @@ def _runs(prepared: Prepared) -> list[Run]:
 def _sound(
     log: MotionLog, prepared: Prepared, source: str, hold_out: list[str] | None
 ) -> tuple[MotionLog, Prepared, list[str], dict[str, float]]:
-    """A log without the faults that its description's torque shows, as rows, notes on them, and rates of clocks, s/s."""
+    """A log without the faults that its description's torque shows, its rows, notes, and rates of clocks, s/s."""
     robot, bands = prepared.regressor.robot, prepared.bands
 
     def described() -> list[FloatArray]:
@@ -189,7 +189,7 @@ def _sound(
     return log, prepared, [*faults], rates
 
 
-def _explained(
+def searched(
     system: System, prepared: Prepared, progress: Progress | None, processes: int
 ) -> tuple[Search, list[Suspect]]:
     """What is missing, and what was suspected: what drives have, as the log shows it."""
@@ -197,7 +197,7 @@ def _explained(
     return explain(system, prepared.kept, suspects, progress, processes), suspects
 
 
-def _foretold(prepared: Prepared, search: Search) -> list[FloatArray]:
+def predicted_runs(prepared: Prepared, search: Search) -> list[FloatArray]:
     """Torque (m, n) of every run, with what was found."""
     after, entries = _after(search)
     runs = _runs(prepared)
@@ -606,7 +606,7 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any], worse: f
     ]
 
 
-def _wide_enough(prepared: Prepared, log: MotionLog, source: str, hold_out: list[str] | None) -> Prepared:
+def wide_enough(prepared: Prepared, log: MotionLog, source: str, hold_out: list[str] | None) -> Prepared:
     """A short log through the low-pass whose base model foretells the runs kept aside best.
 
     A few seconds below 10 Hz have fewer rows than a robot has numbers. A wider band has more, if the robot is rigid in

@@ -88,7 +88,7 @@ def discover(system: System, joint: int, most: int = 5) -> tuple[Trial, int] | N
     entry = _entry(site, formula, [0.0] * len(own))
     hypothesis = Hypothesis(entry.effect, site, (entry,), own)
     sizes = tuple(range(len(own)))
-    suspect = Suspect(hypothesis, np.zeros((1, len(own))), sizes, np.tile([-np.inf, np.inf], (len(own), 1)))
+    suspect = Suspect(hypothesis, np.zeros((1, len(own))), sizes, np.zeros(len(own), bool))
     return settle(system, start(system, suspect)), len(kept)
 
 

@@ -134,7 +134,7 @@ class Base:
         return _apart(self.regressor.robot)
 
     def design(self, k: int, joint: int, state: State | None = None) -> FloatArray:
-        """Torque (m, a) of a joint in run k per unit of the numbers that can act on it; as a state's recording has it."""
+        """Torque (m, a) of a joint in run k per unit of the numbers that can act on it, as a recording has it."""
         presliding, ripple = self.presliding[k][:, joint], self.ripple[k][:, joint]
         offsets = np.broadcast_to(self.offset[joint, k], (len(presliding), len(self.runs)))
         rows = self.matrix[k][:, joint] @ self.spread
@@ -1461,13 +1461,11 @@ def start(system: System, suspect: Suspect, largest_kept: int = 20_000_000) -> T
 
 
 def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
-    """u with sizes where they can be, and shapes where they are looked for."""
+    """u with sizes that cannot be negative at zero or above, and shapes where they are looked for."""
     own = suspect.hypothesis.own
-    ends = [
-        (-FARTHEST_SHAPE, FARTHEST_SHAPE) if p.log else (np.array(limits) - p.mean) / p.deviation
-        for p, limits in zip(own, suspect.limits, strict=True)
-    ]
-    return np.clip(u, *np.transpose(ends))
+    bounded = zip(own, suspect.nonnegative, strict=True)
+    least = [-FARTHEST_SHAPE if p.log else -p.mean / p.deviation if bound else -np.inf for p, bound in bounded]
+    return np.clip(u, least, [FARTHEST_SHAPE if p.log else np.inf for p in own])
 
 
 def reach(system: System, trial: Trial, iterations: int = 2, usual: float = 0.3) -> Trial:

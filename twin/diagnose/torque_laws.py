@@ -70,13 +70,13 @@ class Suspect:
         starts: (k, m) values of the own parameters.
         sizes: indices of the own parameters in which the torque is linear, solved for at every start; with none, it
             is linear in all of them together.
-        limits: (m, 2) between which own values can be.
+        nonnegative: (m,) which own values cannot be below zero.
     """
 
     hypothesis: Hypothesis
     starts: FloatArray
     sizes: tuple[int, ...]
-    limits: FloatArray
+    nonnegative: np.ndarray
 
     @property
     def name(self) -> str:
@@ -302,14 +302,12 @@ class Look:
         entry = Entry(effect=self.effect, site=self.site, **suspected.values)
         hypothesis = Hypothesis(self.effect, self.site, (entry,), tuple(map(self._named, suspected.own)))
         known = {p.name: p for p in effect.parameters}
-        limits = np.array([p.limits for p in suspected.own])
-        nonnegative = np.array([known[p.name.partition("[")[0]].log for p in suspected.own])
-        nonnegative[0] |= suspected.passive
-        limits[nonnegative, 0] = np.maximum(limits[nonnegative, 0], 0.0)
+        least = np.array([known[p.name.partition("[")[0]].log for p in suspected.own])
+        least[0] |= suspected.passive
         widths = np.array([p.deviation for p in suspected.own])
         if not (np.isfinite(widths) & (widths > 0) & (widths < 1e12)).all():
             return None
-        return Suspect(hypothesis, np.array(suspected.starts, float), suspected.sizes, limits)
+        return Suspect(hypothesis, np.array(suspected.starts, float), suspected.sizes, least)
 
     def _named(self, prior: Prior) -> Parameter:
         unit = CATALOGUE[self.effect].unit(prior.name, self.site, self.robot)

@@ -48,6 +48,7 @@ from twin.diagnose.torque_fit import (
 from twin.diagnose.torque_laws import USUAL_SHARE, Suspect, smooth_columns
 from twin.diagnose.torque_numbers import GAIN, effect_of_number
 from twin.diagnose.torque_signal import Run
+from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress, spread
 from twin.physics import effect_named, effect_of
@@ -240,14 +241,15 @@ def explain(
             if _borne_out(beside, steps, judge):
                 steps.append(beside)
                 system = accepted(system, beside)
-        system = _one_for_two(steps, _pruned(steps, system), suspects, processes)
+        system = _one_for_two(steps, _pruned(steps, system), suspects, judge, processes)
         system = with_doubts(_all_grown(steps, system, judge))
+    first = steps[0]  # beside the base model alone; what takes its place later stands beside other finds
     system = _pruned(steps, _revised(steps, system, suspects, judge))
     system = with_doubts(_all_grown(steps, system, judge))
     left = free_gains(system, processes)
-    search = Search(plain, steps[0], steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
+    search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     if judge:
-        search.foretold, search.bare = judge.misfit(system, search.after), judge.misfit(plain, steps[0].base)
+        search.foretold, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:
@@ -346,9 +348,7 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     least = numbers["further"] if earlier else numbers["first"]
     needed = max(numbers["inexact"] * gained, least * max(1.0, step.misfit))
     gain = step.borne
-    enough = not (step.trial and _at_a_limit(step.trial)) and gain > (
-        min(needed, numbers["first"]) if judge is not None else needed
-    )
+    enough = gain > (min(needed, numbers["first"]) if judge is not None else needed)
     if enough and judge is not None:  # what runs not used say counts as what those used do
         step.held, enough = judge.gain(step.system, step.first, step.trial)
         enough = enough and gain + max(step.held, 0.0) > needed
@@ -358,13 +358,6 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
         step.trials = {**step.trials, step.key: unshrunk(from_every_start(step.system, step.trial))}
     step.accepted = enough
     return enough
-
-
-def _at_a_limit(trial: Trial, near: float = 0.99) -> bool:
-    """Whether a number of a trial is as far from no effect as a real robot can have it: it would go on."""
-    values = own_values(trial.suspect.hypothesis.own, trial.u)
-    ends = np.where(trial.suspect.limits == 0, np.nan, trial.suspect.limits)
-    return bool(np.nanmax(values[:, None] / ends, initial=0.0) > near)
 
 
 def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Iterator[Step]:
@@ -387,7 +380,9 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
             system = accepted(system, found)
 
 
-def _one_for_two(steps: list[Step], system: System, suspects: Sequence[Suspect], processes: int) -> System:
+def _one_for_two(
+    steps: list[Step], system: System, suspects: Sequence[Suspect], judge: "Judge | None", processes: int
+) -> System:
     """The model with one thing at a joint in the stead of two, where one explains as much.
 
     Of an effect with two forms, as a torque constant that is off or falls, the first look may have taken the wrong one,
@@ -405,12 +400,18 @@ def _one_for_two(steps: list[Step], system: System, suspects: Sequence[Suspect],
             continue
         step.trials[step.key] = unshrunk(step.trial)
         one = accepted(rest, step)
-        if base_fit(one).evidence() > base_fit(system).evidence() - calibration()["further"] and possible(one, step):
+        if _likely(one, judge) > _likely(system, judge) - calibration()["tie"] and possible(one, step):
             for other in both:
                 other.accepted = False
             step.accepted, system = True, one
             steps.append(step)
     return system
+
+
+def _likely(system: System, judge: "Judge | None") -> float:
+    """ln evidence of all rows, those kept aside among them."""
+    fit = base_fit(system)
+    return fit.evidence() + (judge.density(system, fit) if judge is not None else 0.0)
 
 
 def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judge: "Judge | None") -> System:
@@ -421,11 +422,6 @@ def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], jud
     """
     if sum(step.accepted for step in steps) < 2:
         return system
-
-    def likely(model: System) -> float:
-        fit = base_fit(model)
-        return fit.evidence() + (judge.density(model, fit) if judge is not None else 0.0)
-
     for number, step in enumerate(steps):
         gains = {fit.hypothesis.key: fit.evidence() - step.base.evidence() for fit in step.decision.ranked}
         rivals = [
@@ -440,7 +436,7 @@ def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], jud
         if again.key == step.key or again.trial is None:
             continue
         other = accepted(others, again)
-        if likely(other) > likely(system) + calibration()["tie"] and possible(other, again):
+        if _likely(other, judge) > _likely(system, judge) + calibration()["tie"] and possible(other, again):
             again.trials[again.key] = unshrunk(again.trial)
             again.accepted, again.held = True, step.held
             steps[number], system = again, other
@@ -532,10 +528,9 @@ def _grown(step: Step, system: System, judge: "Judge | None", most: int = 3) -> 
 def _clear(system: System, step: Step) -> bool:
     """Whether what cannot be negative of something found is so beyond doubt."""
     suspect = step.trials[step.key].suspect
-    at = system.own(suspect)
-    doubt = np.sqrt(np.diag(np.linalg.inv(system.information))[at]) * [p.deviation for p in suspect.hypothesis.own]
-    sizes = (suspect.limits[:, 0] == 0) & ~np.array([p.log for p in suspect.hypothesis.own])
-    return bool((own_values(suspect.hypothesis.own, system.z[at]) > calibration()["far"] * doubt)[sizes].all())
+    values, doubt = _own(system, suspect)
+    sizes = suspect.nonnegative & ~np.array([p.log for p in suspect.hypothesis.own])
+    return bool((values > calibration()["far"] * doubt)[sizes].all())
 
 
 def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
@@ -552,7 +547,7 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
     longer = Entry.model_validate({"effect": entry.effect, "site": entry.site, **lists})
     grown = replace(
         suspect, hypothesis=replace(hypothesis, entries=(longer,), own=tuple(own)),
-        limits=np.concatenate([suspect.limits, suspect.limits[:width]]),
+        nonnegative=np.concatenate([suspect.nonnegative, suspect.nonnegative[:width]]),
     )  # fmt: skip
     return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
@@ -629,12 +624,22 @@ def _after_reversals(system: System, joint: int) -> tuple[FloatArray, FloatArray
 
 
 def possible(system: System, step: Step) -> bool:
-    """Whether the numbers of something found are what they can be, beside all else in the model."""
+    """Whether the numbers of something found may be what they can be, beside all else in the model.
+
+    A payload that is nearly a point has moments of inertia about zero, of either sign.
+    """
     if step.trial is None:
         return True
     suspect = step.trial.suspect
-    values = own_values(suspect.hypothesis.own, system.z[system.own(suspect)])
-    return bool(((values >= suspect.limits[:, 0]) & (values <= suspect.limits[:, 1])).all())
+    values, doubt = _own(system, suspect)
+    return bool((values + NINETY * doubt >= 0)[suspect.nonnegative].all())
+
+
+def _own(system: System, suspect: Suspect) -> tuple[FloatArray, FloatArray]:
+    """The numbers (m,) of something found, beside all else in the model, and their deviations; of a scale, no doubt."""
+    own, at = suspect.hypothesis.own, system.own(suspect)
+    doubt = np.sqrt(np.diag(np.linalg.inv(system.information))[at])
+    return own_values(own, system.z[at]), doubt * [0.0 if p.log else p.deviation for p in own]
 
 
 def _locate(search: Search, joint: int, judge: "Judge | None") -> None:

@@ -60,11 +60,8 @@ class RunStates:
         largest = max(groups, key=len, default=[])
         if 2 * len(largest) <= len(names):
             return [], notes
-        told = [
-            Note(f"{n}; what follows is of {', '.join(largest)} alone", n.kind, n.severity, n.channels, n.runs)
-            for n in notes
-        ]
-        return largest, told
+        told = [f"{note}; what follows is of {', '.join(largest)} alone" for note in notes]
+        return largest, [Note(text, "other_robot", "fail", runs=tuple(names)) for text in told]
 
     def _system(self, members: Sequence[int]) -> System:
         used = [self.runs[k] for k in members]

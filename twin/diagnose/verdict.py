@@ -547,9 +547,9 @@ def _off_description(fit: Fitted, k: int, off: float) -> Note:
     """That a number is not as described, with its value, its interval and by how many deviations."""
     p = fit.parameters[k]
     (one,) = estimates_of(fit, [k]).values()
-    low, high = one["interval90"]
+    low, high = np.ravel(one["interval90"])
     told = (
-        f"comes out at {one['value']:.3g} {p.unit} (90 %: {low:.3g} to {high:.3g}) where {p.mean:.3g} is described, "
+        f"comes out at {fit.values[k]:.3g} {p.unit} (90 %: {low:.3g} to {high:.3g}) where {p.mean:.3g} is described, "
         f"{off:.1f} standard deviations off"
     )
     if p.quantity == "stiffness":

@@ -28,7 +28,7 @@ class FrictionDrift(Effect):
         mechanism.passive_force(self.name, site, values)
 
     def suspected(self, view: LogView) -> list[Suspected]:
-        own = [Prior("amplitude", 0.2, limits=(-1.0, np.inf)), scale("time_constant", 300.0, 3.0)]
+        own = [Prior("amplitude", 0.2), scale("time_constant", 300.0, 3.0)]
         starts = [[0.0, T] for T in (30.0, 100.0, 250.0, 600.0, 1500.0)]
         return [Suspected({"amplitude": 0.0, "time_constant": 300.0}, own, starts)]
 

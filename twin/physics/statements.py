@@ -28,14 +28,12 @@ class Prior:
         name: as in the description; ``stiffness[0]`` for an item of a list.
         deviation: standard deviation, in the parameter's unit; of the logarithm with ``log``.
         mean: in the parameter's unit.
-        limits: beyond which no real robot has it, in the parameter's unit.
     """
 
     name: str
     deviation: float
     mean: float = 0.0
     log: bool = False
-    limits: tuple[float, float] = (-np.inf, np.inf)
 
 
 def scale(name: str, mean: float, factor: float) -> Prior:

@@ -12,10 +12,7 @@ if TYPE_CHECKING:
 
 
 class TorqueConstant(Effect):
-    """Acts on the recorded torque of one axis; t is the campaign's clock.
-
-    Magnets that are 100 K warmer have lost 12 % (NdFeB) to 20 % (ferrite) of their remanence, which is reversible.
-    """
+    """Acts on the recorded torque of one axis; t is the campaign's clock."""
 
     name = "torque_constant"
     sites = ("joint{i}",)
@@ -30,7 +27,7 @@ class TorqueConstant(Effect):
     log_tests = ("mass", "sweep")
 
     def suspected(self, view: LogView) -> list[Suspected]:
-        warming = [Prior("warm_up", 0.05, limits=(-0.3, 0.3)), scale("time_constant", 300.0, 3.0)]
+        warming = [Prior("warm_up", 0.05), scale("time_constant", 300.0, 3.0)]
         starts = [[0.0, T] for T in (30.0, 100.0, 250.0, 600.0, 1500.0)]
         return [
             Suspected({"gain": 1.0}, [Prior("gain", 0.05, 1.0)], [[1.0]]),

@@ -1,0 +1,126 @@
+"""How a search goes through a motion log: what is recorded late, two finds for one, runs of two robots, clocks."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_diagnose_logs import recorded
+
+from tools.trials.wrong import case
+from tools.truth.robots import machines, write_description
+from tools.truth.wrong import record
+from twin.diagnose.torque import diagnose_log
+from twin.diagnose.torque_faults import clock_note, on_time
+from twin.diagnose.torque_fit import System, base_fit, extended, refer, relinearised, settle, start, system_of
+from twin.diagnose.torque_laws import Suspect, log_suspects
+from twin.diagnose.torque_search import Judge, Step, _look, _one_for_two, accepted
+from twin.diagnose.torque_signal import Prepared, prepare
+from twin.measure.campaign import FloatArray
+from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
+from twin.robot.description import Robot, load_robot
+
+
+def filtered(log: MotionLog, hz: float) -> MotionLog:
+    """A log whose torque went through a low-pass of first order."""
+    runs = {}
+    for name, run in log.runs.items():
+        keep = float(np.exp(-2 * np.pi * hz * (run.time[1] - run.time[0])))
+        torque = run.torque.copy()
+        for k in range(1, len(torque)):
+            torque[k] = keep * torque[k - 1] + (1 - keep) * run.torque[k]
+        runs[name] = replace(run, torque=torque)
+    return replace(log, runs=runs)
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> tuple[Prepared, list[Suspect], System]:
+    """A complete model, its torque through a filter of 5 Hz."""
+    prepared = prepare(filtered(recorded(tmp_path_factory.mktemp("slow")), 5.0), load_robot("kr90"), "log.h5")
+    suspects = log_suspects(load_robot("kr90"), prepared.used)
+    return prepared, suspects, system_of(prepared, suspects)
+
+
+def test_slopes_are_those_of_torque_as_it_is_recorded(slow: tuple[Prepared, list[Suspect], System]) -> None:
+    """Of the base model's numbers beside a filter that was found, against differences of the whitened torque."""
+    _, suspects, system = slow
+    (suspect,) = (s for s in suspects if s.name == "torque_filter@log")
+    here = relinearised(extended(system, settle(system, start(system, suspect))))
+
+    def torque(z: FloatArray) -> FloatArray:
+        added = here.full(here.whiten(refer(here, z)))[:, 0]
+        return np.asarray(added + here.design.scaled(here.widened).times(z[: here.design.width]))
+
+    rng = np.random.default_rng(4)
+    lasting = here.base.lasting
+    step = np.zeros(len(here.z))
+    step[:lasting] = 1e-3 * rng.normal(size=lasting)
+    slope = torque(here.z + step) - torque(here.z - step)
+    told = 2 * here.A.times(step)
+    assert np.linalg.norm(told - slope) < 0.01 * np.linalg.norm(slope)
+
+
+def test_a_filter_is_all_that_is_said_of_a_slow_record(slow: tuple[Prepared, list[Suspect], System]) -> None:
+    """Beside a filter the fit ends in a few steps, so that nothing else gains on runs that were not used."""
+    prepared, suspects, system = slow
+    (suspect,) = (s for s in suspects if s.name == "torque_filter@log")
+    found = relinearised(extended(system, settle(system, start(system, suspect))))
+    again = relinearised(found)
+    cost = [0.5 * float(s.residual @ s.residual + s.z @ s.z) for s in (found, again)]
+    assert cost[0] - cost[1] < 0.01 * cost[1]
+    judge = Judge(system, prepared.kept)
+    assert judge.misfit(found, base_fit(found)) < 1.3
+
+
+def test_one_thing_at_a_joint_replaces_two(tmp_path: Path, kr90: Robot) -> None:
+    """Torque constants that fall, taken for one that is off, and then for friction that drifts beside it."""
+    log = recorded(tmp_path)
+    for run in log.runs.values():
+        run.torque[:, 2] *= 1 + 0.06 * (1 - np.exp(-run.time / 25.0))
+    prepared = prepare(log, kr90, "log.h5")
+    suspects = log_suspects(kr90, prepared.used)
+    system = system_of(prepared, suspects)
+    off = next(s for s in suspects if s.name == "torque_constant@joint3" and len(s.hypothesis.own) == 1)
+    drift = next(s for s in suspects if s.name == "friction_drift@joint3")
+    steps: list[Step] = []
+    for suspect in (off, drift):
+        step = _look(system, [suspect], lambda count: None, 1)
+        step.accepted = True
+        steps.append(step)
+        system = accepted(system, step)
+    before = system
+    system = _one_for_two(steps, system, suspects, Judge(system, prepared.kept), 1)
+    (one,) = (step for step in steps if step.accepted)
+    assert one.key == "torque_constant@joint3"
+    assert [s.name for s in system.found] == ["torque_constant@joint3"]
+    assert len(system.found[0].hypothesis.own) == 2
+    assert system is not before
+
+
+def test_a_clock_is_as_fast_as_it_was_recorded() -> None:
+    """Twice by half of it is once by the whole."""
+    time = np.arange(0, 20, 0.004)
+    torque = np.stack([np.sin(3 * time), np.cos(2 * time)], axis=1)
+    run = MotionRun("run1", time, torque, 250.0, torque)
+    log = MotionLog({"run1": run})
+    twice = on_time(on_time(log, {"run1": 4e-4}), {"run1": 4e-4})
+    once = on_time(log, {"run1": 8e-4})
+    assert np.abs(twice.runs["run1"].torque - once.runs["run1"].torque).max() < 1e-4
+    assert "+800 ppm in 'run1'" in clock_note({"run1": 8e-4})
+
+
+@pytest.mark.slow
+def test_a_clock_is_measured_again_with_what_was_found(tmp_path: Path) -> None:
+    """Of a robot whose forearm is described at half its mass: its torque tells the clock badly at first."""
+    (world, _, _, cause), room = case("clock", "log", "arm", 313, False), tmp_path
+    record(world, room, np.random.default_rng(313))
+    write_description(machines()["arm"], room / "robot.yaml")
+    light = load_robot(str(room / "robot.yaml"))
+    light.links[2].mass *= 0.5
+    found = diagnose_log(read_motion_log(room / "log.h5"), light, "log.h5")
+    (note,) = (w for w in found.warnings if getattr(w, "kind", "") == "clock")
+    rates = [float(rate) for rate in re.findall(r"([+-]\d+) ppm", note)]
+    assert len(rates) == 4  # the description alone tells one of them
+    np.testing.assert_allclose(rates, float(cause.size.split()[0]), atol=100)
+    assert not {m.first.effect for m in found.missing} & {"time_delay", "torque_filter"}

@@ -1,0 +1,114 @@
+"""`python -m tools.study_replicate`: whether names given to real recordings hold on a part nothing had seen.
+
+Two thirds of a recording are diagnosed, hold-out of its own included. Then every name is taken out of the model in turn
+and all the rest refitted to the same two thirds. Both models predict the torque of the last third, which neither the
+search nor its hold-out had seen. Printed is RMS of the error over RMS of the torque, where the name acts: a name that
+replicates lowers it.
+
+The arm is the TX40 (nine seconds at 5 kHz, its URDF alone). Of EMPS (one axis, viscous friction alone described) and of
+the KR300 (10 Hz) one record is diagnosed and another foretold. ``TWIN_RECORDINGS`` is the folder of real
+recordings.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import scipy.io
+
+from tools.study_payload import RECORDINGS, tx40
+from twin.diagnose.torque import base_system, predicted_torque, searched, wide_enough
+from twin.diagnose.torque_fit import base_of
+from twin.diagnose.torque_search import Search, left_out
+from twin.diagnose.torque_signal import Prepared, prepare
+from twin.measure.motion_log import MotionLog, MotionRun
+from twin.robot.description import Robot, load_robot
+
+DESCRIBED = Path(__file__).parents[1] / "tests" / "data"
+
+
+def thirds(run: MotionRun, last: bool) -> tuple[MotionLog, MotionLog]:
+    """Two thirds of a run and the other third, which is the last or the first."""
+    cut = len(run.time) * 2 // 3 if last else len(run.time) // 3
+    parts = (slice(None, cut), slice(cut, None)) if last else (slice(cut, None), slice(None, cut))
+    assert run.torque is not None
+    used, unseen = (replace(run, time=run.time[at], position=run.position[at], torque=run.torque[at]) for at in parts)
+    return MotionLog({run.name: used}), MotionLog({run.name: unseen})
+
+
+def replicated(robot: Robot, used: MotionLog, unseen: MotionLog, title: str) -> None:
+    """Print what each name given to one log takes off the error on the other."""
+    prepared = wide_enough(prepare(used, robot, "used"), used, "used", None)
+    search, _ = searched(base_system(prepared), prepared, None, 1)
+    other = prepare(unseen, robot, "unseen", None, prepared.bands)
+    whole = _missed(prepared, other, search, ())
+    print(f"{title}: below {prepared.bands.fit[1]:g} Hz, unseen part {_told(whole)}")
+    for step in search.found:
+        without = _missed(prepared, other, search, (step.key,))
+        joints = list(step.joints) or list(range(len(whole)))
+        before, after = (float(np.sqrt(np.mean(e[joints] ** 2))) for e in (without, whole))
+        where = ", ".join(f"joint{j + 1}" for j in joints)
+        told = "" if after < before else ": DOES NOT REPLICATE"
+        p = step.decision.probability[0]
+        print(f"  {step.key:32} p {p:.2f}: {before:.2%} without, {after:.2%} with it at {where}{told}")
+
+
+def _missed(prepared: Prepared, other: Prepared, search: Search, left: Sequence[str]) -> np.ndarray:
+    """RMS of the error over RMS of the torque (n,) on another log, some names taken out and all else refitted."""
+    system = left_out(search.system, *(step for step in search.found if step.key in left))
+    runs = [*{run.name: run for run in (*other.used, *other.kept)}.values()]
+    base = base_of(other.regressor, runs, search.plain.base.sliding)
+    z = system.plain(system.z)
+    lasting = np.zeros(len(base.parameters))
+    lasting[: base.lasting] = z[: base.lasting]
+    rest, torque = [], []
+    for k, run in enumerate(runs):
+        predicted = predicted_torque(base, k, lasting, system.entries(system.z), run.valid)
+        rest.append((run.torque - predicted)[run.valid])
+        torque.append(run.torque[run.valid])
+    size = np.sqrt(np.mean(np.concatenate(torque) ** 2, axis=0))
+    return np.asarray(np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)) / size)
+
+
+def _told(errors: np.ndarray) -> str:
+    return ", ".join(f"joint{j + 1} {e:.1%}" for j, e in enumerate(errors))
+
+
+def emps() -> tuple[MotionLog, MotionLog]:
+    """The training record and the one of pulses."""
+    runs = {}
+    for name, file in (("training", "DATA_EMPS.mat"), ("pulses", "DATA_EMPS_PULSES.mat")):
+        data = scipy.io.loadmat(RECORDINGS / "emps" / file)
+        runs[name] = MotionRun(name, data["t"].ravel(), data["qm"], 1000.0, data["gtau"].item() * data["vir"])
+    return MotionLog({"training": runs["training"]}), MotionLog({"pulses": runs["pulses"]})
+
+
+def kr300() -> tuple[MotionLog, MotionLog]:
+    """The records that its makers train and test with."""
+    data = scipy.io.loadmat(RECORDINGS / "kr300" / "forward_identification_shifted.mat")
+    train, test = (
+        MotionRun(
+            name, np.arange(data[f"y_{name}"].shape[1]) / 10, -np.deg2rad(data[f"y_{name}"].T), 10.0,
+            -250 * data[f"u_{name}"].T.astype(float),
+        )
+        for name in ("train", "test")
+    )  # fmt: skip
+    return MotionLog({"train": train}), MotionLog({"test": test})
+
+
+def main() -> None:
+    axis = load_robot(DESCRIBED / "emps.yaml").without(["asymmetric_friction", "coulomb_friction"])
+    for used, unseen in (emps(), emps()[::-1]):
+        replicated(axis, used, unseen, f"EMPS, {next(iter(unseen.runs))} unseen")
+    replicated(load_robot(DESCRIBED / "kr300.yaml"), *kr300(), "KR300, its test record unseen")
+    with TemporaryDirectory() as room:
+        robot, log = tx40(Path(room), np.random.default_rng(0))
+    (run,) = log.runs.values()
+    for last in (True, False):
+        replicated(robot, *thirds(run, last), f"TX40, the {'last' if last else 'first'} third unseen")
+
+
+if __name__ == "__main__":
+    main()
