@@ -183,13 +183,17 @@ class Base:
         return np.where(np.isnan(dry) | (self.sliding == 0), 0.0, dry - self.sliding)
 
 
-def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | None = None) -> Base:
+def base_of(
+    regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | None = None,
+    changes: Sequence[FloatArray] | None = None,
+) -> Base:  # fmt: skip
     """Columns of the base model on runs, and the prior its description states.
 
     Args:
         regressor: of the description.
         runs: with their rows.
         sliding: (n,) see :class:`Base`; as described by default.
+        changes: of each run, :func:`number_columns`; computed by default.
     """
     robot = regressor.robot
     scale = np.sqrt(np.mean(np.concatenate([r.torque[r.valid] for r in runs]) ** 2, axis=0))
@@ -198,8 +202,8 @@ def base_of(regressor: Regressor, runs: Sequence[Run], sliding: FloatArray | Non
     links, covariance = link_parameters(robot)
     numbers = numbers_of(robot)
     others = [*_other_parameters(regressor, runs, matrices, scale), *numbers]
-    for k, run in enumerate(runs):
-        matrices[k] = np.concatenate([matrices[k], number_columns(regressor, run, numbers)], axis=2)
+    for k, change in enumerate(changes or [number_columns(regressor, run, numbers) for run in runs]):
+        matrices[k] = np.concatenate([matrices[k], change], axis=2)
     inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
     spread = scipy.linalg.block_diag(inertial, np.diag([p.deviation for p in others]))
     described = np.zeros(robot.axis_count)

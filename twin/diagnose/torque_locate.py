@@ -82,8 +82,9 @@ def disturbances(
     z = system.plain(search.after.z)
     entries = [e for e in system.entries(search.after.z) if not CATALOGUE[e.effect].records_torque]
 
-    def state_of(run: MotionRun) -> tuple[Base, Run, State]:
-        base = base_of(regressor, [run_of(regressor, joint_run(regressor.robot, run), bands)], system.base.sliding)
+    def state_of(run: MotionRun, changes: list[FloatArray] | None = None) -> tuple[Base, Run, State]:
+        wide = run_of(regressor, joint_run(regressor.robot, run), bands)
+        base = base_of(regressor, [wide], system.base.sliding, changes)
         known = np.zeros(len(base.parameters))
         known[: base.lasting] = z[: base.lasting]
         return base, base.runs[0], base.state(0, known)
@@ -105,7 +106,8 @@ def disturbances(
         )  # fmt: skip
         base, wide, state = state_of(short)
         shaken = replace(short, position=short.position + encoder_noise(short.position, number))
-        noise = in_bands((state_of(shaken)[2].torque - state.torque)[wide.valid], wide.rate_hz)
+        changes = [columns for _, columns in wide.changes]  # noise of encoders moves them by next to nothing
+        noise = in_bands((state_of(shaken, changes)[2].torque - state.torque)[wide.valid], wide.rate_hz)
         found = [entry_torque(wide, state, entry, entry.values) for entry in entries]
         rest = (wide.torque - state.torque)[wide.valid]
         for joint in range(rest.shape[1]):  # sizes again: the band is wider than that they were found in

@@ -50,10 +50,14 @@ def effect_of_number(name: str) -> tuple[str, str] | None:
 def number_columns(regressor: Regressor, run: Run, numbers: Sequence[Parameter]) -> FloatArray:
     """What each number adds to the torque of a run per unit (m, n, k), low-passed; by central differences.
 
-    What a gain or a ratio does to friction is left to the friction of each joint, which is known less well.
+    What a gain or a ratio does to friction is left to the friction of each joint, which is known less well. They depend
+    on the motion alone and are computed once for a run and all that has the same motion.
     """
     if not numbers:
         return np.zeros((*run.torque.shape, 0))
+    for known, columns in run.changes:
+        if known is regressor:
+            return columns
     torque, found = run.filtered(_through_gears(regressor, run.smooth)), []
     for parameter in numbers:
         if parameter.name == GAIN:
@@ -66,7 +70,8 @@ def number_columns(regressor: Regressor, run: Run, numbers: Sequence[Parameter])
             joint = int(parameter.site[5:]) - 1
             change[:, joint] -= torque[:, joint] / parameter.mean
         found.append(change)
-    return np.stack(found, axis=-1)
+    run.changes.append((regressor, np.stack(found, axis=-1)))
+    return run.changes[-1][1]
 
 
 def _through_gears(regressor: Regressor, motion: Motion) -> FloatArray:

@@ -7,7 +7,7 @@ holds.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -38,6 +38,7 @@ class Run:
         twist: (m, n) motor minus link encoder, rad (m), low-passed, where the run has both.
         valid: (m,) rows that count.
         rate_hz: rows per second; ``sample_hz`` of the log.
+        changes: what numbers of a description add to the torque, once asked for; copies of a run have it in common.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Run:
     bands: Bands
     rate_hz: float
     sample_hz: float
+    changes: list[tuple[Regressor, FloatArray]] = field(default_factory=list)
 
     def filtered(self, law: FloatArray) -> FloatArray:
         """A law's torque (nt, …) on the dense or the smooth clock, low-passed at the rows (m, …)."""
