@@ -50,7 +50,7 @@ from twin.diagnose.torque_search import (
 )
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.torque_states import RunStates
-from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of
+from twin.diagnose.verdict import STRAINED, Finding, Missing, Word, estimates_of, missing_of, off_description
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands, in_joints
 from twin.identify.uncertainty import NINETY
@@ -142,7 +142,8 @@ def diagnose_log(
         [*smallest_visible(search.plain, suspects, processes), *_visible(found_plays)],
         warnings=[
             *_still_off(records), *notes, *prepared.notes, *faults, *_clocks(rates), *not_sought(robot),
-            *map(_restless, restless), *_told_apart(search), *_narrow(search), *_bodies(prepared, search, errors),
+            *map(_restless, restless), *_told_apart(search), *_narrow(search), *_strained(search),
+            *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
@@ -278,6 +279,18 @@ def _narrow(search: Search) -> list[str]:
         f"the description's tolerances are too narrow for this log: with what was found in the model they were taken "
         f"{search.narrow:.0f} times as wide ({far} are farthest off)"
     ]
+
+
+def _strained(search: Search) -> list[Note]:
+    """Numbers of the description that come out far from it beside all that was found, farthest first."""
+    system, fit = search.system, search.after
+    root = fit.parameters.root
+    off = np.abs(root @ fit.z) / np.maximum(np.linalg.norm(root, axis=1), 1e-300)
+    for k, factor in system.widened.items():
+        off[k] = 0.0 if search.narrow == 1.0 else off[k] * factor  # named, or told with all that is too narrow
+    described = np.arange(system.base.spread.shape[1])
+    far = [k for k in described[np.argsort(-off[described])] if off[k] > STRAINED]
+    return [off_description(fit, int(k), float(off[k])) for k in far]
 
 
 def _told_apart(search: Search) -> list[str]:

@@ -528,7 +528,7 @@ def strained(fit: Fitted) -> list[Note]:
         if off > STRAINED and p.kind == "posture":  # which of all angles is wrong, where they are the answer, too
             found.append((off, _elsewhere_hit(p, change, off, p.name in answered)))
         elif off > STRAINED:
-            found.append((off, _off_description(fit, k, off)))
+            found.append((off, off_description(fit, k, off)))
     return [note for _, note in sorted(found, key=lambda one: -one[0])]
 
 
@@ -543,7 +543,7 @@ def _elsewhere_hit(p: Parameter, change: float, off: float, answered: bool) -> N
     return Note(text, "posture", "fail" if answered else "warning")
 
 
-def _off_description(fit: Fitted, k: int, off: float) -> Note:
+def off_description(fit: Fitted, k: int, off: float) -> Note:
     """That a number is not as described, with its value, its interval and by how many deviations."""
     p = fit.parameters[k]
     (one,) = estimates_of(fit, [k]).values()
