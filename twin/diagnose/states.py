@@ -38,7 +38,7 @@ def sorted_out(robot: Robot, campaign: Campaign, sample: Sample) -> tuple[Campai
     few = list(sample.thin(SCREEN_LINES).recordings)
     free = free_parameters(robot, [r.setup.name for r in few], few[0].setup.response.label)
     groups, lone = _groups(robot, free, few, sample.repeat)
-    sound = [group for group in groups if len(group[0]) > 1 and not strained(group[1])]
+    sound = [group for group in groups if len(group[0]) > 1 and not _strained(group[1])]
     if not sound:
         return campaign, []
     members, fit = max(sound, key=lambda group: (len(group[0]), -group[1].cost))
@@ -88,7 +88,7 @@ def _groups(
             alone[k] = fit
         if k + 1 - len(alone) > 1:
             return [], []
-    if all(strained(fit) for fit in alone.values()):
+    if all(_strained(fit) for fit in alone.values()):
         return [], []
     groups: list[tuple[list[int], Fitted]] = []
     for k, own in alone.items():
@@ -101,6 +101,11 @@ def _groups(
         else:
             groups.append(([k], own))
     return groups, [k for k in range(len(few)) if k not in alone]
+
+
+def _strained(fit: Fitted) -> bool:
+    """Whether numbers other than dampers come out far from their description: to those all that is missing goes."""
+    return any(not site.endswith(".damping") for note in strained(fit) for site in note.sites or ("",))
 
 
 def _explained(robot: Robot, free: Parameters, sample: Sample, z: FloatArray) -> Fitted | None:

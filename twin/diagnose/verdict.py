@@ -521,7 +521,7 @@ def strained(fit: Fitted) -> list[Note]:
     answered = dict(fit.hypothesis.scale)
     base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
     for k, (p, value) in enumerate(base):
-        if p.kind == "sag" or p.quantity == "damping" or (p.name in answered and p.kind != "posture"):
+        if p.kind == "sag" or (p.name in answered and p.kind != "posture"):
             continue
         change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
         off = abs(change) / p.deviation * answered.get(p.name, 1.0)
