@@ -24,7 +24,7 @@ from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_
 from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
 from twin.diagnose.search import Search, _best_of_each, _in_its_stead, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
-from twin.diagnose.verdict import elsewhere, estimates, judge, missing_of, rival_of, strained
+from twin.diagnose.verdict import elsewhere, estimates, estimates_of, judge, missing_of, rival_of, strained
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
 from twin.identify.recorded import prepare, without_limits
@@ -721,6 +721,25 @@ def test_a_stiffness_far_off_its_description_is_pointed_out() -> None:
         )
         found = strained(fit)
         assert [text.partition(" ")[0] for text in found] == ["joint1.z"] * said
+
+
+def test_what_is_far_off_is_told_with_its_interval_farthest_first() -> None:
+    """A spring, a damper and an angle; of the angle it is asked whether that posture was hit."""
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    z = np.zeros(len(free))
+    for name, off in (("joint1.z.stiffness", 4.0), ("joint2.y.damping", -5.0), ("posture.p.q2", 6.0)):
+        z[free.names.index(name)] = off
+    fit = Fitted(NONE, free, z, free.values(z), robot, 0, 1, 100 * np.eye(len(z)), 1, True)
+    angle, damper, spring = strained(fit)
+    assert (angle.kind, angle.sites) == ("posture", ())
+    assert (damper.kind, damper.sites) == ("description", ("joint2.y.damping",))
+    assert (spring.kind, spring.sites) == ("description", ("joint1.z.stiffness",))
+    (one,) = estimates_of(fit, [free.names.index("joint1.z.stiffness")]).values()
+    low, high = one["interval90"]
+    assert f"(90 %: {low:.3g} to {high:.3g})" in spring
+    assert "4.0 standard deviations off" in spring
+    assert spring.data()["sites"] == ["joint1.z.stiffness"]
 
 
 def test_a_bend_is_that_of_both_sides(tmp_path: Path) -> None:

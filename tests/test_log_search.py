@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from test_diagnose_logs import recorded
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose.torque import diagnose_log
+from twin.diagnose.torque import _strained, diagnose_log
 from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import System, base_fit, extended, refer, relinearised, settle, start, system_of
 from twin.diagnose.torque_laws import Suspect, log_suspects
@@ -124,3 +125,21 @@ def test_a_clock_is_measured_again_with_what_was_found(tmp_path: Path) -> None:
     assert len(rates) == 4  # the description alone tells one of them
     np.testing.assert_allclose(rates, float(cause.size.split()[0]), atol=100)
     assert not {m.first.effect for m in found.missing} & {"time_delay", "torque_filter"}
+
+
+def test_a_log_tells_which_described_numbers_come_out_far(tmp_path: Path, kr90: Robot) -> None:
+    """Not what was named, nor what a fit holds for ordinary; all of them where the whole description is too narrow."""
+    prepared = prepare(recorded(tmp_path), kr90, "log.h5")
+    system = system_of(prepared, ())
+    fit = base_fit(system)
+    names = fit.parameters.names
+    named, other = names.index("axis2.a"), names.index("axis3.a")
+    ripple = next(k for k, name in enumerate(names) if name.startswith("ordinary_ripple"))
+    z = np.zeros(len(fit.z))
+    z[[named, other, ripple]] = 6.0, 4.5, 9.0
+    moved = replace(fit, z=z, values=fit.parameters.values(z))
+    system.widened = {named: 5.0}
+    search = SimpleNamespace(system=system, after=moved, narrow=1.0)
+    assert [note.sites for note in _strained(search)] == [("axis3.a",)]
+    search.narrow = 2.0
+    assert [note.sites for note in _strained(search)] == [("axis2.a",), ("axis3.a",)]

@@ -284,6 +284,28 @@ def test_an_error_that_does_not_fall_is_told() -> None:
     assert judged(answer(), said("adequate", after=0.2)).fallen
 
 
+@pytest.mark.parametrize(
+    ("sites", "severity", "told", "misled"),
+    [
+        (["link2.com.z", "link2.com.x"], "warning", True, False),
+        (["link3.com.z", "link2.com.x"], "warning", False, True),
+        (["link2.mass"], "warning", False, False),  # hardly differs
+        (["payload@flange"], "warning", False, False),  # what is on top
+        (["link2.com.z"], "note", False, False),
+        ([], "warning", False, False),
+    ],
+)
+def test_a_warning_tells_a_number_without_making_an_answer_right(
+    sites: list[str], severity: str, told: bool, misled: bool
+) -> None:
+    line = {"kind": "description", "severity": severity, "text": "", "sites": sites}
+    found = judged(answer(CAUSE, "payload@flange"), said("adequate", triage=(line,)))
+    assert (found.cause_told, found.misled) == (told, misled)
+    assert not found.cause_first
+    assert found.outcome == "honest"
+    assert str(headline([found])["true cause first, or told as farthest off its description"])[0] == str(int(told))
+
+
 def test_what_is_on_top_is_no_wrong_name_and_must_be_named() -> None:
     both = said("named", ("parameter@link2.com", 0.9), ("payload@link3", 0.6))
     found = judged(answer(CAUSE, "payload@flange"), both)
