@@ -14,6 +14,7 @@ from twin.commands.simulate import simulate
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
 from twin.identify.rigid import (
+    WIDER,
     Bands,
     Identification,
     consistent,
@@ -392,6 +393,25 @@ def test_a_run_without_a_usable_row_is_left_out(kr90: Robot, log: MotionLog) -> 
     assert any("runs/brief: 0.5 s are too short" in note for note in result.notes)
     with pytest.raises(InputError, match=r"log\.h5: runs: 0\.5 s are too short"):
         identify(MotionLog({"brief": brief}, source="log.h5"), kr90)
+
+
+@pytest.mark.parametrize(("seconds", "wider"), [(4.0, True), (12.0, False)])
+def test_a_short_log_is_identified_through_the_low_pass_that_foretells_best(
+    seconds: float, wider: bool, kr90: Robot, fourier: list[Fourier]
+) -> None:
+    """Four runs of 4 s below 4 Hz have 160 rows of a joint; four of 12 s are not short."""
+    log = recorded(kr90, fourier, noise=5.0, seconds=seconds)
+    found = identify(log, kr90)
+    assert (found.bands != Bands()) is wider
+    assert any("are short: the low-pass" in note for note in found.notes) is wider
+    usual = identify(log, kr90, bands=Bands())
+    assert not any("are short" in note for note in usual.notes)
+    judged = [
+        rows_of(found.regressor, joint_run(kr90, log.runs[rows.name]), Bands(fit=WIDER[0]))
+        for rows in found.split.held_out
+    ]
+    error, plain = (np.mean(relative_error(judged, one.parameters)[0] ** 2) for one in (found, usual))
+    assert error < plain if wider else error == plain
 
 
 def test_a_coupled_drives_friction_survives_the_file(tmp_path: Path, fourier: list[Fourier]) -> None:

@@ -404,8 +404,13 @@ def identify(
     without: Without = None,
     hold_out: HoldOut = None,
     low_pass: Annotated[
-        tuple[float, float], typer.Option(metavar="PASS STOP", help="Low-pass filter of torques and regressor, Hz.")
-    ] = (3.0, 4.0),
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="PASS STOP",
+            help="Low-pass filter of torques and regressor, Hz; 3 4 by default, chosen for a log shorter than 40 s.",
+            show_default=False,
+        ),
+    ] = None,
     weighting: Annotated[
         str, typer.Option(metavar="NAME", help="Weights: joint (by the noise of each joint) or none.")
     ] = "joint",

@@ -178,7 +178,7 @@ def identify(
     robot: Robot | str | Path | None = None,
     without: list[str] | None = None,
     hold_out: list[str] | None = None,
-    low_pass: tuple[float, float] = (3.0, 4.0),
+    low_pass: tuple[float, float] | None = None,
     weighting: str = "joint",
     out: str | Path | None = None,
     progress: Progress | None = None,
@@ -190,7 +190,8 @@ def identify(
         robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; wins over the log's.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         hold_out: runs not to fit; chosen when empty.
-        low_pass: pass and stop frequency for torque and columns, Hz.
+        low_pass: pass and stop frequency for torque and columns, Hz; 3 and 4 by default, of a log shorter than 40 s
+            those that foretell what was held out best.
         weighting: ``"joint"`` or ``"none"``.
         out: folder for robot.yaml, robot.xml, figures and identify.json; ``None`` writes nothing.
         progress: makes progress bars.
@@ -199,7 +200,7 @@ def identify(
         InputError: bad input; nothing is written.
     """
     check_out(out)
-    bands = Bands(fit=low_pass)
+    bands = Bands(fit=low_pass) if low_pass else None
     given = read_one(log, "motion-log")
     described = given.described(robot, without)
     joints = in_joints(given.content, described)
@@ -207,7 +208,7 @@ def identify(
     found = estimate(given.content, described, bands=bands, hold_out=hold_out or None, weighting=weighting)
     tick(1)
     result = Identified(given.source, found, joints)
-    options = {"robot": robot, "without": without or [], "hold_out": hold_out or [], "low_pass": list(low_pass)}
+    options = {"robot": robot, "without": without or [], "hold_out": hold_out or [], "low_pass": list(found.bands.fit)}
     result.origin = provenance(traced([given], robot), {**options, "weighting": weighting})
     if out is not None:
         with Outputs(out, "identify") as outputs:
