@@ -332,10 +332,11 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     """The answer beside the recording."""
     sample = Sample(tuple(found.used), 1 / found.shared)
     settled, best, decision = answer.base, answer.best, answer.decision
-    records, errors = frf_records(without_limits(given), before, best, found.used, found.kept, found.shared)
+    recordings = found.used, found.kept, found.shared, search.processes
+    records, errors = frf_records(without_limits(given), before, best, *recordings)
     free = records
     if _zeros(best):  # against free angles, too, the zero of an axis has to gain
-        free, _ = frf_records(without_limits(given), settled, best, found.used, found.kept, found.shared)
+        free, _ = frf_records(without_limits(given), settled, best, *recordings)
     records = with_modes(records, physical(before.robot), physical(best.robot))
     errors["noise_floor"] = noise_floor(sample.recordings)
     where = mismatch(settled, sample.thin(REFIT_LINES))

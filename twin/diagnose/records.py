@@ -12,6 +12,7 @@ from twin.identify.elastic_compare import judge, relative_error
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded
 from twin.measure.campaign import QUANTITIES, Brakes, Channels, ComplexArray, FloatArray, Quantity
+from twin.parallel import spread
 from twin.robot.description import Robot
 
 Stage = Literal["as_given", "before", "after"]
@@ -167,6 +168,7 @@ def frf_records(
     used: Sequence[Recorded],
     kept: Sequence[Recorded],
     shared: float = 1.0,
+    processes: int = 1,
 ) -> tuple[list[FrfRecord], dict[str, Any]]:
     """Every posture of a campaign beside the three models, and the errors of a diagnosis.
 
@@ -179,18 +181,16 @@ def frf_records(
         before, after: base model and answer, both fitted to all lines of ``used``.
         used, kept: recordings fitted to and held out.
         shared: lines that carry the noise of one independent line.
+        processes: the three models are spread over so many.
 
     Returns:
         Records, used ones first, and stage → ``train`` and ``held_out`` (``None`` without any).
     """
-    predicted: dict[Stage, list[ComplexArray]] = {}
-    angles: dict[Stage, list[FloatArray]] = {}
-    errors: dict[str, Any] = {}
-    for stage, robot, fit in (
-        ("as_given", given, None),
-        ("before", before.robot, before),
-        ("after", after.robot, after),
-    ):
+    models = ((given, None), (before.robot, before), (after.robot, after))
+
+    def stage_of(number: int) -> tuple[list[ComplexArray], list[FloatArray], dict[str, float | None]]:
+        """What a model predicts, the angles that takes, and its errors."""
+        robot, fit = models[number]
         robot = physical(robot)
         stated = _as_recorded(fit) if fit else ()
         seen, unseen = (placed(fit, Sample(tuple(some))).recordings if fit else some for some in (used, kept))
@@ -202,9 +202,14 @@ def frf_records(
             error = relative_error(used, on_used)
             of_used = [fit.parameters.posture_error(r.setup.name, fit.values, len(r.setup.q)) for r in used]
         rest = judge(robot, unseen, stated=stated) if unseen else None
-        predicted[stage] = [*on_used, *(rest.predicted if rest else ())]  # type: ignore[index]
-        angles[stage] = [*of_used, *(rest.angles if rest else ())]  # type: ignore[index]
-        errors[stage] = {"train": error, "held_out": rest.error if rest else None}
+        predicted = [*on_used, *(rest.predicted if rest else ())]
+        return predicted, [*of_used, *(rest.angles if rest else ())], {
+            "train": error, "held_out": rest.error if rest else None,
+        }  # fmt: skip
+
+    predicted, angles, errors = (
+        dict(zip(STAGES, part, strict=True)) for part in zip(*spread(stage_of, len(STAGES), processes), strict=True)
+    )
     records, width = [], np.deg2rad(given.tolerances.posture_deg) or np.inf
     for k, r in enumerate(placed(after, Sample((*used, *kept))).recordings):
         records.append(

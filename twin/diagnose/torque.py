@@ -119,11 +119,19 @@ def diagnose_log(
         log = on_time(log, late)
         prepared = prepare(log, robot, source, hold_out, prepared.bands)
         search, suspects = searched(base_system(prepared, processes), prepared, progress, processes)
-    word, missing, none, other = _answer(search)
-    if not notes and (word == "unexplained" or search.foretold > calibration()["held_out_adequate"]):
+    if not notes and (_answer(search)[0] == "unexplained" or search.foretold > calibration()["held_out_adequate"]):
         of_one, notes = RunStates(prepared, suspects, processes).largest()
     if of_one:
         return again(of_one, notes)
+    return _finding(log, robot, source, prepared, search, suspects, [*notes, *faults, *_clocks(rates)], processes)
+
+
+def _finding(
+    log: MotionLog, robot: Robot, source: str, prepared: Prepared, search: Search, suspects: list[Suspect],
+    notes: Sequence[str], processes: int,
+) -> Finding:  # fmt: skip
+    """What was found, beside the log as rows; ``notes`` on what was put right in it."""
+    word, missing, none, other = _answer(search)
     base = search.first.base
     records, errors = log_records(prepared, base, search)
     after, _ = _after(search)
@@ -141,9 +149,8 @@ def diagnose_log(
         {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)},
         [*smallest_visible(search.plain, suspects, processes), *_visible(found_plays)],
         warnings=[
-            *_still_off(records), *notes, *prepared.notes, *faults, *_clocks(rates), *not_sought(robot),
-            *map(_restless, restless), *_told_apart(search), *_narrow(search), *_strained(search),
-            *_bodies(prepared, search, errors),
+            *_still_off(records), *prepared.notes, *notes, *not_sought(robot), *map(_restless, restless),
+            *_told_apart(search), *_narrow(search), *_strained(search), *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
