@@ -188,3 +188,13 @@ def test_what_hangs_on_a_robot_is_no_heavier_than_it(kr90: Robot, mass: float, h
     assert np.isneginf(fit.evidence()) == heavy
     search = Search(fit, [], z, 0.0, {piece.identity: fit})
     assert search.finalists == ([] if heavy else [fit])  # a report cannot write its evidence
+
+
+def test_a_node_far_off_is_a_site(kr90: Robot) -> None:
+    """By its name, though a blow's label or a sensor's tells which point is meant."""
+    group = nodes(kr90)
+    at = np.array([p.mean for p in group.own])
+    blow = np.array([p.name == "node:7Y+.excitation.z" for p in group.own])
+    _, note = taken_in((group,), fitted(kr90, group, at + 0.008 * blow))
+    assert "blow 7Y+ by 8.0 mm" in note
+    assert note.sites == ("node:7.position",)

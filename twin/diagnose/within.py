@@ -116,4 +116,5 @@ def _farthest(piece: Hypothesis, values: Mapping[str, float]) -> Note | None:
     more = f" and {len(first) - FARTHEST} more" if len(first) > FARTHEST else ""
     text = f"not where the file says, by more than its tolerance of {1e3 * tolerance:g} mm: {told}{more}"
     text = f"position of nodes: {text}; the fits have them where the recordings do"
-    return Note(text, "position", sites=tuple(f"node:{point.split()[1]}.position" for point in first))
+    nodes = dict.fromkeys(node_of(f"node:{point.split()[1]}") for point in first)
+    return Note(text, "position", sites=tuple(f"{node}.position" for node in nodes))
