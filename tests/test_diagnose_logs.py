@@ -754,6 +754,7 @@ def test_the_tx40s_wrist_is_found_to_be_coupled() -> None:
     assert np.all(after[4:] <= [1.0, 0.65])
 
 
+@pytest.mark.slow
 @needs("tx40")
 def test_friction_of_the_tx40s_coupled_drive_is_on_both_axes() -> None:
     """A described coupling explains its drive's friction on both: nothing is missing at the wrist."""

@@ -160,6 +160,6 @@ def test_friction_of_the_kr300() -> None:
 
 @needs("tx40")
 def test_a_description_without_friction_is_told() -> None:
-    found = identify(tx40(), load_robot(RECORDINGS / "tx40" / "tx40.urdf"))
+    found = identify(tx40(), load_robot(RECORDINGS / "tx40" / "tx40.urdf"), bands=Bands())
     (note,) = (note for note in found.notes if "has no friction" in note)
     assert note.startswith("joint1, joint3, joint4, joint5, joint6:")

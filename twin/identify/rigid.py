@@ -588,7 +588,7 @@ def identify(
         log: runs as recorded (motor coordinates), with torque.
         robot: prior inertias, and the physics entries whose parameters are wanted.
         bands: low-passes; by default the paper's 3–4 Hz for torque and columns, of a log shorter than ``SHORT_S`` what
-            :func:`wide_enough` says.
+            :func:`foretelling_best` says.
         hold_out: names of runs not to fit; chosen when ``None``.
         weighting: ``"joint"`` or ``"none"``.
         offsets: estimate a constant torque per joint, which belongs to the recording.
@@ -596,10 +596,10 @@ def identify(
     Raises:
         InputError: no torque, too little of it, or torque that is cut off for more than 5 % of a run.
     """
-    told: list[str] = []
-    if bands is None:
-        bands, told = wide_enough(log, robot, hold_out, weighting, offsets)
-    regressor, notes = Regressor(robot, offsets), [*log.notes, *told]
+    if bands is None and (found := foretelling_best(log, robot, hold_out, weighting, offsets)):
+        return found
+    bands = bands or Bands()
+    regressor, notes = Regressor(robot, offsets), list(log.notes)
     rows = _usable_rows(log, regressor, bands, notes)
     parts = split(rows, hold_out, bands, log.source)
     estimate = least_squares(regressor, parts.train, weighting, log.source)
@@ -618,31 +618,33 @@ def identify(
     )  # fmt: skip
 
 
-def wide_enough(
+def foretelling_best(
     log: MotionLog, robot: Robot, hold_out: list[str] | None = None, weighting: str = "joint", offsets: bool = True
-) -> tuple[Bands, list[str]]:
-    """Low-passes for a log, and a note where they are not the usual ones.
+) -> Identification | None:
+    """What a log shorter than ``SHORT_S`` says, through the low-pass that serves it best; ``None`` of a longer one.
 
     A few seconds below 4 Hz have fewer rows than a robot has parameters. A wider band has more, if the robot is rigid
-    in it: of ``WIDER`` the one whose estimate foretells the torque below ``WIDER[0]`` best that was held out. A log
-    that is too short for the usual one is too short.
+    in it: of the usual one and ``WIDER`` the one whose estimate foretells the torque below ``WIDER[0]`` best that was
+    held out. A log that is too short for the usual one is too short.
     """
-    usual = Bands()
     seconds = sum(float(np.ptp(run.time)) for run in log.runs.values())
     rate = min((run.sample_rate_hz for run in log.runs.values()), default=0.0)
     if seconds >= SHORT_S or rate < 2.5 * WIDER[0][1]:
-        return usual, []
-    judged = Bands(fit=WIDER[0])
-    missed: dict[Bands, float] = {}
+        return None
+    judged, usual = Bands(fit=WIDER[0]), Bands()
+    rows: list[Rows] = []
+    best, least = None, np.inf
     for bands in (usual, *(Bands(fit=fit) for fit in WIDER if rate >= 2.5 * fit[1])):
         found = identify(log, robot, bands=bands, hold_out=hold_out, weighting=weighting, offsets=offsets)
-        rows = split(_usable_rows(log, found.regressor, judged, []), hold_out, judged, log.source).held_out
-        missed[bands] = float(np.mean(relative_error(rows, found.parameters)[0] ** 2))
-    best = min(missed, key=lambda bands: missed[bands])
-    if best == usual:
-        return usual, []
-    low, high = best.fit
-    return best, [f"{seconds:.2g} s are short: the low-pass of {low:g}–{high:g} Hz foretells what was held out best"]
+        rows = rows or split(_usable_rows(log, found.regressor, judged, []), hold_out, judged, log.source).held_out
+        missed = float(np.mean(relative_error(rows, found.parameters)[0] ** 2))
+        if missed < least:
+            best, least = found, missed
+    if best is not None and best.bands != usual:
+        low, high = best.bands.fit
+        told = f"{seconds:.2g} s are short: the low-pass of {low:g}–{high:g} Hz foretells what was held out best"
+        best.notes.insert(0, told)
+    return best
 
 
 def _blunted(estimate: Estimate, digits: float = 1e-6) -> Estimate:
