@@ -62,16 +62,16 @@ def test_slopes_are_those_of_torque_as_it_is_recorded(slow: tuple[Prepared, list
     assert np.linalg.norm(told - slope) < 0.01 * np.linalg.norm(slope)
 
 
-def test_a_filter_is_all_that_is_said_of_a_slow_record(slow: tuple[Prepared, list[Suspect], System]) -> None:
-    """Beside a filter the fit ends in a few steps, so that nothing else gains on runs that were not used."""
+def test_a_fit_beside_a_filter_ends_in_two_steps(slow: tuple[Prepared, list[Suspect], System]) -> None:
+    """As columns that are not filtered do not: they leave 8 in ln after two steps, and end elsewhere."""
     prepared, suspects, system = slow
     (suspect,) = (s for s in suspects if s.name == "torque_filter@log")
-    found = relinearised(extended(system, settle(system, start(system, suspect))))
-    again = relinearised(found)
-    cost = [0.5 * float(s.residual @ s.residual + s.z @ s.z) for s in (found, again)]
-    assert cost[0] - cost[1] < 0.01 * cost[1]
+    begun = extended(system, settle(system, start(system, suspect)))
+    few, many = (relinearised(begun, steps) for steps in (2, 12))
+    after_few, after_many = (base_fit(one).cost for one in (few, many))
+    assert after_few == pytest.approx(after_many, abs=0.5)
     judge = Judge(system, prepared.kept)
-    assert judge.misfit(found, base_fit(found)) < 1.3
+    assert judge.misfit(many, base_fit(many)) < judge.misfit(system, base_fit(system))
 
 
 def test_one_thing_at_a_joint_replaces_two(tmp_path: Path, kr90: Robot) -> None:
@@ -119,11 +119,12 @@ def test_a_clock_is_measured_again_with_what_was_found(tmp_path: Path) -> None:
     write_description(machines()["arm"], room / "robot.yaml")
     light = load_robot(str(room / "robot.yaml"))
     light.links[2].mass *= 0.5
-    found = diagnose_log(read_motion_log(room / "log.h5"), light, "log.h5")
+    log = read_motion_log(room / "log.h5")
+    found = diagnose_log(log, light, "log.h5")
     (note,) = (w for w in found.warnings if getattr(w, "kind", "") == "clock")
     rates = [float(rate) for rate in re.findall(r"([+-]\d+) ppm", note)]
     assert len(rates) == 4  # the description alone tells one of them
-    np.testing.assert_allclose(rates, float(cause.size.split()[0]), atol=100)
+    np.testing.assert_allclose(rates, float(cause.size.split()[0]), rtol=0.1)  # a rest of six deviations is left
     assert not {m.first.effect for m in found.missing} & {"time_delay", "torque_filter"}
 
 

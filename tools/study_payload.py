@@ -37,6 +37,17 @@ SHARES = (0.005, 0.05)  # of the links' mass
 SECONDS = 10.0
 
 
+def need(*names: str) -> None:
+    """End in one line where real recordings are not there.
+
+    Raises:
+        SystemExit: what is missing, and how to say where it is.
+    """
+    for name in names:
+        if not (RECORDINGS / name).is_dir():
+            raise SystemExit(f"{RECORDINGS / name}: no such folder; TWIN_RECORDINGS says where real recordings are")
+
+
 @dataclass(frozen=True)
 class Load:
     """What was added at the flange: kg, and metres in the frame of the last link."""

@@ -26,7 +26,7 @@ import pinocchio
 from scipy.signal import butter, decimate, sosfiltfilt
 
 import twin
-from tools.study_payload import RECORDINGS, tx40
+from tools.study_payload import RECORDINGS, need, tx40
 from twin.diagnose.records import LogRecord
 from twin.diagnose.torque_signal import bands_of
 from twin.measure.motion_log import MotionLog, MotionRun
@@ -155,6 +155,7 @@ def torque_of(robot: Robot, run: MotionRun) -> Array:
 
 
 def main() -> None:
+    need("tx40")
     with TemporaryDirectory() as scratch:
         robot, log = tx40(Path(scratch), np.random.default_rng())
     used, kept = halves(log)

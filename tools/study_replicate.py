@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import scipy.io
 
-from tools.study_payload import RECORDINGS, tx40
+from tools.study_payload import RECORDINGS, need, tx40
 from twin.diagnose.torque import base_system, predicted_torque, searched, wide_enough
 from twin.diagnose.torque_fit import base_of
 from twin.diagnose.torque_search import Search, left_out
@@ -102,6 +102,7 @@ def kr300() -> tuple[MotionLog, MotionLog]:
 
 
 def main() -> None:
+    need("emps", "kr300", "tx40")
     axis = load_robot(DESCRIBED / "emps.yaml").without(["asymmetric_friction", "coulomb_friction"])
     for used, unseen in (emps(), emps()[::-1]):
         replicated(axis, used, unseen, f"EMPS, {next(iter(unseen.runs))} unseen")

@@ -14,7 +14,7 @@ from twin.diagnose.torque_laws import Suspect
 from twin.diagnose.torque_search import Judge
 from twin.diagnose.torque_signal import Prepared
 
-NOISIER = 2.0  # times the scatter that each run has about its own model: all about one have more
+NOISIER = 2.0  # times the scatter of runs about their own models that all about one have; by eye
 
 
 class RunStates:
