@@ -62,8 +62,9 @@ class Judged:
     """One case: what was wrong, and what was said.
 
     `groups`: for each effect listed, its hypotheses and probabilities, first answer first. `triage`: kind, severity,
-    text; kind empty in version 1. `held_out`: pairs of error before and after, one per recording. `floor`: error after
-    over the noise floor, the largest. `inside`: by number, whether its 90 % interval holds the truth.
+    text, and EFFECT@SITE of what it says is off; kind empty in version 1. `held_out`: pairs of error before and after,
+    one per recording. `floor`: error after over the noise floor, the largest. `inside`: by number, whether its 90 %
+    interval holds the truth.
     `shown`: how far it shows that the robot is not as described, logarithm of a likelihood ratio, where that is known.
     `off`: EFFECT@SITE of what warnings of triage say is off its description, farthest first.
     """
@@ -79,7 +80,7 @@ class Judged:
     top: str
     verdict: str
     groups: tuple[tuple[tuple[str, float], ...], ...]
-    triage: tuple[tuple[str, str, str], ...]
+    triage: tuple[tuple[str, str, str, tuple[str, ...]], ...]
     held_out: tuple[tuple[float, float], ...]
     floor: float | None
     inside: dict[str, bool]
@@ -96,9 +97,10 @@ class Judged:
 
     @property
     def told(self) -> bool:
-        """Whether triage, or a refusal, tells what is wrong with the recording."""
-        for kind, severity, text in self.triage:
-            if kind and severity != "note" and kind in self.faults:
+        """Whether triage, or a refusal, tells what is wrong with the recording, and where, if it says where."""
+        for kind, severity, text, sites in self.triage:
+            there = not sites or not self.causes or self.is_cause(sites[0])
+            if kind and severity != "note" and kind in self.faults and there:
                 return True
             if not kind and self._says(text):
                 return True
@@ -204,16 +206,16 @@ def judged(answer: dict[str, Any], result: dict[str, Any]) -> Judged:
 
 def _off(diagnosis: dict[str, Any]) -> tuple[str, ...]:
     """EFFECT@SITE of what warnings say is off its description."""
-    items = [item for item in diagnosis.get("triage") or [] if isinstance(item, dict) and item["severity"] != "note"]
-    sites = [site for item in items for site in item.get("sites", [])]
-    return tuple(site if "@" in site else f"parameter@{site}" for site in sites)
+    items = [_triage(item) for item in diagnosis.get("triage") or []]
+    return tuple(site for _, severity, _, sites in items if severity != "note" for site in sites)
 
 
-def _triage(item: Any) -> tuple[str, str, str]:
-    """Kind, severity and text of a line of triage; strings have no kind."""
+def _triage(item: Any) -> tuple[str, str, str, tuple[str, ...]]:
+    """Kind, severity, text and EFFECT@SITE of a line of triage; strings have no kind."""
     if isinstance(item, str):
-        return "", "warning", item
-    return str(item.get("kind", "")), str(item.get("severity", "warning")), str(item.get("text", ""))
+        return "", "warning", item, ()
+    sites = tuple(site if "@" in site else f"parameter@{site}" for site in item.get("sites", []))
+    return str(item.get("kind", "")), str(item.get("severity", "warning")), str(item.get("text", "")), sites
 
 
 def _inside(answer: dict[str, Any], effects: Sequence[dict[str, Any]]) -> dict[str, bool]:
@@ -265,7 +267,7 @@ def headline(cases: Sequence[Judged]) -> dict[str, Any]:
         "called adequate above its noise floor": rate(off, lambda c: c.outcome == CLASSES[4]),
         "effect on top named": rate(on_top, lambda c: c.top_named),
         "lacks nothing: adequate, nothing named": rate(whole, lambda c: c.outcome == "right"),
-        "lacks nothing: warned of the recording": rate(whole, lambda c: any(s != "note" for _, s, _ in c.triage)),
+        "lacks nothing: warned of the recording": rate(whole, lambda c: any(s != "note" for _, s, _, _ in c.triage)),
         "90 % intervals hold the truth": Rate(sum(inside), len(inside)),
         "no answer": rate(cases, lambda c: c.outcome == "no answer"),
         "seconds, median": float(np.median([c.wall_s for c in cases])) if cases else np.nan,
@@ -343,7 +345,7 @@ def every(cases: Sequence[Judged]) -> list[str]:
         said = " + ".join(", ".join(f"{h} {p:.2f}" for h, p in g[:3]) for g in c.groups if g)
         errors = ", ".join(f"{100 * b:.3g} → {100 * a:.3g} %" for b, a in c.held_out)
         errors += f" ({c.floor:.2g} × floor)" if c.floor is not None else ""
-        kinds = Counter(kind or re.sub(r"[\d.+-]+|'[^']*'|\bjoint\S+", "…", text)[:30] for kind, _, text in c.triage)
+        kinds = Counter(kind or re.sub(r"[\d.+-]+|'[^']*'|\bjoint\S+", "…", text)[:30] for kind, _, text, _ in c.triage)
         triage = ", ".join(f"{n} × {k}" if n > 1 else k for k, n in kinds.most_common(3))
         shows = "" if c.shown is None else f"{c.shown:.0f}"
         case = (c.outcome, c.way, c.recording, c.robot, c.size, shows, c.top)

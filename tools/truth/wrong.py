@@ -431,7 +431,8 @@ def _point(world: World, site: str, node: str, point: Channel, step: Array) -> C
     assert world.hammer is not None
     world.hammer = replace(world.hammer, moved={**world.hammer.moved, site: step})
     true = {f"position.{a}": float(x) for a, x in zip("xyz", point.position + step, strict=True)}
-    return Cause((f"parameter@node:{node}.position",), values=true, size=f"{site} {1e3 * np.linalg.norm(step):.0f} mm")
+    size = f"{site} {1e3 * np.linalg.norm(step):.0f} mm"
+    return Cause((f"parameter@node:{node}.position",), ("position",), values=true, size=size)
 
 
 def blows_scattered(world: World, rng: np.random.Generator) -> Cause:

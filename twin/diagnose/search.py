@@ -229,11 +229,14 @@ def in_doubt(
 def inexact(fit: Fitted, base: Fitted, fits: Mapping[frozenset[str], Fitted], scale: float = 1.0) -> float:
     """ln evidence that the laws of a fit may be off by: a share of what they gain over the base model.
 
-    A structure that is not exactly the named one leaves as much. A turned sensor, a gain or a number of the description
+    A structure that is not exactly the named one leaves as much; but what it leaves is misfit, and of that a second
+    thing takes more than a part. A turned sensor, a gain or a number of the description
     has no law that could be off: where ``fits`` have those alone, the others' gain counts from there.
     """
     base = fits.get(frozenset(piece.key for piece in fit.hypothesis.pieces if piece.exact), base)
-    return calibration()["inexact_linear"] * max(fit.evidence(scale) - base.evidence(scale), 0.0)
+    share = calibration()["inexact_linear"] * max(fit.evidence(scale) - base.evidence(scale), 0.0)
+    beyond = max(fit.misfit - 1, 0.0) + 2 * np.sqrt(2 / max(fit.data, 1))  # of χ² per datum, with its own scatter
+    return min(share, calibration()["unexplained_share"] * 0.5 * float(beyond) * fit.data / scale)
 
 
 def _without_last(robot: Robot, search: Search, simpler: Fitted, richer: Fitted, sample: Sample) -> Fitted:

@@ -636,19 +636,22 @@ def stop_columns(
     within ``creep_s`` of where it is least. With ``held``, the share of friction that may be held through a standstill,
     one more for the time between stop and start. All of it is in the torque as late as that is recorded, in s.
 
-    About a stop the encoder hardly counts for ``creep_s``, and the axis may creep; ``inexact`` times the largest speed
-    is what encoder and low-pass leave of doubt at a reversal.
+    About a stop the encoder hardly counts for ``creep_s``, or for as long as :func:`_creeping` says, and the axis may
+    creep; ``inexact`` times the largest speed is what encoder and low-pass leave of doubt at a reversal.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
     count = len(run.time)
-    reach = max(1, int(np.ceil(creep_s * run.rate_hz)))
     stops = stops_of(run, joint)
     rests = dict(zip(stops[::2], stops[1::2], strict=True)) if held else {}
-    events = [(float(sample), creep_s, 1.0) for sample in stops]
     speed, moving = run.dense.velocity[:, joint], np.ones(len(run.dense.time), bool)
+    events = []
     for first, last in zip(stops[::2], stops[1::2], strict=True):
-        moving[max(0, first - reach * step) : last + reach * step + 1] = False
+        before, after = speed[:first][::-1], speed[last:]
+        crept = [max(creep_s, _creeping(outside) / dense_hz) for outside in (before, after)]
+        events += [(float(first), crept[0], 1.0), (float(last), crept[1], 1.0)]
+        ends = [max(1, int(np.ceil(late * run.rate_hz))) * step for late in crept]
+        moving[max(0, first - ends[0]) : last + ends[1] + 1] = False
     error = inexact * float(np.abs(speed).max())
     for at, late in _turns(speed, error):
         if moving[round(at)]:
@@ -660,6 +663,7 @@ def stop_columns(
         lasting = rests.get(round(at), round(at)) - round(at) if size == 1 else 0
         at += shift
         end = round(at) + lasting
+        reach = max(1, int(np.ceil(max(late, creep_s) * run.rate_hz)))
         first, last = round(at) // step - reach - RINGING, end // step + reach + RINGING + NOISE_ORDER
         near = slice(max(0, first), min(count - 1, last))
         if near.start >= near.stop:
@@ -673,6 +677,19 @@ def stop_columns(
         columns = lowpass(boxes, dense_hz, *run.bands.fit)[::step]
         found.append((slice(near.start, near.stop + 1), columns))
     return found
+
+
+def _creeping(outside: FloatArray, most: float = 8.0) -> int:
+    """Samples for which an axis moves on after its speed is too low to be told from rest.
+
+    Where the jerk, too, ends at zero, the speed falls with the cube of the time left: it is ``most`` times as high
+    twice as long before the axis rests.
+
+    Args:
+        outside: speeds from the edge of the standstill outwards, rad/s (m/s).
+    """
+    fast = np.flatnonzero(np.abs(outside) > most * np.abs(outside[:1]))
+    return int(fast[0]) if fast.size else 0
 
 
 def _before(x: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from itertools import cycle
 from typing import Any
 
 import numpy as np
+import scipy.fft
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision, decide, finalists
@@ -246,7 +247,7 @@ def explain(
     first = steps[0]  # beside the base model alone; what takes its place later stands beside other finds
     system = _pruned(steps, _revised(steps, system, suspects, judge))
     system = with_doubts(_all_grown(steps, system, judge))
-    left = free_gains(system, processes)
+    left = free_gains(system, processes, judge)
     search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
     if judge:
         search.foretold, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
@@ -323,7 +324,7 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
 
 
 def _first_borne_out(
-    step: Step, earlier: Sequence[Step], suspects: Sequence[Suspect], judge: "Judge | None", tried: int = 3
+    step: Step, earlier: Sequence[Step], suspects: Sequence[Suspect], judge: "Judge | None", tried: int = 5
 ) -> Step:
     """The step with the first of its answers that goes into the model; as it is where none of those ``tried`` does."""
     answer = step
@@ -352,6 +353,8 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bo
     if enough and judge is not None:  # what runs not used say counts as what those used do
         step.held, enough = judge.gain(step.system, step.first, step.trial)
         enough = enough and gain + max(step.held, 0.0) > needed
+    if enough and step.effect.waves:  # over the angle, not in time
+        enough = max(vibration(step.system, j) for j in step.joints) < numbers["mostly"] * step.gain
     if not enough:
         step.decision = _nothing(step.decision)
     elif step.trial is not None:
@@ -799,21 +802,68 @@ def _nothing(decision: Decision) -> Decision:
     return replace(decision, probability=[0.1 * p for p in decision.probability], none=decision.none + 0.9 * left)
 
 
-def free_gains(system: System, processes: int = 1) -> FloatArray:
-    """:func:`free_gain` at every joint (n,)."""
+def free_gains(system: System, processes: int = 1, judge: "Judge | None" = None) -> FloatArray:
+    """Evidence (n,) gained by a free smooth function of each joint's position and velocity.
+
+    It counts for nothing where it does not foretell the rows kept aside: it has fitted the noise.
+    """
     _ = system.residual  # once, for all processes
-    return np.array(list(spread(lambda j: free_gain(system, j), len(system.whitening), processes)))
+    free = list(spread(lambda j: free_function(system, j), len(system.whitening), processes))
+    least = calibration()["first"]
+    return np.array([
+        0.0 if judge is not None and f.gain > least and not judge.bears_out(system, f) else f.gain for f in free
+    ])  # fmt: skip
 
 
-def free_gain(system: System, joint: int) -> float:
-    """Evidence gained by a free smooth function of a joint's position and velocity."""
-    runs = system.base.runs
-    middle, half, speed = span_of(runs, joint)
+def vibration(system: System, joint: int) -> float:
+    """ln evidence gained by the vibration at a joint, of a fixed frequency, that explains most of what a model misses.
+
+    Its amplitude and phase are each run's own. Of white residuals the periodogram is what a sine of that frequency
+    takes off ½ χ², and both numbers together cost ln N (Schwarz, Annals of Statistics 6, 1978).
+    """
+    rest, at = system.residual[system.rows(joint)], 0
+    longest = scipy.fft.next_fast_len(2 * max(len(mask) for mask in system.masks))
+    gain = np.zeros(longest // 2 + 1)
+    for mask in system.masks:
+        count = int(mask.sum())
+        signal = np.zeros(len(mask))
+        signal[mask] = rest[at : at + count]
+        at += count
+        power = np.abs(scipy.fft.rfft(signal, longest)) ** 2 / max(count, 1)
+        gain += np.maximum(power - np.log(max(count, 1)), 0.0)
+    return float(gain[1:].max())
+
+
+@dataclass(frozen=True)
+class FreeFunction:
+    """A smooth function of a joint's position and velocity, fitted beside the base model.
+
+    Attributes:
+        joint: zero-based; ``gain`` ln evidence over the base model.
+        span: middle and half of the joint's range, and its largest speed, in rad and rad/s (m, m/s).
+        coefficients: (b,) of :func:`smooth_columns`, N·m (N).
+        moved: (z,) what it changes the base model's numbers by.
+    """
+
+    joint: int
+    gain: float
+    span: tuple[float, float, float]
+    coefficients: FloatArray
+    moved: FloatArray
+
+
+def free_function(system: System, joint: int) -> FreeFunction:
+    """The smooth function of a joint's position and velocity that explains most of what a model misses."""
+    runs, span = system.base.runs, span_of(system.base.runs, joint)
     scale = USUAL_SHARE * np.sqrt(np.mean(np.concatenate([r.torque[r.valid, joint] for r in runs]) ** 2))
-    rows = system.whitened(joint, [scale * smooth_columns(run, joint, middle, half, speed) for run in runs])
-    information, pull = system.projected(Columns((joint,), rows))
+    rows = system.whitened(joint, [scale * smooth_columns(run, joint, *span) for run in runs])
+    whitened = Columns((joint,), rows)
+    information, pull = system.projected(whitened)
     inside = information + np.eye(len(pull))
-    return float(0.5 * pull @ np.linalg.solve(inside, pull) - 0.5 * np.linalg.slogdet(inside)[1])
+    c = np.linalg.solve(inside, pull)
+    gain = float(0.5 * pull @ c - 0.5 * np.linalg.slogdet(inside)[1])
+    moved = -np.asarray(system.inverse @ (system.across(whitened).T @ c))
+    return FreeFunction(joint, gain, span, scale * c, moved)
 
 
 def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
@@ -875,12 +925,27 @@ class Judge:
         residual, _, density = self._foretold(system, fit)
         return residual, density
 
+    def bears_out(self, system: System, free: FreeFunction) -> bool:
+        """Whether a free function, as it was fitted to the rows used, lowers the misfit of those kept aside enough."""
+        fit, joint = base_fit(system), free.joint
+        torque = [smooth_columns(run, joint, *free.span) @ free.coefficients[:, None] for run in self.base.runs]
+        beside = self.system.full(Columns((joint,), self.system.whitened(joint, torque)))[:, 0]
+        before = self.rest(system, fit)[0]
+        after = self._foretold(system, replace(fit, z=fit.z + free.moved), beside)[0]
+        fall = 0.5 * float(before @ before - after @ after)
+        return fall > calibration()["foretold"] * free.gain * self.system.count / max(system.count, 1)
+
     def misfit(self, system: System, fit: Fitted) -> float:
         """χ² per datum of the rows kept aside, what the fit does not know of its numbers beside their noise."""
         return self._foretold(system, fit)[1] / (self.system.count * float(self.system.level.sum()))
 
-    def _foretold(self, system: System, fit: Fitted) -> tuple[FloatArray, float, float]:
-        """Residual as in :meth:`rest`, χ² under the posterior predictive, and its ln density."""
+    def _foretold(
+        self, system: System, fit: Fitted, beside: FloatArray | float = 0.0
+    ) -> tuple[FloatArray, float, float]:
+        """Residual as in :meth:`rest`, χ² under the posterior predictive, and its ln density.
+
+        ``beside`` (N,) is whitened torque that acts beside the model.
+        """
         self._align(system)
         shared, width = self.base.lasting, len(self.base.parameters)
         own = len(fit.z) - len(system.base.parameters)
@@ -898,7 +963,7 @@ class Judge:
         prior[np.ix_(at, at)] = np.linalg.inv(covariance)
         doubt[at] = np.sqrt(np.diag(covariance))
         here, _ = linearised(here, z, doubt)
-        residual = here.y - here.A.times(z)
+        residual = here.y - here.A.times(z) - beside
         posterior = prior + here.A.gram
         pull = here.A.transposed(residual)
         energy = float(residual @ residual - pull @ np.linalg.solve(posterior, pull))

@@ -139,6 +139,7 @@ class Effect:
         memory: it holds its torque through a standstill, as slip does.
         fades_over: the parameter that is the speed over which it fades, for friction that is largest at rest.
         ages: it is a law of the clock: runs kept aside do not hold the same hour.
+        waves: its torque is a wave over the joint's angle, for which a vibration in time may pass.
         elements: parameters that are lists of elements in parallel, of which a find may bear more than one.
         profiled: the parameter whose interval is found by fits on either side: slopes know little of it.
         log_tests: recordings that show it, for the next test.
@@ -176,6 +177,7 @@ class Effect:
     memory: ClassVar[bool] = False
     fades_over: ClassVar[str] = ""
     ages: ClassVar[bool] = False
+    waves: ClassVar[bool] = False
     elements: ClassVar[tuple[str, ...]] = ()
     profiled: ClassVar[str] = ""
     log_tests: ClassVar[tuple[Test, ...]] = ()

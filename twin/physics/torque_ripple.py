@@ -23,6 +23,7 @@ class TorqueRipple(Effect):
     seen_in = frozenset({"log"})
     at_drive = True
     steps = False
+    waves = True
     linear_in = ("amplitude",)
     log_tests = ("sweep",)
 
