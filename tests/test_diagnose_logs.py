@@ -29,6 +29,7 @@ from twin.diagnose.torque_fit import (
     Trial,
     _apart,
     _correlation,
+    _creeping,
     _rounded,
     base_fit,
     evaluate,
@@ -331,6 +332,13 @@ def test_an_axis_that_all_but_stops_may_have_turned_back() -> None:
     ((_, columns),) = doubts(lambda since: 1e-4 + 0.1 * since**2)
     assert columns.shape[1] >= 4
     assert not doubts(lambda since: 1e-2 + 0.1 * since**2)
+
+
+def test_a_slow_stop_is_in_doubt_for_as_long_as_the_axis_creeps() -> None:
+    """Speed falls with the cube of the time left: from where it is too low to be told, as long again."""
+    left = 0.001 * np.arange(300, 4000)
+    assert _creeping(left**3) == pytest.approx(300, abs=2)
+    assert _creeping(np.full(50, 1e-4)) == 0
 
 
 def test_play_shows_in_the_difference_of_two_encoders(tmp_path: Path, kr90: Robot) -> None:

@@ -12,11 +12,12 @@ from test_diagnose_logs import recorded
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
+from twin.diagnose import torque_search
 from twin.diagnose.torque import _strained, diagnose_log
 from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import System, base_fit, extended, refer, relinearised, settle, start, system_of
 from twin.diagnose.torque_laws import Suspect, log_suspects
-from twin.diagnose.torque_search import Judge, Step, _look, _one_for_two, accepted
+from twin.diagnose.torque_search import Judge, Step, _borne_out, _look, _one_for_two, accepted, free_gains, vibration
 from twin.diagnose.torque_signal import Prepared, prepare
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
@@ -144,3 +145,47 @@ def test_a_log_tells_which_described_numbers_come_out_far(tmp_path: Path, kr90: 
     assert [note.sites for note in _strained(search)] == [("axis3.a",)]
     search.narrow = 2.0
     assert [note.sites for note in _strained(search)] == [("axis2.a",), ("axis3.a",)]
+
+
+def test_what_a_free_function_fits_counts_where_it_foretells(tmp_path: Path, kr90: Robot) -> None:
+    """Friction in proportion to the angle of joint 2 in all runs, and in those alone that are fitted."""
+    log = recorded(tmp_path)
+    aside = prepare(log, kr90, "log.h5").held_out
+    for everywhere in (False, True):
+        runs = dict(log.runs)
+        for name, run in log.runs.items():
+            if everywhere or name not in aside:
+                friction = 60 * np.sign(np.gradient(run.position[:, 1])) * run.position[:, 1]
+                runs[name] = replace(run, torque=run.torque + np.outer(friction, [0, 1, 0]))
+        prepared = prepare(replace(log, runs=runs), kr90, "log.h5")
+        system = system_of(prepared, log_suspects(kr90, prepared.used))
+        judge = Judge(system, prepared.kept)
+        assert free_gains(system)[1] > 30
+        assert bool(free_gains(system, judge=judge)[1] > 30) is everywhere
+
+
+def test_a_vibration_gains_what_a_sine_takes_off_white_noise() -> None:
+    """Half of N a² / 2, less ln N; white noise alone gains little, whichever frequency is looked at."""
+    rng, at = np.random.default_rng(2), np.arange(900)
+    mask = (at < 400) | (at > 500)
+    white = rng.normal(size=mask.sum())
+    system = SimpleNamespace(residual=white, rows=lambda joint: slice(None), masks=[mask])
+    assert vibration(system, 0) < 8
+    system.residual = white + 0.8 * np.sin(0.37 * at + 1.0)[mask]
+    assert vibration(system, 0) == pytest.approx(mask.sum() * 0.64 / 4 - np.log(mask.sum()), rel=0.15)
+
+
+def test_a_ripple_is_named_where_no_vibration_does_most_of_it(
+    tmp_path: Path, kr90: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepared = prepare(
+        recorded(tmp_path, "--effect", "torque_ripple@joint2:amplitude=40,order=12,phase=0.3"), kr90, "log.h5"
+    )
+    suspects = log_suspects(kr90, prepared.used)
+    system = system_of(prepared, suspects)
+    ripple = [s for s in suspects if s.name == "torque_ripple@joint2"]
+    step, judge = _look(system, ripple, lambda count: None, 1), Judge(system, prepared.kept)
+    assert vibration(system, 1) < 0.3 * step.gain
+    assert _borne_out(step, [], judge)
+    monkeypatch.setattr(torque_search, "vibration", lambda system, joint: 0.7 * step.gain)
+    assert not _borne_out(step, [], judge)

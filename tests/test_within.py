@@ -75,7 +75,17 @@ def test_laws_that_cannot_be_off_cast_no_doubt(kr90: Robot) -> None:
     sensor, spring = fitted(kr90, turned, np.zeros(len(turned.own))), fitted(kr90, soft, np.array(list(SERVO.values())))
     fits, bare = {one.hypothesis.identity: one for one in (sensor, spring)}, replace(bare, misfit=1e5)
     assert inexact(fits[frozenset([turned.key])], bare, fits) == 0
-    assert inexact(fits[frozenset([soft.key])], bare, fits) > 5
+    left = replace(fits[frozenset([soft.key])], misfit=3.0)
+    assert inexact(left, bare, fits) > 5
+
+
+def test_a_law_that_leaves_no_misfit_is_off_by_next_to_nothing(kr90: Robot) -> None:
+    """However much it gains: of what it is off by, 0.15 of its misfit, a floor that gained 5e8 hid a soft bearing."""
+    soft = entry_hypothesis(kr90, "servo_compliance", "joint2", SERVO)
+    bare = replace(fitted(kr90, NONE, np.zeros(0)), misfit=1e7, data=20000)
+    fit = replace(fitted(kr90, soft, np.array(list(SERVO.values()))), data=20000)
+    assert inexact(fit, bare, {}) == pytest.approx(0.15 * 0.5 * 2 * np.sqrt(2 * 20000))
+    assert inexact(replace(fit, misfit=1.4), bare, {}) == pytest.approx(0.15 * 0.5 * (0.4 * 20000 + 200 * 2))
 
 
 def test_a_prediction_that_breaks_down_speaks_against_its_fit(kr90: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
