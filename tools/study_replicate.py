@@ -3,7 +3,8 @@
 Two thirds of a recording are diagnosed, hold-out of its own included. Then every name is taken out of the model in turn
 and all the rest refitted to the same two thirds. Both models predict the torque of the last third, which neither the
 search nor its hold-out had seen. Printed is RMS of the error over RMS of the torque, where the name acts: a name that
-replicates lowers it.
+replicates lowers it. One that does not may still be there with another size: then the unseen part by itself gets that
+name, too, which is said.
 
 The arm is the TX40 (nine seconds at 5 kHz, its URDF alone). Of EMPS (one axis, viscous friction alone described) and of
 the KR300 (10 Hz) one record is diagnosed and another foretold. ``TWIN_RECORDINGS`` is the folder of real
@@ -42,20 +43,29 @@ def thirds(run: MotionRun, last: bool) -> tuple[MotionLog, MotionLog]:
 
 def replicated(robot: Robot, used: MotionLog, unseen: MotionLog, title: str, bands: Bands | None = None) -> None:
     """Print what each name given to one log takes off the error on the other."""
-    prepared = prepare(used, robot, "used", None, bands)
-    prepared = prepared if bands else wide_enough(prepared, used, "used", None)
-    search, _ = searched(base_system(prepared), prepared, None, 1)
+    prepared, search = _searched(robot, used, bands)
     other = [run_of(prepared.regressor, joint_run(robot, run), prepared.bands) for run in unseen.runs.values()]
     whole = _missed(prepared, other, search, ())
+    named: set[str] | None = None
     print(f"{title}: below {prepared.bands.fit[1]:g} Hz, unseen part {_told(whole)}")
     for step in search.found:
         without = _missed(prepared, other, search, (step.key,))
         joints = list(step.joints) or list(range(len(whole)))
         before, after = (float(np.sqrt(np.mean(e[joints] ** 2))) for e in (without, whole))
         where = ", ".join(f"joint{j + 1}" for j in joints)
-        told = "" if after < before else ": DOES NOT REPLICATE"
+        told = ""
+        if after >= before:
+            named = named if named is not None else {s.key for s in _searched(robot, unseen, bands)[1].found}
+            told = ": named there, too, with another size" if step.key in named else ": DOES NOT REPLICATE"
         p = step.decision.probability[0]
         print(f"  {step.key:32} p {p:.2f}: {before:.2%} without, {after:.2%} with it at {where}{told}")
+
+
+def _searched(robot: Robot, log: MotionLog, bands: Bands | None) -> tuple[Prepared, Search]:
+    """What is missing in a log, in the given bands or those that a diagnosis would take."""
+    prepared = prepare(log, robot, "log", None, bands)
+    prepared = prepared if bands else wide_enough(prepared, log, "log", None)
+    return prepared, searched(base_system(prepared), prepared, None, 1)[0]
 
 
 def _missed(prepared: Prepared, runs: Sequence[Run], search: Search, left: Sequence[str]) -> np.ndarray:
