@@ -4,8 +4,8 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
+from multiprocessing import current_process, get_context
+from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
 
 from twin.stopping import as_worker
@@ -30,30 +30,40 @@ def cores() -> int:
 
 
 def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator[T]:
-    """``function(0)``, ``function(1)`` … in order, each computed in one of some processes: the same as by one.
+    """``function(0)``, ``function(1)`` … in order, each computed by whichever process is free: the same as by one.
 
-    Results are pickled; ``function`` and what it closes over are not. A process that has lost its parent ends.
+    Results are pickled; ``function`` and what it closes over are not. A process that has lost its parent ends. Such a
+    process does what it spreads itself.
     """
     processes = min(processes, count)
-    if processes < 2:
+    if processes < 2 or current_process().daemon:
         yield from map(function, range(count))
         return
     context = get_context("fork")
-    readers: list[Connection] = []
-    workers = []
+    taken, readers, workers = context.Value("i", 0), [], []
+    done: dict[int, tuple[T | None, Exception | None]] = {}
     try:
-        for first in range(processes):
+        for _ in range(processes):
             reader, writer = context.Pipe(duplex=False)
             readers.append(reader)
-            shares = range(first, count, processes)
-            workers.append(context.Process(target=_work, args=(function, shares, writer, readers), daemon=True))
+            workers.append(context.Process(target=_work, args=(function, count, taken, writer, readers), daemon=True))
             workers[-1].start()
             writer.close()
+        working = {id(reader): reader for reader in readers}
         for number in range(count):
-            result, error = readers[number % processes].recv()
+            while number not in done:
+                if not working:
+                    raise EOFError("a process ended before its work did")
+                for reader in wait(list(working.values())):
+                    try:
+                        which, *told = reader.recv()
+                        done[which] = (told[0], told[1])
+                    except EOFError:
+                        del working[id(reader)]
+            result, error = done.pop(number)
             if error is not None:
                 raise error
-            yield result
+            yield result  # type: ignore[misc]
     finally:
         for reader in readers:
             reader.close()
@@ -97,18 +107,24 @@ def _send(function: Callable[[], Any], writer: Connection) -> None:
     writer.send((result, error))
 
 
-def _work(function: Callable[[int], Any], shares: range, writer: Connection, readers: list[Connection]) -> None:
+def _work(
+    function: Callable[[int], Any], count: int, taken: Any, writer: Connection, readers: list[Connection]
+) -> None:
     as_worker()
     for reader in readers:  # inherited: nobody but the parent may hold them, or its end would not be seen
         reader.close()
-    for number in shares:
+    while True:
+        with taken.get_lock():
+            number, taken.value = taken.value, taken.value + 1
+        if number >= count:
+            return
         result, error = None, None
         try:
             result = function(number)
         except Exception as raised:
             error = raised
         try:
-            writer.send((result, error))
+            writer.send((number, result, error))
         except BrokenPipeError:
             return
         if error is not None:

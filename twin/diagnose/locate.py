@@ -10,6 +10,7 @@ from twin.diagnose.refit import Fitted
 from twin.identify.objective import Objective, Sample, factors
 from twin.measure.campaign import FloatArray
 from twin.model.sensitivity import observe_all
+from twin.parallel import spread
 
 MAP_BANDS = 8
 SCALES = (0.3, 0.1, 0.03, 0.01, 0.003)
@@ -77,37 +78,38 @@ def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
     return Mismatch(names, edges, channels, energy, sites)
 
 
-def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None) -> dict[str, float]:
+def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None, processes: int = 1) -> dict[str, float]:
     """What ln evidence would gain if a spring had a law without a name, site by site, most first.
 
     The law is a stiffness of its own in every posture, one that is complex and bends over frequency, or a damper of
     order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), each as likely as an effect
     that has a name: to first order about the fit, everything that is free there making room. A share x of the stiffness
     has the prior N(0, s²), all scales s of ``SCALES`` alike. Columns ``aside`` (m, data), of prior deviation one, make
-    room too.
+    room too. Sites are spread over ``processes``.
     """
     objective = Objective(fit.robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
     Q, rho = _left(residual, fit.z, J if aside is None else np.vstack([J, aside]))
     by_z = np.linalg.inv(fit.parameters.transform(fit.values).T)
+    springs = [k for k, p in enumerate(fit.parameters) if p.kind == "spring" and p.quantity == "stiffness"]
+    slopes = fit.values[springs, None] * (by_z[springs] @ J)
+    springs, slopes = [k for k, slope in zip(springs, slopes, strict=True) if slope.any()], slopes[slopes.any(axis=1)]
     ends = np.cumsum([0, *(2 * w.size for w in objective.weight)])
-    found: dict[str, float] = {}
-    for k, parameter in enumerate(fit.parameters):
-        if parameter.kind != "spring" or parameter.quantity != "stiffness":
-            continue
-        slope = by_z[k] @ J * fit.values[k]
-        if not slope.any():
-            continue
-        postures = np.zeros((len(sample.recordings), len(slope)))
-        bends, half = np.zeros((4, len(slope))), np.zeros((1, len(slope)))
+    n = len(sample.recordings)
+    laws = slice(0, n), slice(n, n + 4), slice(n + 4, n + 5)  # posture by posture, complex and bending, order one half
+
+    def gain(number: int) -> float:
+        columns = np.zeros((n + 5, len(slopes[number])))
         for p, r in enumerate(sample.recordings):
             own = slice(ends[p], ends[p + 1])
-            postures[p, own] = slope[own]
             octaves = np.repeat(np.log(r.frequency / np.sqrt(r.frequency[0] * r.frequency[-1])), r.frf[0].size)
-            law = np.array([1j + 0 * octaves, octaves, 1j * octaves, octaves**2])
-            bends[:, own] = (law * slope[own].view(complex)).view(float)
-            half[:, own] = (np.sqrt(1j * np.exp(octaves)) * slope[own].view(complex)).view(float)
-        found[parameter.site] = float(np.logaddexp.reduce([_evidence(Q, rho, x) for x in (postures, bends, half)]))
+            law = np.array([1j + 0 * octaves, octaves, 1j * octaves, octaves**2, np.sqrt(1j * np.exp(octaves))])
+            columns[p, own] = slopes[number, own]
+            columns[n:, own] = (law * slopes[number, own].view(complex)).view(float)
+        return float(np.logaddexp.reduce([_mean(logs) for logs in _evidences(Q, rho, columns, laws)]))
+
+    gains = list(spread(gain, len(springs), processes))
+    found = {fit.parameters[k].site: own for k, own in zip(springs, gains, strict=True)}
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
@@ -137,7 +139,7 @@ def free_blows(fit: Fitted, sample: Sample, site: str) -> tuple[float, FloatArra
                 columns[-1][at : at + 2 * w.size] = column.reshape(-1).view(float)
         at += 2 * w.size
     found = np.array(columns)
-    logs = _evidences(Q, rho, found)
+    (logs,) = _evidences(Q, rho, found)
     return max(_mean(logs), 0.0), SCALES[int(np.argmax(logs))] * found
 
 
@@ -149,23 +151,28 @@ def _left(residual: FloatArray, z: FloatArray, columns: FloatArray) -> tuple[Flo
     return Q, rho - Q @ (Q.T @ rho)
 
 
-def _evidence(Q: FloatArray, rho: FloatArray, columns: FloatArray) -> float:
-    """ln evidence that columns (m, data) gain in explaining what is left, ρ (data + n,), their scale unknown."""
-    return _mean(_evidences(Q, rho, columns))
-
-
 def _mean(logs: Sequence[float]) -> float:
     """ln evidence of what is one of several, each as likely."""
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
-def _evidences(Q: FloatArray, rho: FloatArray, columns: FloatArray) -> list[float]:
-    """ln evidence that columns (m, data) gain, for each of ``SCALES``."""
+def _evidences(
+    Q: FloatArray, rho: FloatArray, columns: FloatArray, laws: Sequence[slice] = (slice(None),)
+) -> list[list[float]]:
+    """ln evidence that columns (m, data) gain, law by law, for each of ``SCALES``.
+
+    ρ (data + n,) is what is left of the residual. Columns of all laws meet Q together: it is long.
+    """
     data = columns.shape[1]
     inside = columns @ Q[:data]
-    information, pull = columns @ columns.T - inside @ inside.T, columns @ rho[:data]
-    logs: list[float] = []
-    for scale in SCALES:
-        posterior = scale**2 * information + np.eye(len(pull))
-        logs.append(0.5 * scale**2 * pull @ np.linalg.solve(posterior, pull) - 0.5 * np.linalg.slogdet(posterior)[1])
-    return logs
+    every, pulls = columns @ columns.T - inside @ inside.T, columns @ rho[:data]
+    found: list[list[float]] = []
+    for law in laws:
+        information, pull = every[law, law], pulls[law]
+        logs: list[float] = []
+        for scale in SCALES:
+            posterior = scale**2 * information + np.eye(len(pull))
+            gained = 0.5 * scale**2 * pull @ np.linalg.solve(posterior, pull)
+            logs.append(float(gained - 0.5 * np.linalg.slogdet(posterior)[1]))
+        found.append(logs)
+    return found

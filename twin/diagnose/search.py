@@ -64,7 +64,7 @@ class Search:
         for known, gains in self.laws:
             if known is fit:
                 return gains
-        self.laws.append((fit, free_laws(fit, sample)))
+        self.laws.append((fit, free_laws(fit, sample, processes=self.processes)))
         return self.laws[-1][1]
 
     @property
