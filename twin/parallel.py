@@ -49,17 +49,18 @@ def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator
             workers.append(context.Process(target=_work, args=(function, count, taken, writer, readers), daemon=True))
             workers[-1].start()
             writer.close()
-        working = {id(reader): reader for reader in readers}
+        working = list(readers)
         for number in range(count):
             while number not in done:
                 if not working:
                     raise EOFError("a process ended before its work did")
-                for reader in wait(list(working.values())):
+                ready = wait(working)
+                for reader in [one for one in working if one in ready]:
                     try:
                         which, *told = reader.recv()
                         done[which] = (told[0], told[1])
                     except EOFError:
-                        del working[id(reader)]
+                        working.remove(reader)
             result, error = done.pop(number)
             if error is not None:
                 raise error

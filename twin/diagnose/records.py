@@ -181,35 +181,33 @@ def frf_records(
         before, after: base model and answer, both fitted to all lines of ``used``.
         used, kept: recordings fitted to and held out.
         shared: lines that carry the noise of one independent line.
-        processes: the three models are spread over so many.
+        processes: the three models, on either part, are spread over so many.
 
     Returns:
         Records, used ones first, and stage → ``train`` and ``held_out`` (``None`` without any).
     """
     models = ((given, None), (before.robot, before), (after.robot, after))
 
-    def stage_of(number: int) -> tuple[list[ComplexArray], list[FloatArray], dict[str, float | None]]:
-        """What a model predicts, the angles that takes, and its errors."""
-        robot, fit = models[number]
+    def part_of(number: int) -> tuple[list[ComplexArray], list[FloatArray], float | None]:
+        """What a model predicts of used or of held-out recordings, the angles that takes, and the error."""
+        stage, late = divmod(number, 2)
+        (robot, fit), some = models[stage], kept if late else used
+        if not some:
+            return [], [], None
         robot = physical(robot)
-        stated = _as_recorded(fit) if fit else ()
-        seen, unseen = (placed(fit, Sample(tuple(some))).recordings if fit else some for some in (used, kept))
-        if fit is None or robot is not fit.robot:
-            train = judge(robot, seen, stated=stated)
-            on_used, error, of_used = list(train.predicted), train.error, train.angles
-        else:
-            on_used = Objective(fit.robot, fit.parameters, Sample(tuple(used))).predicted(fit.z)
-            error = relative_error(used, on_used)
-            of_used = [fit.parameters.posture_error(r.setup.name, fit.values, len(r.setup.q)) for r in used]
-        rest = judge(robot, unseen, stated=stated) if unseen else None
-        predicted = [*on_used, *(rest.predicted if rest else ())]
-        return predicted, [*of_used, *(rest.angles if rest else ())], {
-            "train": error, "held_out": rest.error if rest else None,
-        }  # fmt: skip
+        there = placed(fit, Sample(tuple(some))).recordings if fit else some
+        if fit is None or late or robot is not fit.robot:
+            judged = judge(robot, there, stated=_as_recorded(fit) if fit else ())
+            return list(judged.predicted), list(judged.angles), judged.error
+        of_used = list(Objective(fit.robot, fit.parameters, Sample(tuple(used))).predicted(fit.z))
+        turned = [fit.parameters.posture_error(r.setup.name, fit.values, len(r.setup.q)) for r in used]
+        return of_used, turned, relative_error(used, of_used)
 
-    predicted, angles, errors = (
-        dict(zip(STAGES, part, strict=True)) for part in zip(*spread(stage_of, len(STAGES), processes), strict=True)
-    )
+    parts = list(spread(part_of, 2 * len(STAGES), processes))
+    predicted, angles, errors = {}, {}, dict[str, Any]()
+    for stage, (train, rest) in zip(STAGES, zip(parts[::2], parts[1::2], strict=True), strict=True):
+        predicted[stage], angles[stage] = [*train[0], *rest[0]], [*train[1], *rest[1]]
+        errors[stage] = {"train": train[2], "held_out": rest[2]}
     records, width = [], np.deg2rad(given.tolerances.posture_deg) or np.inf
     for k, r in enumerate(placed(after, Sample((*used, *kept))).recordings):
         records.append(

@@ -647,11 +647,10 @@ def stop_columns(
     speed, moving = run.dense.velocity[:, joint], np.ones(len(run.dense.time), bool)
     events = []
     for first, last in zip(stops[::2], stops[1::2], strict=True):
-        before, after = speed[:first][::-1], speed[last:]
-        crept = [max(creep_s, _creeping(outside) / dense_hz) for outside in (before, after)]
+        crept = [max(creep_s, _creeping(outside) / dense_hz) for outside in (speed[:first][::-1], speed[last:])]
         events += [(float(first), crept[0], 1.0), (float(last), crept[1], 1.0)]
-        ends = [max(1, int(np.ceil(late * run.rate_hz))) * step for late in crept]
-        moving[max(0, first - ends[0]) : last + ends[1] + 1] = False
+        before_it, after_it = (max(1, int(np.ceil(late * run.rate_hz))) * step for late in crept)
+        moving[max(0, first - before_it) : last + after_it + 1] = False
     error = inexact * float(np.abs(speed).max())
     for at, late in _turns(speed, error):
         if moving[round(at)]:
