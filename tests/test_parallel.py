@@ -5,7 +5,9 @@ import sys
 import time
 from multiprocessing import active_children
 
+import numpy as np  # noqa: F401 – its BLAS is what is asked
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from twin.errors import InputError
 from twin.parallel import cores, spread
@@ -27,6 +29,19 @@ def test_results_come_in_order(processes: int) -> None:
 @forking
 def test_the_work_is_done_elsewhere() -> None:
     assert os.getpid() not in list(spread(lambda number: os.getpid(), 4, 2))
+
+
+@forking
+def test_processes_do_not_multiply_by_threads_of_blas() -> None:
+    """A diagnosis from Python took three times as long in two processes of two threads as in one process."""
+
+    def threads(number: int) -> int:
+        return max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+
+    with threadpool_limits(2, user_api="blas"):
+        assert threads(0) == 2
+        assert list(spread(threads, 3, 2)) == [1, 1, 1]
+        assert threads(0) == 2
 
 
 @forking

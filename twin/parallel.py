@@ -4,11 +4,16 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
 from multiprocessing import current_process, get_context
 from multiprocessing.connection import Connection, wait
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from twin.stopping import as_worker
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 T = TypeVar("T")
 
@@ -39,6 +44,11 @@ def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator
     if processes < 2 or current_process().daemon:
         yield from map(function, range(count))
         return
+    with _one_thread_each():
+        yield from _spread(function, count, processes)
+
+
+def _spread(function: Callable[[int], T], count: int, processes: int) -> Iterator[T]:
     context = get_context("fork")
     taken, readers, workers = context.Value("i", 0), [], []
     done: dict[int, tuple[T | None, Exception | None]] = {}
@@ -71,6 +81,20 @@ def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator
         for worker in workers:
             worker.terminate()
             worker.join()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """BLAS of one thread here and in what is forked: threads of several processes wait for each other."""
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
+
+
+@cache
+def _libraries() -> "ThreadpoolController":
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def isolated(function: Callable[[], T]) -> T:
