@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ class Motion:
         sign: signum of a velocity; time stepping replaces it by a continuous one.
         coupling: C (n, n) of θ = C q, where other axes turn a drive's rotor too; ``None`` where none does.
         drives: it is the motion of the drives' rotors at their gear outputs, and of their torque; else of the axes.
+        kept: what it was through the coupling, of position, velocity and acceleration, while these are the same arrays.
     """
 
     time: np.ndarray
@@ -35,6 +37,7 @@ class Motion:
     sign: Callable[[np.ndarray], np.ndarray] = np.sign
     coupling: np.ndarray | None = None
     drives: bool = False
+    kept: list[tuple[Any, ...]] = field(default_factory=list, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not self.load.size:
@@ -72,11 +75,16 @@ class Motion:
         return self._turned(self.coupling)
 
     def _turned(self, C: np.ndarray) -> "Motion":
-        position, velocity, acceleration = (x @ C.T for x in (self.position, self.velocity, self.acceleration))
-        load, friction = (x @ np.linalg.inv(C) for x in (self.load, self.friction))
-        return Motion(
-            self.time, position, velocity, acceleration, load, friction, self.sign, self.coupling, not self.drives
-        )
+        """The motion through x → C x: computed once for the same instants, its torques where a law asks for them."""
+        own = self.position, self.velocity, self.acceleration
+        of = *own, self.coupling
+        if not self.kept or any(x is not y for x, y in zip(of, self.kept[0], strict=True)):
+            self.kept[:] = [of, (*(x @ C.T for x in own), np.linalg.inv(C))]
+        position, velocity, acceleration, back = self.kept[1]
+        return _Turned(
+            self.time, position, velocity, acceleration, sign=self.sign, coupling=self.coupling,
+            drives=not self.drives, source=self, back=back,
+        )  # fmt: skip
 
     def seen(self, torque: np.ndarray) -> np.ndarray:
         """Torque of the axes (nt, n, …) as what this is the motion of bears it."""
@@ -94,3 +102,26 @@ class Motion:
             for k in np.flatnonzero(turns[i]):
                 total[int(k)] = total.get(int(k), 0.0) + turns[i, k] * one
         return total
+
+
+@dataclass
+class _Turned(Motion):
+    """A motion seen through a coupling: torques that it is not given are those of ``source`` times ``back`` (n, n)."""
+
+    source: Motion | None = None
+    back: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __post_init__(self) -> None:
+        for name in ("load", "friction"):
+            if not getattr(self, name).size:
+                delattr(self, name)  # until it is asked for
+
+    @cached_property
+    def load(self) -> np.ndarray:  # type: ignore[misc]
+        assert self.source is not None
+        return np.asarray(self.source.load @ self.back)
+
+    @cached_property
+    def friction(self) -> np.ndarray:  # type: ignore[misc]
+        assert self.source is not None
+        return np.asarray(self.source.friction @ self.back)
