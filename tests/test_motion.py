@@ -10,7 +10,7 @@ from twin.physics.motion import Motion
 C = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.2, -1.0, 1.0]])
 
 
-@pytest.fixture()
+@pytest.fixture
 def axes() -> Motion:
     position, velocity, acceleration, load, friction = np.random.default_rng(0).normal(size=(5, 7, 3))
     return Motion(np.arange(7.0), position, velocity, acceleration, load, friction, coupling=C)
@@ -23,7 +23,8 @@ def test_power_is_the_same_on_either_side(axes: Motion) -> None:
     back = drives.of_axes
     for name in ("position", "velocity", "acceleration", "load", "friction"):
         np.testing.assert_allclose(getattr(back, name), getattr(axes, name), atol=1e-12)
-    assert drives.drives and not back.drives
+    assert drives.drives
+    assert not back.drives
 
 
 def test_what_is_replaced_is_not_taken_from_what_was_kept(axes: Motion) -> None:

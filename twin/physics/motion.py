@@ -117,11 +117,11 @@ class _Turned(Motion):
                 delattr(self, name)  # until it is asked for
 
     @cached_property
-    def load(self) -> np.ndarray:  # type: ignore[misc]
+    def load(self) -> np.ndarray:  # type: ignore[misc, override]
         assert self.source is not None
         return np.asarray(self.source.load @ self.back)
 
     @cached_property
-    def friction(self) -> np.ndarray:  # type: ignore[misc]
+    def friction(self) -> np.ndarray:  # type: ignore[misc, override]
         assert self.source is not None
         return np.asarray(self.source.friction @ self.back)
