@@ -116,12 +116,12 @@ class _Turned(Motion):
             if not getattr(self, name).size:
                 delattr(self, name)  # until it is asked for
 
-    @cached_property
-    def load(self) -> np.ndarray:  # type: ignore[misc, override]
+    @cached_property  # type: ignore[misc]
+    def load(self) -> np.ndarray:  # type: ignore[override]
         assert self.source is not None
         return np.asarray(self.source.load @ self.back)
 
-    @cached_property
-    def friction(self) -> np.ndarray:  # type: ignore[misc, override]
+    @cached_property  # type: ignore[misc]
+    def friction(self) -> np.ndarray:  # type: ignore[override]
         assert self.source is not None
         return np.asarray(self.source.friction @ self.back)
