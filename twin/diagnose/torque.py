@@ -16,6 +16,7 @@ from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage, pooled_floor
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
+from twin.diagnose.torque_excerpt import excerpt
 from twin.diagnose.torque_faults import clock_note, clock_rates, described_torque, in_radians, on_time, put_right
 from twin.diagnose.torque_fit import (
     Base,
@@ -97,6 +98,9 @@ def diagnose_log(
     if bands is None:
         prepared = wide_enough(prepared, log, source, hold_out)
     log, prepared, faults, rates = _sound(log, prepared, source, hold_out)
+    log, hold_out, parts = excerpt(log, hold_out, prepared.bands)
+    if parts:
+        prepared, faults = prepare(log, robot, source, hold_out, prepared.bands), [*faults, *parts]
 
     def again(largest: Sequence[str], notes: Sequence[str]) -> Finding:
         """The finding of the runs of one robot, with what was put right."""

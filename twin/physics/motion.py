@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,7 +65,7 @@ class Motion:
         """Of the axes, q = C⁻¹ θ and τ_q = Cᵀ τ_θ."""
         if self.coupling is None or not self.drives:
             return self
-        return self._turned(np.linalg.inv(self.coupling))
+        return self._turned(_inverse(self.coupling))
 
     @property
     def of_drives(self) -> "Motion":
@@ -90,18 +90,30 @@ class Motion:
         """Torque of the axes (nt, n, …) as what this is the motion of bears it."""
         if self.coupling is None or not self.drives:
             return torque
-        return np.asarray(np.einsum("ji,tj...->ti...", np.linalg.inv(self.coupling), torque))
+        return np.asarray(np.einsum("ji,tj...->ti...", _inverse(self.coupling), torque))
 
     def spread(self, torque: dict[int, np.ndarray], of_drives: bool) -> dict[int, np.ndarray]:
         """Torque by index, of drives or of axes, as what this is the motion of bears it."""
         if self.coupling is None or of_drives == self.drives:
             return torque
-        turns = self.coupling if of_drives else np.linalg.inv(self.coupling)  # τ_q = Cᵀ τ_θ, and back
+        turns = self.coupling if of_drives else _inverse(self.coupling)  # τ_q = Cᵀ τ_θ, and back
         total: dict[int, np.ndarray] = {}
         for i, one in torque.items():
             for k in np.flatnonzero(turns[i]):
                 total[int(k)] = total.get(int(k), 0.0) + turns[i, k] * one
         return total
+
+
+def _inverse(coupling: np.ndarray) -> np.ndarray:
+    """Of a coupling (n, n), which is asked for with every torque."""
+    return _inverse_of(coupling.tobytes(), len(coupling))
+
+
+@lru_cache(maxsize=64)
+def _inverse_of(coupling: bytes, n: int) -> np.ndarray:
+    found = np.linalg.inv(np.frombuffer(coupling).reshape(n, n))
+    found.setflags(write=False)
+    return found
 
 
 @dataclass
