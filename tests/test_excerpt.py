@@ -27,7 +27,7 @@ def test_a_log_of_some_minutes_is_taken_whole() -> None:
 
 
 def test_pieces_lie_where_the_axes_move() -> None:
-    """Of an hour in which a robot works ten minutes, pieces of all twelve segments, those of the work in motion: two are in it whole."""
+    """Of an hour in which a robot works ten minutes: a piece of each of 12 segments, two of which lie in it."""
     log = MotionLog({"run": run("run", 3600.0, (1500.0, 2100.0))})
     some, held, (note,) = excerpt(log, None, BANDS)
     pieces = list(some.runs.values())
