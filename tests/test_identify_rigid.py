@@ -14,7 +14,7 @@ from twin.commands.simulate import simulate
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
 from twin.identify.rigid import (
-    WIDER,
+    LOW_PASSES,
     Bands,
     Identification,
     consistent,
@@ -407,7 +407,7 @@ def test_a_short_log_is_identified_through_the_low_pass_that_foretells_best(
     usual = identify(log, kr90, bands=Bands())
     assert not any("are short" in note for note in usual.notes)
     judged = [
-        rows_of(found.regressor, joint_run(kr90, log.runs[rows.name]), Bands(fit=WIDER[0]))
+        rows_of(found.regressor, joint_run(kr90, log.runs[rows.name]), Bands(fit=LOW_PASSES[0]))
         for rows in found.split.held_out
     ]
     error, plain = (np.mean(relative_error(judged, one.parameters)[0] ** 2) for one in (found, usual))

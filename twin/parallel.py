@@ -26,12 +26,12 @@ def silent(description: str, total: int) -> Callable[[int], None]:
     return lambda count: None
 
 
-MOST = 4  # processes: every one takes memory of its own
+PROCESSES = 4  # processes: every one takes memory of its own
 
 
 def cores() -> int:
-    """How many processes serve: the cores this process may run on, at most ``MOST``; 1 where processes do not fork."""
-    return min(len(os.sched_getaffinity(0)), MOST) if sys.platform == "linux" else 1
+    """How many processes serve: the cores this process may run on, at most ``PROCESSES``; 1 where none forks."""
+    return min(len(os.sched_getaffinity(0)), PROCESSES) if sys.platform == "linux" else 1
 
 
 def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator[T]:

@@ -22,7 +22,7 @@ from twin.parallel import spread
 from twin.robot.description import Robot
 
 FIRST_ORDER = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
-BROKEN = 1e30  # ½ χ² of a prediction that breaks down
+BREAKS_DOWN = 1e30  # ½ χ² of a prediction that breaks down
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def _foretold(fit: Fitted, kept: Sample) -> Fitted:
     try:
         return foreseen(fit, kept)
     except np.linalg.LinAlgError:
-        return replace(fit, cost=BROKEN, misfit=2 * BROKEN / max(fit.data, 1))
+        return replace(fit, cost=BREAKS_DOWN, misfit=2 * BREAKS_DOWN / max(fit.data, 1))
 
 
 def _later(gains: FloatArray, scale: float, unseen: Callable[[int], Fitted]) -> FloatArray:

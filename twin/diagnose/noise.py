@@ -22,7 +22,7 @@ LOUDEST_LINES = (
 )
 POOLED_FROM = 0.1  # noise over signal, in power, where |H|² is pooled as well, over the NEAREST lines
 NEAREST = 7
-BROKEN = 30.0  # times the usual variance of channels: noise that is not a sensor's
+BROKEN_CHANNEL = 30.0  # times the usual variance of channels: noise that is not a sensor's
 LEAST_VARIANCE = 1e-100  # of a variance whose square is still a number
 BEST_KNOWN = 5e-4  # of |H|: no FRF is known better
 PERFECT = 1e-7  # incoherence below which no hammer test lies: 0.03 % of noise
@@ -76,7 +76,7 @@ def pooled_variance(posture: PostureFRF, shared: float = 1.0) -> FloatArray:
         weight = weight * np.sqrt(_smooth(single / model**2, kernel) / np.maximum(_smooth(1 / model, kernel), 1e-300))
         a = _smooth(weight, kernel)
     variance = np.maximum(a + b * power, np.maximum(floor, BEST_KNOWN**2 * power))
-    loud = np.median(variance, axis=0) > BROKEN * np.median(a[:, ~dead]) if not dead.all() else dead
+    loud = np.median(variance, axis=0) > BROKEN_CHANNEL * np.median(a[:, ~dead]) if not dead.all() else dead
     if posture.quantity != "accelerance":
         variance *= np.abs(posture.frf) ** 2 / np.maximum(np.abs(accelerance) ** 2, 1e-300)
     variance[:, dead | (loud & _incoherent(posture.coherence, n))] = np.inf

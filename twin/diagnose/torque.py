@@ -65,7 +65,7 @@ from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 
 SHORT_S = 40.0  # of motion in all: 10 Hz of it have 800 rows of a joint, some ten for each number of a robot
-WIDER = (2.0, 4.0)  # times the low-pass, tried on what is shorter
+TIMES_WIDER = (2.0, 4.0)  # times the low-pass, tried on what is shorter
 
 
 def diagnose_log(
@@ -640,7 +640,7 @@ def wide_enough(prepared: Prepared, log: MotionLog, source: str, hold_out: list[
     if seconds >= SHORT_S or not prepared.kept:
         return prepared
     some, rate = [prepared], min(run.sample_rate_hz for run in log.runs.values())
-    for times in WIDER:
+    for times in TIMES_WIDER:
         stop = times * prepared.bands.fit[1]
         if 1.5 * stop < 0.4 * rate:
             wide = Bands((0.8 * stop, stop), (1.2 * stop, 1.5 * stop))

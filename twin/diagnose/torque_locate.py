@@ -20,7 +20,7 @@ from twin.parallel import spread
 from twin.physics import CATALOGUE
 
 FLAT = 8  # a motion of 5 Hz sampled at 250 Hz leaves 1e-7 of itself
-MOST = 0.5  # of the power beyond noise that is left of a joint above the fit's band, all runs together
+RESTLESS = 0.5  # of the power beyond noise that is left of a joint above the fit's band, all runs together
 
 
 def spots(
@@ -70,7 +70,7 @@ def disturbances(
         wide_hz: up to which a disturbance is looked for.
         excess: times the power of the quietest run and of encoder noise in a band is restless.
     """
-    longest_s, count = 60.0, 8  # of every run; bands
+    longest_s, count, places = 60.0, 8, []  # of every run; bands
     runs = [run for run in log.runs.values() if run.torque is not None and run.sample_rate_hz >= 2.5 * wide_hz]
     if len(runs) < 2:
         return []
@@ -122,11 +122,10 @@ def disturbances(
     expected = np.maximum(P.min(axis=0) + noise, 1e-300)
     beyond = np.maximum(P - expected, 0.0)
     total = float(P.sum())
-    places = []
     for k, run in enumerate(runs):
         for joint in range(P.shape[2]):
             loud = P[k, :, joint] > excess * expected[k, :, joint]
-            if beyond[k, loud, joint].sum() > MOST * beyond[:, :, joint].sum():
+            if beyond[k, loud, joint].sum() > RESTLESS * beyond[:, :, joint].sum():
                 first, last = np.flatnonzero(loud)[[0, -1]]
                 share = float(P[k, loud, joint].sum() / total)
                 places.append(_spot(source, run.name, joint, float(edges[first]), float(edges[last + 1]), share))

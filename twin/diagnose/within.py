@@ -21,7 +21,7 @@ from twin.physics.chain import node_of
 from twin.robot.description import Robot
 
 WORDS = {"response": "sensor", "excitation": "blow", "position": "node"}
-FARTHEST = 3  # points that a note lists
+LISTED = 3  # points that a note lists
 RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
 
 
@@ -112,8 +112,8 @@ def _farthest(piece: Hypothesis, values: Mapping[str, float]) -> Note | None:
     first = sorted((point for point in off if off[point] > tolerance), key=lambda point: -off[point])
     if not first:
         return None
-    told = ", ".join(f"{point} by {1e3 * off[point]:.1f} mm" for point in first[:FARTHEST])
-    more = f" and {len(first) - FARTHEST} more" if len(first) > FARTHEST else ""
+    told = ", ".join(f"{point} by {1e3 * off[point]:.1f} mm" for point in first[:LISTED])
+    more = f" and {len(first) - LISTED} more" if len(first) > LISTED else ""
     text = f"not where the file says, by more than its tolerance of {1e3 * tolerance:g} mm: {told}{more}"
     text = f"position of nodes: {text}; the fits have them where the recordings do"
     nodes = dict.fromkeys(node_of(f"node:{point.split()[1]}") for point in first)

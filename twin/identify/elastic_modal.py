@@ -38,7 +38,7 @@ ModalObjective = Literal["posterior", "paper"]
 FREQUENCY_SPREAD, DAMPING_SPREAD = 0.005, 0.10  # relative standard deviations where the table states none
 PAPER_WEIGHTS = 100.0, 1.0  # W_f and W_ζ of Eq. 23
 PAPER_SHARPNESS = 1e-2  # makes Eq. 23 outweigh the prior; of its many minima the one nearest the description is taken
-FARTHEST = np.log(2.0)  # frequencies farther apart than this factor are not paired
+UNPAIRED = np.log(2.0)  # frequencies farther apart than this factor are not paired
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _descend(
         stuck = bool(same) and cost > least - 1e-6
         pairing = _signed(robot, postures, parameters, z, pairing)
     for posture, pairs in zip(postures, pairing or (), strict=True):
-        cost += 0.5 * float(np.sum((FARTHEST / posture.frequency_spread[pairs.model < 0]) ** 2))
+        cost += 0.5 * float(np.sum((UNPAIRED / posture.frequency_spread[pairs.model < 0]) ** 2))
     return z, cost, information, converged
 
 
@@ -233,7 +233,7 @@ def _assign(
             cost[row] += 1 - own[:, named].sum(axis=1) if sites else 0
     elif before is not None and before.share is not None:
         cost = away + 1 - before.share @ share.T
-    cost = np.where(away > FARTHEST, 1e3, cost)
+    cost = np.where(away > UNPAIRED, 1e3, cost)
     rows, columns = linear_sum_assignment(cost)
     paired = np.full(len(posture.frequency_hz), -1)
     for row, column in zip(rows, columns, strict=True):

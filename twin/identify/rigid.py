@@ -45,7 +45,7 @@ TOO_SHORT = "{:.2g} s are too short: the ends of the low-pass take up all of it"
 
 
 SHORT_S = 40.0  # of motion in all: 4 Hz of it have 800 rows of a joint
-WIDER = ((8.0, 10.0), (16.0, 20.0), (32.0, 40.0))  # Hz: low-passes tried on what is shorter
+LOW_PASSES = ((8.0, 10.0), (16.0, 20.0), (32.0, 40.0))  # Hz: low-passes tried on what is shorter
 
 
 @dataclass(frozen=True)
@@ -624,17 +624,17 @@ def foretelling_best(
     """What a log shorter than ``SHORT_S`` says, through the low-pass that serves it best; ``None`` of a longer one.
 
     A few seconds below 4 Hz have fewer rows than a robot has parameters. A wider band has more, if the robot is rigid
-    in it: of the usual one and ``WIDER`` the one whose estimate foretells the torque below ``WIDER[0]`` best that was
-    held out. A log that is too short for the usual one is too short.
+    in it: of the usual one and ``LOW_PASSES`` the one whose estimate foretells the torque below ``LOW_PASSES[0]`` best
+    that was held out. A log that is too short for the usual one is too short.
     """
     seconds = sum(float(np.ptp(run.time)) for run in log.runs.values())
     rate = min((run.sample_rate_hz for run in log.runs.values()), default=0.0)
-    if seconds >= SHORT_S or rate < 2.5 * WIDER[0][1]:
+    if seconds >= SHORT_S or rate < 2.5 * LOW_PASSES[0][1]:
         return None
-    judged, usual = Bands(fit=WIDER[0]), Bands()
+    judged, usual = Bands(fit=LOW_PASSES[0]), Bands()
     rows: list[Rows] = []
     best, least = None, np.inf
-    for bands in (usual, *(Bands(fit=fit) for fit in WIDER if rate >= 2.5 * fit[1])):
+    for bands in (usual, *(Bands(fit=fit) for fit in LOW_PASSES if rate >= 2.5 * fit[1])):
         found = identify(log, robot, bands=bands, hold_out=hold_out, weighting=weighting, offsets=offsets)
         rows = rows or split(_usable_rows(log, found.regressor, judged, []), hold_out, judged, log.source).held_out
         missed = float(np.mean(relative_error(rows, found.parameters)[0] ** 2))

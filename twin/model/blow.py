@@ -24,7 +24,7 @@ from twin.physics.joint_law import Law
 
 RATE_HZ, COARSE_HZ = 512.0, 256.0  # of stepping: what it leaves of a smooth law is 1e-4, 5e-4 of an FRF
 SETTLED = -10.0  # a mode that decays by e to this over a step follows g
-FARTHEST = 0.01  # rad (m): no blow deflects a joint further
+LARGEST_DEFLECTION = 0.01  # rad (m): no blow deflects a joint further
 LONGEST = 0.1  # of what is recorded: a trial's blow may take longer, and is not stepped
 COLUMNS = 1200  # stepped together: more no longer fit in the cache
 
@@ -123,7 +123,7 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
     torque, state = law.torque(rest, k, sizes, state)
     offset, bends = torque - tangent * rest, bool(tangent.any())
     z[-2] = rest
-    most, least = rest + FARTHEST, rest - FARTHEST  # a size far off must not let a trial overflow
+    most, least = rest + LARGEST_DEFLECTION, rest - LARGEST_DEFLECTION  # a size far off must not let a trial overflow
     x, g, free = rest, np.zeros(total), np.empty(total)
     highest, lowest = rest.copy(), rest.copy()
     out, kinks = np.zeros((samples, total)), []
