@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.test_pinocchio import rigid_model
 from twin.errors import NumericalError
@@ -22,7 +23,7 @@ from twin.model.regressor import (
 from twin.model.replay import inverse_dynamics, motion_of, replay, rigid_torque
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot, parse_robot
-from twin.robot.frames import matrix_of, rotation_x, rotation_z
+from twin.robot.frames import matrix_of
 
 DATA = Path(__file__).parent / "data"
 ROBOTS = [DATA / "arm6.urdf", DATA / "arm_linear.urdf", "kr90"]
@@ -150,8 +151,8 @@ def from_description(robot: Robot) -> pin.Model:
     R, x = matrix_of(np.array(robot.base.quaternion)), np.array(robot.base.position)
     parent = 0
     for i, (axis, link) in enumerate(zip(robot.axes, robot.links, strict=True)):
-        A = rotation_x(np.deg2rad(axis.alpha_deg)) @ rotation_z(np.deg2rad(axis.theta_deg))
-        p = np.array([axis.a, 0, 0]) + rotation_x(np.deg2rad(axis.alpha_deg)) @ np.array([0, 0, axis.d])
+        A = Rotation.from_euler("XZ", [axis.alpha_deg, axis.theta_deg], degrees=True).as_matrix()
+        p = np.array([axis.a, 0, 0]) + Rotation.from_euler("X", axis.alpha_deg, degrees=True).apply([0, 0, axis.d])
         joint = pin.JointModelPZ() if axis.type == "prismatic" else pin.JointModelRZ()
         parent = model.addJoint(parent, joint, pin.SE3(R @ A, x + R @ p), f"joint{i + 1}")
         model.appendBodyToJoint(

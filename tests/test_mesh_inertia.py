@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from twin.errors import InputError
 from twin.robot.description import Link, Robot, load_robot, save_robot
-from twin.robot.frames import inertia_matrix, rotation_x, rotation_z
+from twin.robot.frames import inertia_matrix
 from twin.yamlfile import write_yaml
 
 SIZE = np.array([0.2, 0.3, 0.7])
-TURN = rotation_z(0.4) @ rotation_x(-0.9)
+TURN = Rotation.from_euler("ZX", [0.4, -0.9]).as_matrix()
 PLACE = np.array([0.5, -0.1, 0.25])
 
 

@@ -51,7 +51,37 @@ def milling():
 def recorded(milling, tmp_path_factory):
     path = tmp_path_factory.mktemp("modes") / "modes.rrd"
     scene.write_modes(path, *milling)
-    return scene.read_back(path)
+    return read_back(path)
+
+
+def read_back(path):
+    """What a recording holds: entity → component (``Transform3D:translation``, …) → values.
+
+    Values over time are (nt, …), with the times (nt,) in s under ``time``; static values have no ``time``.
+    """
+    out = {}
+    for chunk in rr.chunk.RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        entity = out.setdefault(str(chunk.entity_path), {})
+        for field, column in zip(batch.schema, batch.columns, strict=True):
+            if field.name in chunk.timeline_names:
+                if str(field.type).startswith("duration"):
+                    entity.setdefault("time", []).extend(column.cast("int64").to_numpy() * 1e-9)
+            elif ":" in field.name and not field.name.startswith("rerun"):
+                entity.setdefault(field.name, []).extend(column.to_pylist())
+    result = {}
+    for name, columns in out.items():
+        order = np.argsort(columns["time"], kind="stable") if "time" in columns else None
+        result[name] = {}
+        for key, rows in columns.items():
+            if order is None:
+                result[name][key] = np.array(rows[-1])
+            elif key == "time":
+                result[name][key] = np.array(rows)[order]
+            elif len(rows) == len(order):
+                values = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in rows]
+                result[name][key] = np.array(values)[order]
+    return result
 
 
 def slider():
@@ -195,7 +225,7 @@ def test_an_attached_part_is_drawn_no_larger_than_the_rest():
 def test_robot_without_meshes_is_drawn_by_its_bones(tmp_path):
     mechanism, found = slider()
     scene.write_modes(tmp_path / "slider.rrd", mechanism, found)
-    back = scene.read_back(tmp_path / "slider.rrd")
+    back = read_back(tmp_path / "slider.rrd")
     assert not any("Mesh3D:vertex_positions" in entity for entity in back.values())
     assert back["/mode1/link2/bone"]["Capsules3D:lengths"] == pytest.approx([2.0])
     for k in range(1, len(found) + 1):
@@ -210,7 +240,7 @@ def test_rigid_robot_stands_still_in_its_recording(tmp_path):
     robot = parse_robot(data)
     mechanism = assemble(robot, robot.angles([0.3, 40]))
     scene.write_modes(tmp_path / "rigid.rrd", mechanism, modes(linearise(mechanism)))
-    back = scene.read_back(tmp_path / "rigid.rrd")
+    back = read_back(tmp_path / "rigid.rrd")
     assert "/posture/link2" in back
     assert "no mode" in str(back["/about"]["TextDocument:text"])
 
@@ -224,7 +254,7 @@ def test_replay_draws_the_closed_form_motion_and_the_torques_given(tmp_path):
     torque = np.column_stack([100 * np.sin(time), 20 * np.cos(time)])
     path = tmp_path / "replay.rrd"
     scene.write_replay(path, mechanism, time, q, {"joint2.z": bend}, {"simulated": torque}, magnification=500)
-    back = scene.read_back(path)
+    back = read_back(path)
     boom = back["/robot/link2"]
     t = boom["time"]
     assert len(t) == 101
@@ -243,7 +273,7 @@ def test_replay_chooses_a_round_magnification(tmp_path):
     time = np.linspace(0, 1, 11)
     q = np.zeros((11, 2))
     scene.write_replay(tmp_path / "a.rrd", mechanism, time, q, {"joint2.z": 1e-5 * time})
-    text = str(scene.read_back(tmp_path / "a.rrd")["/about"]["TextDocument:text"])
+    text = str(read_back(tmp_path / "a.rrd")["/about"]["TextDocument:text"])
     drawn = float(text.split("×")[1].split(";")[0])
     assert drawn in (2000, 5000)
 
@@ -293,7 +323,7 @@ def test_view_says_in_one_line_why_it_opens_nothing(tmp_path, monkeypatch):
     assert line == f"wrote {tmp_path / 'kr90.rrd'}"
     assert "no display" in scene.view(tmp_path)
     assert "\n" not in scene.view(tmp_path)
-    moving = scene.read_back(tmp_path / "kr90.rrd")["/mode1/link3"]["Transform3D:translation"]
+    moving = read_back(tmp_path / "kr90.rrd")["/mode1/link3"]["Transform3D:translation"]
     assert np.ptp(moving, axis=0).max() > 1e-3
 
 

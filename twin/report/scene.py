@@ -462,38 +462,6 @@ def view(path: str | Path) -> str:
     return f"the viewer does not start here; {remedy}" if failed else f"opened {names}"
 
 
-def read_back(path: str | Path) -> dict[str, dict[str, np.ndarray]]:
-    """What a recording holds: entity → component (``Transform3D:translation``, …) → values.
-
-    Values over time are (nt, …), with the times (nt,) in s under ``time``; static values have no ``time``.
-    """
-    import rerun as rr
-
-    out: dict[str, dict[str, list[Any]]] = {}
-    for chunk in rr.chunk.RrdReader(path).stream():
-        batch = chunk.to_record_batch()
-        entity = out.setdefault(str(chunk.entity_path), {})
-        for field, column in zip(batch.schema, batch.columns, strict=True):
-            if field.name in chunk.timeline_names:
-                if str(field.type).startswith("duration"):
-                    entity.setdefault("time", []).extend(column.cast("int64").to_numpy() * 1e-9)
-            elif ":" in field.name and not field.name.startswith("rerun"):
-                entity.setdefault(field.name, []).extend(column.to_pylist())
-    result: dict[str, dict[str, np.ndarray]] = {}
-    for name, columns in out.items():
-        order = np.argsort(columns["time"], kind="stable") if "time" in columns else None
-        result[name] = {}
-        for key, rows in columns.items():
-            if order is None:
-                result[name][key] = np.array(rows[-1])
-            elif key == "time":
-                result[name][key] = np.array(rows)[order]
-            elif len(rows) == len(order):
-                values = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in rows]
-                result[name][key] = np.array(values)[order]
-    return result
-
-
 _CURVES = ((240, 240, 240), (90, 170, 255), (255, 150, 50), (120, 220, 130))
 
 

@@ -11,12 +11,6 @@ if TYPE_CHECKING:
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def rotation_x(angle: float) -> np.ndarray:
-    """Rotation matrix (3, 3) about x by ``angle`` rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-
-
 def rotation_z(angle: float) -> np.ndarray:
     """Rotation matrix (3, 3) about z by ``angle`` rad."""
     c, s = np.cos(angle), np.sin(angle)
