@@ -32,7 +32,7 @@ def excerpt(log: MotionLog, hold_out: list[str] | None, bands: Bands) -> tuple[M
             pieces[name] = name, run
             continue
         for k, segment in enumerate(np.array_split(np.arange(len(run.time)), max(1, round(count * own / seconds)))):
-            piece = f"{name}, piece {k + 1}"
+            piece = f"{name} piece {k + 1}"
             pieces[piece] = name, _where_it_moves(run, segment, length, usual, piece)
     names = list(pieces)
     kept = [names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(len(names), round(count))).astype(int))]
