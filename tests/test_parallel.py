@@ -27,6 +27,23 @@ def test_results_come_in_order(processes: int) -> None:
 
 
 @forking
+def test_more_numbers_than_a_pipe_holds_come_in_order() -> None:
+    assert list(spread(lambda number: number, 20001, 2)) == list(range(20001))
+
+
+@forking
+def test_a_process_that_is_killed_ends_the_work_in_an_error() -> None:
+    def die(number: int) -> int:
+        if number == 1:
+            os._exit(1)
+        return number
+
+    with pytest.raises(EOFError, match="a process ended"):
+        list(spread(die, 6, 2))
+    assert not active_children()
+
+
+@forking
 def test_the_work_is_done_elsewhere() -> None:
     assert os.getpid() not in list(spread(lambda number: os.getpid(), 4, 2))
 

@@ -26,7 +26,8 @@ def silent(description: str, total: int) -> Callable[[int], None]:
     return lambda count: None
 
 
-PROCESSES = 4  # processes: every one takes memory of its own
+PROCESSES = 4  # every one takes memory of its own
+TOKENS = 8192  # of four bytes: half of what a pipe holds
 
 
 def cores() -> int:
@@ -50,15 +51,22 @@ def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator
 
 def _spread(function: Callable[[int], T], count: int, processes: int) -> Iterator[T]:
     context = get_context("fork")
-    taken, readers, workers = context.Value("i", 0), [], []
+    each = 1 + count // TOKENS
+    tokens, source = os.pipe()  # of every one the first of so many numbers; whoever is free reads the next
+    os.write(source, b"".join(number.to_bytes(4, "little") for number in range(0, count, each)))
+    readers: list[Connection] = []
+    workers = []
     done: dict[int, tuple[T | None, Exception | None]] = {}
     try:
         for _ in range(processes):
             reader, writer = context.Pipe(duplex=False)
             readers.append(reader)
-            workers.append(context.Process(target=_work, args=(function, count, taken, writer, readers), daemon=True))
+            ends = tokens, source, writer, readers
+            workers.append(context.Process(target=_work, args=(function, each, count, *ends), daemon=True))
             workers[-1].start()
             writer.close()
+        os.close(source)
+        source = -1
         working = list(readers)
         for number in range(count):
             while number not in done:
@@ -67,8 +75,8 @@ def _spread(function: Callable[[int], T], count: int, processes: int) -> Iterato
                 ready = wait(working)
                 for reader in [one for one in working if one in ready]:
                     try:
-                        which, *told = reader.recv()
-                        done[which] = (told[0], told[1])
+                        which, result, error = reader.recv()
+                        done[which] = result, error
                     except EOFError:
                         working.remove(reader)
             result, error = done.pop(number)
@@ -76,6 +84,9 @@ def _spread(function: Callable[[int], T], count: int, processes: int) -> Iterato
                 raise error
             yield result  # type: ignore[misc]
     finally:
+        for end in (tokens, source):
+            if end >= 0:
+                os.close(end)
         for reader in readers:
             reader.close()
         for worker in workers:
@@ -133,24 +144,24 @@ def _send(function: Callable[[], Any], writer: Connection) -> None:
 
 
 def _work(
-    function: Callable[[int], Any], count: int, taken: Any, writer: Connection, readers: list[Connection]
-) -> None:
+    function: Callable[[int], Any], each: int, count: int, tokens: int, source: int, writer: Connection,
+    readers: list[Connection],
+) -> None:  # fmt: skip
     as_worker()
+    os.close(source)
     for reader in readers:  # inherited: nobody but the parent may hold them, or its end would not be seen
         reader.close()
-    while True:
-        with taken.get_lock():
-            number, taken.value = taken.value, taken.value + 1
-        if number >= count:
-            return
-        result, error = None, None
-        try:
-            result = function(number)
-        except Exception as raised:
-            error = raised
-        try:
-            writer.send((number, result, error))
-        except BrokenPipeError:
-            return
-        if error is not None:
-            return
+    while token := os.read(tokens, 4):
+        first = int.from_bytes(token, "little")
+        for number in range(first, min(first + each, count)):
+            result, error = None, None
+            try:
+                result = function(number)
+            except Exception as raised:
+                error = raised
+            try:
+                writer.send((number, result, error))
+            except BrokenPipeError:
+                return
+            if error is not None:
+                return
