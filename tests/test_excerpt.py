@@ -56,3 +56,11 @@ def test_of_many_short_runs_some_are_taken_whole() -> None:
     assert list(some.runs)[::11] == ["run0", "run59"]
     assert len(some.runs) == 12
     assert some.runs["run0"] is log.runs["run0"]
+
+
+def test_a_run_that_is_held_out_is_among_the_pieces() -> None:
+    log = MotionLog({f"run{k}": run(f"run{k}", 30.0, (0, 1e3)) for k in range(60)})
+    some, held, _ = excerpt(log, ["run7"], BANDS)
+    assert held == ["run7"]
+    assert "run7" in some.runs
+    assert len(some.runs) == 13

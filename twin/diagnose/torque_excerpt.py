@@ -34,15 +34,18 @@ def excerpt(log: MotionLog, hold_out: list[str] | None, bands: Bands) -> tuple[M
         for k, segment in enumerate(np.array_split(np.arange(len(run.time)), max(1, round(count * own / seconds)))):
             piece = f"{name} piece {k + 1}"
             pieces[piece] = name, _where_it_moves(run, segment, length, usual, piece)
-    names = list(pieces)
-    kept = [names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(len(names), round(count))).astype(int))]
-    some = replace(log, runs={name: pieces[name][1] for name in kept})
-    held = [name for name in kept if pieces[name][0] in hold_out] if hold_out else None
+    held = [name for name, (run, _) in pieces.items() if run in (hold_out or [])]
+    kept: set[str] = set()
+    for group in (held, [name for name in pieces if name not in held]):  # neither part is left without a piece
+        share = min(len(group), max(1, round(count * len(group) / len(pieces))))
+        kept |= {group[k] for k in np.linspace(0, len(group) - 1, share).astype(int)} if group else set()
+    some = replace(log, runs={name: piece for name, (_, piece) in pieces.items() if name in kept})
+    held = [name for name in held if name in kept]
     text = (
-        f"{_seconds(some):.0f} s of {seconds:.0f} s are looked at, in {len(kept)} pieces spread over the log, "
+        f"{_seconds(some):.0f} s of {seconds:.0f} s are looked at, in {len(some.runs)} pieces spread over the log, "
         "where the axes move most"
     )
-    return some, held, [Note(text, severity="note")]
+    return some, held or None, [Note(text, severity="note")]
 
 
 def _seconds(log: MotionLog) -> float:
