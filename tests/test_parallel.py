@@ -1,9 +1,11 @@
 """Work spread over processes is the work of one: same results in the same order, errors raised, no process left."""
 
 import os
+import subprocess
 import sys
 import time
 from multiprocessing import active_children
+from pathlib import Path
 
 import numpy as np  # noqa: F401 – its BLAS is what is asked
 import pytest
@@ -85,3 +87,21 @@ def test_cores_are_those_this_process_may_use() -> None:
         finally:
             os.sched_setaffinity(0, allowed)
     assert cores() >= 1
+
+
+@forking
+def test_a_process_that_is_ended_before_it_works_ends_nobody_else(tmp_path: Path) -> None:
+    """It has the parent's handlers until it has its own, and they write to the parent's pipe."""
+    script = tmp_path / "slow_to_start.py"
+    script.write_text(
+        "import time, multiprocessing, twin.parallel as parallel, twin.stopping as stopping\n"
+        "def late():\n"
+        "    time.sleep(0.3 * multiprocessing.current_process().name.endswith('2'))\n"
+        "    stopping.as_worker()\n"
+        "parallel.as_worker = late\n"
+        "with stopping.stoppable():\n"
+        "    assert list(parallel.spread(abs, 2, 2)) == [0, 1]\n"
+        "    time.sleep(1.2 * stopping.GRACE_S)\n"
+    )
+    found = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stdout, found.stderr) == (0, "", "")

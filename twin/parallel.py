@@ -10,7 +10,7 @@ from multiprocessing import current_process, get_context
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from twin.stopping import as_worker
+from twin.stopping import as_worker, forking
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
@@ -63,7 +63,8 @@ def _spread(function: Callable[[int], T], count: int, processes: int) -> Iterato
             readers.append(reader)
             ends = tokens, source, writer, readers
             workers.append(context.Process(target=_work, args=(function, each, count, *ends), daemon=True))
-            workers[-1].start()
+            with forking():
+                workers[-1].start()
             writer.close()
         os.close(source)
         source = -1
@@ -119,7 +120,8 @@ def isolated(function: Callable[[], T]) -> T:
     context = get_context("fork")
     reader, writer = context.Pipe(duplex=False)
     child = context.Process(target=_send, args=(function, writer), daemon=True)
-    child.start()
+    with forking():
+        child.start()
     writer.close()
     try:
         result, error = reader.recv()

@@ -19,6 +19,7 @@ from types import FrameType
 
 GRACE_S = 0.7  # in which the work may unwind
 TIMED_OUT = 124  # exit code, as of timeout(1)
+ASKED = () if sys.platform == "win32" else (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)  # the signals to stop
 
 unfinished: set[Path] = set()
 """Files and folders that are being written aside: nothing of them may stay."""
@@ -74,14 +75,13 @@ def _stop(number: int, frame: FrameType | None) -> None:
 def stoppable() -> Iterator[None]:
     """Inside, the signals to stop raise :class:`Stopped`; only the main thread can. Names are held until the end."""
     global _held
-    asked = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
         yield
         return
     _held = {}
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    before = {number: signal.signal(number, _stop) for number in asked}
+    before = {number: signal.signal(number, _stop) for number in ASKED}
     hook, sys.unraisablehook = sys.unraisablehook, _unless_stopped
     woken = signal.set_wakeup_fd(writer)
     done = threading.Event()
@@ -131,10 +131,23 @@ def end_after(seconds: float | None) -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
+@contextmanager
+def forking() -> Iterator[None]:
+    """While processes are forked, signals wait: here until the end, there until :func:`as_worker`.
+
+    A process that is forked has the parent's handlers and writes to the parent's pipe. A signal to it would end both.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ASKED)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def as_worker() -> None:
-    """In a forked process: leave Ctrl-C to the parent, and end at once when that says so."""
-    if sys.platform != "win32":
-        signal.set_wakeup_fd(-1)
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    """In a process forked inside :func:`forking`: leave Ctrl-C to the parent, and end at once when that says so."""
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKED)
