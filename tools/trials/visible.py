@@ -24,6 +24,7 @@ LINES = 40  # of an FRF, standing for all
 HIGHEST_HZ = 10.0  # of a torque: above, the low-pass of any identification has the word
 TRANSMISSION_RAD = 2e-5  # RMS: what a gear's own error leaves of the difference between two encoders
 REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
+SETTLED_RAD = 1e-3  # from a reversal, within which nobody knows the friction: `Log.friction` has up to 2e-3
 EVERY = 5  # samples of a motion log, of which one is taken
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which one is sought that shows
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
@@ -333,6 +334,20 @@ def _deviation(frf: Array, test: HammerTest, peak_n: float, frequency: Array) ->
     return np.sqrt(hit_variance(test, frf, peak_n, frequency) / 2 / test.averages * shared)
 
 
+def _sliding(q: Array) -> Array:
+    """How far the friction of axes q (nt, n) can be known, 0 to 1: nothing where an axis rests, starts or turns round.
+
+    By its sign alone the friction of a coupled drive would show in which sample it turned round.
+    """
+    known = np.empty(q.shape)
+    for j, one in enumerate(q.T):
+        step = np.diff(one)
+        travel = np.concatenate([[0.0], np.cumsum(np.abs(step))])
+        turns = travel[np.concatenate([[0], 1 + np.flatnonzero(np.diff(np.sign(step))), [len(step)]])]
+        known[:, j] = 1 - np.exp(-np.abs(travel[:, None] - turns).min(1) / SETTLED_RAD)
+    return known
+
+
 @dataclass(frozen=True)
 class LogSignal:
     """Torques in units of their coloured noise, up to `HIGHEST_HZ`, offsets free; and what a second encoder adds.
@@ -349,7 +364,7 @@ class LogSignal:
         samples = sum(len(run.time[::EVERY]) for run in self.runs)
         for run in self.runs:
             link, motor, torque = motor_torque(truth, replace(run, time=run.time[::EVERY]), plain)
-            total = np.sum(list(torque.values()), axis=0)
+            total = np.sum(list(torque.values()), axis=0) * _sliding(motor)
             spectrum = np.fft.rfft(total, axis=0) / np.sqrt(len(total) / 2)
             frequency = np.fft.rfftfreq(len(total), 1 / rate)
             kept = (frequency > 0) & (frequency <= HIGHEST_HZ)

@@ -94,6 +94,20 @@ def draw_fourier(
     raise TruthError("trajectory: found none within the limits in 300 draws; ask for fewer dwells or another seed")
 
 
+def _bristles(q: Array, travel: float = 2e-4) -> Array:
+    """Deflection (nt,) of bristles over their largest: from one reversal of q (nt,) to the next it fades with travel."""
+    step = np.diff(q, prepend=q[:1])
+    sense, gone = np.sign(step), np.cumsum(np.abs(step))
+    moving = np.flatnonzero(sense)
+    turns = moving[np.flatnonzero(np.diff(sense[moving], prepend=0))]
+    out, z = np.zeros(len(q)), 0.0
+    for start, end in zip(turns, [*turns[1:], len(q)], strict=True):
+        since = gone[start:end] - (gone[start - 1] if start else 0.0)
+        out[start:end] = sense[start] + (z - sense[start]) * np.exp(-since / travel)
+        z = out[end - 1]
+    return out
+
+
 def sampled(time: Array, q: Array) -> Trajectory:
     """Trajectory through given positions q (nt, n) at `time` (nt,) s, as a quintic spline."""
     spline = make_interp_spline(time, q, k=5)
@@ -194,10 +208,11 @@ def _torque(truth: Truth, log: Log, run: Run, q: Array, v: Array, a: Array) -> t
         i, j, ratio = e.joint, int(e["from"]) - 1, e["ratio"]
         inertia = e.parameters.get("inertia", rotor[j])
         viscous, dry = e.parameters.get("friction", chain.viscous[j]), e.parameters.get("coulomb", chain.coulomb[j])
-        both, both_rate = v[:, j] + ratio * v[:, i], a[:, j] + ratio * a[:, i]
-        torque = inertia * both_rate + viscous * both + dry * np.sign(both)
+        both, both_v, both_a = (x[:, [j]] + ratio * x[:, [i]] for x in (q, v, a))
+        torque = (inertia * both_a + viscous * both_v + dry * direction(both, both_v, log.friction))[:, 0]
+        alone = dry * direction(q[:, [j]], v[:, [j]], log.friction)[:, 0]
         extra[:, i] += ratio * torque
-        extra[:, j] += torque - (inertia * a[:, j] + viscous * v[:, j] + dry * np.sign(v[:, j]))
+        extra[:, j] += torque - (inertia * a[:, j] + viscous * v[:, j] + alone)
     if log.ripple:
         draw = np.random.default_rng([truth.seed or 0, 1])
         order, phase = draw.uniform(3, 12, chain.n), draw.uniform(0, 2 * np.pi, chain.n)
@@ -244,17 +259,11 @@ def direction(q: Array, v: Array, law: str) -> Array:
     if law == "coulomb":
         return np.sign(v)
     if law == "lugre":
-        step = np.diff(q, axis=0, prepend=q[:1])
-        fade, sense = np.exp(-np.abs(step) / 2e-4), np.sign(step)
-        out, z = np.empty(q.shape), np.zeros(q.shape[1])
-        for k in range(len(q)):
-            z = sense[k] + (z - sense[k]) * fade[k]
-            out[k] = z
-        return out
+        return np.stack([_bristles(one) for one in q.T], -1)
     if law == "slip":
         travel = np.geomspace(2e-5, 2e-3, 60)
         share = np.full(60, 1 / 60)
-        return np.stack([slip(q[:, j], share / travel, share) for j in range(q.shape[1])], -1)
+        return np.stack([slip(one, share / travel, share) for one in q.T], -1)
     raise TruthError(f"friction {law!r}: expected coulomb, lugre or slip")
 
 
