@@ -270,9 +270,10 @@ def case(way: str, recording: str, robot: str, seed: int, on_top: bool) -> tuple
         _struck(world, seed, looks, top)
     if recording in ("log", "both"):
         _moved(world, seed, looks)
-    if top:
-        top = [_sized(world, top[0], machine)]
+    sound = replace(world)
     cause = WAYS[way].spoil(world, np.random.default_rng([seed, crc32(way.encode())]))
+    if top:
+        top = [_sized(replace(sound, test=world.test), top[0], machine)]
     if top and world.hammer:
         world.hammer = replace(world.hammer, effects=(*world.hammer.effects, *top))
     elif top and world.log:
@@ -297,6 +298,8 @@ def _concealed(way: str, recording: str, machine: Machine, seed: int) -> list[Ef
 
 def _sized(world: World, effect: Effect, machine: Machine) -> Effect:
     """The effect at `MULTIPLE` times its smallest visible size in the recording of a robot that is as described.
+
+    The recording is the one that is asked: with its lines, its window and its noise, hum among that.
 
     What it leaves in the recording counts, and not the tension against the description: that never names.
     """

@@ -95,7 +95,7 @@ def draw_fourier(
 
 
 def _bristles(q: Array, travel: float = 2e-4) -> Array:
-    """Deflection (nt,) of bristles over their largest: from one reversal of q (nt,) to the next it fades with travel."""
+    """Deflection (nt,) of bristles over their largest: from one reversal of q (nt,) to the next it fades."""
     step = np.diff(q, prepend=q[:1])
     sense, gone = np.sign(step), np.cumsum(np.abs(step))
     moving = np.flatnonzero(sense)

@@ -23,6 +23,7 @@ from tools.truth.elastic import AXES, Structure, assemble, rotation_about
 from tools.truth.laws import Complex
 
 ANTI_ALIAS = 0.4  # of the sampling rate: the filter that force and response go through
+MAINS_HZ = 50.0
 STEP_HZ = 4096.0  # time step of simulated blows: 1e-4 of a smooth FRF, with a gap too
 
 
@@ -91,7 +92,8 @@ class HammerTest:
     too small by (n−1)/n). `levels_n`: peak forces, one group of the file each; empty: one level, `peak_n`, and no
     level recorded. `spread`: relative difference (±) in force of the blows averaged, which
     a nonlinear robot answers with scatter. `window` 1/s: rate of the exponential window left in the
-    FRFs; by default none, or five per record where blows are simulated in time, whose ends would leak.
+    FRFs; by default none, or five per record where blows are simulated in time, whose ends would leak. `hum` m/s²: RMS
+    over the sensors of the amplitude of a tone at `MAINS_HZ`, whose phase differs from blow to blow; needs a window.
     """
 
     start_hz: float = 5.0
@@ -109,6 +111,7 @@ class HammerTest:
     hits: int = 0
     hit_rate_hz: float = 1024.0
     double_hits: float = 0.0
+    hum: float = 0.0
 
     @property
     def frequency(self) -> Array:
@@ -282,12 +285,16 @@ def average(frf: Complex, test: HammerTest, peak_n: float, rng: np.random.Genera
 
 
 def hit_variance(test: HammerTest, frf: Complex, peak_n: float, frequency: Array) -> Array:
-    """Variance of the FRF (..., nf, nr, ne) of one hit, both parts together: of the sensors' noise under the window and
-    of what blows differ by."""
+    """Variance of the FRF (..., nf, nr, ne) of one hit, both parts together: of the sensors' noise and hum under the
+    window and of what blows differ by."""
     pulse = transform(half_sine(np.array([peak_n]), test.pulse_s, 8 * STEP_HZ), 8 * STEP_HZ, frequency)
     duration = 1 / test.spacing_hz
     seen = -np.expm1(-2 * test.decay * duration) / (2 * test.decay) if test.decay else duration
-    return test.noise**2 * seen / 2 / np.abs(pulse[:, None, :]) ** 2 + (test.scatter * np.abs(frf)) ** 2
+    power = np.full((len(frequency), 1, 1), test.noise**2 * seen / 2)
+    if test.hum:
+        apart = test.decay + 2j * np.pi * (frequency - MAINS_HZ)
+        power[:, 0, 0] += test.hum**2 / 4 * np.abs(np.expm1(-apart * duration) / apart) ** 2
+    return power / np.abs(pulse[:, None, :]) ** 2 + (test.scatter * np.abs(frf)) ** 2
 
 
 def raw_hits(

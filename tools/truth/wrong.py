@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from tools.truth.chain import Array, Chain, Link, Tolerances, perturb
 from tools.truth.effects import Effect
 from tools.truth.motion import Log, Run, Trajectory, write_log
-from tools.truth.recording import Channel, HammerTest, Posture, Truth, h1, write_campaign
+from tools.truth.recording import MAINS_HZ, Channel, HammerTest, Posture, Truth, h1, write_campaign
 from tools.truth.robots import Machine
 
 Spoil = Callable[[h5py.File, np.random.Generator], None]
@@ -509,6 +509,9 @@ def noise_understated(world: World, rng: np.random.Generator) -> Cause:
     return Cause((), ("noise_understated",), size="3 times")
 
 
+HUM_SHARE = 0.3, 1.0  # of the largest, sensor by sensor
+
+
 def hum(world: World, rng: np.random.Generator) -> Cause:
     """Mains at 50 Hz in the sensors' cables, in the band; its phase is whatever it is at every blow."""
     machine = world.machine
@@ -517,6 +520,7 @@ def hum(world: World, rng: np.random.Generator) -> Cause:
         lines=int((60 - world.test.start_hz) / machine.spacing_hz),
     )  # fmt: skip
     size = rng.uniform(0.005, 0.03)
+    world.test = replace(world.test, hum=size * np.sqrt(np.mean(np.square(np.linspace(*HUM_SHARE)))))
 
     def spoil(file: h5py.File, rng: np.random.Generator) -> None:
         for group in file["postures"].values():
@@ -524,8 +528,8 @@ def hum(world: World, rng: np.random.Generator) -> Cause:
             force, response = raw["force"][()].astype(float), raw["response"][()].astype(float)
             t = np.arange(response.shape[-1]) / raw.attrs["sample_rate_hz"]
             phase = rng.uniform(0, 2 * np.pi, response.shape[:2])[:, :, None, None]
-            share = rng.uniform(0.3, 1.0, response.shape[2])[None, None, :, None]
-            response += size * share * np.sin(2 * np.pi * 50 * t + phase)
+            share = rng.uniform(*HUM_SHARE, response.shape[2])[None, None, :, None]
+            response += size * share * np.sin(2 * np.pi * MAINS_HZ * t + phase)
             frf, coherence = h1(force, response, world.test, float(raw.attrs["pretrigger_s"]))
             group["frf"][...], group["coherence"][...] = frf, coherence
 

@@ -1,11 +1,11 @@
 """What is wrong with a hammer test itself: channels in another unit, reversed or exchanged, noise that is larger than
-stated, mains hum, records that end too early.
+stated, mains hum.
 
 Channels are compared with those of the description. What counts is phase, averaged over all lines, and the median of
 the ratio of sizes, so that the description's modes may be elsewhere. A fault that is found is put right, with a note.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded, prepare
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.parameters import independent
-from twin.model.sensitivity import observe_all, poles
 from twin.robot.description import Robot
 
 UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}
@@ -33,8 +32,6 @@ NOISY = 3.0  # times, from the smoothest tenth of lines to the median: above, it
 MAINS_HZ = (50.0, 60.0)
 TONE = 4.0  # times the residual around a tone; of noise alone, averaged over channels, neighbouring lines come to 2
 BY_CHANCE = 1e-3  # probability that residuals peak at a multiple of the mains in every posture by chance
-LIGHTEST = 0.01  # damping ratio of the modes of robots, at least: descriptions know little of dampers
-LEFT = 0.1  # of a mode's swing at the end of a record without a window: 10 % of it leak
 
 
 def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, list[Note]]:
@@ -190,29 +187,3 @@ def _tone(r: Recorded, energy: FloatArray, tone: float) -> tuple[float, float]:
         return 1.0, 0.0
     times = float(energy[near].max() / max(np.median(energy), np.finfo(float).tiny))
     return float(near.sum() / around.sum()), max(spacing, rate / (2 * np.pi) * float(np.sqrt(10 * times)))
-
-
-def cut_short(robot: Robot, recordings: Sequence[Recorded]) -> list[Note]:
-    """A note where modes of the description still ring at the end of a record whose FRFs state no window.
-
-    A record is taken to be as long as the spacing of its lines says.
-    """
-    worst, found = LEFT, None
-    for r in recordings:
-        spacing, window = float(np.median(np.diff(r.frequency))), float(r.s[0].real)
-        ((seen, _),) = observe_all(robot, [r.setup], independent([]), np.zeros(0))
-        pole, _ = poles(seen)
-        for one in pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]:
-            decay = max(-float(one.real), LIGHTEST * abs(one)) + window
-            left = float(np.exp(-decay / spacing))
-            if left > worst:
-                worst, found = left, (r.group, spacing, abs(one) / 2 / np.pi)
-    if found is None:
-        return []
-    group, spacing, frequency_hz = found
-    text = (
-        f"{group}: lines are {spacing:.3g} Hz apart, so a record is {1 / spacing:.3g} s long as stated, and the mode "
-        f"near {frequency_hz:.3g} Hz still has {worst:.0%} of its swing at its end: unless lines were dropped, leakage "
-        "bends every peak; put an exponential window on the records and state it, or record longer"
-    )
-    return [Note(text, "leakage")]

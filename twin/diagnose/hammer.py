@@ -11,7 +11,8 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision, at_noise, decide, finalists, in_doubt_beside, sifted, that_show
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
-from twin.diagnose.frf_faults import cut_short, put_right, without_hum
+from twin.diagnose.frf_faults import put_right, without_hum
+from twin.diagnose.frf_leak import Leak, cut_off, cut_short, leaking, refined, rewindowed
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, about, settled_with, shared
 from twin.diagnose.joint_reaction import blows
@@ -114,17 +115,22 @@ def diagnose_campaign(
     """
     if not free_parameters(given, tolerances=False).items:
         raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
+    campaign, leaks = rewindowed(campaign)
     campaign, faults = put_right(campaign, without_limits(given), source)
     few, rest = apart(campaign, given, hold_out or ())
     finding = _diagnosed(few, _Ask(given, source, hold_out, seed, progress, told_by, processes))
     others = [judged(finding, rest, source, len(few.postures))] if rest else []
-    finding.warnings = [*faults, *others, *finding.warnings]
+    finding.warnings = [*leaks, *faults, *others, *finding.warnings]
     return finding
 
 
 @dataclass(frozen=True)
 class _Ask:
-    """What is asked, see :func:`diagnose_campaign`. ``sorted``: the postures are known to be of one robot."""
+    """What is asked, see :func:`diagnose_campaign`.
+
+    ``sorted``: the postures are known to be of one robot. ``leak``: how records leak that end
+    while modes ring, ``leaks_so``: it was found beside an answer.
+    """
 
     given: Robot
     source: str
@@ -134,6 +140,8 @@ class _Ask:
     told_by: Finding | None
     processes: int
     sorted: bool = False
+    leak: Leak | None = None
+    leaks_so: bool = False
 
 
 def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
@@ -141,6 +149,9 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     given, source, told_by = ask.given, ask.source, ask.told_by
     seed, processes = ask.seed, ask.processes
     found = triage(campaign, given, source, ask.hold_out)
+    if ask.leak:
+        leaky = leaking(Sample(tuple(found.recordings.values())), campaign, ask.leak)
+        found = replace(found, recordings={r.group: r for r in leaky.recordings})
     base = without_limits(told_by.model if told_by else given)
     sample = Sample(tuple(found.used), 1 / found.shared)
     free = _free(base, found.used)
@@ -155,12 +166,14 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
     far = _misses(search, found)
+    if again := _leaking(campaign, base, search.base, sample, found, ask):
+        return again
     if far and (again := _without_hum(campaign, search.base, sample, ask) or _sorted_out(campaign, found, ask)):
         return again
     looked_at = _suspects(campaign, base, free, found)
     explain(base, search, sample, looked_at, ask.progress)
     best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
-    if again := _without_hum(campaign, best, sample, ask):
+    if again := _without_hum(campaign, best, sample, ask) or _leaking(campaign, base, best, sample, found, ask):
         return again
     answer = _answered(base, search, sample, looked_at, found, bool(told_by and told_by.fit))
     before = _as_described(base, search, answer, sample)
@@ -175,7 +188,8 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     if answer.word == "unexplained":
         if not far and (again := _sorted_out(campaign, found, ask)):
             return again
-        finding.warnings = [*cut_short(without_limits(given), found.used), *finding.warnings]
+        short = [] if ask.leak else cut_short(without_limits(given), campaign, found.used)
+        finding.warnings = [*short, *finding.warnings]
     return finding
 
 
@@ -201,11 +215,30 @@ def _without_hum(campaign: Campaign, fit: Fitted, sample: Sample, ask: _Ask) -> 
     return finding
 
 
+def _leaking(campaign: Campaign, base: Robot, fit: Fitted, sample: Sample, found: Triage, ask: _Ask) -> Finding | None:
+    """What a campaign says whose records end while modes ring; ``None`` where that does not show.
+
+    How they leak is found again beside the best that is known: the base model alone has it wrong by what it lacks.
+    """
+    every = list(found.recordings.values())
+    if ask.leak is None:
+        leak, notes = cut_off(campaign, base, fit, sample, every)
+    elif fit.hypothesis.pieces and not ask.leaks_so:
+        leak, notes = refined(ask.leak, campaign, base, fit, sample, every)[0], []
+    else:
+        return None
+    if leak is None:
+        return None
+    finding = _diagnosed(campaign, replace(ask, leak=leak, leaks_so=ask.leak is not None))
+    finding.warnings = [*notes, *finding.warnings]
+    return finding
+
+
 def _sorted_out(campaign: Campaign, found: Triage, ask: _Ask) -> Finding | None:
     """What the postures of one robot say, wrong angles put right; ``None`` where all are of one and stand as stated."""
     sample = Sample(tuple(found.recordings.values()), 1 / found.shared)
     alone = len({r.setup.name for r in sample.recordings}) == len(sample.recordings) > 2
-    if ask.sorted or ask.told_by or found.nonlinear or not alone:
+    if ask.sorted or ask.leak or ask.told_by or found.nonlinear or not alone:
         return None
     some, notes = sorted_out(without_limits(ask.given), campaign, sample)
     if not notes:

@@ -1,0 +1,241 @@
+"""Records that end while the robot still rings: FRFs made again from raw hits, or models that leak as they do."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from twin.diagnose.calibration import calibration
+from twin.diagnose.noise import ANALYSER
+from twin.diagnose.note import Note
+from twin.diagnose.refit import Fitted, descend
+from twin.diagnose.search import REFIT_LINES
+from twin.identify.objective import Objective, Sample
+from twin.identify.recorded import Recorded
+from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
+from twin.measure.spectra import END_LEVEL, needed_window_rate, posture_from_hits
+from twin.model.leakage import leakage, leakage_later, leakage_slopes
+from twin.model.parameters import independent
+from twin.model.sensitivity import Observed, Structure, observe_all, poles
+from twin.robot.description import Robot
+
+LIGHTEST = 0.01  # damping ratio of the modes of robots, at least: descriptions know little of dampers
+LEFT = 0.1  # of a mode's swing at the end of a record without a window: 10 % of it leak
+MISSED = 1.2  # misfit of a fit that misses something
+SLIGHT = ANALYSER  # of its swing: no FRF shows that so much of a mode is cut off
+LEAST = 0.75  # of a record is after the blow, at least
+TURN = 0.5  # rad of the fastest line, by which records are tried longer
+EXACT = 0.01  # of the steps by which lengths of records and blows are found
+JITTER_S = 3e-4  # by which the middles of blows differ: a tenth of their length
+PULSE_S, SPREAD = 8e-3, 0.218  # of a usual blow; root of the second moment of a half-sine over its length
+EXPLAINED = 0.5  # of the misfit beyond noise that leakage has to explain: a model that is far off gains some by chance
+
+
+def rewindowed(campaign: Campaign) -> tuple[Campaign, list[Note]]:
+    """A campaign whose raw hits are windowed where its FRFs leak, and a note that says so."""
+    postures, rates = dict(campaign.postures), []
+    for name, p in campaign.postures.items():
+        if p.hits is None or p.hits.windowed or not p.frf.size:
+            continue
+        rate = needed_window_rate(p.hits)
+        length_s = p.hits.response.shape[-1] / p.hits.sample_rate_hz
+        if END_LEVEL * np.exp((rate - p.exponential_window_rate) * length_s) < SLIGHT:
+            continue
+        made, _ = posture_from_hits(name, p.q_deg, p.brakes, p.hits, fmax=float(p.frequency[-1]))
+        keep = made.frequency >= p.frequency[0] * (1 - 1e-9)
+        assert made.coherence is not None
+        postures[name] = replace(
+            made, frequency=made.frequency[keep], frf=made.frf[keep], coherence=made.coherence[keep],
+            peak_force_n=p.peak_force_n, pulse_s=p.pulse_s, record_s=p.record_s,
+        )  # fmt: skip
+        rates.append(rate)
+    if not rates:
+        return campaign, []
+    text = (
+        f"records end while the robot still rings, and the FRFs leak: they were made again from the raw hits under an "
+        f"exponential window of {max(rates):.3g} 1/s"
+    )
+    return replace(campaign, postures=postures), [Note(text, "leakage", "fail")]
+
+
+@dataclass(frozen=True)
+class Leak:
+    """How records leak.
+
+    Attributes:
+        share: of a record after the middle of the blow, whose second moment is ``spread_s``².
+        earlier: of every group by how many s the blows on each point came earlier than that, (ne,).
+    """
+
+    share: float
+    spread_s: float
+    earlier: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CutOff(Recorded):
+    """A recording whose records ended ``record_s`` after the middle of the blows, while modes still rang."""
+
+    record_s: float
+    spread_s: float
+    earlier_s: FloatArray
+
+    @classmethod
+    def of(cls, r: Recorded, posture: PostureFRF, how: "Leak") -> "CutOff":
+        """A recording that leaks."""
+        known = {f.name: getattr(r, f.name) for f in fields(Recorded)}
+        earlier = how.earlier.get(r.group, np.zeros(r.frf.shape[2]))
+        return cls(**known, record_s=how.share * _record_s(posture), spread_s=how.spread_s, earlier_s=earlier)
+
+    def respond(self, seen: Observed, model: Structure) -> ComplexArray:
+        """FRFs (nf, nr, ne) of a model as they leak."""
+        how = self.power, self.record_s, self.spread_s
+        earlier = self.earlier_s * self.later(seen) if self.earlier_s.any() else 0.0
+        return np.asarray(super().respond(seen, model) - leakage(seen, self.s, *how) - earlier)
+
+    def later(self, seen: Observed) -> ComplexArray:
+        """What records lack more per second by which blows come earlier, (nf, nr, ne)."""
+        return leakage_later(seen, self.s, self.power, self.record_s, self.spread_s)
+
+    def respond_slopes(self, seen: Observed, model: Structure, rate: Observed) -> tuple[ComplexArray, ComplexArray]:
+        """The same and its derivatives (n, nf, nr, ne)."""
+        H, dH = super().respond_slopes(seen, model, rate)
+        L, dL = leakage_slopes(seen, rate, self.s, self.power, self.record_s, self.spread_s)
+        earlier = self.earlier_s * self.later(seen) if self.earlier_s.any() else 0.0
+        return np.asarray(H - L - earlier), dH - dL
+
+    def probed(self, count: int) -> Recorded:
+        """What receptance is asked for with ``count`` more excitations: the structure's own, which leaks nothing."""
+        return replace(Recorded(**{f.name: getattr(self, f.name) for f in fields(Recorded)}), power=0)
+
+
+def cut_off(
+    campaign: Campaign, base: Robot, fit: Fitted, sample: Sample, every: Sequence[Recorded]
+) -> tuple[Leak | None, list[Note]]:
+    """How records leak that ended while modes rang, where that explains most of what a fit misses, and a note.
+
+    ``every`` recording leaks, those beside the sample too.
+
+    A whole record is taken to be as long as stated, or as the spacing of its lines says. Where in it the blows are, and
+    how long they are, is fitted: a mode's phase at the end tells the former to less than a millisecond.
+    """
+    if fit.misfit < MISSED or _worst(fit.robot, sample.recordings, campaign)[0] < SLIGHT:
+        return None, []
+    thin = sample.thin(REFIT_LINES)
+    longest, fastest = _longest(campaign), _fastest(thin)
+    usual = SPREAD * max([p.pulse_s for p in campaign.postures.values() if p.pulse_s] or [PULSE_S])
+    leaks = [Leak(x, usual) for x in np.linspace(LEAST, 1.0, int((1 - LEAST) * longest * fastest / TURN) + 2)]
+
+    def cost(leak: Leak) -> float:
+        return Objective(fit.robot, fit.parameters, leaking(thin, campaign, leak), logarithmic=True).cost(fit.z)
+
+    first = min(leaks, key=cost)
+    leaky = leaking(thin, campaign, first)
+    near = descend(base, fit.hypothesis, fit.parameters, leaky, fit.z, logarithmic=25, tempered=0)
+    leak, better = refined(first, campaign, base, near, sample, every)
+    plain = descend(base, fit.hypothesis, fit.parameters, thin, fit.z, tempered=0)
+    if plain.cost - better.cost < calibration()["seen"] or better.misfit - 1 > (1 - EXPLAINED) * (plain.misfit - 1):
+        return None, []
+    left, group, frequency_hz = _worst(better.robot, sample.recordings, campaign)
+    text = (
+        f"{group}: the mode near {frequency_hz:.3g} Hz still has {left:.0%} of its swing at the end of a record of "
+        f"{_record_s(campaign.postures[group]):.3g} s: the FRFs leak, and the model was made to leak as they must; put "
+        "an exponential window on the records and state it, or record longer"
+    )
+    return leak, [Note(text, "leakage", "fail")]
+
+
+def refined(
+    leak: Leak, campaign: Campaign, base: Robot, fit: Fitted, sample: Sample, every: Sequence[Recorded]
+) -> tuple[Leak, Fitted]:
+    """The leak of least cost near another, the model fitted again at every one; and that fit, to fewer lines."""
+    thin = sample.thin(REFIT_LINES)
+
+    def fitted(how: Leak, z: FloatArray) -> Fitted:
+        return descend(base, fit.hypothesis, fit.parameters, leaking(thin, campaign, how), z, tempered=0)
+
+    better = fitted(leak, fit.z)
+    for name, reach in (("share", TURN / _longest(campaign) / _fastest(thin)), ("spread_s", 0.5 * leak.spread_s)) * 2:
+        found = _along(lambda how, z=better.z: fitted(how, z).cost, leak, name, reach)  # type: ignore[misc]
+        if (again := fitted(found, better.z)).cost < better.cost:
+            leak, better = found, again
+    for _ in range(2):
+        leak = replace(leak, earlier=_earlier(leaking(Sample(tuple(every)), campaign, leak), better))
+        better = fitted(leak, better.z)
+    return leak, better
+
+
+def _earlier(some: Sample, fit: Fitted) -> dict[str, FloatArray]:
+    """By how many s the blows on every point came earlier in the record, as what a fit leaves says, by group."""
+    objective = Objective(fit.robot, fit.parameters, some)
+    seen = observe_all(fit.robot, [r.setup for r in some.recordings], fit.parameters, fit.values)
+    found = {}
+    for r, H, (one, _) in zip(some.recordings, objective.predicted(fit.z), seen, strict=True):
+        assert isinstance(r, CutOff)
+        column = r.later(one)
+        along = np.sum((column.conj() * (H - r.frf)).real / r.variance, axis=(0, 1))
+        found[r.group] = r.earlier_s + along / (np.sum(np.abs(column) ** 2 / r.variance, axis=(0, 1)) + 1 / JITTER_S**2)
+    return found
+
+
+def _longest(campaign: Campaign) -> float:
+    """Length of the longest record, s."""
+    return max(_record_s(posture) for posture in campaign.postures.values())
+
+
+def _fastest(sample: Sample) -> float:
+    """The highest line, rad/s."""
+    return max(float(np.abs(r.s[-1])) for r in sample.recordings)
+
+
+def _along(cost: Callable[[Leak], float], leak: Leak, name: str, reach: float) -> Leak:
+    """The leak of least cost within reach of one of its numbers."""
+    middle = getattr(leak, name)
+    bounds, options = (middle - reach, middle + reach), {"xatol": EXACT * reach}
+    found = minimize_scalar(
+        lambda x: cost(replace(leak, **{name: x})), bounds=bounds, method="bounded", options=options
+    )
+    return _with(leak, name, float(found.x))
+
+
+def _with(leak: Leak, name: str, value: float) -> Leak:
+    return replace(leak, share=value) if name == "share" else replace(leak, spread_s=value)
+
+
+def leaking(sample: Sample, campaign: Campaign, how: Leak) -> Sample:
+    """Recordings whose records end while modes ring."""
+    leaky = tuple(CutOff.of(r, campaign.postures[r.group], how) for r in sample.recordings)
+    return Sample(leaky, sample.repeat)
+
+
+def _record_s(posture: PostureFRF) -> float:
+    """Length of a posture's records: as stated, or as the spacing of its lines says, which may have been thinned."""
+    return posture.record_s or 1 / float(np.median(np.diff(posture.frequency)))
+
+
+def _worst(robot: Robot, recordings: Sequence[Recorded], campaign: Campaign) -> tuple[float, str, float]:
+    """The largest share of its swing that a mode of the band has at the end of a record, whose, and its Hz."""
+    worst = (0.0, "", 0.0)
+    for r in recordings:
+        record_s, window = _record_s(campaign.postures[r.group]), float(r.s[0].real)
+        ((seen, _),) = observe_all(robot, [r.setup], independent([]), np.zeros(0))
+        pole, _ = poles(seen)
+        for one in pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]:
+            decay = max(-float(one.real), LIGHTEST * abs(one)) + window
+            worst = max(worst, (float(np.exp(-decay * record_s)), r.group, abs(one) / 2 / np.pi))
+    return worst
+
+
+def cut_short(robot: Robot, campaign: Campaign, recordings: Sequence[Recorded]) -> list[Note]:
+    """A note where modes of the description still ring at the end of a record whose FRFs state no window."""
+    left, group, frequency_hz = _worst(robot, recordings, campaign)
+    if left <= LEFT:
+        return []
+    record_s = _record_s(campaign.postures[group])
+    text = (
+        f"{group}: lines are {1 / record_s:.3g} Hz apart, so a record is {record_s:.3g} s long as stated, and the mode "
+        f"near {frequency_hz:.3g} Hz still has {left:.0%} of its swing at its end: unless lines were dropped, leakage "
+        "bends every peak; put an exponential window on the records and state it, or record longer"
+    )
+    return [Note(text, "leakage")]

@@ -1,0 +1,101 @@
+"""What an FRF lacks that was made from a record which ends while the structure still rings.
+
+After a blow a mode answers with R e^{λt}. Cut off at T, its transform is R (1 − e^{(λ−s)T}) / (s − λ). Of a short blow
+it lacks, per newton of the blow's own transform,
+
+    L(s) = C g(A) B,    g(λ) = λᵖ e^{(λ−s)T + (λ²−s²)m/2} / (s − λ),
+
+T from the middle of the blow on and m its second moment about there: its transform is P e^{ms²/2} to second order.
+
+With A of ẏ = A y, B the velocities after a unit blow, C the channels and p the power of s in what is recorded. Where A
+changes, so does g(A): in the eigenvectors of A, ∂g(A)ᵢⱼ = ∂Aᵢⱼ (gᵢ − gⱼ)/(λᵢ − λⱼ), and ∂Aᵢᵢ g'(λᵢ) where i = j
+(Higham, Functions of Matrices, 2008, theorem 3.11).
+"""
+
+import numpy as np
+
+from twin.model.linear import state_matrix
+from twin.model.sensitivity import ComplexArray, FloatArray, Observed
+
+LARGEST = 100.0  # of an exponent: an unstable model leaks without bound
+EQUAL = 1e-9  # of the largest pole: what is closer has one function
+
+
+def leakage(seen: Observed, s: ComplexArray, power: int, record_s: float, spread_s: float) -> ComplexArray:
+    """L (nf, nr, ne), SI per newton: H(s) less what a record shows of it.
+
+    Args:
+        seen: the structure; channels that share a sensor's mass are taken to be without it.
+        s: (nf,) Laplace points in 1/s; the rate of an exponential window is their real part.
+        power: of s in the quantity over receptance.
+        record_s: length of the record from the middle of the blow on, s.
+        spread_s: root of the second moment of the blow about its middle, s; of a half-sine 0.218 of its length.
+    """
+    return leakage_slopes(seen, None, s, power, record_s, spread_s)[0]
+
+
+def leakage_later(seen: Observed, s: ComplexArray, power: int, record_s: float, spread_s: float) -> ComplexArray:
+    """∂L/∂T (nf, nr, ne), per second by which a blow came earlier in the record: of g(λ) it is (λ − s) g(λ)."""
+    nv = len(seen.M)
+    pole, V, inverse = _vectors(state_matrix(seen.M, seen.C, seen.K, seen.loss, seen.integral))
+    C, B = seen.J_r @ V[:nv], inverse[:, nv : 2 * nv] @ np.linalg.solve(seen.M, seen.J_e.T)
+    g, _ = _left(pole, s, power, record_s, spread_s)
+    return _gain(seen, s) * np.einsum("rk,fk,ke->fre", C, (pole - s[:, None]) * g, B, optimize=True)
+
+
+def leakage_slopes(
+    seen: Observed, rate: Observed | None, s: ComplexArray, power: int, record_s: float, spread_s: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """L (nf, nr, ne) and its derivatives (n, nf, nr, ne); ``rate`` has those of ``seen``, ``None`` for none."""
+    nv = len(seen.M)
+    A = state_matrix(seen.M, seen.C, seen.K, seen.loss, seen.integral)
+    pole, V, inverse = _vectors(A)
+    inverse = inverse[:, nv : 2 * nv]  # of velocities
+    struck = np.linalg.solve(seen.M, seen.J_e.T)
+    C, B = seen.J_r @ V[:nv], inverse @ struck
+    g, steeper = _left(pole, s, power, record_s, spread_s)
+    gain = _gain(seen, s)
+    L = gain * np.einsum("rk,fk,ke->fre", C, g, B, optimize=True)
+    if rate is None:
+        return L, np.zeros((0, *L.shape), complex)
+    kept = np.flatnonzero(seen.integral.any(axis=0))
+    forces = np.concatenate([rate.K + 1j * rate.loss, rate.C, rate.integral[:, :, kept]], axis=2)
+    pull = np.linalg.solve(seen.M, rate.M @ A[nv : 2 * nv] + forces)
+    change = -inverse @ pull @ V
+    between = pole[:, None] - pole
+    alone = np.abs(between) < EQUAL * np.abs(pole).max(initial=1.0)
+    tied = np.where(alone, 0.0, change / np.where(alone, 1.0, between))
+    own = np.diagonal(change, axis1=1, axis2=2)
+    kick = inverse @ np.linalg.solve(seen.M, rate.J_e.swapaxes(1, 2) - rate.M @ struck)
+    dL = np.einsum("rk,fk,pke->pfre", C, g, tied @ B + kick, optimize=True)
+    dL += np.einsum("prk,fk,ke->pfre", rate.J_r @ V[:nv] - C @ tied, g, B, optimize=True)
+    dL += np.einsum("rk,pk,fk,ke->pfre", C, own, steeper, B, optimize=True)
+    louder = rate.gain[:, None] / seen.gain - s[:, None] * rate.delay[:, None]
+    return L, gain * dL + L * louder[:, :, :, None]
+
+
+def _left(
+    pole: ComplexArray, s: ComplexArray, power: int, record_s: float, spread_s: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """g and g' (nf, n) of poles (n,)."""
+    apart = s[:, None] - pole
+    second = np.where(np.abs(pole) * spread_s < 1, spread_s**2, 0.0)  # faster poles have faded long before
+    left = -apart * (record_s + 0.5 * second * (s[:, None] + pole))
+    fade = np.exp(np.minimum(left.real, LARGEST) + 1j * left.imag) / apart
+    steeper = power * pole ** max(power - 1, 0) + pole**power * (record_s + second * pole + 1 / apart)
+    return pole**power * fade, fade * steeper
+
+
+def _gain(seen: Observed, s: ComplexArray) -> ComplexArray:
+    return np.asarray((seen.gain * np.exp(-s[:, None] * seen.delay))[:, :, None])
+
+
+def _vectors(A: ComplexArray | FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Poles, eigenvectors and their inverse; where a coordinate without a spring has one for two poles, of a neighbour
+    of A, whose poles lie ``EQUAL`` of the largest apart."""
+    pole, V = np.linalg.eig(A)
+    try:
+        return pole, V, np.linalg.inv(V)
+    except np.linalg.LinAlgError:
+        pole, V = np.linalg.eig(A + np.diag(EQUAL * np.abs(pole).max(initial=1.0) * np.linspace(-1, 1, len(A))))
+        return pole, V, np.linalg.inv(V)
