@@ -1,8 +1,8 @@
 """How large an effect has to be to be seen: its signature after everything a modeller would refit has moved to hide it.
 
 Both recordings are turned into vectors in units of their noise, y(truth). What nobody knows exactly (springs,
-dampers, masses, posture, gains, friction) is fitted to the recording with the effect, each under its tolerance as a
-prior; half the squared length of what that leaves, prior included, is how far the effect shows, in logarithms of a
+dampers, masses, posture, gains, places, friction) is fitted to the recording with the effect, each under its tolerance
+as a prior; half the squared length of what that leaves, prior included, is how far the effect shows, in logarithms of a
 likelihood ratio. The smallest visible size is where that is `SEEN`, by derivatives; at a multiple of it what shows is
 `SEEN` times the multiple's square, by a fit: what a softer neighbour or a damper imitates far beyond its derivative
 would else pass for visible. All of it by the truth code alone.
@@ -25,6 +25,7 @@ HIGHEST_HZ = 10.0  # of a torque: above, the low-pass of any identification has 
 TRANSMISSION_RAD = 2e-5  # RMS: what a gear's own error leaves of the difference between two encoders
 REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
 SETTLED_RAD = 1e-3  # from a reversal, within which nobody knows the friction: `Log.friction` has up to 2e-3
+PLACED_M = 5e-3  # one standard deviation of where a file says that sensors and blows are
 EVERY = 5  # samples of a motion log, of which one is taken
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which one is sought that shows
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
@@ -92,7 +93,8 @@ def multiple_of_visible(
         if 0.5 * float(np.sum(changed(smallest * multiple) ** 2)) < SEEN:
             raise ValueError(f"{effect.kind}@{effect.site}: expected more of it to show more")
         return scaled(effect, smallest * multiple)
-    nuisances = list(_nuisances(truth, described or kr90(), known or Tolerances()))
+    every = _nuisances(truth, described or kr90(), known or Tolerances())
+    nuisances = [n for n in every if not np.array_equal(signal(n.change(truth, STEP)), base)]  # blows of other points
     tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
     hiding, left = _hidden(signal, truth, nuisances, tangent, tension)
     if not left > 0:
@@ -234,6 +236,13 @@ def _nuisances(truth: Truth, described: Chain, known: Tolerances) -> Iterator[Nu
 
         return Nuisance(change)
 
+    def of_place(site: str, k: int) -> Nuisance:
+        def change(truth: Truth, z: float) -> Truth:
+            place = truth.moved.get(site, np.zeros(3)) + PLACED_M * z * np.eye(3)[k]
+            return replace(truth, moved={**truth.moved, site: place})
+
+        return Nuisance(change)
+
     for i in range(chain.n):
         yield of_link(i, lambda link, z: replace(link, mass=link.mass * (1 + 0.03 * z)))
         for k in range(3):
@@ -259,6 +268,10 @@ def _nuisances(truth: Truth, described: Chain, known: Tolerances) -> Iterator[Nu
             yield of_posture(name, i)
     for channel in truth.sensors:
         yield of_gain(channel.label)
+    nodes = [f"sensor:{node}" for node in dict.fromkeys(c.node for c in truth.sensors)]
+    for site in (*nodes, *(f"hammer:{c.label}" for c in truth.hammer)):
+        for k in range(3):
+            yield of_place(site, k)
 
 
 def _changed(inertia: Array, j: int, k: int, z: float) -> Array:

@@ -18,7 +18,8 @@ from twin.model.linear import state_matrix
 from twin.model.sensitivity import ComplexArray, FloatArray, Observed
 
 LARGEST = 100.0  # of an exponent: an unstable model leaks without bound
-EQUAL = 1e-9  # of the largest pole: what is closer has one function
+EQUAL = 1e-9  # of their size: poles that are closer have one function
+MASSLESS = 1e-9  # of the largest inertia: what a coordinate without one is given, so that its pole is a number
 
 
 def leakage(seen: Observed, s: ComplexArray, power: int, record_s: float, spread_s: float) -> ComplexArray:
@@ -36,9 +37,9 @@ def leakage(seen: Observed, s: ComplexArray, power: int, record_s: float, spread
 
 def leakage_later(seen: Observed, s: ComplexArray, power: int, record_s: float, spread_s: float) -> ComplexArray:
     """∂L/∂T (nf, nr, ne), per second by which a blow came earlier in the record: of g(λ) it is (λ − s) g(λ)."""
-    nv = len(seen.M)
-    pole, V, inverse = _vectors(state_matrix(seen.M, seen.C, seen.K, seen.loss, seen.integral))
-    C, B = seen.J_r @ V[:nv], inverse[:, nv : 2 * nv] @ np.linalg.solve(seen.M, seen.J_e.T)
+    nv, M = len(seen.M), _with_mass(seen.M)
+    pole, V, inverse = _vectors(state_matrix(M, seen.C, seen.K, seen.loss, seen.integral))
+    C, B = seen.J_r @ V[:nv], inverse[:, nv : 2 * nv] @ np.linalg.solve(M, seen.J_e.T)
     g, _ = _left(pole, s, power, record_s, spread_s)
     return _gain(seen, s) * np.einsum("rk,fk,ke->fre", C, (pole - s[:, None]) * g, B, optimize=True)
 
@@ -47,11 +48,11 @@ def leakage_slopes(
     seen: Observed, rate: Observed | None, s: ComplexArray, power: int, record_s: float, spread_s: float
 ) -> tuple[ComplexArray, ComplexArray]:
     """L (nf, nr, ne) and its derivatives (n, nf, nr, ne); ``rate`` has those of ``seen``, ``None`` for none."""
-    nv = len(seen.M)
-    A = state_matrix(seen.M, seen.C, seen.K, seen.loss, seen.integral)
+    nv, M = len(seen.M), _with_mass(seen.M)
+    A = state_matrix(M, seen.C, seen.K, seen.loss, seen.integral)
     pole, V, inverse = _vectors(A)
     inverse = inverse[:, nv : 2 * nv]  # of velocities
-    struck = np.linalg.solve(seen.M, seen.J_e.T)
+    struck = np.linalg.solve(M, seen.J_e.T)
     C, B = seen.J_r @ V[:nv], inverse @ struck
     g, steeper = _left(pole, s, power, record_s, spread_s)
     gain = _gain(seen, s)
@@ -60,13 +61,13 @@ def leakage_slopes(
         return L, np.zeros((0, *L.shape), complex)
     kept = np.flatnonzero(seen.integral.any(axis=0))
     forces = np.concatenate([rate.K + 1j * rate.loss, rate.C, rate.integral[:, :, kept]], axis=2)
-    pull = np.linalg.solve(seen.M, rate.M @ A[nv : 2 * nv] + forces)
+    pull = np.linalg.solve(M, rate.M @ A[nv : 2 * nv] + forces)
     change = -inverse @ pull @ V
     between = pole[:, None] - pole
-    alone = np.abs(between) < EQUAL * np.abs(pole).max(initial=1.0)
+    alone = np.abs(between) <= EQUAL * (np.abs(pole[:, None]) + np.abs(pole))
     tied = np.where(alone, 0.0, change / np.where(alone, 1.0, between))
     own = np.diagonal(change, axis1=1, axis2=2)
-    kick = inverse @ np.linalg.solve(seen.M, rate.J_e.swapaxes(1, 2) - rate.M @ struck)
+    kick = inverse @ np.linalg.solve(M, rate.J_e.swapaxes(1, 2) - rate.M @ struck)
     dL = np.einsum("rk,fk,pke->pfre", C, g, tied @ B + kick, optimize=True)
     dL += np.einsum("prk,fk,ke->pfre", rate.J_r @ V[:nv] - C @ tied, g, B, optimize=True)
     dL += np.einsum("rk,pk,fk,ke->pfre", C, own, steeper, B, optimize=True)
@@ -79,11 +80,16 @@ def _left(
 ) -> tuple[ComplexArray, ComplexArray]:
     """g and g' (nf, n) of poles (n,)."""
     apart = s[:, None] - pole
-    second = np.where(np.abs(pole) * spread_s < 1, spread_s**2, 0.0)  # faster poles have faded long before
+    fast = (np.abs(pole) * spread_s > 1) & ((pole**2).real > 0)  # overdamped: faded long before
+    second = np.where(fast, 0.0, spread_s**2)
     left = -apart * (record_s + 0.5 * second * (s[:, None] + pole))
     fade = np.exp(np.minimum(left.real, LARGEST) + 1j * left.imag) / apart
     steeper = power * pole ** max(power - 1, 0) + pole**power * (record_s + second * pole + 1 / apart)
     return pole**power * fade, fade * steeper
+
+
+def _with_mass(M: FloatArray) -> FloatArray:
+    return np.asarray(M + MASSLESS * np.diag(M).max() * np.eye(len(M)))
 
 
 def _gain(seen: Observed, s: ComplexArray) -> ComplexArray:
