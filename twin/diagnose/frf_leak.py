@@ -27,6 +27,7 @@ SLIGHT = ANALYSER  # of its swing: no FRF shows that so much of a mode is cut of
 LEAST = 0.75  # of a record is after the blow, at least
 TURN = 0.5  # rad of the fastest line, by which records are tried longer
 EXACT = 0.01  # of the steps by which lengths of records and blows are found
+INEXACT = 0.005  # of what records lack: blows differ in length by a tenth, and the mean of some by less
 JITTER_S = 3e-4  # by which the middles of blows differ: a tenth of their length
 PULSE_S, SPREAD = 8e-3, 0.218  # of a usual blow; root of the second moment of a half-sine over its length
 EXPLAINED = 0.5  # of the misfit beyond noise that leakage has to explain: a model that is far off gains some by chance
@@ -66,11 +67,13 @@ class Leak:
     Attributes:
         share: of a record after the middle of the blow, whose second moment is ``spread_s``².
         earlier: of every group by how many s the blows on each point came earlier than that, (ne,).
+        variance: of every group (nf, nr, ne), with what the model may be off by; without it the recording's own.
     """
 
     share: float
     spread_s: float
     earlier: Mapping[str, FloatArray] = field(default_factory=dict)
+    variance: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,8 @@ class CutOff(Recorded):
     def of(cls, r: Recorded, posture: PostureFRF, how: "Leak") -> "CutOff":
         """A recording that leaks."""
         known = {f.name: getattr(r, f.name) for f in fields(Recorded)}
+        if len(how.variance.get(r.group, ())) == len(r.s):
+            known["variance"] = how.variance[r.group]
         earlier = how.earlier.get(r.group, np.zeros(r.frf.shape[2]))
         return cls(**known, record_s=how.share * _record_s(posture), spread_s=how.spread_s, earlier_s=earlier)
 
@@ -132,10 +137,16 @@ def cut_off(
 
     first = min(leaks, key=cost)
     leaky = leaking(thin, campaign, first)
-    near = descend(base, fit.hypothesis, fit.parameters, leaky, fit.z, logarithmic=25, tempered=0)
-    leak, better = refined(first, campaign, base, near, sample, every)
+    starts = fit.z, np.zeros(len(fit.z))  # a model that does not leak may have come to rest far away
     plain = descend(base, fit.hypothesis, fit.parameters, thin, fit.z, tempered=0)
-    if plain.cost - better.cost < calibration()["seen"] or better.misfit - 1 > (1 - EXPLAINED) * (plain.misfit - 1):
+    near = min(
+        (descend(base, fit.hypothesis, fit.parameters, leaky, z, logarithmic=25) for z in starts),
+        key=lambda one: one.cost,
+    )
+    if not _explains(near, plain):
+        return None, []
+    leak, better = refined(first, campaign, base, near, sample, every)
+    if plain.cost - better.cost < calibration()["seen"]:
         return None, []
     left, group, frequency_hz = _worst(better.robot, sample.recordings, campaign)
     text = (
@@ -163,7 +174,8 @@ def refined(
     for _ in range(2):
         leak = replace(leak, earlier=_earlier(leaking(Sample(tuple(every)), campaign, leak), better))
         better = fitted(leak, better.z)
-    return leak, better
+    doubt = doubted(leaking(Sample(tuple(every)), campaign, leak), better)
+    return replace(leak, variance=doubt), better
 
 
 def _earlier(some: Sample, fit: Fitted) -> dict[str, FloatArray]:
@@ -203,10 +215,29 @@ def _with(leak: Leak, name: str, value: float) -> Leak:
     return replace(leak, share=value) if name == "share" else replace(leak, spread_s=value)
 
 
+def _explains(leaky: Fitted, plain: Fitted) -> bool:
+    """Whether leakage explains enough of what a fit misses beyond noise."""
+    return leaky.misfit - 1 < (1 - EXPLAINED) * (plain.misfit - 1)
+
+
 def leaking(sample: Sample, campaign: Campaign, how: Leak) -> Sample:
     """Recordings whose records end while modes ring."""
     leaky = tuple(CutOff.of(r, campaign.postures[r.group], how) for r in sample.recordings)
     return Sample(leaky, sample.repeat)
+
+
+def doubted(sample: Sample, fit: Fitted) -> dict[str, FloatArray]:
+    """The variance (nf, nr, ne) of leaking recordings with what the model of a fit may be off by, by group.
+
+    Blows differ in length: ``INEXACT`` of what records lack is not as it says.
+    """
+    seen = observe_all(fit.robot, [r.setup for r in sample.recordings], fit.parameters, fit.values)
+    found = {}
+    for r, (one, _) in zip(sample.recordings, seen, strict=True):
+        assert isinstance(r, CutOff)
+        lacks = leakage(one, r.s, r.power, r.record_s, r.spread_s)
+        found[r.group] = r.variance + 0.5 * np.abs(INEXACT * lacks) ** 2
+    return found
 
 
 def _record_s(posture: PostureFRF) -> float:

@@ -149,8 +149,9 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     given, source, told_by = ask.given, ask.source, ask.told_by
     seed, processes = ask.seed, ask.processes
     found = triage(campaign, given, source, ask.hold_out)
+    every = list(found.recordings.values())
     if ask.leak:
-        leaky = leaking(Sample(tuple(found.recordings.values())), campaign, ask.leak)
+        leaky = leaking(Sample(tuple(every)), campaign, ask.leak)
         found = replace(found, recordings={r.group: r for r in leaky.recordings})
     base = without_limits(told_by.model if told_by else given)
     sample = Sample(tuple(found.used), 1 / found.shared)
@@ -166,14 +167,14 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     if plain is not base:
         search = converge(base, free, sample, seed=seed, processes=processes)
     far = _misses(search, found)
-    if again := _leaking(campaign, base, search.base, sample, found, ask):
+    if again := _leaking(campaign, base, search.base, sample, every, ask):
         return again
     if far and (again := _without_hum(campaign, search.base, sample, ask) or _sorted_out(campaign, found, ask)):
         return again
     looked_at = _suspects(campaign, base, free, found)
     explain(base, search, sample, looked_at, ask.progress)
     best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
-    if again := _without_hum(campaign, best, sample, ask) or _leaking(campaign, base, best, sample, found, ask):
+    if again := _without_hum(campaign, best, sample, ask) or _leaking(campaign, base, best, sample, every, ask):
         return again
     answer = _answered(base, search, sample, looked_at, found, bool(told_by and told_by.fit))
     before = _as_described(base, search, answer, sample)
@@ -215,12 +216,13 @@ def _without_hum(campaign: Campaign, fit: Fitted, sample: Sample, ask: _Ask) -> 
     return finding
 
 
-def _leaking(campaign: Campaign, base: Robot, fit: Fitted, sample: Sample, found: Triage, ask: _Ask) -> Finding | None:
+def _leaking(
+    campaign: Campaign, base: Robot, fit: Fitted, sample: Sample, every: Sequence[Recorded], ask: _Ask
+) -> Finding | None:
     """What a campaign says whose records end while modes ring; ``None`` where that does not show.
 
     How they leak is found again beside the best that is known: the base model alone has it wrong by what it lacks.
     """
-    every = list(found.recordings.values())
     if ask.leak is None:
         leak, notes = cut_off(campaign, base, fit, sample, every)
     elif fit.hypothesis.pieces and not ask.leaks_so:

@@ -17,7 +17,7 @@ import numpy as np
 from twin.model.linear import state_matrix
 from twin.model.sensitivity import ComplexArray, FloatArray, Observed
 
-LARGEST = 100.0  # of an exponent: an unstable model leaks without bound
+LARGEST = 0.0  # exponent: what an unstable model leaks does not grow
 EQUAL = 1e-9  # of their size: poles that are closer have one function
 MASSLESS = 1e-9  # of the largest inertia: what a coordinate without one is given, so that its pole is a number
 
