@@ -86,6 +86,11 @@ def test_a_law_that_leaves_no_misfit_is_off_by_next_to_nothing(kr90: Robot) -> N
     fit = replace(fitted(kr90, soft, np.array(list(SERVO.values()))), data=20000)
     assert inexact(fit, bare, {}) == pytest.approx(0.15 * 0.5 * 2 * np.sqrt(2 * 20000))
     assert inexact(replace(fit, misfit=1.4), bare, {}) == pytest.approx(0.15 * 0.5 * (0.4 * 20000 + 200 * 2))
+    assert inexact(bare, bare, {}) == 0
+    leaking = replace(bare, exact=False)  # no model predicts that recording exactly, the bare one neither
+    assert inexact(leaking, leaking, {}) == pytest.approx(
+        0.15 * 0.5 * (max(bare.misfit - 1, 0) * bare.data + 2 * np.sqrt(2 * bare.data))
+    )
 
 
 def test_a_prediction_that_breaks_down_speaks_against_its_fit(kr90: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

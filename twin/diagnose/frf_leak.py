@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -80,6 +81,7 @@ class Leak:
 class CutOff(Recorded):
     """A recording whose records ended ``record_s`` after the middle of the blows, while modes still rang."""
 
+    exact: ClassVar[bool] = False
     record_s: float
     spread_s: float
     earlier_s: FloatArray

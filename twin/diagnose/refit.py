@@ -42,6 +42,7 @@ class Fitted:
         data: number of real data.
         converged: the expected gain of the next step was within tolerance.
         allowed: those of the hypothesis' pieces that are off by no more than the description allows.
+        exact: what it was fitted to is predicted but for noise by a model that is right.
     """
 
     hypothesis: Hypothesis
@@ -55,6 +56,7 @@ class Fitted:
     data: float
     converged: bool
     allowed: tuple[Hypothesis, ...] = ()
+    exact: bool = True
 
     @property
     def covariance(self) -> FloatArray:
@@ -209,6 +211,7 @@ def descend(
     return Fitted(
         hypothesis, parameters, z, values, parameters.apply(robot, values), cost,
         (2 * cost - float(z @ z)) / max(data, 1), information, data, converged,
+        exact=all(r.exact for r in sample.recordings),
     )  # fmt: skip
 
 

@@ -232,9 +232,12 @@ def inexact(fit: Fitted, base: Fitted, fits: Mapping[frozenset[str], Fitted], sc
     A structure that is not exactly the named one leaves as much; but what it leaves is misfit, and of that a second
     thing takes more than a part. A turned sensor, a gain or a number of the description
     has no law that could be off: where ``fits`` have those alone, the others' gain counts from there.
+    Of a recording that no model predicts exactly it is all that may hide in the misfit.
     """
     base = fits.get(frozenset(piece.key for piece in fit.hypothesis.pieces if piece.exact), base)
     share = calibration()["inexact_linear"] * max(fit.evidence(scale) - base.evidence(scale), 0.0)
+    if not fit.exact:
+        share = np.inf
     beyond = max(fit.misfit - 1, 0.0) + 2 * np.sqrt(2 / max(fit.data, 1))  # of χ² per datum, with its own scatter
     return min(share, calibration()["unexplained_share"] * 0.5 * float(beyond) * fit.data / scale)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -34,8 +35,10 @@ class Recorded:
         frf: (nf, nr, ne), SI per newton.
         variance: (nf, nr, ne) of real and imaginary part; infinite where a line is not used.
         stated: the variance is the recording's; where it states none, a share of the channel's RMS.
+        exact: models predict it but for noise, if they are right.
     """
 
+    exact: ClassVar[bool] = True
     group: str
     setup: Setup
     frequency: FloatArray
