@@ -11,8 +11,8 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.noise import ANALYSER
 from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
-from twin.diagnose.screen import inflation
 from twin.diagnose.search import REFIT_LINES
+from twin.identify.elastic_compare import noise_floor
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
@@ -128,9 +128,10 @@ def cut_off(
     A whole record is taken to be as long as stated, or as the spacing of its lines says. Where in it the blows are, and
     how long they are, is fitted: a mode's phase at the end tells the former to less than a millisecond.
     """
-    left, thin = _worst(fit.robot, sample.recordings, campaign)[0], sample.thin(REFIT_LINES)
-    if fit.misfit < MISSED or left < max(SLIGHT, inflation(fit, base, thin)):  # it explains no more than is left
-        return None, []
+    error = np.sqrt(max(fit.misfit - 1, 0.0)) * noise_floor(sample.recordings)
+    if fit.misfit < MISSED or _worst(fit.robot, sample.recordings, campaign)[0] < max(SLIGHT, error):
+        return None, []  # what is left of a mode explains no larger error
+    thin = sample.thin(REFIT_LINES)
     longest, fastest = _longest(campaign), _fastest(thin)
     usual = SPREAD * max([p.pulse_s for p in campaign.postures.values() if p.pulse_s] or [PULSE_S])
     leaks = [Leak(x, usual) for x in np.linspace(LEAST, 1.0, int((1 - LEAST) * longest * fastest / TURN) + 2)]

@@ -23,7 +23,7 @@ from twin.diagnose.many_postures import apart, judged
 from twin.diagnose.next_test import WEIGH, next_test, smallest_visible
 from twin.diagnose.physical import as_written, physical
 from twin.diagnose.records import FrfRecord, frf_records
-from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, noise_floor, recorded_error
+from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
 from twin.diagnose.sentences import sentence
@@ -45,6 +45,7 @@ from twin.diagnose.verdict import (
 from twin.diagnose.within import base_with, taken_in, without
 from twin.errors import InputError
 from twin.identify.damping_transfer import misses_of_frf, transfer
+from twin.identify.elastic_compare import noise_floor
 from twin.identify.objective import Sample
 from twin.identify.posterior import Posterior
 from twin.identify.recorded import Recorded, base_name, prepare, without_limits

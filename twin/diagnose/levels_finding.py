@@ -16,13 +16,13 @@ from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.next_test import next_test
 from twin.diagnose.physical import as_written
 from twin.diagnose.records import FrfRecord, Stage, frf_records
-from twin.diagnose.refit import Fitted, noise_floor
+from twin.diagnose.refit import Fitted
 from twin.diagnose.search import SCREEN_LINES, Search
 from twin.diagnose.sentences import sentence
 from twin.diagnose.struck import amplitude_entries, judge_struck, law_of, settle, without_laws
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
-from twin.identify.elastic_compare import recording_set, relative_error
+from twin.identify.elastic_compare import noise_floor, recording_set, relative_error
 from twin.identify.objective import Sample
 from twin.identify.recorded import Recorded, without_limits
 from twin.identify.uncertainty import NINETY

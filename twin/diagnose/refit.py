@@ -265,11 +265,3 @@ def placed(fit: Fitted, sample: Sample) -> Sample:
     setups = [r.setup.placed(fit.parameters, fit.values) for r in sample.recordings]
     moved = (replace(r, setup=setup) for r, setup in zip(sample.recordings, setups, strict=True))
     return replace(sample, recordings=tuple(moved))
-
-
-def noise_floor(recordings: Sequence[Recorded]) -> float:
-    """The same ratio for a residual that is all noise."""
-    objective_weight = [1 / np.sqrt(r.variance) for r in recordings]
-    data = sum(float(np.sum(np.abs(r.frf * w) ** 2)) for r, w in zip(recordings, objective_weight, strict=True))
-    count = 2 * sum(int(np.count_nonzero(w)) for w in objective_weight)
-    return float(np.sqrt(count / data))
