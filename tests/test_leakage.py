@@ -11,7 +11,7 @@ from tools.trials.wrong import case
 from tools.truth.recording import ANTI_ALIAS
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose.frf_leak import cut_off, rewindowed
+from twin.diagnose.frf_leak import cut_off, leaking, refined, rewindowed
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.identify.objective import Sample
@@ -123,6 +123,13 @@ def test_a_campaign_whose_records_leak_is_fitted_by_a_model_that_does(tmp_path: 
     late_s = np.sum(np.sin(np.pi * (2 * poles - 1) / 16)) / (2 * np.pi * ANTI_ALIAS * world.test.hit_rate_hz)
     assert leak.share * record_s == pytest.approx(record_s * 63 / 64 - late_s - world.test.pulse_s / 2, abs=1e-3)
     assert max(np.abs(shift).max() for shift in leak.earlier.values()) < 1e-3
+    leaky = leaking(sample, campaign, leak)
+    again, _ = refined(
+        leak, campaign, robot, replace(base, z=np.zeros(len(base.z))), leaky, list(found.recordings.values())
+    )
+    for name, r in found.recordings.items():  # doubt of what leaks is added once
+        doubt = [one.variance[name] - r.variance for one in (leak, again)]
+        assert np.nanmedian(doubt[1] / doubt[0]) == pytest.approx(1.0, abs=0.3)
 
 
 def test_raw_hits_that_leak_are_windowed() -> None:
@@ -151,3 +158,6 @@ def test_raw_hits_that_leak_are_windowed() -> None:
     assert again.frequency[0] == posture.frequency[0]
     assert np.linalg.norm(again.frf - H) < 0.01 * np.linalg.norm(H)
     assert rewindowed(whole) == (whole, [])
+    clipped = replace(hits, force=np.minimum(hits.force, 0.5))  # the FRFs came from other hits than these
+    given = replace(campaign, postures={"one": replace(posture, hits=clipped)})
+    assert rewindowed(given) == (given, [])

@@ -1,7 +1,7 @@
 """Records that end while the robot still rings: FRFs made again from raw hits, or models that leak as they do."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,9 +12,10 @@ from twin.diagnose.noise import ANALYSER
 from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
 from twin.diagnose.search import REFIT_LINES
+from twin.errors import InputError
 from twin.identify.elastic_compare import noise_floor
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded
+from twin.identify.recorded import Recorded, fields_of
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
 from twin.measure.spectra import END_LEVEL, needed_window_rate, posture_from_hits
 from twin.model.leakage import leakage, leakage_later, leakage_slopes
@@ -30,7 +31,7 @@ LEAST = 0.75  # of a record is after the blow, at least
 TURN = 0.5  # rad of the fastest line, by which records are tried longer
 EXACT = 0.01  # of the steps by which lengths of records and blows are found
 INEXACT = 0.005  # of what records lack: blows differ in length by a tenth, and the mean of some by less
-JITTER_S = 3e-4  # by which the middles of blows differ: a tenth of their length
+JITTER_S = 3e-4  # by which the middles of blows differ, whose lengths differ by a tenth
 PULSE_S, SPREAD = 8e-3, 0.218  # of a usual blow; root of the second moment of a half-sine over its length
 EXPLAINED = 0.5  # of the misfit beyond noise that leakage has to explain: a model that is far off gains some by chance
 
@@ -45,7 +46,10 @@ def rewindowed(campaign: Campaign) -> tuple[Campaign, list[Note]]:
         length_s = p.hits.response.shape[-1] / p.hits.sample_rate_hz
         if END_LEVEL * np.exp((rate - p.exponential_window_rate) * length_s) < SLIGHT:
             continue
-        made, _ = posture_from_hits(name, p.q_deg, p.brakes, p.hits, fmax=float(p.frequency[-1]))
+        try:
+            made, _ = posture_from_hits(name, p.q_deg, p.brakes, p.hits, fmax=float(p.frequency[-1]))
+        except InputError:  # no hit of a point can be used: the FRFs came from others
+            continue
         keep = made.frequency >= p.frequency[0] * (1 - 1e-9)
         assert made.coherence is not None
         postures[name] = replace(
@@ -90,7 +94,7 @@ class CutOff(Recorded):
     @classmethod
     def of(cls, r: Recorded, posture: PostureFRF, how: "Leak") -> "CutOff":
         """A recording that leaks."""
-        known = {f.name: getattr(r, f.name) for f in fields(Recorded)}
+        known = fields_of(r)
         if len(how.variance.get(r.group, ())) == len(r.s):
             known["variance"] = how.variance[r.group]
         earlier = how.earlier.get(r.group, np.zeros(r.frf.shape[2]))
@@ -115,7 +119,7 @@ class CutOff(Recorded):
 
     def probed(self, count: int) -> Recorded:
         """What receptance is asked for with ``count`` more excitations: the structure's own, which leaks nothing."""
-        return replace(Recorded(**{f.name: getattr(self, f.name) for f in fields(Recorded)}), power=0)
+        return replace(Recorded(**fields_of(self)), power=0)
 
 
 def cut_off(
@@ -178,8 +182,8 @@ def refined(
     for _ in range(2):
         leak = replace(leak, earlier=_earlier(leaking(Sample(tuple(every)), campaign, leak), better))
         better = fitted(leak, better.z)
-    doubt = doubted(leaking(Sample(tuple(every)), campaign, leak), better)
-    return replace(leak, variance=doubt), better
+    known = replace(leak, variance={})  # of the recordings themselves
+    return replace(leak, variance=_doubted(leaking(Sample(tuple(every)), campaign, known), better)), better
 
 
 def _earlier(some: Sample, fit: Fitted) -> dict[str, FloatArray]:
@@ -230,7 +234,7 @@ def leaking(sample: Sample, campaign: Campaign, how: Leak) -> Sample:
     return Sample(leaky, sample.repeat)
 
 
-def doubted(sample: Sample, fit: Fitted) -> dict[str, FloatArray]:
+def _doubted(sample: Sample, fit: Fitted) -> dict[str, FloatArray]:
     """The variance (nf, nr, ne) of leaking recordings with what the model of a fit may be off by, by group.
 
     Blows differ in length: ``INEXACT`` of what records lack is not as it says.

@@ -130,7 +130,7 @@ class _Ask:
     """What is asked, see :func:`diagnose_campaign`.
 
     ``sorted``: the postures are known to be of one robot. ``leak``: how records leak that end
-    while modes ring, ``leaks_so``: it was found beside an answer.
+    while modes ring, ``leak_settled``: that was found beside an answer.
     """
 
     given: Robot
@@ -142,7 +142,7 @@ class _Ask:
     processes: int
     sorted: bool = False
     leak: Leak | None = None
-    leaks_so: bool = False
+    leak_settled: bool = False
 
 
 def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
@@ -226,13 +226,13 @@ def _leaking(
     """
     if ask.leak is None:
         leak, notes = cut_off(campaign, base, fit, sample, every)
-    elif fit.hypothesis.pieces and not ask.leaks_so:
+    elif fit.hypothesis.pieces and not ask.leak_settled:
         leak, notes = refined(ask.leak, campaign, base, fit, sample, every)[0], []
     else:
         return None
     if leak is None:
         return None
-    finding = _diagnosed(campaign, replace(ask, leak=leak, leaks_so=ask.leak is not None))
+    finding = _diagnosed(campaign, replace(ask, leak=leak, leak_settled=ask.leak is not None))
     finding.warnings = [*notes, *finding.warnings]
     return finding
 

@@ -9,11 +9,11 @@ the rest what is left of its torque. With κ and the rest held at what stepping 
 model, law included, and T follows the rotation as the model changes.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.identify.recorded import Recorded
+from twin.identify.recorded import Recorded, fields_of
 from twin.measure.campaign import ComplexArray
 from twin.model.sensitivity import Observed, Structure, frf, frf_slopes
 
@@ -34,7 +34,7 @@ class UnderLaw(Recorded):
     @classmethod
     def of(cls, r: Recorded, site: str, kappa: ComplexArray, rest: ComplexArray) -> "UnderLaw":
         """A recording with a law held."""
-        return cls(**{f.name: getattr(r, f.name) for f in fields(Recorded)}, site=site, kappa=kappa, rest=rest)
+        return cls(**fields_of(r), site=site, kappa=kappa, rest=rest)
 
     def respond(self, seen: Observed, model: Structure) -> ComplexArray:
         """FRFs (nf, nr, ne) of a model where and as they were recorded, the law included."""
@@ -57,7 +57,7 @@ class UnderLaw(Recorded):
     def every(self, step: int) -> "UnderLaw":
         """Every ``step``-th line."""
         keep = slice(step // 2, None, step)
-        thin = Recorded(**{f.name: getattr(self, f.name) for f in fields(Recorded)}).every(step)
+        thin = Recorded(**fields_of(self)).every(step)
         return UnderLaw.of(thin, self.site, self.kappa[keep], self.rest[keep])
 
 

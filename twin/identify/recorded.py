@@ -1,8 +1,8 @@
 """Measured FRFs as a fit uses them: one posture and force level, its Laplace points, its noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -66,6 +66,11 @@ class Recorded:
         return replace(
             self, frequency=self.frequency[keep], s=self.s[keep], frf=self.frf[keep], variance=self.variance[keep]
         )
+
+
+def fields_of(r: Recorded) -> dict[str, Any]:
+    """What every recording has, by name: for one of another kind made of it."""
+    return {one.name: getattr(r, one.name) for one in fields(Recorded)}
 
 
 def base_name(campaign: Campaign, group: str) -> str:
