@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twin.diagnose.torque_excerpt import ENOUGH, OF_A_PIECE, excerpt
+from twin.diagnose.torque_excerpt import LOG_ENOUGH, OF_A_PIECE, excerpt
 from twin.identify.rigid import Bands
 from twin.measure.motion_log import MotionLog, MotionRun
 
@@ -19,7 +19,7 @@ def run(name: str, seconds: float, moving: tuple[float, float], rate: float = 50
 
 
 def test_a_log_of_some_minutes_is_taken_whole() -> None:
-    log = MotionLog({"run": run("run", ENOUGH / 10, (0, 1e3))})
+    log = MotionLog({"run": run("run", LOG_ENOUGH / 10, (0, 1e3))})
     same, held, notes = excerpt(log, ["run"], BANDS)
     assert same is log
     assert held == ["run"]
@@ -31,7 +31,7 @@ def test_pieces_lie_where_the_axes_move() -> None:
     log = MotionLog({"run": run("run", 3600.0, (1500.0, 2100.0))})
     some, held, (note,) = excerpt(log, None, BANDS)
     pieces = list(some.runs.values())
-    assert len(pieces) == ENOUGH / OF_A_PIECE
+    assert len(pieces) == LOG_ENOUGH / OF_A_PIECE
     assert held is None
     assert all(len(p.time) == len(p.torque) == OF_A_PIECE / 10 * 50 for p in pieces)
     assert sum((p.time[0] >= 1499) & (p.time[-1] <= 2101) for p in pieces) == 2

@@ -28,8 +28,8 @@ LEFT = 0.1  # of a mode's swing at the end of a record without a window: 10 % of
 MISSED = 1.2  # misfit of a fit that misses something
 SLIGHT = ANALYSER  # of its swing: no FRF shows that so much of a mode is cut off
 LEAST = 0.75  # of a record is after the blow, at least
-TURN = 0.5  # rad of the fastest line, by which records are tried longer
-EXACT = 0.01  # of the steps by which lengths of records and blows are found
+TRIED_RAD = 0.5  # of the fastest line, by which records are tried longer
+SETTLED_SHARE = 0.01  # of the steps by which lengths of records and blows are found
 INEXACT = 0.005  # of what records lack: blows differ in length by a tenth, and the mean of some by less
 JITTER_S = 3e-4  # by which the middles of blows differ, whose lengths differ by a tenth
 PULSE_S, SPREAD = 8e-3, 0.218  # of a usual blow; root of the second moment of a half-sine over its length
@@ -138,7 +138,7 @@ def cut_off(
     thin = sample.thin(REFIT_LINES)
     longest, fastest = _longest(campaign), _fastest(thin)
     usual = SPREAD * max([p.pulse_s for p in campaign.postures.values() if p.pulse_s] or [PULSE_S])
-    leaks = [Leak(x, usual) for x in np.linspace(LEAST, 1.0, int((1 - LEAST) * longest * fastest / TURN) + 2)]
+    leaks = [Leak(x, usual) for x in np.linspace(LEAST, 1.0, int((1 - LEAST) * longest * fastest / TRIED_RAD) + 2)]
 
     def cost(leak: Leak) -> float:
         return Objective(fit.robot, fit.parameters, leaking(thin, campaign, leak), logarithmic=True).cost(fit.z)
@@ -175,7 +175,10 @@ def refined(
         return descend(base, fit.hypothesis, fit.parameters, leaking(thin, campaign, how), z, tempered=0)
 
     better = fitted(leak, fit.z)
-    for name, reach in (("share", TURN / _longest(campaign) / _fastest(thin)), ("spread_s", 0.5 * leak.spread_s)) * 2:
+    for name, reach in (
+        ("share", TRIED_RAD / _longest(campaign) / _fastest(thin)),
+        ("spread_s", 0.5 * leak.spread_s),
+    ) * 2:
         found = _along(lambda how, z=better.z: fitted(how, z).cost, leak, name, reach)  # type: ignore[misc]
         if (again := fitted(found, better.z)).cost < better.cost:
             leak, better = found, again
@@ -212,7 +215,7 @@ def _fastest(sample: Sample) -> float:
 def _along(cost: Callable[[Leak], float], leak: Leak, name: str, reach: float) -> Leak:
     """The leak of least cost within reach of one of its numbers."""
     middle = getattr(leak, name)
-    bounds, options = (middle - reach, middle + reach), {"xatol": EXACT * reach}
+    bounds, options = (middle - reach, middle + reach), {"xatol": SETTLED_SHARE * reach}
     found = minimize_scalar(
         lambda x: cost(replace(leak, **{name: x})), bounds=bounds, method="bounded", options=options
     )

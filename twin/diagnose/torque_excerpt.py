@@ -8,22 +8,22 @@ from twin.diagnose.note import Note
 from twin.identify.rigid import Bands
 from twin.measure.motion_log import MotionLog, MotionRun
 
-ENOUGH = (
+LOG_ENOUGH = (
     2400.0  # seconds times hertz of the low-pass, six thousand rows of a joint: a little more than logs of the proof
 )
 OF_A_PIECE = 200.0  # the same of a piece
 
 
 def excerpt(log: MotionLog, hold_out: list[str] | None, bands: Bands) -> tuple[MotionLog, list[str] | None, list[Note]]:
-    """A log of no more than ``ENOUGH``, the names in it of what is held out, and a note; a short log as it is.
+    """A log of no more than ``LOG_ENOUGH``, the names in it of what is held out, and a note; a short log as it is.
 
     A search takes time in proportion to the log, and what it finds in some minutes of motion an hour tells no better.
     Every piece keeps its time, so that what drifts over the log still does.
     """
     hz, seconds = bands.fit[1], _seconds(log)
-    if seconds * hz <= ENOUGH:
+    if seconds * hz <= LOG_ENOUGH:
         return log, hold_out, []
-    length, count = OF_A_PIECE / hz, ENOUGH / OF_A_PIECE
+    length, count = OF_A_PIECE / hz, LOG_ENOUGH / OF_A_PIECE
     usual = np.sqrt(np.mean(np.concatenate([_speed(run) ** 2 for run in log.runs.values()]), axis=0))
     pieces: dict[str, tuple[str, MotionRun]] = {}
     for name, run in log.runs.items():
