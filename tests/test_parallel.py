@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from twin.errors import InputError
-from twin.parallel import cores, spread
+from twin.parallel import cores, side_by_side, spread
 
 forking = pytest.mark.skipif(sys.platform != "linux", reason="processes fork on Linux only")
 
@@ -105,3 +106,25 @@ def test_a_process_that_is_ended_before_it_works_ends_nobody_else(tmp_path: Path
     )
     found = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
     assert (found.returncode, found.stdout, found.stderr) == (0, "", "")
+
+
+def test_threads_give_results_in_order_and_hold_no_more_than_they_are() -> None:
+    taken = []
+
+    def items() -> Iterator[int]:
+        for number in range(9):
+            taken.append(number)
+            yield number
+
+    def square(number: int) -> int:
+        time.sleep(0.002 * (9 - number))
+        return number**2
+
+    for k, found in enumerate(side_by_side(square, items())):
+        assert found == k**2
+        assert len(taken) <= k + max(cores(), 1)
+
+
+def test_an_error_in_a_thread_is_raised() -> None:
+    with pytest.raises(ZeroDivisionError):
+        list(side_by_side(lambda number: 1 // number, [1, 0, 2]))

@@ -369,7 +369,13 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     sample = Sample(tuple(found.used), 1 / found.shared)
     settled, best, decision = answer.base, answer.best, answer.decision
     recordings = found.used, found.kept, found.shared, search.processes
-    records, errors = frf_records(without_limits(given), before, best, *recordings)
+
+    def beside(number: int) -> Any:
+        if number:
+            return misses_of_frf(physical(best.robot), Posterior.of(best), found.kept)
+        return frf_records(without_limits(given), before, best, *recordings)
+
+    (records, errors), misses = spread(beside, 2, search.processes)
     free = records
     if _zeros(best):  # against free angles, too, the zero of an axis has to gain
         free, _ = frf_records(without_limits(given), settled, best, *recordings)
@@ -387,7 +393,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
             *taken_in(answer.doubts, answer.best),
         ],
         finalists=finalists(search.base, answer.fits), gain=gained(free),
-        fits=(before, best), damping=transfer(misses_of_frf(physical(best.robot), Posterior.of(best), found.kept)),
+        fits=(before, best), damping=transfer(misses),
     )  # fmt: skip
     finding.missing = [replace(m, evidence=_told(m, finding)) for m in answer.missing]
     return finding

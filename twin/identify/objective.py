@@ -1,8 +1,8 @@
 """Posterior cost of a robot's free numbers on measured FRFs, with its derivatives: what every fit to FRFs evaluates."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -27,12 +27,14 @@ from twin.model.sensitivity import (
     spatial_inertia,
     telling,
 )
+from twin.parallel import side_by_side
 from twin.robot.bodies import Inertial
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
 ROWS = 1 << 30  # bytes of derivatives that are kept for the bend of a valley; of more it is not known
 Changes = dict[tuple[Any, ...], Any]
+_Sloping = tuple[Recorded, FloatArray, Callable[[], tuple[ComplexArray, ComplexArray]], NDArray[np.intp]]
 """What entries and links change in a mechanism, kept while the values are the same."""
 
 
@@ -173,12 +175,15 @@ class Objective(Cost):
 
     def jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted residual (data,) and derivatives (n, data) of the weighted prediction with respect to z."""
-        rows, rest = [], []
-        for r, w, (H, dH, moves) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
+
+        def one(sloping: _Sloping) -> tuple[FloatArray, FloatArray]:
+            r, w, slopes, moves = sloping
+            H, dH = slopes()
             row = np.zeros((len(z), *H.shape), complex)
             row[moves] = dH * w
-            rows.append(row.reshape(len(z), -1).view(float))
-            rest.append(((r.frf - H) * w).reshape(-1).view(float))
+            return ((r.frf - H) * w).reshape(-1).view(float), row.reshape(len(z), -1).view(float)
+
+        rest, rows = zip(*side_by_side(one, self._sloping(z)), strict=True)
         return np.concatenate(rest), np.concatenate(rows, axis=1)
 
     def cost(self, z: FloatArray) -> float:
@@ -195,19 +200,24 @@ class Objective(Cost):
         cost, gradient, information = 0.5 * float(self.whole(z) @ self.whole(z)), z.copy(), np.eye(len(z))
         self.rows.clear()
         held = 0
-        for r, w, (H, dH, moves) in zip(self.sample.recordings, self.weight, self._slopes(z), strict=True):
-            own, pulled, factor = self.pull(r, H, w)
+        for own, e, G, moves, square in side_by_side(self._felt, self._sloping(z)):
             cost += own
-            G = np.multiply(dH, factor, order="C").reshape(len(moves), -1).view(float)
-            e = np.ascontiguousarray(pulled).reshape(-1).view(float)
             gradient[moves] += G @ e
-            information[np.ix_(moves, moves)] += G @ G.T
+            information[np.ix_(moves, moves)] += square
             held += G.nbytes
             if held > ROWS:
                 self.rows.clear()
             elif self.bends and not self.logarithmic:
                 self.rows.append((e, G, moves))
         return cost, gradient, information
+
+    def _felt(self, sloping: _Sloping) -> tuple[float, FloatArray, FloatArray, NDArray[np.intp], FloatArray]:
+        """Of one recording: cost, residual e, its derivatives G, by what, and G Gᵀ."""
+        r, w, slopes, moves = sloping
+        H, dH = slopes()
+        own, pulled, factor = self.pull(r, H, w)
+        G = np.multiply(dH, factor, order="C").reshape(len(moves), -1).view(float)
+        return own, np.ascontiguousarray(pulled).reshape(-1).view(float), G, moves, G @ G.T
 
     def _drawn(self, z: FloatArray, count: int) -> tuple[float, FloatArray, FloatArray]:
         """The same, the matrix of ``count`` draws from the lines of every recording."""
@@ -236,15 +246,17 @@ class Objective(Cost):
             total[moves] += G @ ((plus - 2 * e + minus) / h**2)
         return total
 
-    def _slopes(self, z: FloatArray) -> Iterator[tuple[ComplexArray, ComplexArray, NDArray[np.intp]]]:
-        """Prediction, its derivatives (m, …) with respect to the m coordinates that move it, and which those are."""
+    def _sloping(self, z: FloatArray) -> Iterator[_Sloping]:
+        """Of every recording its weight, what returns its prediction and derivatives (m, …) with respect to the m
+        coordinates that move it, and which those are."""
         if self._linear:
             transform, every = self.free.transform(self.free.values(z)), np.arange(len(z))
-            for r, one, (_, _, rate) in zip(self.sample.recordings, self._along(z), self._linear, strict=True):
-                yield *r.respond_slopes(*one, contract(rate, transform)), every
+            parts = zip(self.sample.recordings, self.weight, self._along(z), self._linear, strict=True)
+            for r, w, one, (_, _, rate) in parts:
+                yield r, w, partial(r.respond_slopes, *one, contract(rate, transform)), every
             return
-        for r, (seen, model, felt, moves) in zip(self.sample.recordings, self._rates(z), strict=True):
-            yield *r.respond_slopes(seen, model, felt), moves
+        for r, w, (seen, model, felt, moves) in zip(self.sample.recordings, self.weight, self._rates(z), strict=True):
+            yield r, w, partial(r.respond_slopes, seen, model, felt), moves
 
     def _rates(self, z: FloatArray) -> Iterator[tuple[Observed, Structure, Observed, NDArray[np.intp]]]:
         """Of every recording the model, its derivatives by the m coordinates that move it, and which those are."""
