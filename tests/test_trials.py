@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from tools.trials import __main__ as trials
 from tools.trials import ask, cases, make, real, reference, score, store, visible
@@ -18,6 +19,7 @@ from tools.trials.naive import best_correlated
 from tools.trials.report import _reading
 from tools.trials.score import Rate, Scored
 from tools.trials.visible import SEEN, hammer_signal, level_signal, multiple_of_visible, overlap, scaled
+from tools.truth import chain
 from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
 from tools.truth.recording import HammerTest, Posture, Truth, draw_postures, draw_truth, plain, write_campaign
@@ -502,6 +504,37 @@ def test_what_a_softer_neighbour_imitates_shows_by_its_tolerance_alone(monkeypat
     shown = 0.5 * (np.log1p(k / seen["stiffness"]) / width) ** 2
     assert shown == pytest.approx(SEEN * multiple**2, rel=visible.NEAR - 1)
     assert k / seen["stiffness"] > 2 * np.sqrt(2 * SEEN) * multiple * width
+
+
+def test_what_a_refit_leaves_is_what_scipy_leaves_with_fewer_derivatives() -> None:
+    """Springs in series, seen through noise: bent, and far from the start."""
+    rng = np.random.default_rng(5)
+    A, seen = rng.normal(size=(60, 8)), 30 * rng.normal(size=60)
+    asked = []
+
+    def residual(z: np.ndarray) -> np.ndarray:
+        return np.concatenate([40 * np.tanh(A @ np.exp(0.6 * z) / 8) - seen, z])
+
+    def slopes(z: np.ndarray) -> np.ndarray:
+        asked.append(z)
+        inside = A @ np.exp(0.6 * z) / 8
+        bent = 40 * (1 / np.cosh(inside) ** 2)[:, None] * A * 0.6 * np.exp(0.6 * z) / 8
+        return np.vstack([bent, np.eye(8)])
+
+    found, mine = visible._least(residual, slopes, np.zeros(8)), len(asked)
+    asked.clear()
+    known = least_squares(residual, np.zeros(8), slopes, ftol=1e-10)
+    assert float(found @ found) == pytest.approx(2 * known.cost, rel=2 * visible.FITTED)
+    assert mine < len(asked)
+
+
+def test_cross_products_are_numpys() -> None:
+    rng = np.random.default_rng(0)
+    for a, b in (((3,), (3,)), ((7, 3), (3,)), ((4, 1, 3), (5, 3))):
+        x, y = rng.normal(size=a), rng.normal(size=b)
+        assert np.allclose(chain.cross(x, y), np.cross(x, y), rtol=0, atol=1e-14)
+    x, y = rng.normal(size=(2, 3))
+    assert np.allclose(chain.skew(x) @ y, np.cross(x, y), rtol=0, atol=1e-14)
 
 
 def test_no_size_is_drawn_from_a_channel_that_tells_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

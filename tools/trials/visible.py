@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from tools.truth.chain import Array, Chain, Link, Tolerances, kr90
 from tools.truth.effects import Effect
+from tools.truth.elastic import Structure
 from tools.truth.motion import Log, Run, motor_torque
-from tools.truth.recording import HammerTest, Posture, Truth, accelerance, hit_variance
+from tools.truth.recording import HammerTest, Posture, Truth, accelerance, hit_variance, structure_at
 
 SEEN = 8.0
 LINES = 40  # of an FRF, standing for all
@@ -29,10 +29,12 @@ PLACED_M = 5e-3  # one standard deviation of where a file says that sensors and 
 EVERY = 5  # samples of a motion log, of which one is taken
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which one is sought that shows
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
-FITS = 12  # evaluations of a refit
+FITS = 30  # steps of a refit, those that do not help among them
+FITTED = 1e-3  # share of what is left that one step more would gain, below which a refit ends
+LEAST_SHARE = 0.1  # of what the derivatives promise, which a step that helps gains
 IMPOSSIBLE = 1e9  # deviations: what a robot that cannot be answers
 NEAR = 1.15  # what shows over what is to show, from which on a size is not drawn in or out again,
-CORRECTIONS = 3  # as often
+CORRECTIONS = 8  # as often
 
 Signal = Callable[[Truth], Array]
 
@@ -99,18 +101,23 @@ def multiple_of_visible(
     hiding, left = _hidden(signal, truth, nuisances, tangent, tension)
     if not left > 0:
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
-    factor = float(np.sqrt(2 * SEEN / left) * multiple)
+    factor, asked = float(np.sqrt(2 * SEEN / left) * multiple), SEEN * multiple**2
+    too_small: tuple[float, float] | None = None  # logarithms of a size and of what it shows
+    too_large: tuple[float, float] | None = None
     for _ in range(CORRECTIONS):
-        if factor > LARGEST_FACTOR:
+        if factor > LARGEST_FACTOR:  # as a gap in a joint whose load never changes sign
             break
         shown = _refitted(signal, truth, nuisances, base + changed(factor), factor * hiding, tension)
-        share = SEEN * multiple**2 / shown
-        if 1 / NEAR < share < NEAR:
-            break
-        factor *= float(np.clip(np.sqrt(share), 0.3, 3.0))
-    if factor > LARGEST_FACTOR:  # as a gap in a joint whose load never changes sign
-        raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows at a usual size")
-    return scaled(effect, factor)
+        if asked / NEAR < shown < asked * NEAR:
+            return scaled(effect, factor)
+        point = float(np.log(factor)), float(np.log(max(shown, 1e-12) / asked))
+        too_small, too_large = (point, too_large) if shown < asked else (too_small, point)
+        if too_small and too_large:
+            share = np.clip(-too_small[1] / (too_large[1] - too_small[1]), 0.1, 0.9)
+            factor = float(np.exp(too_small[0] + share * (too_large[0] - too_small[0])))
+        else:
+            factor *= float(np.clip(np.exp(-0.5 * point[1]), 0.3, 3.0))
+    raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows at a usual size")
 
 
 def shows(truth: Truth, signal: Signal, change: Array, described: Chain, known: Tolerances) -> float:
@@ -173,8 +180,33 @@ def _refitted(
 
     with np.errstate(invalid="ignore"):
         first = min((start, np.zeros(len(z))), key=lambda z: float(np.sum(residual(z) ** 2)))
-        found = least_squares(residual, first, slopes, max_nfev=FITS, ftol=1e-3)
-    return float(0.5 * np.sum(found.fun[: None if tension else len(seen)] ** 2))
+        found = _least(residual, slopes, first)
+    return float(0.5 * np.sum(found[: None if tension else len(seen)] ** 2))
+
+
+def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array], z: Array) -> Array:
+    """Residuals (m,) of least squares by the steps of Levenberg and Marquardt.
+
+    Derivatives cost as much as a hundred residuals. They are kept up by Broyden's update, and computed again where a
+    step does not help, and at the end: there another step would gain less than `FITTED`.
+    """
+    r, J, exact, held = residual(z), slopes(z), True, 0.0
+    for _ in range(FITS):
+        step = np.linalg.solve(J.T @ J + held * np.eye(len(z)), -J.T @ r)
+        promised = float(r @ r - np.sum((r + J @ step) ** 2))
+        if promised > FITTED * float(r @ r):
+            there = residual(z + step)
+            if r @ r - there @ there > LEAST_SHARE * promised:
+                z, J, exact = z + step, J + np.outer(there - r - J @ step, step) / (step @ step), False
+                r, held = there, held / 10 if held > 1 else 0.0
+                continue
+        elif exact:
+            break
+        if exact:
+            held = max(10 * held, 1.0)
+        else:
+            J, exact = slopes(z), True
+    return r
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:
@@ -290,6 +322,17 @@ def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Seque
     thin = replace(test, lines=LINES, spacing_hz=span / LINES, window=test.decay, levels_n=(), hits=0)
     deviation: dict[str, Array] = {}
     known: dict[tuple[str, int], tuple[Truth, Array]] = {}
+    stands: dict[str, tuple[Truth, Structure]] = {}  # of a posture the last one: channels change none
+
+    def structure(truth: Truth, posture: Posture) -> Structure:
+        name = posture.name
+        if name in stands:
+            before, found = stands[name]
+            same = before.chain is truth.chain and before.effects == truth.effects
+            if same and np.array_equal(before.posture_error[name], truth.posture_error[name]):
+                return found
+        stands[name] = truth, structure_at(truth, posture)
+        return stands[name][1]
 
     def frf(truth: Truth, posture: Posture) -> Array:
         key = posture.name, id(truth.chain)
@@ -299,7 +342,9 @@ def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Seque
             same = same and before.moved is truth.moved
             if same and np.array_equal(before.posture_error[posture.name], truth.posture_error[posture.name]):
                 return found
-        found = accelerance(replace(truth, sag=False), (posture,), thin)[0][0, 0][:, :, list(points)]
+        upright = replace(truth, sag=False)
+        stiff = [structure(upright, posture)]
+        found = accelerance(upright, (posture,), thin, structures=stiff)[0][0, 0][:, :, list(points)]
         if key not in known:
             known[key] = truth, found
         return found

@@ -19,8 +19,10 @@ from tools.truth.chain import (
     Chain,
     Link,
     constant_transform,
+    cross,
     inertia_from,
     second_moments,
+    skew,
     symmetric,
 )
 from tools.truth.effects import Effect, TruthError
@@ -66,9 +68,10 @@ class Structure:
         zones = self.zones[int(body.removeprefix("link")) - 1]
         frame = next(zone.frame for zone in zones if position[0] < zone.end)
         place = frame.origin + frame.turn @ position
-        moved = self.screws[:, 3:] + self.screws[:, :3] @ np.cross(np.eye(3), place)  # ω × r, row by row
-        on_path = np.isin(np.arange(len(self.names)), frame.path)
-        return moved @ (frame.turn @ direction) * on_path
+        moved = self.screws[:, 3:] + self.screws[:, :3] @ skew(place)  # ω × r, row by row
+        felt, path = np.zeros(len(self.names)), list(frame.path)
+        felt[path] = moved[path] @ (frame.turn @ direction)
+        return felt
 
     def receptance(self, s: Complex, response: Array, excitation: Array) -> Complex:
         """Displacement per force (nf, nr, ne) at s = σ + iω (nf,), for rows (nr, n) and (ne, n)."""
@@ -123,14 +126,14 @@ class _Builder:
         k: float,
         c: float,
         *,
-        at: Array | float = 0.0,
+        at: Array | None = None,
         armature: float = 0.0,
     ) -> Frame:
         """The frame behind a hinge about `axis` of `frame` through the point `at` of it."""
         direction = frame.turn @ axis
-        point = frame.origin + frame.turn @ np.broadcast_to(at, 3)
+        point = frame.origin if at is None else frame.origin + frame.turn @ at
         turn = rotation_about(direction, self.rest.get(name, 0.0))
-        path = self._add(frame, name, np.concatenate([direction, np.cross(point, direction)]), (k, c, armature))
+        path = self._add(frame, name, np.concatenate([direction, cross(point, direction)]), (k, c, armature))
         return Frame(turn @ frame.turn, point + turn @ (frame.origin - point), path)
 
     def slide(self, frame: Frame, name: str, axis: Array, k: float, c: float) -> Frame:
@@ -156,12 +159,12 @@ class _Builder:
         coms = np.array([frame.origin + frame.turn @ link.com for link, frame in self.bodies])
         inertias = np.array([frame.turn @ link.inertia @ frame.turn.T for link, frame in self.bodies])
         jw = screws[None, :, :3] * path
-        jv = (screws[None, :, 3:] + np.cross(screws[None, :, :3], coms[:, None])) * path
+        jv = (screws[None, :, 3:] + cross(screws[None, :, :3], coms[:, None])) * path
         mass = np.einsum("b,bik,bjk->ij", masses, jv, jv) + np.einsum("bik,bkl,bjl->ij", jw, inertias, jw)
         # Potential −Σ m g·p: its gradient is the load on the springs, its Hessian the gravity stiffness. For i at
         # or inboard of j on a path, ∂²p/∂u_i∂u_j = ω_i × ∂p/∂u_j.
         weight = masses[:, None] * g
-        swing = np.cross(jw[:, :, None], jv[:, None])
+        swing = cross(jw[:, :, None], jv[:, None])
         upper = np.triu(-np.einsum("bk,bijk->ij", weight, swing))
         gravity = upper + np.triu(upper, 1).T
         k, c, armature = (np.diag(column) for column in springs.T)
@@ -172,8 +175,10 @@ class _Builder:
 
 def rotation_about(axis: Array, angle: float) -> Array:
     """Rodrigues' formula."""
-    cross = np.cross(np.eye(3), axis)
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    if not angle:
+        return np.eye(3)
+    turning = skew(axis)
+    return np.eye(3) + np.sin(angle) * turning + (1 - np.cos(angle)) * turning @ turning
 
 
 def assemble(

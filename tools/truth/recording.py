@@ -7,6 +7,7 @@ spectrum, sensor noise, averaging, coherence, windows. The answer goes into a JS
 import json
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -217,8 +218,9 @@ def rows(truth: Truth, structure: Structure) -> tuple[Array, Array]:
             turned[e.site] = turns[1] @ turns[0]
 
     def row(channel: Channel, site: str) -> Array:
-        direction = turned.get(site, np.eye(3)) @ channel.direction
-        return structure.row(channel.body, channel.position + truth.moved.get(site, np.zeros(3)), direction)
+        direction = turned[site] @ channel.direction if site in turned else channel.direction
+        position = channel.position + truth.moved[site] if site in truth.moved else channel.position
+        return structure.row(channel.body, position, direction)
 
     return (
         np.array([row(c, f"sensor:{c.node}") for c in truth.sensors]),
@@ -244,14 +246,18 @@ def structure_at(truth: Truth, posture: Posture) -> Structure:
 
 
 def accelerance(
-    truth: Truth, postures: tuple[Posture, ...], test: HammerTest, rng: np.random.Generator | None = None
+    truth: Truth,
+    postures: tuple[Posture, ...],
+    test: HammerTest,
+    rng: np.random.Generator | None = None,
+    structures: Sequence[Structure] | None = None,
 ) -> list[Complex]:
-    """Noise-free FRFs of each posture, (nlevel, nhit, nf, nr, ne), (m/s²)/N.
+    """Noise-free FRFs of each posture, (nlevel, nhit, nf, nr, ne), (m/s²)/N; its `structures`, where they are known.
 
     One hit is enough for a linear truth; a nonlinear one has `averages` when the test's blows differ in force, drawn
     from `rng`.
     """
-    structures = [structure_at(truth, posture) for posture in postures]
+    structures = structures or [structure_at(truth, posture) for posture in postures]
     directions = [rows(truth, structure) for structure in structures]
     s = test.decay + 2j * np.pi * test.frequency
     if structures[0].laws:
