@@ -18,13 +18,13 @@ from twin.identify.elastic import fit_frf
 from twin.identify.elastic_compare import judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
 from twin.identify.recorded import prepare
-from twin.identify.uncertainty import combinations, estimates, interval, profile
+from twin.identify.uncertainty import beside_prior, combinations, estimates, interval, profile
 from twin.measure.campaign import Campaign, Channels, PostureFRF, as_quantity, read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.uff import write_uff
 from twin.model.frf import frf as reference_frf
 from twin.model.linear import linearise
-from twin.model.parameters import Parameter, free_parameters, independent
+from twin.model.parameters import Parameter, Parameters, free_parameters, independent
 from twin.robot.description import Robot, load_robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
 
@@ -437,12 +437,52 @@ def test_saturated_tolerances_are_named(measured: SimpleNamespace, tmp_path: Pat
     assert any("misses the data" in text for text in found.warnings)
 
 
+def test_a_spring_has_the_interval_of_its_compliance() -> None:
+    spring = Parameter("joint2.x.stiffness", "N·m/rad", "entry", True, 2e7, 1.6)
+    compliance = Parameter("joint2.x.compliance", "rad/(N·m)", "entry", True, 5e-8, 1.6)
+    low, high = interval(spring, 0.4, 0.9, 0.4 / 1.6**2, 1 / 1.6**2)
+    np.testing.assert_allclose(interval(compliance, -0.4, 0.9, -0.4 / 1.6**2, 1 / 1.6**2), (1 / high, 1 / low))
+
+
+def test_a_damper_that_hardly_shows_is_not_said_to_be_as_large_as_it_seems() -> None:
+    """Of c the data know 0.3 ± 0.2, the prior only its decade: the exact 5 % and 95 % of p(ln c), by integration."""
+    damper = Parameter("joint2.x.damping", "N·m·s/rad", "entry", True, 0.1, 2.3)
+    x = np.linspace(-25, 10, 400001)
+    energy = 0.5 * ((0.1 * np.exp(x) - 0.3) / 0.2) ** 2 + 0.5 * (x / 2.3) ** 2
+    weight = np.cumsum(np.exp(-energy))
+    expected = 0.1 * np.exp(np.interp([0.05, 0.95], weight / weight[-1], x))
+    best = float(x[np.argmin(energy)])
+    known = 0.1 * np.exp(best)
+    deviation = ((known / 0.2) ** 2 + 1 / 2.3**2) ** -0.5  # as Gauss and Newton have it
+    found = interval(damper, best, deviation, best / 2.3**2, 1 / 2.3**2)
+    np.testing.assert_allclose(found, expected, rtol=0.02)
+    assert found[0] < 0.5 * known * np.exp(-1.645 * deviation)
+
+
+def test_slope_and_curvature_of_a_prior_are_those_where_all_others_follow() -> None:
+    rng = np.random.default_rng(3)
+    A, F = rng.normal(size=(2, 3, 3))
+    items = [Parameter(f"joint{i + 1}.z.stiffness", "N·m/rad", "spring", True, 1.0, 1.0) for i in range(3)]
+    known, z = Parameters(tuple(items), A @ A.T), rng.normal(size=3)
+    covariance = known.root @ np.linalg.inv(F @ F.T + np.eye(3)) @ known.root.T
+    x, deviation, slope, held = beside_prior(known, z, covariance, 1)
+    follow = covariance[:, 1] / covariance[1, 1]
+    ends = [
+        0.5 * (known.root @ z + t * follow) @ np.linalg.solve(A @ A.T, known.root @ z + t * follow)
+        for t in (-1.0, 0.0, 1.0)
+    ]
+    assert x == pytest.approx((known.root @ z)[1])
+    assert slope == pytest.approx(0.5 * (ends[2] - ends[0]))
+    assert held == pytest.approx(ends[2] - 2 * ends[1] + ends[0])
+    assert 1 / deviation**2 > held
+
+
 @pytest.mark.parametrize("x", [-3.0, -0.5, 0.0, 0.5, 3.0])
 @pytest.mark.parametrize("deviation", [0.01, 0.1, 0.2, 0.25])
 def test_no_interval_lies_beside_a_value_far_above_its_prior(x: float, deviation: float) -> None:
     """A bearing fitted at eleven deviations of its prior, as springs are where the foundation gives way unmodelled."""
     spring = Parameter("joint2.x.stiffness", "N·m/rad", "spring", True, 1.18e7, 0.263)
-    low, high = interval(spring, x, deviation, 0.263)
+    low, high = interval(spring, x, deviation, x / 0.263**2, 1 / 0.263**2)
     assert 0 < low < high
     assert spring.value(x) < high
     assert x <= 0 or low < spring.value(x)

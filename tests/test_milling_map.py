@@ -154,7 +154,7 @@ def test_draws_have_the_intervals_that_a_fit_reports():
     information = (1 - 1 / 2.3**2) * 2.3**2  # the data know it to a factor of e
     posterior = Posterior(Parameters((prior,), np.array([[2.3**2]])), np.array([-0.5]), np.array([[information]]))
     values = posterior.draw(3000, seed=1)[:, 0]
-    low, high = interval(prior, -0.5 * 2.3, 1.0, 2.3)
+    low, high = interval(prior, -0.5 * 2.3, 1.0, -0.5 / 2.3, 1 / 2.3**2)
     assert (values < low).mean() == pytest.approx(0.05, abs=0.02)
     assert (values > high).mean() == pytest.approx(0.05, abs=0.02)
 

@@ -84,6 +84,23 @@ def test_an_angle_that_is_written_down_wrongly_is_put_right(step_deg: float, tmp
 
 
 @pytest.mark.slow
+def test_a_wrong_angle_is_found_where_it_was_kept_aside(tmp_path: Path) -> None:
+    """Its own angle is estimated again before a posture is foretold: that must not hide that it is 8° elsewhere."""
+    world, *_ = case("nothing", "hammer", "arm", 942, False)
+    record(world, tmp_path, np.random.default_rng(942))
+    write_description(machines()["arm"], tmp_path / "robot.yaml")
+    campaign = read_campaign(tmp_path / "frf.h5")
+    name, posture = list(campaign.postures.items())[-1]
+    wrong = replace(posture, q_deg=posture.q_deg + 8.0 * np.eye(3)[2])
+    spoilt = replace(campaign, postures={**campaign.postures, name: wrong})
+    verdict = twin.diagnose(spoilt, robot=str(tmp_path / "robot.yaml"), hold_out=[name])
+    (note,) = (note for note in verdict.data()["triage"] if note["severity"] == "fail")
+    assert note["kind"] == "posture"
+    assert name in note["text"]
+    assert verdict.word == "adequate"
+
+
+@pytest.mark.slow
 def test_a_run_of_another_robot_is_told(tmp_path: Path) -> None:
     """The run kept aside is of another robot: the others are diagnosed alone."""
     verdict = _diagnosed("other_robot", "log", "arm", 931, tmp_path)

@@ -26,6 +26,7 @@ TRANSMISSION_RAD = 2e-5  # RMS: what a gear's own error leaves of the difference
 REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
 SETTLED_RAD = 1e-3  # from a reversal, within which nobody knows the friction: `Log.friction` has up to 2e-3
 PLACED_M = 5e-3  # one standard deviation of where a file says that sensors and blows are
+TURNED_RAD = np.deg2rad(0.1)  # the same of their directions
 EVERY = 5  # samples of a motion log, of which one is taken
 SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 100.0  # of sizes as drawn, between which one is sought that shows
 STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effect as drawn
@@ -268,10 +269,10 @@ def _nuisances(truth: Truth, described: Chain, known: Tolerances) -> Iterator[Nu
 
         return Nuisance(change)
 
-    def of_place(site: str, k: int) -> Nuisance:
+    def of_channel(which: str, width: float, site: str, k: int) -> Nuisance:
         def change(truth: Truth, z: float) -> Truth:
-            place = truth.moved.get(site, np.zeros(3)) + PLACED_M * z * np.eye(3)[k]
-            return replace(truth, moved={**truth.moved, site: place})
+            known = getattr(truth, which)
+            return replace(truth, **{which: {**known, site: known.get(site, np.zeros(3)) + width * z * np.eye(3)[k]}})
 
         return Nuisance(change)
 
@@ -303,7 +304,8 @@ def _nuisances(truth: Truth, described: Chain, known: Tolerances) -> Iterator[Nu
     nodes = [f"sensor:{node}" for node in dict.fromkeys(c.node for c in truth.sensors)]
     for site in (*nodes, *(f"hammer:{c.label}" for c in truth.hammer)):
         for k in range(3):
-            yield of_place(site, k)
+            yield of_channel("moved", PLACED_M, site, k)
+            yield of_channel("turned", TURNED_RAD, site, k)
 
 
 def _changed(inertia: Array, j: int, k: int, z: float) -> Array:
@@ -339,7 +341,7 @@ def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Seque
         if key in known:
             before, found = known[key]
             same = before.chain is truth.chain and before.effects == truth.effects and before.gain == truth.gain
-            same = same and before.moved is truth.moved
+            same = same and before.moved is truth.moved and before.turned is truth.turned
             if same and np.array_equal(before.posture_error[posture.name], truth.posture_error[posture.name]):
                 return found
         upright = replace(truth, sag=False)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.signal import butter, sosfilt
 
 from tools.truth.blows import half_sine, nonlinear_frf, strike, transform
-from tools.truth.chain import POSTURES_DEG, Array, Chain, Tolerances, flange_position, kr90, perturb
+from tools.truth.chain import POSTURES_DEG, Array, Chain, Tolerances, cross, flange_position, kr90, perturb
 from tools.truth.effects import EFFECTS, Effect, TruthError, draw
 from tools.truth.elastic import AXES, Structure, assemble, rotation_about
 from tools.truth.laws import Complex
@@ -132,7 +132,7 @@ class Truth:
     """The robot as it is: the chain, the concealed effects, and what belongs to this recording alone.
 
     `sensors`, `hammer`: the channels as the recording states them. `moved`: by site (`sensor:NODE`, `hammer:LABEL`)
-    how far (3,) m a point is from where it is stated.
+    how far (3,) m a point is from where it is stated. `turned`: by the same, small angles (3,) rad of its direction.
     """
 
     chain: Chain
@@ -144,6 +144,7 @@ class Truth:
     sensors: tuple[Channel, ...] = SENSORS
     hammer: tuple[Channel, ...] = HAMMER
     moved: dict[str, Array] = field(default_factory=dict)
+    turned: dict[str, Array] = field(default_factory=dict)
 
     @property
     def nonlinear(self) -> bool:
@@ -219,6 +220,8 @@ def rows(truth: Truth, structure: Structure) -> tuple[Array, Array]:
 
     def row(channel: Channel, site: str) -> Array:
         direction = turned[site] @ channel.direction if site in turned else channel.direction
+        if site in truth.turned:
+            direction = direction + cross(truth.turned[site], direction)
         position = channel.position + truth.moved[site] if site in truth.moved else channel.position
         return structure.row(channel.body, position, direction)
 

@@ -31,6 +31,7 @@ from twin.diagnose.states import sorted_out
 from twin.diagnose.struck import without_laws
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import (
+    STRAINED,
     Candidate,
     Finding,
     Missing,
@@ -203,8 +204,8 @@ def _misses(search: Search, found: Triage) -> bool:
         return True
     if not found.kept:
         return False
-    missed = recorded_error(search.base.robot, found.kept) ** 2 - noise_floor(found.kept) ** 2
-    return missed > FAR**2
+    error, off = recorded_error(search.base.robot, found.kept)
+    return off > STRAINED or error**2 - noise_floor(found.kept) ** 2 > FAR**2
 
 
 def _without_hum(campaign: Campaign, fit: Fitted, sample: Sample, ask: _Ask) -> Finding | None:

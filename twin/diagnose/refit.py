@@ -215,24 +215,25 @@ def descend(
     )  # fmt: skip
 
 
-def recorded_error(robot: Robot, recordings: Sequence[Recorded], *, again: bool = True) -> float:
-    """RMS of residual over RMS of data, weighted, after re-estimating what belongs to the recordings themselves.
+def recorded_error(robot: Robot, recordings: Sequence[Recorded]) -> tuple[float, float]:
+    """RMS of residual over RMS of data, weighted, after re-estimating what belongs to the recordings themselves, and by
+    how many deviations of its tolerance the angle of a posture is then off, at most.
 
     Those are posture angles and channel gains within the description's tolerances; nothing of the robot is fitted.
     """
     postures = dict.fromkeys(r.setup.name for r in recordings)
     items = recording_parameters(robot, postures, recordings[0].setup.response.label)
-    parameters = Parameters(tuple(items), np.diag([p.deviation**2 for p in items]).reshape(len(items), len(items)))
-    z = np.zeros(len(items))
+    parameters, z = independent(items), np.zeros(len(items))
     whole = Sample(tuple(recordings))
-    if again and len(items):
+    if len(items):
         few = whole.thin(50)
         z, *_ = minimise(Objective(robot, parameters, few, REFIT_TEMPERS[-1]), z, 8, 0.1)
         z, *_ = minimise(Objective(robot, parameters, few), z, 8, 0.1)
     objective = Objective(robot, parameters, whole)
     residual = objective.residual(z)
     data = sum(float(np.sum(np.abs(r.frf * w) ** 2)) for r, w in zip(recordings, objective.weight, strict=True))
-    return float(np.sqrt(residual @ residual / data))
+    off = max((abs(float(x)) for p, x in zip(items, z, strict=True) if p.kind == "posture"), default=0.0)
+    return float(np.sqrt(residual @ residual / data)), off
 
 
 def foreseen(fit: Fitted, kept: Sample) -> Fitted:

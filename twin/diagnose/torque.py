@@ -451,7 +451,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         return "located", [*missing, _with_formula(found, fit)], 0.0, other
     if other > 0.5:
         return "unexplained", missing, 0.0, other
-    if not missing and search.foretold > calibration()["held_out_adequate"]:
+    if not missing and max(search.foretold, search.after.misfit) > calibration()["held_out_adequate"]:
         return "unexplained", [], 0.0, 1.0
     if not missing and word_of(first) not in ("adequate", "unexplained"):
         return "adequate", [], 1 - first.other, first.other  # what was named first was taken back, and nothing lacks

@@ -17,7 +17,7 @@ from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import ASTRAY, Fitted
 from twin.identify.damping_transfer import Transfer
-from twin.identify.uncertainty import NINETY
+from twin.identify.uncertainty import beside_prior, interval
 from twin.model.parameters import Parameter
 from twin.result import Result, no_model, written
 from twin.robot.description import Robot
@@ -481,12 +481,11 @@ def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]
 
 def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
     """Value, unit and 90 % interval of some of a fit's numbers, by the last part of their names."""
-    covariance, x = fit.covariance, fit.parameters.root @ fit.z
+    covariance = fit.covariance
     found: dict[str, Any] = {}
     for k in indices:
         parameter = fit.parameters[k]
-        deviation = float(np.sqrt(covariance[k, k]))
-        ends = sorted(float(parameter.value(x[k] + side * NINETY * deviation)) for side in (-1, 1))
+        ends = sorted(interval(parameter, *beside_prior(fit.parameters, fit.z, covariance, k)))
         name = parameter.name.rpartition(".")[2]
         found[name] = {"value": float(fit.values[k]), "unit": parameter.unit, "interval90": ends}
     for name in [name for name in found if name.endswith("[0]")]:

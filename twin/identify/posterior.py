@@ -8,7 +8,8 @@ a model (modes in an unseen posture, a depth of cut) can be given with its inter
     log (n,)     value = mean · eˣ, else mean + x;   mean (n,), covariance (n, n) of x: the prior
     z (n,)       the optimum, x = L z, L Lᵀ = covariance;   information (n, n) of the data in z
 
-A scale enters M, C or K linearly: the likelihood is normal in values, the prior in logarithms.
+A mass or a damper enters M or C linearly, a spring in series by its compliance: the likelihood is normal in those, the
+prior in logarithms.
 """
 
 from dataclasses import dataclass, replace
@@ -84,18 +85,19 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Some logarithmic numbers (count, k): values' relative change in prior deviations, and z.
 
-        ``held`` (k, k) is what the data say of them, the others integrated out: quadratic in values, while the prior is
-        normal in logarithms.
+        ``held`` (k, k) is what the data say of them, the others integrated out: quadratic in values, or in compliances,
+        while the prior is normal in logarithms.
         """
         at, scale, k = self.z[few], np.diag(self.parameters.root)[few], len(few)
+        turn = np.array([self.parameters[i].bent for i in few])
         if not k:
             return np.zeros((count, 0)), np.zeros((count, 0))
 
         # what the data pull: no farther than to twice the fitted value, where noise scaled up says hardly anything else
-        slope = np.minimum(at, np.diag(held) / scale)
+        slope = turn * np.minimum(turn * at, np.diag(held) / scale)
 
         def seen(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            w = np.expm1(np.minimum((z - at) * scale, 50.0)) / scale
+            w = turn * np.expm1(np.minimum(turn * (z - at) * scale, 50.0)) / scale
             return w, 0.5 * np.sum((w @ held - 2 * slope) * w + z**2, axis=1)
 
         joint = np.linalg.inv(np.linalg.cholesky(held + np.eye(k))).T

@@ -15,7 +15,7 @@ from twin.identify.elastic import Fit
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
-from twin.model.parameters import Parameter
+from twin.model.parameters import Parameter, Parameters
 from twin.robot.description import Robot
 
 HELD = 0.5  # posterior over prior deviation below which the data hold a parameter
@@ -72,38 +72,49 @@ def estimates(fit: Fit) -> list[Estimate]:
         deviation = float(np.sqrt(covariance[k, k]))
         ratio = deviation / prior[k]
         held = bool(ratio < HELD) and (not parameter.log or deviation < SHARP)
-        low, high = interval(parameter, float(x[k]), deviation, float(prior[k]))
+        ends = interval(parameter, *beside_prior(fit.parameters, fit.z, covariance, k))
         drift = float(x[k] / prior[k])
-        found.append(
-            Estimate(parameter, float(fit.values[k]), (low, high), deviation, float(1 - ratio**2), held, drift)
-        )
+        found.append(Estimate(parameter, float(fit.values[k]), ends, deviation, float(1 - ratio**2), held, drift))
     return found
 
 
-def interval(parameter: Parameter, x: float, deviation: float, prior: float) -> tuple[float, float]:
-    """5 % and 95 % quantiles of a value, from x, its posterior deviation and that of its prior.
+def beside_prior(
+    parameters: Parameters, z: FloatArray, covariance: FloatArray, k: int
+) -> tuple[float, float, float, float]:
+    """x of a number at the optimum z (n,), its posterior deviation, and the slope and curvature of the prior's ½ zᵀz
+    where that x moves and all others follow it as the posterior ``covariance`` (n, n) of x has them."""
+    follow = np.linalg.solve(parameters.root, covariance[:, k] / covariance[k, k])
+    return float(parameters.root[k] @ z), float(np.sqrt(covariance[k, k])), float(follow @ z), float(follow @ follow)
 
-    A scale enters M, C or K linearly, so the data's likelihood is normal in the value, not in its logarithm: a damper
-    of which the data only know that it is small has an interval that the prior closes from below. A fit that ended
-    where these two do not balance, far above the prior of a number it hardly shows, contradicts this: then x is normal.
+
+def interval(parameter: Parameter, x: float, deviation: float, slope: float, held: float) -> tuple[float, float]:
+    """5 % and 95 % quantiles of a value, from x, its posterior deviation, and slope and curvature of its prior there.
+
+    A mass or a damper enters M or C linearly, so the data's likelihood is normal in the value, not in its logarithm: a
+    damper of which the data only know that it is small has an interval that the prior closes from below. Springs are in
+    series: FRFs are linear in the compliance. A fit that ended where data and prior do not balance, far above the prior
+    of a number it hardly shows, contradicts this: then x is normal.
     """
     ends = x - NINETY * deviation, x + NINETY * deviation
     normal = float(parameter.value(ends[0])), float(parameter.value(ends[1]))
+    prior = 1 / np.sqrt(held)
     nothing = deviation > (1 - NOTHING) * prior  # where a misfit is scaled up no slopes cancel: the prior is left
     if not parameter.log or deviation < 0.02 or nothing:
         return normal
-    information = max(1 / deviation**2 - 1 / prior**2, 1e-12)  # of the data about x, at the optimum
-    grid = np.linspace(x - 8 * prior, x + 8 * prior, 4001)
-    if deviation < prior / 10:
-        grid = np.linspace(x - 10 * deviation, x + 10 * deviation, 4001)
-    ratio = np.exp(grid - x)  # of the value over the fitted one
-    likeliest = 1 + (x / prior**2) / information  # of the data alone: there the two slopes cancel at the optimum
-    energy = 0.5 * information * ((ratio - likeliest) ** 2 - (1 - likeliest) ** 2) + 0.5 * (grid**2 - x**2) / prior**2
-    weight = np.cumsum(np.exp(-(energy - energy.min())))
-    low, high = np.interp([0.05, 0.95], weight / weight[-1], grid)
-    if x > 0 and not low < x < high:
+    information = max(1 / deviation**2 - held, 1e-12)  # of the data about x, at the optimum
+    reach = 10 * deviation if deviation < prior / 10 else 8 * prior
+    moved = np.linspace(-reach, reach, 4001)
+    turn = parameter.bent
+    ratio = np.exp(turn * moved)  # of what enters linearly, over the fitted one
+    likeliest = 1 + turn * slope / information  # of the data alone: there the two slopes cancel at the optimum
+    energy = (
+        0.5 * information * ((ratio - likeliest) ** 2 - (1 - likeliest) ** 2) + (slope + 0.5 * held * moved) * moved
+    )
+    density = np.exp(-(energy - energy.min()))
+    low, high = np.interp([0.05, 0.95], (np.cumsum(density) - 0.5 * density) / density.sum(), moved)
+    if turn * slope > 0 and not low < 0 < high:
         return normal
-    return float(parameter.value(low)), float(parameter.value(high))
+    return float(parameter.value(x + low)), float(parameter.value(x + high))
 
 
 def combinations(fit: Fit, kinds: Sequence[str] = ("spring", "entry")) -> list[Combination]:

@@ -80,6 +80,11 @@ class Parameter:
         """Zero-based, of the error of a posture's angle: 0 of ``posture.p1.q1``."""
         return int(self.quantity[1:]) - 1
 
+    @property
+    def bent(self) -> int:
+        """−1 where a model is linear in the reciprocal: springs in series add compliances; 1 elsewhere."""
+        return -1 if self.quantity == "stiffness" else 1
+
     def value(self, x: FloatArray | float) -> Any:
         """Value at x, in ``unit``."""
         return self.mean * np.exp(x) if self.log else self.mean + x
