@@ -8,9 +8,8 @@ from twin.diagnose.note import Note
 from twin.identify.rigid import Bands
 from twin.measure.motion_log import MotionLog, MotionRun
 
-LOG_ENOUGH = (
-    2400.0  # seconds times hertz of the low-pass, six thousand rows of a joint: a little more than logs of the proof
-)
+# Seconds times hertz of the low-pass, six thousand rows of a joint: a little more than logs of the proof.
+LOG_ENOUGH = 2400.0
 OF_A_PIECE = 200.0  # the same of a piece
 
 

@@ -485,7 +485,7 @@ def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for k in indices:
         parameter = fit.parameters[k]
-        ends = sorted(interval(parameter, *beside_prior(fit.parameters, fit.z, covariance, k)))
+        ends = list(interval(parameter, *beside_prior(fit.parameters, fit.z, covariance, k)))
         name = parameter.name.rpartition(".")[2]
         found[name] = {"value": float(fit.values[k]), "unit": parameter.unit, "interval90": ends}
     for name in [name for name in found if name.endswith("[0]")]:

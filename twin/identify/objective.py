@@ -34,8 +34,9 @@ from twin.robot.frames import inertia_matrix, inertia_six
 
 ROWS = 1 << 30  # bytes of derivatives that are kept for the bend of a valley; of more it is not known
 Changes = dict[tuple[Any, ...], Any]
-_Sloping = tuple[Recorded, FloatArray, Callable[[], tuple[ComplexArray, ComplexArray]], NDArray[np.intp]]
 """What entries and links change in a mechanism, kept while the values are the same."""
+_Sloping = tuple[Recorded, FloatArray, Callable[[], tuple[ComplexArray, ComplexArray]], NDArray[np.intp]]
+"""Of one recording: itself, its weight, what returns prediction and derivatives, and by which coordinates these are."""
 
 
 @dataclass(frozen=True)
@@ -247,8 +248,7 @@ class Objective(Cost):
         return total
 
     def _sloping(self, z: FloatArray) -> Iterator[_Sloping]:
-        """Of every recording its weight, what returns its prediction and derivatives (m, …) with respect to the m
-        coordinates that move it, and which those are."""
+        """Every recording with its derivatives (m, …) by the m coordinates that move it, yet to be computed."""
         if self._linear:
             transform, every = self.free.transform(self.free.values(z)), np.arange(len(z))
             parts = zip(self.sample.recordings, self.weight, self._along(z), self._linear, strict=True)

@@ -89,7 +89,7 @@ class Posterior:
         while the prior is normal in logarithms.
         """
         at, scale, k = self.z[few], np.diag(self.parameters.root)[few], len(few)
-        turn = np.array([self.parameters[i].bent for i in few])
+        turn = np.array([self.parameters[i].linear_power for i in few])
         if not k:
             return np.zeros((count, 0)), np.zeros((count, 0))
 

@@ -104,7 +104,7 @@ def interval(parameter: Parameter, x: float, deviation: float, slope: float, hel
     information = max(1 / deviation**2 - held, 1e-12)  # of the data about x, at the optimum
     reach = 10 * deviation if deviation < prior / 10 else 8 * prior
     moved = np.linspace(-reach, reach, 4001)
-    turn = parameter.bent
+    turn = parameter.linear_power
     ratio = np.exp(turn * moved)  # of what enters linearly, over the fitted one
     likeliest = 1 + turn * slope / information  # of the data alone: there the two slopes cancel at the optimum
     energy = (

@@ -81,8 +81,8 @@ class Parameter:
         return int(self.quantity[1:]) - 1
 
     @property
-    def bent(self) -> int:
-        """−1 where a model is linear in the reciprocal: springs in series add compliances; 1 elsewhere."""
+    def linear_power(self) -> int:
+        """Of the value, in which FRFs are linear: −1 for a stiffness, as springs in series add compliances; else 1."""
         return -1 if self.quantity == "stiffness" else 1
 
     def value(self, x: FloatArray | float) -> Any:
