@@ -145,9 +145,12 @@ def _write_report(verdict: Verdict, name: Outputs) -> None:
     from twin.report.scene import write_modes
 
     q, brakes = _posture(verdict)
-    for stage, shown in (("before", verdict.base), ("after", verdict.robot)):
-        mechanism = assemble(without_limits(shown), q, brakes=brakes)
-        found = modes(linearise(mechanism))
-        if len(found):
-            write_modes(name(f"modes-{stage}.rrd"), mechanism, found)
-    name.report(verdict, "diagnosis.html")
+
+    def animate() -> None:
+        for stage, shown in (("before", verdict.base), ("after", verdict.robot)):
+            mechanism = assemble(without_limits(shown), q, brakes=brakes)
+            found = modes(linearise(mechanism))
+            if len(found):
+                write_modes(name(f"modes-{stage}.rrd"), mechanism, found)
+
+    name.report(verdict, "diagnosis.html", meanwhile=animate)  # in this process: Rerun does not outlive a fork

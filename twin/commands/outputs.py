@@ -12,6 +12,7 @@ import re
 import shutil
 import sys
 import tempfile
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
@@ -79,8 +80,10 @@ class Outputs:
         self.files.append(str(self.out / name))
         return self.stage / name
 
-    def draw(self, result: Result, progress: Progress = silent) -> dict[str, Path]:
-        """Write a result's figures as PNG; file name → where it is for now."""
+    def draw(
+        self, result: Result, progress: Progress = silent, meanwhile: Callable[[], None] | None = None
+    ) -> dict[str, Path]:
+        """Write a result's figures as PNG; file name → where it is for now. ``meanwhile`` is called beside that."""
         from twin.report.figures import save
 
         figures, images = result.figures(), {}
@@ -90,13 +93,24 @@ class Outputs:
         drawn, paths = list(figures.values()), list(images.values())
         for _ in spread(lambda number: save(drawn[number], paths[number]), len(drawn), cores()):
             tick(1)
+            if meanwhile:
+                meanwhile()
+                meanwhile = None
+        if meanwhile:
+            meanwhile()
         return images
 
-    def report(self, result: Result, page: str = "report.html", progress: Progress = silent) -> None:
-        """Write a result's figures, and the page that shows them with its tables."""
+    def report(
+        self,
+        result: Result,
+        page: str = "report.html",
+        progress: Progress = silent,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> None:
+        """Write a result's figures, and the page that shows them with its tables; see :meth:`draw`."""
         from twin.report.html import write_html
 
-        images = self.draw(result, progress)
+        images = self.draw(result, progress, meanwhile)
         told = import_module(result.drawn_by)
         inputs = [f"{_called(name)} {digest[:12]}" for name, digest in result.origin["inputs"].items()]
         footer = " · ".join([f"twin {result.origin['version']}", *inputs])

@@ -180,13 +180,21 @@ def _where_it_is(
     there = [variants for variants in suspects if variants[0].site.partition(".")[0] == joint]
     if gain <= max(WORTH, inexact(best, search.base, search.fits)) or not there:
         return best
-    for fit in _round(robot, search, search.base, sample, there, progress, every=True):
-        if not fit.converged and len(fit.hypothesis.pieces) == 1:
-            few = sample.thin(REFIT_LINES)
-            z = descend(robot, fit.hypothesis, fit.parameters, few, fit.z, logarithmic=10, tempered=0, linear=15).z
-            again = descend(robot, fit.hypothesis, fit.parameters, sample, z, tempered=0, tolerance=0.02)
-            if again.cost < fit.cost:
-                search.fits[fit.hypothesis.identity] = again
+    held_up = [
+        fit
+        for fit in _round(robot, search, search.base, sample, there, progress, every=True)
+        if not fit.converged and len(fit.hypothesis.pieces) == 1
+    ]
+    fewer = sample.thin(REFIT_LINES)
+
+    def left(number: int) -> Fitted:
+        fit = held_up[number]
+        z = descend(robot, fit.hypothesis, fit.parameters, fewer, fit.z, logarithmic=10, tempered=0, linear=15).z
+        return descend(robot, fit.hypothesis, fit.parameters, sample, z, tempered=0, tolerance=0.02)
+
+    for fit, again in zip(held_up, spread(left, len(held_up), search.processes), strict=True):
+        if again.cost < fit.cost:
+            search.fits[fit.hypothesis.identity] = again
     present = {piece.key for piece in best.hypothesis.pieces}
     others = [variants for variants in there if variants[0].key not in present]
     if not present or not others:
@@ -479,6 +487,7 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
     best, *others = finalists
     likely = [best, *(fit for fit in others if len(fit.hypothesis.pieces) <= len(best.hypothesis.pieces))]
     least = max(search.base.evidence(), best.evidence() - LIKELY)
+    places = []
     for fit in [fit for fit in likely if fit.evidence() > least]:
         for piece in fit.hypothesis.pieces:
             instead = companions(piece, robot, described(free), postures)
@@ -497,10 +506,16 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
                 starts += [_brought(fit, one, parameters) for one in _with(search, companion)]
                 if known and known.parameters.names == parameters.names:
                     starts.append(known.z)
-                near = _nearly(robot, _Place(hypothesis, parameters, tuple(starts)), few, THINNED_COST * hopeless)
-                found = _fully(robot, near, sample, hopeless)
-                if known is None or found.cost < known.cost:
-                    search.fits[hypothesis.identity] = found
+                places.append(_Place(hypothesis, parameters, tuple(starts), worth=hopeless))
+
+    def found(number: int) -> Fitted:
+        one = places[number]
+        return _fully(robot, _nearly(robot, one, few, THINNED_COST * one.worth), sample, one.worth)
+
+    for fit in spread(found, len(places), search.processes):
+        known = search.fits.get(fit.hypothesis.identity)
+        if known is None or fit.cost < known.cost:
+            search.fits[fit.hypothesis.identity] = fit
 
 
 def _with(search: Search, piece: Hypothesis) -> list[Fitted]:

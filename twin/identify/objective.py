@@ -177,15 +177,20 @@ class Objective(Cost):
     def jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted residual (data,) and derivatives (n, data) of the weighted prediction with respect to z."""
 
-        def one(sloping: _Sloping) -> tuple[FloatArray, FloatArray]:
-            r, w, slopes, moves = sloping
-            H, dH = slopes()
-            row = np.zeros((len(z), *H.shape), complex)
-            row[moves] = dH * w
-            return ((r.frf - H) * w).reshape(-1).view(float), row.reshape(len(z), -1).view(float)
+        ends = np.cumsum([0, *(2 * w.size for w in self.weight)])
+        rest, rows = np.empty(ends[-1]), np.zeros((len(z), ends[-1]))
 
-        rest, rows = zip(*side_by_side(one, self._sloping(z)), strict=True)
-        return np.concatenate(rest), np.concatenate(rows, axis=1)
+        def fill(part: tuple[int, _Sloping]) -> None:
+            number, (r, w, slopes, moves) = part
+            own = slice(ends[number], ends[number + 1])
+            H, dH = slopes()
+            dH *= w
+            rest[own] = ((r.frf - H) * w).reshape(-1).view(float)
+            rows[moves, own] = dH.reshape(len(moves), w.size).view(float)
+
+        for _ in side_by_side(fill, enumerate(self._sloping(z))):
+            pass
+        return rest, rows
 
     def cost(self, z: FloatArray) -> float:
         """Prior included; infinite where a value is."""
@@ -217,7 +222,8 @@ class Objective(Cost):
         r, w, slopes, moves = sloping
         H, dH = slopes()
         own, pulled, factor = self.pull(r, H, w)
-        G = np.multiply(dH, factor, order="C").reshape(len(moves), -1).view(float)
+        dH *= factor
+        G = dH.reshape(len(moves), w.size).view(float)
         return own, np.ascontiguousarray(pulled).reshape(-1).view(float), G, moves, G @ G.T
 
     def _drawn(self, z: FloatArray, count: int) -> tuple[float, FloatArray, FloatArray]:

@@ -31,6 +31,7 @@ from twin.robot.frames import matrix_of
 from twin.robot.mechanism import Joint, Mechanism, assemble, assemble_all
 from twin.robot.mjcf import FOOT_INERTIA
 
+CACHED = 64  # lines at a time: derivatives on more of them leave the cache of a core before they are used
 TURN = 1e-6  # rad, of a direction for its derivative beyond what entries turn, in which that is linear
 
 
@@ -925,14 +926,19 @@ def _stiffness_slopes(rate: Observed, s: ComplexArray, pull: ComplexArray, X_e: 
     if not parts:
         return out
     if nr <= ne:
-        flat = np.concatenate([factor * pull for _, factor in parts], axis=2).reshape(nf * nr, -1)
-        left = flat @ np.concatenate([m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts])
-        out[felt] = (left.reshape(nf, nr * n, nv) @ X_e).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
-        return out
-    flat = np.concatenate([factor * X_e for _, factor in parts], axis=1).transpose(1, 0, 2).reshape(-1, nf * ne)
-    right = np.concatenate([m for m, _ in parts], axis=2).reshape(n * nv, -1) @ flat.view(float)
-    right = right.view(complex).reshape(n, nv, nf, ne).transpose(2, 1, 0, 3).reshape(nf, nv, n * ne)
-    out[felt] = (pull @ right).reshape(nf, nr, n, ne).transpose(2, 0, 1, 3)
+        by = np.concatenate([m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts])
+    else:
+        by = np.concatenate([m for m, _ in parts], axis=2).reshape(n * nv, -1)
+    for some in (slice(at, at + CACHED) for at in range(0, nf, CACHED)):
+        left, right = pull[some], X_e[some]
+        if nr <= ne:
+            flat = np.concatenate([factor[some] * left for _, factor in parts], axis=2).reshape(len(left) * nr, -1)
+            found = (flat @ by).reshape(len(left), nr * n, nv) @ right
+        else:
+            flat = np.concatenate([factor[some] * right for _, factor in parts], axis=1).transpose(1, 0, 2)
+            moved = by @ flat.reshape(-1, len(left) * ne).view(float)
+            found = left @ moved.view(complex).reshape(n, nv, -1, ne).transpose(2, 1, 0, 3).reshape(-1, nv, n * ne)
+        out[felt, some] = found.reshape(-1, nr, n, ne).transpose(2, 0, 1, 3)
     return out
 
 
