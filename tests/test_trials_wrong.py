@@ -15,7 +15,7 @@ from scipy.signal import csd, welch
 from tools.trials import __main__ as trials
 from tools.trials import store, wrong
 from tools.trials.visible import hammer_signal, shows
-from tools.trials.wrong_score import headline, judged
+from tools.trials.wrong_score import by_number, headline, judged
 from tools.truth.chain import inverse_dynamics, kr90
 from tools.truth.effects import Effect
 from tools.truth.elastic import assemble
@@ -319,6 +319,14 @@ def test_intervals_of_numbers_of_the_description() -> None:
     inside = {key.rpartition(".")[2]: good for key, good in found.inside.items()}
     assert inside == {"x": True, "y": True, "z": False}
     assert str(headline([found])["90 % intervals hold the truth"]).startswith("2/3")
+    head, _, *rows = by_number([found, replace(found, inside={"payload@link3.mass": True})])
+    assert head.startswith("| number")
+    assert [row.split("=")[0].strip("| ") for row in rows] == [
+        "parameter linkN.com.z | 0/1",
+        "parameter linkN.com.x | 1/1",
+        "parameter linkN.com.y | 1/1",
+        "payload mass | 1/1",
+    ]
 
 
 def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -314,6 +314,7 @@ def section(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger
         *table(("answers", *recordings, "together"), by_class), "",
         "### By way of being wrong", "", *_by_way(cases), "",
         "### By robot", "", *table(("robot", "cases", "wrong name", "true cause first"), robots), "",
+        "### Intervals by number", "", *by_number(cases), "",
         "### Every answer that was neither right nor near", "",
         *every([c for c in cases if c.outcome not in CLASSES[:2]]), "",
         "### Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
@@ -336,6 +337,21 @@ def _by_way(cases: Sequence[Judged]) -> list[str]:
     head = ("way", "recording", "cases", *CLASSES, "wrong names")
     told = [k for k in range(len(head)) if any(row[k] != "" for row in rows)]
     return table([head[k] for k in told], [[row[k] for k in told] for row in rows])
+
+
+def by_number(cases: Sequence[Judged]) -> list[str]:
+    """Which numbers' 90 % intervals hold the truth: of an effect whatever its site, of the description by its kind."""
+    held: dict[str, list[bool]] = {}
+    for c in cases:
+        for key, good in c.inside.items():
+            effect, _, rest = key.partition("@")
+            quantity = rest.rpartition(".")[2]
+            if effect == "parameter":  # what is called like its site, or like a part of it, is said once
+                quantity = re.sub(r"\b(\w+)\.\1\b", r"\1", re.sub(r"\d+", "N", rest))
+            held.setdefault(f"{effect} {quantity}", []).append(good)
+    rows = [(name, Rate(sum(good), len(good))) for name, good in held.items()]
+    rows.sort(key=lambda row: (row[1].value, -row[1].n))
+    return table(("number", "90 % interval holds the truth"), rows) if rows else ["None."]
 
 
 def every(cases: Sequence[Judged]) -> list[str]:
