@@ -305,6 +305,21 @@ def test_lobes_say_where_a_blow_leaves_chatter_beside_the_linear_limit() -> None
     assert "after a blow of 1 N·s, at 2500 rpm: chatter from" in str(found)
 
 
+def test_a_soft_servo_lowers_lobes_of_a_posture_file_whose_hammer_test_had_brakes_on() -> None:
+    servo = {"effect": "servo_compliance", "site": "joint2", "stiffness": 2e6, "damping": 1e3}
+    soft = nonlinear_robot(servo)
+    cut = amplitude_cut().model_copy(update={"spindle_rpm": (2490.0, 2510.0), "depth_max_m": 0.05})
+    posture = {"posture": {"q_deg": [0, 70, -100], "brakes": "on"}}
+    found = twin.lobes(posture, robot=soft, cut=cut, draws=0)
+    held = twin.lobes(posture, robot=soft, cut=cut, draws=0, brakes="on").data()["depth_limit_mm"][0]
+    stiff = twin.lobes(posture, robot="kr90", cut=cut, draws=0)
+    assert any(note.startswith("brakes: off") for note in found.data()["notes"])
+    assert not any(note.startswith("brakes") for note in stiff.data()["notes"])
+    assert held == stiff.data()["depth_limit_mm"][0] != pytest.approx(found.data()["depth_limit_mm"][0], rel=0.05)
+    with pytest.raises(InputError, match="expected 'on' or 'off'"):
+        twin.lobes(posture, robot="kr90", cut=cut, brakes="maybe")  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("options", "line"), [({"blow_n_s": 3.0}, "--in-time N"), ({"in_time": 1, "blow_n_s": -1.0}, "0 to 100 N·s")]
 )

@@ -20,6 +20,7 @@ from twin.milling.lobes import Lobes, band_speeds, lobes_of, starting_speeds, wi
 from twin.milling.tool_point import ToolModes, ToolPoint, measured_point, tool_point
 from twin.milling.zeroth_order import limiting_depth
 from twin.parallel import Progress, silent
+from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json
 from twin.ranges import FASTEST_RPM, SLOWEST_RPM, check_count
 from twin.result import Result, written
@@ -237,7 +238,7 @@ def lobes(
         cut: a :class:`Cut`, its content, or ``cut.yaml``; wins over the posture file's ``cut``.
         q_deg: posture of a robot, degrees (m); by default the middle of the axes' limits.
         posture: which posture of a hammer test, by default the first.
-        brakes: ``"on"`` unless this or the posture file says otherwise.
+        brakes: ``"off"`` as in a cut, where servos hold the axes; those of a posture file are of its hammer test.
         spindle_rpm: lowest and highest speed; wins over the cut's.
         draws: of the posterior, for the depth that is stable with 90 % probability; 0 for none.
         in_time: at how many speeds the cut is also stepped in MuJoCo, nonlinear joints and all.
@@ -306,8 +307,10 @@ def _case(
     draws: int,
     seed: int,
 ) -> Case:
+    if brakes not in (None, "on", "off"):
+        raise InputError("brakes", "", f"expected 'on' or 'off', found {brakes!r}")
     notes: list[str] = []
-    source = _opened(given)
+    source, held = _opened(given), brakes or "off"
     if isinstance(source, Recording):
         return _measured(source, robot, without, _complete(cut, None, spindle_rpm, notes), posture, draws, seed, notes)
     of_file: Cut | None = None
@@ -319,11 +322,14 @@ def _case(
             at = ", ".join(f"{value:g}" for value in q_deg)
             notes.append(f"posture: the middle of the axes' limits, {at}°; --q asks for another")
         q = described.check_posture(described.angles(_counted(q_deg, described)), "--q", "")
-        name, held, inputs = "posture", str(brakes or "on"), [described.path or described]
+        name, inputs = "posture", [described.path or described]
     else:
         read = read_posture_file if isinstance(source, Path) else posture_in_memory
-        file = read(source, robot, without, brakes=brakes)  # type: ignore[arg-type]
-        described, of_file, q, name, held, inputs = file.robot, file.cut, file.q, file.name, file.brakes, file.inputs
+        file = read(source, robot, without)  # type: ignore[arg-type]
+        described, of_file, q, name, inputs = file.robot, file.cut, file.q, file.name, file.inputs
+        idle = any(not CATALOGUE[entry.effect].shown_by(["on"]) for entry in described.physics)
+        if brakes is None and file.brakes == "on" and idle:
+            notes.append("brakes: off, as in a cut; those of the posture file are of its hammer test")
         if q_deg is not None:
             q = described.check_posture(described.angles(_counted(q_deg, described)), "--q", "")
         q_deg = file.q_deg if q_deg is None else q_deg

@@ -140,7 +140,7 @@ def _checked(
     hammer: Mapping[str, Any] | bool | None = None,
     trajectory: MotionLog | str | Path | None = None,
 ) -> PostureFile:
-    if brakes is not None:
+    if brakes is not None and isinstance(data.get("posture", {}), Mapping):
         data = {**data, "posture": {**data.get("posture", {}), "brakes": brakes}}
     if hammer is not None:
         data = {**data, "hammer": {} if hammer is True else hammer}
