@@ -107,7 +107,7 @@ def test_a_run_of_another_robot_is_told(tmp_path: Path) -> None:
     (note,) = (note for note in verdict.data()["triage"] if note["severity"] == "fail")
     assert note["kind"] == "other_robot"
     assert note["runs"]
-    assert "what follows is of" in note["text"]
+    assert "is diagnosed" in note["text"]
     assert verdict.word == "adequate"
 
 

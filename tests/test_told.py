@@ -282,7 +282,7 @@ def test_a_log_tells_what_its_recorder_may_have_done(
 
 
 def test_a_velocity_that_is_not_of_the_positions_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"runs/a/velocity: expected that of the positions"):
+    with pytest.raises(InputError, match=r"runs/a/velocity: expected the derivative of the positions"):
         motion(lambda series: series.update(velocity=np.rad2deg(series["velocity"])), tmp_path / "log.h5")
 
 

@@ -185,8 +185,8 @@ class StabilityLobes(Result):
             )
         if found.safe_m is None:
             lines.append(
-                "how sure this is cannot be told: no fit's posterior lies beside the robot; twin fit and twin diagnose "
-                "write one"
+                "the uncertainty is not known: there is no posterior of a fit beside the robot. twin fit and twin "
+                "diagnose write one"
             )
         return [*lines, *case.notes]
 

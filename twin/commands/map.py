@@ -138,7 +138,10 @@ class Map(Result):
             where = f" line {place['line']}," if place["line"] else ""
             lines.append(f"  {word}:{where} tip ({tip}) m, q ({angles})°, {1e3 * float(self.ranked[k]):.3g} mm")
         if self.safe is None:
-            lines.append("  how sure is not known: no posterior beside the robot; twin fit and twin diagnose write one")
+            lines.append(
+                "  the uncertainty is not known: there is no posterior of a fit beside the robot. twin fit and twin "
+                "diagnose write one"
+            )
         if self.files:
             lines.append(f"  {written(self.files)}")
         return "\n".join(lines)

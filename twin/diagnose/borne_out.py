@@ -86,14 +86,14 @@ def borne_out(verdict: Verdict) -> Verdict:
     names = ", ".join(missing.first.title for missing in verdict.missing)
     if worse and len(verdict.findings) > 1:
         reason = (
-            f"no one model does for all recordings: with what they say together ({names}) the error of "
-            f"{', '.join(finding.recording for finding in worse)} rises; they may be of different robots, or of one "
-            "robot in different states, and are better diagnosed one by one"
+            f"no single model fits all recordings. With their common answer ({names}) the error of "
+            f"{', '.join(finding.recording for finding in worse)} rises. They may be of different robots, or of one "
+            "robot in different states. Diagnose them one by one"
         )
     else:
         reason = (
-            f"{names} would relieve numbers of the description that come out far from it, but the recordings are not "
-            "predicted better with it: it is not named, and the description's tolerances may be too narrow"
+            f"some fitted numbers are far from the description. With {names} in the model they come closer, but the "
+            "recordings are not predicted better. So it is not named; the description's tolerances may be too narrow"
         )
     findings = [_without(finding) for finding in verdict.findings]
     kind = "other_robot" if worse and len(verdict.findings) > 1 else "tension"

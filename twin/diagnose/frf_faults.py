@@ -137,8 +137,8 @@ def without_hum(campaign: Campaign, fit: Fitted, sample: Sample) -> tuple[Campai
     hummed = _tones(fit, sample)
     notes = [
         Note(
-            f"what is left of the FRFs peaks at {tone:g} Hz in all postures used, wherever the modes are: mains hum; "
-            f"lines within {reach:.3g} Hz of it were left out",
+            f"the residual of the FRFs has a peak at {tone:g} Hz in all postures used, wherever their modes are. That "
+            f"is mains hum; lines within {reach:.3g} Hz of it were left out",
             "hum",
             "fail",
         )

@@ -158,9 +158,9 @@ def cut_off(
         return None, []
     left, group, frequency_hz = _worst(better.robot, sample.recordings, campaign)
     text = (
-        f"{group}: the mode near {frequency_hz:.3g} Hz still has {left:.0%} of its swing at the end of a record of "
-        f"{_record_s(campaign.postures[group]):.3g} s: the FRFs leak, and the model was made to leak as they must; put "
-        "an exponential window on the records and state it, or record longer"
+        f"{group}: the mode near {frequency_hz:.3g} Hz still has {left:.0%} of its amplitude at the end of a record of "
+        f"{_record_s(campaign.postures[group]):.3g} s. The FRFs contain leakage, and the model was given the same "
+        "leakage. Put an exponential window on the records and state it, or record longer"
     )
     return leak, [Note(text, "leakage", "fail")]
 
@@ -276,8 +276,8 @@ def cut_short(robot: Robot, campaign: Campaign, recordings: Sequence[Recorded]) 
         return []
     record_s = _record_s(campaign.postures[group])
     text = (
-        f"{group}: lines are {1 / record_s:.3g} Hz apart, so a record is {record_s:.3g} s long as stated, and the mode "
-        f"near {frequency_hz:.3g} Hz still has {left:.0%} of its swing at its end: unless lines were dropped, leakage "
-        "bends every peak; put an exponential window on the records and state it, or record longer"
+        f"{group}: lines are {1 / record_s:.3g} Hz apart, so a record as stated is {record_s:.3g} s long. At its end "
+        f"the mode near {frequency_hz:.3g} Hz still has {left:.0%} of its amplitude. Unless lines were dropped, "
+        "leakage distorts every peak. Put an exponential window on the records and state it, or record longer"
     )
     return [Note(text, "leakage")]

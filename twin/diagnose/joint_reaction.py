@@ -307,16 +307,16 @@ Asked = tuple[_Joint, Recorded, FloatArray, float]
 class Stepped(Cost):
     """Cost of a base model with a law at one joint; ``robot`` lacks its entry, ``parameters`` end with the law's own.
 
-    Last of these, where no raw hits tell it, is the length of the blows: the momentum of a blow of known peak, and with
-    it the deflection, are in proportion. Blows twice as strong on a law with twice the gap give the same FRFs but for
-    the weight on the joint, which counts half as much: that is how it comes in, and sizes are those that go with blows
-    of the usual length until they are written into an entry. With ``fixed`` sizes (m,) the parameters hold none.
+    Without raw hits, the last parameter is the length of the blows. At a known peak the momentum of a blow is in
+    proportion to it, and so is the deflection. Blows twice as strong on a law with twice the gap give the same FRFs.
+    Only the weight on the joint then counts half as much, and through it the length comes in. Sizes belong to blows of
+    the usual length until they are written into an entry. With ``fixed`` sizes (m,) the parameters hold none.
 
-    Derivatives of the linear part are in closed form, those of the law's torque with respect to what acts on the law
-    itself by differences of stepped blows. With respect to the rest of the robot the law is held
-    (:mod:`twin.diagnose.held_law`), which is off by a tenth: ``closely``, that too is stepped, by some ``processes``.
-    ``rows``: residual and derivatives where a linear one was evaluated last, recording by recording; ``latest``:
-    reactions where they were stepped last, and beside it; ``models``: of where they were observed last.
+    Derivatives of the linear part are in closed form. Those of the law's torque with respect to what acts on the law
+    itself are differences of stepped blows. With respect to all else the law is held (:mod:`twin.diagnose.held_law`),
+    with an error of a tenth. With ``closely`` these are stepped, too, in ``processes`` processes.
+    ``rows``: residual and derivatives of the last linear evaluation, recording by recording; ``latest``: reactions
+    where blows were stepped last, and beside it; ``models``: those observed last.
     """
 
     law: Law = field(kw_only=True)
@@ -383,8 +383,8 @@ class Stepped(Cost):
     def _reactions(self, z: FloatArray, joints: _Postures) -> list[tuple[ComplexArray, ComplexArray]]:
         """Reactions (nf, ne) per recording and their derivatives (n, nf, ne), by differences of stepped blows.
 
-        Blows a little and somewhat longer tell smooth decays from those whose end the least difference throws about.
-        There a wide step along what acts on the law itself counts, and for everything else the law is held.
+        Blows a little longer, and somewhat longer, show whether a decay is smooth. In one that is not, the smallest
+        difference changes its end. What acts on the law itself then takes a wide step; for all else the law is held.
         """
         n, recordings, near = len(self.base), self.sample.recordings, self._near
         every = range(len(recordings))

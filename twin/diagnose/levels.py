@@ -1,10 +1,10 @@
 """Force levels that disagree: at which joint, and by which law of amplitude.
 
-A blow's decay sees a nonlinear joint as a linear one whose stiffness and damping depend on how far that blow deflects
-it. So every blow gets a complex stiffness of its own at one joint, k_b + iω c_b, while everything else stays common to
-all: the joint for which that explains the recordings is the site, and k_b, c_b over the deflection are the law, for a
-person to see. Which law it is, and its numbers, come from laws stepped in time (``twin.model.blow``) and fitted
-with everything else free, judged by the same evidence as linear hypotheses.
+In the decay after a blow, a nonlinear joint looks linear. Its stiffness and damping depend on how far that blow
+deflects it. So every blow gets a complex stiffness of its own at one joint, k_b + iω c_b. Everything else is common to
+all blows. The site is the joint for which that explains the recordings. k_b and c_b over the deflection show the law to
+a person. Laws stepped in time (``twin.model.blow``) tell which law it is, and its numbers. They are fitted with
+everything else free, and judged by the same evidence as linear hypotheses.
 """
 
 from collections.abc import Callable, Sequence

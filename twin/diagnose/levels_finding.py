@@ -209,9 +209,9 @@ def levels_sentence(levels: Levels) -> str:
     joint = levels.base.values[levels.base.parameters.names.index(f"{best.site}.stiffness")]
     more = {place.site: f"{place.cost / best.cost:.1f}" for place in levels.places[1:]}
     others = ", ".join(f"{site} {times} times" for site, times in more.items() if times != "1.0")
-    instead = f"; left free at another joint instead, that leaves more unexplained ({others})" if others else ""
-    changes = f"{best.site} changes its stiffness by {spread / joint:.1%} from blow to blow"
-    return f"Seen as a linear spring, {changes}{instead}."
+    instead = f" If the stiffness varies at another joint instead, more stays unexplained ({others})." if others else ""
+    varies = f"its stiffness varies by {spread / joint:.1%} from blow to blow"
+    return f"If {best.site} is fitted as a linear spring, {varies}.{instead}"
 
 
 def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> dict[str, Any]:
@@ -347,10 +347,10 @@ def check_blows(robot: Robot, campaign: Campaign, recordings: dict[str, Recorded
     label = low.setup.excitation.label[column]
     return {
         "name": "time stepping", "value": off, "limit": STEPPED, "passed": off < STEPPED,
-        "description": f"blows of {blow[low.group].peak_n:g} N and {blow[high.group].peak_n:g} N on {label} in "
-        f"'{low.setup.name}', stepped in time by MuJoCo, give the FRFs of the search within {off:.1%} "
-        f"(limit {STEPPED:.0%}); from one to the other they change by {change_there[0]:.1%}, as recorded by "
-        f"{change_there[1]:.1%}",
+        "description": f"MuJoCo steps blows of {blow[low.group].peak_n:g} N and {blow[high.group].peak_n:g} N on "
+        f"{label} in '{low.setup.name}' in time. Its FRFs agree with those of the search within {off:.1%} "
+        f"(limit {STEPPED:.0%}). From one blow to the other they change by {change_there[0]:.1%}; the recorded FRFs "
+        f"change by {change_there[1]:.1%}",
     }  # fmt: skip
 
 

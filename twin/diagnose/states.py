@@ -25,7 +25,7 @@ from twin.robot.description import Robot
 Fit = TypeVar("Fit")
 STEP_DEG, FURTHEST_DEG = 1.5, 20.0
 """How near to the right angle a posture's robust cost points at it, and how far off it may be written down."""
-MEANS = "They may be of different robots, of one robot in different states, or have angles written down wrongly"
+MEANS = "They may be of different robots, of one robot in different states, or have wrong angles in the file"
 
 
 def sorted_out(robot: Robot, campaign: Campaign, sample: Sample) -> tuple[Campaign, list[Note]]:
@@ -59,16 +59,20 @@ def sorted_out(robot: Robot, campaign: Campaign, sample: Sample) -> tuple[Campai
         postures[r.group] = replace(campaign.postures[r.group], q_deg=q_deg)
         told = f"{np.rad2deg(found):+.2g}°" if revolute else f"{found:+.2g} m"
         text = (
-            f"{r.group}: joint{joint + 1} stands {told} from what the file says, by the model that explains the others"
+            f"{r.group}: the model that explains the other postures has joint{joint + 1} {told} away from the file. "
+            "The angle in the file is wrong, and was corrected"
         )
-        notes.append(Note(f"{text}: the angle is written down wrongly, and was put right", "posture", "fail"))
+        notes.append(Note(text, "posture", "fail"))
     others = [group for group, _ in groups if not set(group) & set(members)]
     lone = [k for k in lone if k not in members]
     if others:
         others += [[k] for k in lone]
         told = _told([r.group for r in few], [sorted(members), *others])
-        text = f"no one model explains all postures, but one each of these groups or the first of them: {told}. {MEANS}"
-        notes.append(Note(f"{text}; what follows is of the first group alone", "other_robot", "fail"))
+        text = (
+            f"no single model explains all postures. A model of its own explains each of these groups, or at least the "
+            f"first: {told}. {MEANS}. Only the first group is diagnosed"
+        )
+        notes.append(Note(text, "other_robot", "fail"))
     else:  # what no model explains even alone is no other robot
         postures |= {few[k].group: campaign.postures[few[k].group] for k in lone}
     ordered = {name: postures[name] for name in campaign.postures if name in postures}
@@ -168,7 +172,7 @@ def grouped(
         return [], []
     told = _told(names, [members for members, _ in groups])
     some = [[names[k] for k in members] for members, _ in groups]
-    text = f"one model explains each of these groups of {what}, none explains them together: {told}. {MEANS}"
+    text = f"a model of its own explains each of these groups of {what}, no model explains all: {told}. {MEANS}"
     return some, [Note(text, "other_robot", "fail", runs=tuple(names) if what == "runs" else ())]
 
 

@@ -274,8 +274,8 @@ def _evidence(missing: Missing, finding: Finding) -> str:
 def _restless(spot: dict[str, Any]) -> str:
     low, high = spot["band_hz"]
     return (
-        f"run '{spot['run']}' is restless at {low:.0f}-{high:.0f} Hz on {spot['site']}, where another run is not and "
-        "above the band of the fit: nothing in the model does that, and it is not named"
+        f"run '{spot['run']}' is restless at {low:.0f}-{high:.0f} Hz on {spot['site']}, above the band of the fit, and "
+        "another run is not. Nothing in the model explains that, and it is not named"
     )
 
 
@@ -287,8 +287,8 @@ def _narrow(search: Search) -> list[str]:
     z = search.system.plain(search.after.z)[described]
     far = ", ".join(search.plain.parameters.names[k] for k in np.argsort(-np.abs(z))[:3])
     return [
-        f"the description's tolerances are too narrow for this log: with what was found in the model they were taken "
-        f"{search.narrow:.0f} times as wide ({far} are farthest off)"
+        "the description's tolerances are too narrow for this log. With the found effects in the model they were made "
+        f"{search.narrow:.0f} times as wide ({far} are farthest from the description)"
     ]
 
 
@@ -323,8 +323,9 @@ def _told_apart(search: Search) -> list[str]:
             clear = beside < calibration()["further"] and gain < together - calibration()["further"]
             names = ", ".join(sorted(found))
             notes.append(
-                f"{key} alone would gain {gain:.0f} in ln evidence, {names} together {together:.0f}; beside them it "
-                f"gains {max(beside, 0.0):.0f}: the log {'tells' if clear else 'does not tell'} them apart"
+                f"{key} alone would gain {gain:.0f} in ln evidence; {names} together gain {together:.0f}. With {names} "
+                f"in the model, {key} gains {max(beside, 0.0):.0f}: the log {'tells' if clear else 'does not tell'} "
+                "them apart"
             )
     return notes
 
@@ -342,30 +343,31 @@ def _slips(search: Search) -> dict[str, list[str]]:
         if (gain := max((look.get(dry, 0.0) for look in looks), default=0.0)) > calibration()["further"]:
             more = any(s.key == dry and not possible(search.system, s) for s in search.found)
             own.append(
-                f"Coulomb friction at {site} came first, with a gain of {gain:.0f} in ln evidence; slip, which is dry "
-                f"friction with a memory, took it in{', and holds more at rest than friction is in motion' * more}."
+                f"Coulomb friction at {site} came first, with a gain of {gain:.0f} in ln evidence. Slip is dry "
+                "friction with memory, and now includes it."
+                f"{' It holds more torque at rest than friction has in motion.' * more}"
             )
             notes[dry] = [
-                f"It is the part of slip at {site} that turns round between two samples after nearly every reversal; "
-                "as it holds what it has through standstill, the model has it as a slip element."
+                f"It is the part of slip at {site} that changes its sign between two samples after nearly every "
+                "reversal. It keeps its torque through a standstill, so the model has it as a slip element."
             ]
         both = [look for look in looks if low in look and slip.key in look]
         if both:
             tells = "tells" if both[-1][slip.key] - both[-1][low] > calibration()["further"] else "does not tell"
             own.append(
-                f"Slip gained {both[-1][slip.key]:.0f} in ln evidence where low-speed friction in its place gained "
-                f"{max(both[-1][low], 0.0):.0f}: the log {tells} them apart."
+                f"Slip gained {both[-1][slip.key]:.0f} in ln evidence; low-speed friction in its place gained "
+                f"{max(both[-1][low], 0.0):.0f}. The log {tells} them apart."
             )
         beside = next((s for s in search.found if s.key == low), None)
         if beside is not None and beside.trial is not None:
             now = worth(search.system, beside.trial.suspect)
-            gains = f"gained {beside.gain:.0f} when it was found, and is worth {now:.0f} beside all that was found"
-            text = f"Low-speed friction at {site} {gains}"
+            gains = f"gained {beside.gain:.0f} in ln evidence when it was found"
+            text = f"Low-speed friction at {site} {gains}. With all that was found in the model it is worth {now:.0f}"
             if any(s is beside for s in _at_rest(search)):
                 text += (
-                    ". One sample after most reversals the axis is past its speed already: the log shows that more is "
-                    "held at rest than friction is in motion, which slip may do as well, not how it falls with speed, "
-                    "and does not tell them apart"
+                    ". One sample after most reversals the axis is already faster than the speed over which this "
+                    "friction falls. The log shows that friction is larger at rest than in motion. It does not show "
+                    "how friction falls with speed. Slip may have the same effect: the log does not tell them apart"
                 )
             own.append(f"{text}.")
             notes[low] = [own[-1]]
@@ -624,9 +626,9 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any], worse: f
     if error < worse * errors["after"]["train"]:
         return []
     return [
-        f"no bodies that can exist have the fitted combinations of inertias: with the nearest that do, in robot.yaml, "
-        f"the error on what was used is {error:.1%} and not {errors['after']['train']:.1%}; something like weight or "
-        "inertia may be missing from the description"
+        "the fitted combinations of inertias are not physically possible. robot.yaml has the nearest possible bodies. "
+        f"With them the error on the data used is {error:.1%}, not {errors['after']['train']:.1%}. Something like "
+        "weight or inertia may be missing from the description"
     ]
 
 

@@ -629,15 +629,15 @@ def stop_columns(
 ) -> list[tuple[slice, FloatArray]]:
     """Moments at which friction is in doubt, in order: rows, and low-passed torque (rows, b) per unit of friction.
 
-    About a stop or start boxes, each of half a row or less, that together say nothing of it. At a reversal two of them,
-    or more: the sign changes somewhere between two samples of the log, so that the step is early or late by 1/√12 of
-    their distance, and by what an error of the speed makes of a slow reversal; how late moves its middle, too. Where an
-    axis all but stops and goes on, it may as well have turned back for as long as its speed is less than that error,
-    within ``creep_s`` of where it is least. With ``held``, the share of friction that may be held through a standstill,
-    one more for the time between stop and start. All of it is in the torque as late as that is recorded, in s.
+    At a stop or start: boxes of half a row or less, which together leave friction there undetermined. At a reversal:
+    two boxes or more. The sign changes between two samples of the log, so the time of the step is uncertain by 1/√12 of
+    their distance. An error of the speed adds to this at a slow reversal. Both move the middle of the step, too.
+    An axis that nearly stops and goes on may have turned back: while its speed is below that error, within ``creep_s`` of the
+    minimum. ``held`` is the share of friction that may be held through a standstill. It adds one box for the time
+    between stop and start. ``recorded_late`` (s) shifts all boxes, because the torque is recorded that late.
 
-    About a stop the encoder hardly counts for ``creep_s``, or for as long as :func:`_creeping` says, and the axis may
-    creep; ``inexact`` times the largest speed is what encoder and low-pass leave of doubt at a reversal.
+    Near a stop the encoder hardly counts for ``creep_s``, or for the time that :func:`_creeping` gives, and the axis
+    may creep. At a reversal, encoder and low-pass leave a speed error of ``inexact`` times the largest speed.
     """
     step = (len(run.dense.time) - 1) // (len(run.time) - 1)
     dense_hz = run.rate_hz * step
@@ -849,10 +849,10 @@ def _taken(system: System) -> FloatArray:
 def with_doubts(system: System, mistimed: float = 0.02) -> System:
     """The same with friction in doubt where and when what was found puts it, and refitted.
 
-    A drive that turns with other axes too has dry friction that steps where it turns back, not where its axis does:
-    taken for exact there, steps that the encoder cannot time would tell the ratio far too well. Torque that is recorded
-    late steps late: what a doubt in the wrong place leaves of a reversal looks like low-speed friction.
-    Late by less than ``mistimed`` rows it is where it was.
+    A drive may turn with other axes, too. Its dry friction then steps where the drive turns back, not where its axis
+    does. The encoder cannot time these steps; if they counted as exact, the ratio would seem known far too well. Torque
+    that is recorded late steps late. A doubt in the wrong place leaves a part of a reversal, which looks like low-speed
+    friction. A delay that changes by less than ``mistimed`` rows is left as it was.
     """
     turning, late = np.eye(len(system.whitening)), system.state[0].delay + system.state[0].lag
     for entry in system.entries(system.z):
@@ -1232,12 +1232,12 @@ def _noise(
 def _likeliest_noise(
     base: Base, B: FloatArray, C: FloatArray, y: FloatArray, valid: np.ndarray, order: int, most: int = 400
 ) -> tuple[FloatArray, float, float]:
-    """As :func:`_noise`, of a short log: the noise that makes the data likeliest, all columns under their prior.
+    """As :func:`_noise`, for a short log: the noise that makes the data likeliest, all columns under their prior.
 
-    Columns of a rich model span whatever is slow in a short log: what they took of the noise cannot be put back by its
-    share. So noise is white and one that fades (an autoregression of first order), as the low-pass leaves them. Their
-    sizes, and that of what may be missing, are those of the largest marginal likelihood (Patterson, Thompson,
-    Biometrika 58, 1971): all of it of usual size, or one thing of it.
+    In a short log the columns of a rich model span everything slow. Their share does not tell how much noise they took.
+    So the noise is white noise and an autoregression of first order, as the low-pass leaves them. Their sizes maximise
+    the marginal likelihood (Patterson, Thompson, Biometrika 58, 1971). So does the size of what may be missing: all of
+    it at its usual size, or one effect of it.
 
     Args:
         base: of the runs.

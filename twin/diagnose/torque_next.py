@@ -12,14 +12,14 @@ from twin.physics.statements import Test
 ADVICE: dict[Test, str] = {
     "clock": "the same motion from cold and again after an hour's work: only warm-up changes with the clock",
     "load": "the same motion with and without a known payload at the flange: friction that follows the load changes",
-    "reversals": "slow motion with short reversals (10⁻⁴ to 10⁻² rad) and standstills of a second: memory holds its "
-    "torque through a standstill, sliding friction and a delay do not",
+    "reversals": "slow motion with short reversals (10⁻⁴ to 10⁻² rad) and standstills of a second: friction with "
+    "memory keeps its torque through a standstill, sliding friction and a delay do not",
     "speeds": "constant speeds from 1 % to 90 % of the limit, both ways: each friction law has its own curve over "
     "speed",
-    "mass": "the same motion once more with a known mass at the flange: it scales with the torque constant, "
-    "and adds to a payload",
-    "acceleration": "one axis at a time, at rest and at the largest acceleration: what the other axes do to it then "
-    "shows by itself",
+    "mass": "the same motion once more with a known mass at the flange: its torque scales with the torque "
+    "constant, and adds to that of a payload",
+    "acceleration": "one axis at a time, at rest and at the largest acceleration: the effect of the other axes on it "
+    "then shows separately",
     "sweep": "one slow sweep of the axis over its whole range, there and back: torque over position at constant speed",
 }
 """Tests, the most telling first."""

@@ -180,7 +180,7 @@ def missing_play(play: Play, robot: Robot) -> Missing:
         {"gap": {"value": play.gap, "unit": "rad", "interval90": ends}},
     )  # fmt: skip
     evidence = (
-        f"The encoders of motor and link of joint{play.joint + 1} jump by {play.gap:.2g} rad against each other where "
-        f"the load through the gear changes sign; χ² of their difference falls by {play.fall:.0f} with it."
+        f"The difference between the motor's and the link's encoder of joint{play.joint + 1} jumps by {play.gap:.2g} "
+        f"rad where the load on the gear changes sign. With the gap in the model, χ² of it falls by {play.fall:.0f}."
     )
     return Missing(first, play.probability, (), evidence)

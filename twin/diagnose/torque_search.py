@@ -126,8 +126,9 @@ class Step:
     def borne(self) -> float:
         """The same with the description's tolerances as wide as they turn out beside the first.
 
-        Birge's ratio, of priors: where numbers stay far from their description, whatever is missing, it allows too
-        little, and what makes up for numbers held back, or relieves their tension, tells so much less.
+        Birge's ratio, applied to priors. Numbers may stay far from their description, whatever is missing: the
+        tolerances are then too narrow. An effect that makes up for numbers held back, or relieves their tension, then
+        counts less by this factor.
         """
         strained = too_narrow(self.system, self.first)
         if not strained.scale:
@@ -556,10 +557,10 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
 
 
 def _pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0) -> System:
-    """The model without what later finds have made needless, least needed first; it is accepted no more.
+    """The model without the finds that later finds have made needless, least needed first. Those are accepted no more.
 
-    What loses at once ``doubtful`` times what it needs is not tried without, but for what acts on the same joint, or on
-    the recording, as the last find does.
+    Leaving a find out may lose at once ``doubtful`` times what it needs: the model is then not tried without it. Finds
+    that act on the same joint, or on the recording, as the last find does, are tried in any case.
     """
     further = calibration()["further"]
     while True:

@@ -60,7 +60,7 @@ class RunStates:
         largest = max(groups, key=len, default=[])
         if 2 * len(largest) <= len(names):
             return [], notes
-        told = [f"{note}; what follows is of {', '.join(largest)} alone" for note in notes]
+        told = [f"{note}. Only {', '.join(largest)} is diagnosed" for note in notes]
         return largest, [Note(text, "other_robot", "fail", runs=tuple(names)) for text in told]
 
     def _system(self, members: Sequence[int]) -> System:

@@ -119,15 +119,18 @@ def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | 
         lines = float(np.median([len(campaign.postures[name].frequency) for name in noiseless]))
         shared = max(shared, lines / INDEPENDENT_LINES)
     assumed = [
-        f"{', '.join(noiseless)}: the coherence is one, so the recording states no noise; it is believed to "
-        f"{ANALYSER:.1%} of the response, what the channels of an analyser agree to"
+        f"{', '.join(noiseless)}: the coherence is one, so the recording states no noise. An error of {ANALYSER:.1%} "
+        "of the response is assumed, as between the channels of an analyser"
     ]
     nonlinear = any(check.kind == "linearity" and not check.passed for check in levels)
-    unknown = "postures disagree without a peak_force_n that says how hard they were hit: no law of amplitude is sought"
+    unknown = (
+        "recordings of the same posture disagree, and no peak_force_n states how hard it was hit: no law of amplitude "
+        "is searched for"
+    )
     forceless = any(check.kind == REPEAT and not check.passed for check in levels)
     louder = (
-        f"neighbouring lines differ by {times**0.5:.1f} times the noise that coherence states: the noise is "
-        "understated, and was taken as large as it is"
+        f"neighbouring lines differ by {times**0.5:.1f} times the noise that the coherence states. The stated noise is "
+        "too small; the estimated noise is used"
     )
     notes = [
         *([Note(louder, "noise_understated")] if times > 1 else ()),

@@ -501,8 +501,8 @@ def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
 def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
     """Optima of the base model beside the best, a sentence each."""
     return [
-        f"another start of the base model's fit ends at {fit.misfit:.3g} times the variance of the noise, the best at "
-        f"{base.misfit:.3g}: what its springs and dampers come out at depends on where a fit starts"
+        f"the fit of the base model depends on its start: the best ends at {base.misfit:.3g} times the variance of the "
+        f"noise, another at {fit.misfit:.3g} times. Its stiffness and damping depend on the start, too"
         for fit in others
     ]
 
@@ -536,8 +536,8 @@ def _elsewhere_hit(p: Parameter, change: float, off: float, answered: bool) -> N
     posture, _, axis = p.name.removeprefix("posture.").rpartition(".")
     wrong = f"{np.rad2deg(change):+.2g}°" if p.unit == "rad" else f"{change:+.2g} {p.unit}"
     text = (
-        f"{posture}: {axis} comes out {wrong} from what the file says, {off:.1f} standard deviations off: "
-        "is that the posture that was hit?"
+        f"{posture}: the fit has {axis} {wrong} away from the file, {off:.1f} standard deviations off. "
+        "Is that the posture that was hit?"
     )
     return Note(text, "posture", "fail" if answered else "warning")
 
@@ -548,11 +548,13 @@ def off_description(fit: Fitted, k: int, off: float) -> Note:
     (one,) = estimates_of(fit, [k]).values()
     low, high = np.ravel(one["interval90"])
     told = (
-        f"comes out at {fit.values[k]:.3g} {p.unit} (90 %: {low:.3g} to {high:.3g}) where {p.mean:.3g} is described, "
+        f"the fit gives {fit.values[k]:.3g} {p.unit} (90 %: {low:.3g} to {high:.3g}), the description {p.mean:.3g}: "
         f"{off:.1f} standard deviations off"
     )
     if p.quantity == "stiffness":
-        text = f"{p.site} {told}: either that is wrong, or something in series about the same axis looks like it"
+        text = (
+            f"{p.site}: {told}. Either the description is wrong, or something in series about the same axis is missing"
+        )
     else:
-        text = f"{p.name} {told}: it may be wrong there, or the description's tolerance too narrow"
+        text = f"{p.name}: {told}. The described value may be wrong, or its tolerance too narrow"
     return Note(text, "description", sites=(p.name,))

@@ -124,8 +124,8 @@ class ModalResult:
         if self.missed_hz is None:
             return ""
         return (
-            f"no mode explains the largest response, at {self.missed_hz:.4g} Hz: the lines there scatter as much as a "
-            "peak, or something that is not linear answers; try a narrow band about it, and look at the coherence"
+            f"no mode explains the largest response, at {self.missed_hz:.4g} Hz. Either the lines there scatter as "
+            "much as a peak, or the response is nonlinear. Try a narrow band around it, and look at the coherence"
         )
 
     @property

@@ -294,8 +294,8 @@ def _refuse_other_velocity(path: Path, where: str, time: FloatArray, series: dic
         i = int(np.argmax(wrong))
         raise InputError(
             path, f"{where}/velocity",
-            f"expected that of the positions in rad/s (m/s); joint{i + 1}'s adds up to {far[i]:.3g} rad (m) off them: "
-            "is it in another unit?",
+            f"expected the derivative of the positions in rad/s (m/s); the integral of joint{i + 1}'s is {far[i]:.3g} "
+            "rad (m) off its position: is it in another unit?",
         )  # fmt: skip
 
 
