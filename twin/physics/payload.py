@@ -1,5 +1,5 @@
-"""A rigid mass beyond the description, on a link or at the flange. Its com is in the frame of that link, at the flange
-of the last one.
+"""A rigid mass beyond the description, on a link or at the flange. Its com is in the frame of that link. At `flange`
+that is the last link's frame, and not the flange's.
 """
 
 from typing import TYPE_CHECKING, Any
