@@ -588,7 +588,8 @@ def lobes(
 
     Solves the delay equation of milling with the full FRF at the tool tip, all modes and cross terms, by a spectral
     method. Hopf, flip and low-frequency mode coupling are one calculation. For a robot that twin fit or twin diagnose
-    wrote, it gives the depth that is stable with 90 % probability, cutting coefficients included.
+    wrote, it gives the depth that is stable with 90 % probability, cutting coefficients included. Brakes are off, as in
+    a cut: a soft servo counts.
 
     ```yaml
     # posture.yaml

@@ -631,10 +631,10 @@ def stop_columns(
 
     At a stop or start: boxes of half a row or less, which together leave friction there undetermined. At a reversal:
     two boxes or more. The sign changes between two samples of the log, so the time of the step is uncertain by 1/√12 of
-    their distance. An error of the speed adds to this at a slow reversal. Both move the middle of the step, too.
-    An axis that nearly stops and goes on may have turned back: while its speed is below that error, within
-    ``creep_s`` of the minimum. ``held`` is the share of friction that may be held through a standstill. It adds one box
-    for the time between stop and start. ``recorded_late`` (s) shifts all boxes, because the torque is recorded that late.
+    their distance. An error of the speed adds to this at a slow reversal. Both move the middle of the step, too. An
+    axis that nearly stops and goes on may have turned back: while its speed is below that error, within ``creep_s`` of
+    the minimum. ``held`` is the share of friction that may be held through a standstill. It adds one box for the time
+    between stop and start. ``recorded_late`` (s) shifts all boxes, because the torque is recorded that late.
 
     Near a stop the encoder hardly counts for ``creep_s``, or for the time that :func:`_creeping` gives, and the axis
     may creep. At a reversal, encoder and low-pass leave a speed error of ``inexact`` times the largest speed.
