@@ -1,5 +1,8 @@
-"""Memory that arrays have left stays with the process: to give it back and be given it again costs a page fault per
-page, a tenth of the time of a fit whose derivatives are some megabytes large."""
+"""Memory that arrays have left stays with the process.
+
+To give it back and be given it again costs a page fault per page. That is a tenth of the time of a fit whose
+derivatives are some megabytes large.
+"""
 
 import ctypes
 import gc
@@ -13,7 +16,7 @@ LARGE = 1 << 28  # bytes: larger ones still go back
 
 
 def keep_memory() -> None:
-    """Ask the C library to; one that cannot is left as it is."""
+    """Ask the C library to keep memory; one that cannot is left as it is."""
     if sys.platform != "linux":
         return
     try:
@@ -26,8 +29,11 @@ def keep_memory() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Cycles among objects are not looked for meanwhile: in modules and figures, which are all cycles and live to the
-    end, the search takes a tenth of the time of importing and drawing them."""
+    """Cycles among objects are not looked for while this is open.
+
+    Modules and figures are all cycles and live to the end. The search takes a tenth of the time of importing and
+    drawing them.
+    """
     was = gc.isenabled()
     gc.disable()
     try:

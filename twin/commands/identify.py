@@ -190,8 +190,8 @@ def identify(
         robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; wins over the log's.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         hold_out: runs not to fit; chosen when empty.
-        low_pass: pass and stop frequency for torque and columns, Hz; 3 and 4 by default, of a log shorter than 40 s
-            those that foretell what was held out best.
+        low_pass: pass and stop frequency for torque and columns, Hz; 3 and 4 by default. For a log shorter than 40 s,
+            those that predict the held-out torque best.
         weighting: ``"joint"`` or ``"none"``.
         out: folder for robot.yaml, robot.xml, figures and identify.json; ``None`` writes nothing.
         progress: makes progress bars.

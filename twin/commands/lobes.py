@@ -231,18 +231,20 @@ def lobes(
     """Stability lobes of one posture: from a model, a fit with its posterior, or straight from a measured FRF.
 
     Args:
-        given: a posture file (its content, or axis positions in degrees), a robot (``robot.yaml``, URDF, or the output
-            folder of a fit or diagnosis), or a hammer test that hit the tool where it was measured.
+        given: a posture file, a robot or a hammer test. A posture file may also be its content, or axis positions in
+            degrees. A robot is a ``robot.yaml``, a URDF, or the output folder of a fit or diagnosis. A hammer test must
+            have hit the tool where it was measured.
         robot: wins over the robot that a file names.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         cut: a :class:`Cut`, its content, or ``cut.yaml``; wins over the posture file's ``cut``.
         q_deg: posture of a robot, degrees (m); by default the middle of the axes' limits.
         posture: which posture of a hammer test, by default the first.
-        brakes: ``"off"`` as in a cut, where servos hold the axes; those of a posture file are of its hammer test.
+        brakes: ``"off"`` by default, as in a cut, where servos hold the axes. The brakes in a posture file are those of
+            its hammer test.
         spindle_rpm: lowest and highest speed; wins over the cut's.
         draws: of the posterior, for the depth that is stable with 90 % probability; 0 for none.
-        in_time: at how many speeds the cut is also stepped in MuJoCo, nonlinear joints and all.
-        blow_n_s: on the tip along the feed, before each of these cuts begins.
+        in_time: at how many speeds the cut is also stepped in MuJoCo, with the nonlinear joints.
+        blow_n_s: momentum of a blow on the tip along the feed, before each of these cuts begins.
         out: folder for JSON and figures; ``None`` writes nothing.
         seed: of the draws.
         progress: makes progress bars.

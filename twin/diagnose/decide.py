@@ -1,8 +1,8 @@
 """From evidence to probabilities: none, a name, a set of names, or something that has no name here.
 
-Prior: nothing is missing with probability ``none``; else every effect alike, and every site of an effect alike, so that
-the many channels of the measurement chain do not win by their number. Evidence is divided by a temperature found on
-development cases. What the best entry leaves of the misfit tells whether the truth is among the names at all.
+Prior: nothing is missing with probability ``none``. Otherwise every effect is equally likely, and every site of an
+effect. So the many channels of the measurement chain do not win by their number. Evidence is divided by a temperature
+found on development cases. What the best entry leaves of the misfit tells whether the truth is among the names at all.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -122,8 +122,8 @@ def decide(
 def _shared(names: FloatArray, fits: Sequence[Fitted], axes: Mapping[str, str]) -> tuple[FloatArray, FloatArray]:
     """Probabilities of fits, and those of everything that turns the robot about the same axes as each.
 
-    Half of what such fits hold together is theirs alike: it is as likely that their hinges are where the vocabulary has
-    them, which the recordings may tell apart, as that they are not.
+    Such fits share half of their joint probability equally. It is as likely that their hinges are where the vocabulary
+    has them as that they are not. Recordings may tell them apart only in the first case.
     """
     groups: dict[tuple[str, ...], list[int]] = {}
     for k, fit in enumerate(fits):

@@ -130,8 +130,9 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
     """What a payload at the flange does to both models without refitting: an experiment that tells them apart.
 
     Returns:
-        Mass, posture and the lowest modes' frequencies with it, of the posture and mode where the models differ most;
-        ``None`` for a robot whose flange carries nothing in the catalogue's sense, or without modes.
+        Mass, posture and the frequencies of the lowest modes with it. In that posture the two models shift a mode most
+        differently; a shift to a frequency outside the recorded band counts a tenth. ``None`` for a robot without
+        modes.
     """
     total = sum(link.inertial[0] for link in after.links)
     mass = float(f"{EDIT_SHARE * total:.1g}")

@@ -108,8 +108,8 @@ def diagnose_campaign(
         hold_out: postures not to fit to; chosen when ``None``.
         seed: of the starts.
         progress: makes progress bars.
-        told_by: what another recording of the same robot said. Its answer is in the model, what it knows of links and
-            payloads is their prior, and the probabilities of its answers change by what this campaign says of them.
+        told_by: what another recording of the same robot said. Its answer is in the model. What it knows of links and
+            payloads is their prior. This campaign changes the probabilities of its answers.
         processes: the search is spread over so many; what it finds does not depend on it.
 
     Raises:
@@ -197,8 +197,9 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
 
 
 def _misses(search: Search, found: Triage) -> bool:
-    """Whether the base model misses by much more than noise, in what it was fitted to or what was kept aside, or has
-    its postures elsewhere than the file says.
+    """Whether the base model misses by much more than noise, or has postures elsewhere than the file says.
+
+    What the model was fitted to counts, and what was kept aside.
     """
     if search.error > FAR or any(note.kind == "posture" for note in strained(search.base)):
         return True
@@ -455,7 +456,7 @@ def _free(base: Robot, used: Sequence[Recorded]) -> Parameters:
 def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     """A fit whose links are bodies that can exist: if they are not, the rest is fitted again with links that are.
 
-    Those are the nearest to the fitted ones, or the described ones, whichever explains the recordings better; of a fit
+    Those are the nearest to the fitted ones or the described ones, whichever explain the recordings better. For a fit
     that is far off they are the described ones.
     """
     robot = physical(fit.robot)

@@ -2,11 +2,11 @@
 
 After a blow F the law adds a torque T at joint j of a robot that is linear otherwise (:mod:`twin.model.blow`):
 
-    H = H_lin − G_j T/F,    T/F = κ φ/F + rest,
+    H = H_lin − G_j T/F,    T/F = κ φ/F + rest.
 
-φ the joint's rotation, κ = k + s c the complex stiffness that comes closest to what the law did after that blow, and
-the rest what is left of its torque. With κ and the rest held at what stepping gave, H is a closed form of the linear
-model, law included, and T follows the rotation as the model changes.
+φ is the joint's rotation. κ = k + s c is the complex stiffness that comes closest to what the law did after that blow.
+The rest is what is left of the law's torque. κ and the rest are held at what stepping gave. Then H, law included, is a
+closed form of the linear model, and T follows the rotation as the model changes.
 """
 
 from dataclasses import dataclass, replace
@@ -66,8 +66,8 @@ class Receptances:
     """A linear model seen from one joint: receptances between channels and a torque (rotation) there.
 
     Attributes:
-        H: (nf, nr, ne) as recorded, without the law; ``out`` (nf, nr) its response to a torque at the joint, ``into``
-            (nf, ne) the joint's rotation per force, ``own`` (nf,) per torque.
+        H: (nf, nr, ne) as recorded, without the law. ``out`` (nf, nr): response per torque at the joint. ``into`` (nf,
+            ne): the joint's rotation per force. ``own`` (nf,): the joint's rotation per torque there.
         rates: derivatives of the same with respect to the parameters, first axis n.
     """
 

@@ -1,8 +1,8 @@
 """What could be missing: one hypothesis per effect and site, each the base model plus one entry with its own prior.
 
-Everything that is particular to an effect comes from its file in ``twin/physics``: what it would ordinarily be, how far
-that is known, from where a search has to start. A hypothesis may also be a number of the base model itself that is
-further from its description than its tolerance says (effect ``parameter``).
+Everything that is particular to an effect comes from its file in ``twin/physics``: its usual size, how well that is
+known, and where a search has to start. A hypothesis may also be a number of the base model itself that is further from
+its description than its tolerance says (effect ``parameter``).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -235,9 +235,10 @@ def companions(
 def same_axes(base: Robot, postures_q: Sequence[FloatArray]) -> dict[str, str]:
     """What turns the robot about one axis in every posture: keys of base and joint 1 → that axis of the base.
 
-    About the axis of joint 1 always. About the others while q₁ is the same, the nearest two as one: base and joint 1
-    then differ in the height of a hinge, which the vocabulary sets at the foot of the base and at the origin of link 1,
-    and by q₁ in its direction, which it sets, too. Neither is where a foundation or a bearing gives way.
+    Both turn the robot about the axis of joint 1 in all postures. While q₁ is the same, this holds for the other axes
+    of joint 1, too: each counts as one with the nearest axis of the base. Then base and joint 1 differ in the height of
+    a hinge and, by q₁, in its direction. The vocabulary sets both; it sets the height at the foot of the base and at
+    the origin of link 1. A real foundation or bearing gives way elsewhere.
     """
     if base.axes[0].type == "prismatic":
         return {}

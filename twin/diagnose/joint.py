@@ -1,8 +1,8 @@
 """One model for a motion log and a hammer test: what the log knows of masses is the hammer test's prior.
 
-p(θ | log, hammer) ∝ p(hammer | θ) p(θ | log): the log's answer goes into the model, its likelihood of the numbers both
-depend on (links, payloads) replaces their prior, and an entry that both can show gains or loses by what the hammer test
-says of it. So a payload must satisfy both.
+p(θ | log, hammer) ∝ p(hammer | θ) p(θ | log). The log's answer goes into the model. Links and payloads matter to both
+recordings: the log's likelihood of these numbers replaces their prior. An entry that both can show gains or loses
+probability by what the hammer test says of it. So a payload must satisfy both.
 """
 
 from collections.abc import Iterable, Sequence
@@ -104,9 +104,9 @@ class Knowledge:
 def about(parameters: Parameters, values: FloatArray) -> Parameters:
     """Parameters with the prior of masses and of where they hang made linear anew, at the values (n,) of a fit.
 
-    A log knows moments, m c and J + m (cᵀc E − c cᵀ), which are linear in its torque. Its knowledge of them is normal,
-    and of masses and places only near where it was asked: a payload that moves by a kilogram would take other torque
-    along.
+    A log knows moments, m c and J + m (cᵀc E − c cᵀ), which are linear in its torque. Its knowledge of moments is
+    normal. Its knowledge of masses and places is normal only near the values at which it was made linear. Far from
+    them, a payload that changes by a kilogram would change the log's torque.
     """
     turn, items = np.eye(len(parameters)), list(parameters.items)
     for at in _bodies(parameters, range(len(parameters))):

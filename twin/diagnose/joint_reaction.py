@@ -595,8 +595,10 @@ class Stepped(Cost):
 
 
 def _smooth(little: ComplexArray, somewhat: ComplexArray, at: ComplexArray) -> NDArray[np.bool_]:
-    """Blows (ne,) whose answer to being a little longer is what somewhat longer ones tell; false, too, where a step
-    went over the edge of what can be stepped."""
+    """Blows (ne,) for which a small and a larger increase of the length tell about the same derivative.
+
+    Also false where a step went over the edge of what can be stepped.
+    """
     a, b = (little - at) / FINE_DIFFERENCE, (somewhat - at) / WIDE
     return np.asarray(np.sum(np.abs(a - b) ** 2, axis=0) < np.sum(np.abs(b) ** 2, axis=0))
 

@@ -121,9 +121,9 @@ class View:
 def view(robot: Robot, base: Parameters, z: FloatArray, sample: Sample, blow: dict[str, Blow], window: float) -> View:
     """The recordings under a further exponential window, which leaves the beginning of every decay.
 
-    A rough law (a gap) throws the end of a decay about, at the least change of anything; its beginning is smooth in
-    all parameters, and quickly stepped. The window is a convolution along the lines; what lies outside the band is
-    supplied by the base model at z, so that only its error is cut off at the ends.
+    With a rough law (a gap), the smallest change of a parameter greatly changes the end of a decay. The beginning is
+    smooth in all parameters, and quickly stepped. The window is a convolution along the lines. The base model at z
+    supplies what lies outside the band, so that only its error is cut off at the ends.
     """
     if not window:
         return View(window, sample, blow)
@@ -260,8 +260,10 @@ def locate(
     tick: Callable[[int], None],
     processes: int = 1,
 ) -> tuple[list[Located], float]:
-    """Joints, each tried with a complex stiffness for every blow, lowest cost first; and the model error down to
-    which the best explains the recordings (1 where it does not)."""
+    """Joints, each tried with a complex stiffness for every blow, lowest cost first, and a model error.
+
+    It is the least model error at which the best joint explains the recordings, 1 where it does not.
+    """
     ends: dict[str, FloatArray] = {}
     for site in sites:
         rough = BlowByBlow(robot, parameters, sample, FALLING_ERRORS[0], site=site)
@@ -404,9 +406,11 @@ def _race(
     *,
     hopeful: bool = False,
 ) -> tuple[list[Trial], float]:
-    """The laws that stay in reach of the best while the model error allowed falls, best first; and the least error at
-    which one of them explains the recordings (1 where none does). Where only laws that do are of use (``hopeful``), one
-    that does not promise to is given up."""
+    """The laws that stay in reach of the best while the model error allowed falls, best first, and the least error.
+
+    That is the least error at which one of the laws explains the recordings, 1 where none does. With ``hopeful``, only
+    laws that explain them are of use: one that does not promise to is given up.
+    """
     reached, enough = 1.0, 0.5 * EXPLAINS * trials[0][0].data
     for temper in tempers:
 
@@ -560,8 +564,10 @@ def _fitted(
 def _likeness(
     seen: Sequence[FloatArray], certainty: Sequence[FloatArray], found: Sequence[FloatArray], least: FloatArray
 ) -> tuple[float, FloatArray]:
-    """How far a law's equivalents are from those seen, and the shift (2,) of the joint's own spring that fits best,
-    no less than ``least``: a spring stays one, whatever a law adds at rest."""
+    """How far a law's equivalents are from those seen, and the best shift (2,) of the joint's own spring.
+
+    The shift is no less than ``least``: a spring stays a spring, whatever a law adds at rest.
+    """
     gap = np.concatenate([a - b for a, b in zip(seen, found, strict=True)], axis=1)
     spread = np.concatenate(list(seen), axis=1).std(axis=1)
     tolerance = np.diag((0.1 * spread + 1e-12) ** 2)

@@ -1,10 +1,10 @@
 """What linear physics is missing beside a law of amplitude: the linear search on a robot whose law is held.
 
 The law's torque after every blow is held as stepping has it (:mod:`twin.diagnose.held_law`), and the search for one
-linear omission runs as it does on a linear robot. What it finds moves the law's own numbers: the finalists
-are fitted again with the law stepped, their law is held, and the decision is between them. A law of few numbers is
-not the robot's: what it leaves may be what a partner takes up. So with a partner and without, every blow may have
-a further stiffness of its own at the law's joint, and what a partner gains is what it gains beside that.
+linear omission runs as it does on a linear robot. What it finds moves the law's own numbers: the finalists are fitted
+again with the law stepped, their law is held, and the decision is between them. A law of few numbers is not exactly the
+robot's, and a partner may explain what it leaves. So every blow may have a further stiffness of its own at the law's
+joint, with a partner and without. Only what a partner gains beside that counts.
 """
 
 from collections.abc import Sequence
@@ -106,8 +106,10 @@ def explain_beside(
 
 
 def _doubted(stepped: Stepped, z: FloatArray) -> Sample:
-    """The recordings with what steps twice as long change added to their noise, where that is no small part of it: a
-    play that is open throws the end of a decay about, and a partner would explain how the steps fell."""
+    """The recordings with what steps twice as long change added to their noise, where that is no small part of it.
+
+    An open gap makes the end of a decay erratic. A partner would then explain errors of the steps.
+    """
     fine, coarse = (replace(stepped, rate_hz=rate).predicted(z) for rate in (stepped.rate_hz, stepped.rate_hz / 2))
     error = [np.abs(a - b) ** 2 for a, b in zip(fine, coarse, strict=True)]
     recordings = stepped.sample.recordings

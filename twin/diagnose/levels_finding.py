@@ -215,8 +215,10 @@ def levels_sentence(levels: Levels) -> str:
 
 
 def _as_entered(parameters: dict[str, Any], objective: Stepped, fit: Fitted) -> dict[str, Any]:
-    """The law's own numbers as they are in its entry, for blows as long as these were, and not the blows', with what is
-    not known of their momentum."""
+    """The law's own numbers as they are in its entry, for blows as long as these were; without those of the blows.
+
+    Where raw hits do not tell the length of the blows, the intervals include what is not known of their momentum.
+    """
     sizes, longer = objective.own(fit.z)
     entry: dict[str, Any] = objective.law.entry(sizes, longer)
     known = "pulse" not in parameters  # raw hits tell it
@@ -309,11 +311,12 @@ def _with(records: Sequence[FrfRecord], stage: Stage, predicted: Sequence[Comple
 def check_blows(robot: Robot, campaign: Campaign, recordings: dict[str, Recorded]) -> dict[str, Any] | None:
     """The written model hit in MuJoCo's time at two force levels, against the search's stepping and the recording.
 
-    The blow whose FRFs differ most from level to level is taken, angles as recorded.
+    The blow whose FRFs differ most from level to level is taken, with the angles as recorded.
 
     Returns:
-        A check: the larger relative difference of FRFs (nf, nr) from the search's, the change from level to level in
-        MuJoCo and as recorded; ``None`` where no posture has two levels.
+        A check. Its value is the larger relative difference of the FRFs (nf, nr) from the search's. Its description
+        gives the change from level to level, in MuJoCo and as recorded. ``None`` where no posture has two levels, or a
+        peak force is not recorded.
     """
     blow = blows(campaign)
     pairs = [

@@ -1,8 +1,8 @@
 """Force levels: the smallest law of amplitude that they would have shown, and what to strike next where laws rival.
 
-The former is where the triage would have found that levels disagree, the latter, as for linear hypotheses
-(:mod:`twin.diagnose.next_test`), where the squared difference of two models in units of noise is largest after
-everything free has moved to hide it. Blows are stepped in time.
+A law would have shown where the triage would have found that levels disagree. The next blows are where the models of
+two laws differ most. As for linear hypotheses (:mod:`twin.diagnose.next_test`), that is their squared difference in
+units of noise, after everything free has moved to hide it. Blows are stepped in time.
 """
 
 from collections.abc import Sequence

@@ -81,11 +81,11 @@ def mismatch(fit: Fitted, sample: Sample) -> Mismatch:
 def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None, processes: int = 1) -> dict[str, float]:
     """What ln evidence would gain if a spring had a law without a name, site by site, most first.
 
-    The law is a stiffness of its own in every posture, one that is complex and bends over frequency, or a damper of
-    order one half, as rubber and grease are (Bagley and Torvik, J. Rheol. 27, 201, 1983), each as likely as an effect
-    that has a name: to first order about the fit, everything that is free there making room. A share x of the stiffness
-    has the prior N(0, s²), all scales s of ``SCALES`` alike. Columns ``aside`` (m, data), of prior deviation one, make
-    room too. Sites are spread over ``processes``.
+    Three laws are tried, each as likely as an effect that has a name. One is a stiffness of its own in every posture.
+    One is a stiffness that is complex and bends over frequency. One is a damper of order one half, as rubber and grease
+    are (Bagley and Torvik, J. Rheol. 27, 201, 1983). The gain is to first order about the fit, and everything that is
+    free there makes room. A share x of the stiffness has the prior N(0, s²), all scales s of ``SCALES`` alike. Columns
+    ``aside`` (m, data), of prior deviation one, make room too. Sites are spread over ``processes``.
     """
     objective = Objective(fit.robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
@@ -114,9 +114,11 @@ def free_laws(fit: Fitted, sample: Sample, aside: FloatArray | None = None, proc
 
 
 def free_blows(fit: Fitted, sample: Sample, site: str) -> tuple[float, FloatArray]:
-    """What ln evidence would gain if the law held at a joint were another one, and its columns (m, data) of prior
-    deviation one: beside that law every blow has a complex stiffness of its own there, to first order about the fit,
-    everything that is free making room. Shares of the joint's stiffness have the prior of :func:`free_laws`.
+    """What ln evidence would gain if the law held at a joint were another one, and its columns (m, data).
+
+    Beside that law every blow has a complex stiffness of its own there. The gain is to first order about the fit, and
+    everything that is free makes room. Shares of the joint's stiffness have the prior of :func:`free_laws`. The columns
+    have prior deviation one.
     """
     objective = Objective(fit.robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)

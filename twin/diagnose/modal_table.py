@@ -1,10 +1,10 @@
 """What a modal table says beyond the base model: a few frequencies and damping ratios, and so rarely much.
 
 Every mechanical entry that the description lacks is fitted beside everything the base model has free, and to the best
-of them a second and a third. A table states no more than a handful of numbers, mostly without their uncertainty, and a
-model with that many free can always be made to agree with them: agreement is no evidence. What is named must predict
-postures that it was not fitted to, each left out in turn, with half the error of the model without it, and none worse.
-Otherwise the table cannot tell, and the finding says so.
+of them a second and a third. A table states no more than a handful of numbers, mostly without their uncertainty. A
+model with that many free numbers can always be made to agree with them, so agreement is no evidence. What is named must
+predict postures that it was not fitted to; each is left out in turn. Its error there must be half that of the model
+without it, and in no posture more than 10 % larger. Otherwise the table cannot tell, and the finding says so.
 """
 
 from collections.abc import Callable, Mapping, Sequence

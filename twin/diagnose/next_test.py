@@ -1,7 +1,8 @@
 """What to measure next, and what this test could have shown at all.
 
-Both rest on signature energy after projection: the squared difference two models predict, in units of noise, that is
-left when everything the model has free has moved, under its prior and the data so far, to hide it.
+Both rest on signature energy after projection. That is the squared difference of the predictions of two models, in
+units of noise. Only that part counts which is left when everything free in the model has moved to hide it. It moves
+under its prior and the data so far.
 """
 
 from collections.abc import Sequence
@@ -29,9 +30,9 @@ def smallest_visible(
 ) -> list[dict[str, Any]]:
     """The size of each entry whose signature, after projection, this recording would have shown.
 
-    The signature is the derivative with respect to the size, a spring's size being its compliance: a difference would
-    count the curvature of what a refit absorbs, and let a payload show at grams. The first parameter of the entry is
-    given.
+    The signature is the derivative with respect to the size; a spring's size is its compliance. A difference would also
+    count the curvature of what a refit absorbs. Then a payload of grams would seem to show. The first parameter of the
+    entry is given.
     """
     objective = Objective(robot, fit.parameters, sample)
     residual, J = objective.jacobian(fit.z)
@@ -70,10 +71,11 @@ WEIGH = (
 
 
 def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: int = 0) -> dict[str, Any] | None:
-    """The posture, brake state that best separates two fitted hypotheses, with the expected separation.
+    """The posture and brake state that best separate two fitted hypotheses, with the expected separation.
 
-    Candidates: the recorded postures turned about joint 1, and random ones within the robot's limits; none in which
-    more turns the robot about one axis than need be (:func:`twin.diagnose.hypotheses.same_axes`).
+    Candidates are the recorded postures turned about joint 1, and random ones within the robot's limits. If brakes were
+    not on, some recorded postures with brakes on are candidates, too. In all of them, as few of the two hypotheses'
+    entries as possible turn the robot about one axis (:func:`twin.diagnose.hypotheses.same_axes`).
 
     Args:
         robot: the description with its limits, which fitted models are without.

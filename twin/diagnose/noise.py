@@ -1,9 +1,9 @@
 """The variance of measured FRFs as a diagnosis uses it: what coherence says, pooled until it can be believed.
 
-Coherence from n hits gives a variance with 2(n − 1) degrees of freedom at every line: with five hits it scatters by a
-factor of two, and weights that scatter with the noise they weigh make a true model look wrong. A blow's noise has two
-parts, one that does not know the response (sensor, background) and one in proportion to it (force calibration, blows
-that differ): v = a(f) + b |H|², a pooled over neighbouring lines of a channel pair, b over all that a blow excites.
+Coherence from n hits gives a variance with 2(n − 1) degrees of freedom at every line. With five hits it scatters by a
+factor of two. Weights that scatter with the noise they weigh make a true model look wrong. A blow's noise has two
+parts, v = a(f) + b |H|². One does not depend on the response (sensor, background). One is in proportion to it (force
+calibration, blows that differ). a is pooled over neighbouring lines of a channel pair, b over all that a blow excites.
 """
 
 from collections.abc import Sequence
@@ -111,8 +111,9 @@ def _incoherent(coherence: FloatArray, averages: int) -> NDArray[np.bool_]:
 def shared_lines(postures: Sequence[PostureFRF]) -> float:
     """Lines that carry the noise of one independent line, 1 or more.
 
-    A record of T = 1/spacing under a window e^{−σt} has Σ_k |ρ_k|² = σT coth σT of them, with ρ_k = 1/(1 − ikπ/σT) the
-    correlation of noise k lines apart. 1 where the noise is rougher than that: lines that were made one by one.
+    For a record of T = 1/spacing under a window e^{−σt} the number is Σ_k |ρ_k|² = σT coth σT. ρ_k = 1/(1 − ikπ/σT) is
+    the correlation of noise k lines apart. The number is 1 where the noise is rougher than that: lines that were made
+    one by one.
     """
     decay = float(np.mean([_decay(posture) for posture in postures]))
     if decay < LIGHT:

@@ -173,8 +173,8 @@ def frf_records(
     """Every posture of a campaign beside the three models, and the errors of a diagnosis.
 
     Models are judged as they will be written, see :func:`physical`. Where a model was fitted, its own posture angles
-    and gains are used; elsewhere they are re-estimated within the description's tolerances, and nothing else is: angles
-    of the axes whose angles the model has free.
+    and gains are used. Elsewhere they are re-estimated within the description's tolerances, and nothing else is. Of the
+    angles, only those that the model has free are re-estimated.
 
     Args:
         given: the description as it came.

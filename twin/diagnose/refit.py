@@ -1,9 +1,9 @@
 """Fits of a hypothesis: continuation from a robust logarithmic residual to the linear one, and Laplace's evidence.
 
-With the prior standard normal in z, ln p(data) = −cost − ½ ln det(F + 1) up to a constant common to all hypotheses on
-the same data (MacKay, Information Theory, Inference and Learning Algorithms, chapter 28). A parameter the data do not
-hold costs nothing; one they hold costs the ratio of its posterior to its prior width. How large an entry is that nobody
-described is known least of all: its prior has heavy tails.
+The prior is standard normal in z. Then ln p(data) = −cost − ½ ln det(F + 1), up to a constant common to all hypotheses
+on the same data. See MacKay, Information Theory, Inference and Learning Algorithms, chapter 28. A parameter the data do
+not determine costs nothing. One they determine costs the ratio of its posterior to its prior width. How large an entry
+is that nobody described is known least of all: its prior has heavy tails.
 """
 
 from collections.abc import Sequence
@@ -93,10 +93,10 @@ class Fitted:
     def _of_any_size(self, information: FloatArray) -> float:
         """What the evidence gains when sizes may be far from the usual one: prior widths averaged over their scale.
 
-        An angle, gain or delay of either sign may be as small as ``SMALLER`` of its usual width, alike for all scales,
-        and so may a number of the description, down to its tolerance;
-        the logarithm of a size may be ``WIDTHS`` times as far off, and stays where it is: what a wider prior would move
-        it by along a bent valley, no Gaussian tells. Gaussian likelihood of the own parameters, the others integrated
+        The prior of an angle, gain or delay of either sign may be as narrow as ``SMALLER`` of its usual width; all
+        these scales are alike. The same holds for a number of the description, down to its tolerance. The logarithm of
+        a size may be ``WIDTHS`` times as far off, but it stays where it is. A wider prior would move it along a bent
+        valley, and no Gaussian tells how far. The likelihood is Gaussian in the own parameters, the others integrated
         out.
         """
         gained, at = 0.0, len(self.z) - len(self.hypothesis.own)
@@ -216,10 +216,10 @@ def descend(
 
 
 def recorded_error(robot: Robot, recordings: Sequence[Recorded]) -> tuple[float, float]:
-    """RMS of residual over RMS of data, weighted, after re-estimating what belongs to the recordings themselves, and by
-    how many deviations of its tolerance the angle of a posture is then off, at most.
+    """RMS of residual over RMS of data, weighted, and the largest error of a posture angle, in its tolerances.
 
-    Those are posture angles and channel gains within the description's tolerances; nothing of the robot is fitted.
+    Before, what belongs to the recordings themselves is re-estimated: posture angles and channel gains within the
+    description's tolerances. Nothing of the robot is fitted.
     """
     postures = dict.fromkeys(r.setup.name for r in recordings)
     items = recording_parameters(robot, postures, recordings[0].setup.response.label)
@@ -237,11 +237,11 @@ def recorded_error(robot: Robot, recordings: Sequence[Recorded]) -> tuple[float,
 
 
 def foreseen(fit: Fitted, kept: Sample) -> Fitted:
-    """Recordings a fit has not seen, what it does not know of its parameters beside their noise.
+    """How a fit predicts recordings it has not seen; the doubt of its parameters counts beside their noise.
 
-    The posterior of the fit, of covariance C, is their prior, so that the least cost is ½ rᵀ(Σ + J C Jᵀ)⁻¹r, and the
-    evidence is that of the recordings given what the fit has seen: with its own it makes that of all (the chain rule
-    of probability), and nothing is fitted to both. Angles of the postures are their own.
+    The posterior of the fit, of covariance C, is the prior of its parameters. So the least cost is ½ rᵀ(Σ + J C Jᵀ)⁻¹r.
+    The evidence is that of the recordings, given what the fit has seen. With the fit's own evidence it makes that of
+    all recordings (the chain rule of probability), and nothing is fitted to both. Angles of the postures are their own.
     """
     stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
     covariance, kept = fit.covariance, placed(fit, kept)

@@ -1,15 +1,15 @@
 """Which of many hypotheses deserve a refit: the gain that one Gauss–Newton step from a typical size promises.
 
-Every entry in turn is put into the current model at a few sizes of its prior: its secant carries what a tangent at no
-effect cannot (a servo is collinear with gear stiffness to first order). The step frees the entry's own parameters and,
+Every entry in turn is put into the current model at a few sizes of its prior. The secant shows what a tangent at no
+effect cannot: to first order a servo is collinear with gear stiffness. The step frees the entry's own parameters and,
 under their priors, everything the current model has free: stiffness, damping, masses, posture angles, gains. That is
-the projection of nuisance parameters with unfitted tolerances as part of the covariance, and an implausible size pays
-for itself.
+the projection of nuisance parameters, with unfitted tolerances as part of the covariance. An implausible size pays for
+itself.
 
-Near the truth all this is linear algebra on every line, with the nuisance derivatives of the current model; an entry
-between whose sizes there are ridges is followed a few steps beyond them. Where the current model
-misses by much more than noise, no first-order model holds to the precision of that noise: the promise is then taken on
-the robust logarithmic residual of a few lines, with derivatives at every place that is tried.
+Near the truth all this is linear algebra on every line, with the nuisance derivatives of the current model. Where there
+are ridges between the sizes of an entry, it is followed a few steps beyond them. Where the current model misses by much
+more than noise, no first-order model holds to the precision of that noise. The promise is then taken on the robust
+logarithmic residual of a few lines, with derivatives at every place that is tried.
 """
 
 from collections.abc import Callable, Sequence
@@ -460,12 +460,13 @@ def _promise(
 class _Scan:
     """Secants of many resonators against the projected residual, the amplitude free.
 
-    A mass on a spring at a point p takes the force D u_p, D⁻¹ = 1/(m s²) + δ eeᵀ with δ = 1/(c s + k) along its axis e,
-    so that H′ − H = −H_rp (D⁻¹ + H_pp)⁻¹ H_pe. With B that inverse for δ = 0, a mass without a spring,
+    A mass on a spring at a point p takes the force D u_p. Its axis is e: D⁻¹ = 1/(m s²) + δ eeᵀ with δ = 1/(c s + k).
+    So H′ − H = −H_rp (D⁻¹ + H_pp)⁻¹ H_pe. With B that inverse for δ = 0, a mass without a spring,
 
-        H′ − H = −H_rp B H_pe + a H_rp B e eᵀB H_pe,    a = δ/(1 + δ eᵀB e):
+        H′ − H = −H_rp B H_pe + a H_rp B e eᵀB H_pe,    a = δ/(1 + δ eᵀB e).
 
-    one prediction serves all frequencies and axes, and of a frequency only the line-by-line factor a is left.
+    One prediction serves all frequencies and axes. Only the factor a, line by line, depends on the resonator's
+    frequency.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -589,8 +590,11 @@ class _Scan:
         return _signed_gain(along, across, across - np.sum(shares**2, axis=1))
 
     def _secants(self, variants: Sequence[Hypothesis], k: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Change of the weighted FRFs of a recording by resonators of their usual mass: what all have in common
-        (nf, nr, ne), and what each (m, nf) multiplies (nf, nr, ne)."""
+        """Change of the weighted FRFs of a recording by resonators of their usual mass.
+
+        It is the first result (nf, nr, ne), common to all, plus the second (nf, nr, ne) times the third (m, nf), each
+        one's own.
+        """
         values = variants[0].entries[0].values
         mass, place = values["mass"], tuple(values["position"])
         r, X, weight = self.sample.recordings[k], self._at(variants[0].site, place)[k], self.objective.weight[k]

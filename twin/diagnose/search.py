@@ -1,8 +1,8 @@
 """From the base model to the few hypotheses that explain a hammer test, one missing thing after the other.
 
-A round takes what is believed so far, screens what else could be missing, refits what promises most. Rounds go on as
-long as the evidence grows; then every thing found is taken out in turn and the round repeated with the others in
-place, since one thing may have been found in the stead of another. All finalists end on all lines, at convergence.
+A round takes what is believed so far, screens what else could be missing, and refits what promises most. Rounds go on
+as long as the evidence grows. Then every thing found is taken out in turn, and the round is repeated with the others in
+place. One thing may have been found instead of another. All finalists end on all lines, at convergence.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -237,10 +237,10 @@ def in_doubt(
 def inexact(fit: Fitted, base: Fitted, fits: Mapping[frozenset[str], Fitted], scale: float = 1.0) -> float:
     """ln evidence that the laws of a fit may be off by: a share of what they gain over the base model.
 
-    A structure that is not exactly the named one leaves as much; but what it leaves is misfit, and of that a second
-    thing takes more than a part. A turned sensor, a gain or a number of the description
-    has no law that could be off: where ``fits`` have those alone, the others' gain counts from there.
-    Of a recording that no model predicts exactly it is all that may hide in the misfit.
+    A structure that is not exactly the named one leaves that much unexplained. But what it leaves is misfit, and a true
+    second thing takes more than a part of the misfit. A turned sensor, a gain or a number of the description has no law
+    that could be off. Where ``fits`` have a fit of those alone, the gain of the others counts from there. For a
+    recording that no model predicts exactly, it is all that may hide in the misfit.
     """
     base = fits.get(frozenset(piece.key for piece in fit.hypothesis.pieces if piece.exact), base)
     share = calibration()["inexact_linear"] * max(fit.evidence(scale) - base.evidence(scale), 0.0)
@@ -475,10 +475,11 @@ class _Place:
 
 
 def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
-    """What turns the robot about an axis of a likely answer, in the stead of its piece and at convergence.
+    """Fits what turns the robot about the same axis as a piece of a likely answer, in its stead, to convergence.
 
-    And what is simpler than a piece of the best answer that holds it, as a foundation without a mass of its own: beside
-    what was found after that piece, the simpler may do as well. So may one node far astray that was freed with all.
+    Pieces of the best answer are also replaced by simpler ones that they contain, as a foundation without a mass of its
+    own. Beside what was found after that piece, the simpler may do as well. So may one node that is far astray and was
+    freed with all others.
     """
     free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
     axes, finalists = same_axes(robot, postures), search.finalists
@@ -625,8 +626,10 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
 
 
 def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis, parameters: Parameters) -> FloatArray:
-    """Where a companion starts: what stays is as it is, its own numbers are those of what it stands for, rather of the
-    simpler: mass and place of what hangs."""
+    """Where a companion starts: what stays is as it is; its own numbers are those of what it stands for.
+
+    If several of those have a number (mass and place of what hangs), it is that of the simpler one.
+    """
     fitted = dict(zip(written_names(best.parameters).names, best.values, strict=True))
     known: dict[str, float] = {}
     for piece in sorted(gone, key=lambda piece: -len(piece.own)):

@@ -220,9 +220,9 @@ def predicted_runs(prepared: Prepared, search: Search) -> list[FloatArray]:
 def _following(system: System, fit: Fitted, gaps: Sequence[Play], robot: Robot) -> Robot:
     """A description whose links and payloads another recording has settled, the rest where the log then has it.
 
-    To a log the weight of a payload and the torque of a compensator are nearly one: where the other recording moves the
-    one, what the log holds of both together must not be lost. Everything is normal about the fit, so that the rest
-    moves to its mean given links and payloads.
+    A log hardly tells the weight of a payload from the torque of a compensator. Where the other recording moves one of
+    them, what the log knows of both together must not be lost. Everything is normal about the fit, so the rest moves to
+    its mean, given links and payloads.
     """
     links = system.base.links
     vectors = np.concatenate([inertial_vector(*link.inertial) for link in robot.links])
@@ -509,8 +509,8 @@ def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) ->
 def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Missing:
     """Low-speed friction of which the log shows only what it adds at rest, beside slip that was found at its joint.
 
-    Both hold more at rest than friction is in motion, and how the one falls with speed lies between two samples: that
-    the one has the better fit says nothing of which it is, where neither law is exact.
+    Both hold more torque at rest than friction is in motion. How low-speed friction falls with speed lies between two
+    samples. Neither law is exact, so the better fit of one does not tell which of them it is.
     """
     memory = [m for m in missing if effect_named(m.first.effect).memory]
     slips = [m for m in memory if m.first.site.partition(".")[0] == found.first.site]

@@ -1,8 +1,8 @@
 """A law for torque that no known effect explains: a sparse sum of products of the state, found by orthogonal matching.
 
-Terms are taken one after the other from a library of physical features (Pati, Rezaiifar, Krishnaprasad, Asilomar 1993;
-Brunton, Proctor, Kutz, PNAS 113, 2016, use the same idea), each of usual size under its prior, until one more gains
-nothing. The law is an entry like any other: its formula is evaluated by the effect ``discovered``.
+Terms are taken one after the other from a library of physical features, until one more gains nothing (Pati, Rezaiifar,
+Krishnaprasad, Asilomar 1993). Each is of usual size under its prior. Brunton, Proctor, Kutz, PNAS 113, 2016, use the
+same idea. The law is an entry like any other: its formula is evaluated by the effect ``discovered``.
 """
 
 from collections.abc import Sequence

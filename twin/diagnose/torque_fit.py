@@ -1,11 +1,11 @@
 """Posterior of a base model and of one more entry on the torque of a motion log, linear in all but the entry's shape.
 
-The base model's numbers (masses, centres of mass, inertias, rotors, friction, compensator, offsets of the runs) enter
-as z with a standard normal prior about the description: y = A z + e. Torque noise is coloured, so rows are whitened,
-joint by joint, with an autoregression of the residual that the richest model leaves: base, every suspect and a free
-function of each joint's state. What such a rich fit has taken out of the noise is put back line by line (leverage).
-An entry's own numbers are found by Gauss–Newton with z eliminated (variable projection; Golub, Pereyra, SIAM J. Numer.
-Anal. 10, 1973).
+The base model's numbers are masses, centres of mass, inertias, rotors, friction, compensator and offsets of the runs.
+They enter as z with a standard normal prior about the description: y = A z + e. Torque noise is coloured. So rows are
+whitened, joint by joint, with an autoregression of the residual that the richest model leaves. That model has the base,
+every suspect and a free function of each joint's state. What such a rich fit has taken out of the noise is put back
+line by line (leverage). An entry's own numbers are found by Gauss–Newton with z eliminated (variable projection; Golub,
+Pereyra, SIAM J. Numer. Anal. 10, 1973).
 """
 
 from collections.abc import Iterator, Sequence
@@ -71,12 +71,12 @@ class Base:
     Attributes:
         runs: fitted or held out; ``matrix`` (m, n, p) per run, torque per unit of the regressor's columns.
         known: (m, n) per run, torque of what has no column.
-        described: (p,) values, and zeros for the changes of numbers that the regressor takes as given, which come
-            after its columns; ``spread`` (p, z) their change per prior deviation.
+        described: (p,) values of the regressor's columns. After them come zeros, for the changes of numbers that the
+            regressor takes as given. ``spread`` (p, z): their change per prior deviation.
         parameters: (z + ripple + offsets) free numbers, offsets of the runs last.
         ripple: (m, n, 2 RIPPLE_ORDERS) per run, sines and cosines of each joint's angle, of ordinary size.
-        offset: (n, runs, runs) torque of every run per unit of the offsets of all, N·m (N): see :func:`_offsets`;
-            ``friction`` (n,) a joint's dry friction as described, N·m (N).
+        offset: (n, runs, runs) torque of every run per unit of the offsets of all, N·m (N), see :func:`_offsets`.
+            ``friction`` (n,): a joint's dry friction as described, N·m (N).
         sliding: (n,) N·m (N), dry friction whose presliding is ordinary: alike at all joints it is a tolerance of
             sgn q̇, at one joint it is ``hysteresis``.
         presliding: (m, n, travels) per run, torque of a bristle that turns round less its sign, times ``sliding``;
@@ -230,8 +230,8 @@ def base_of(
 def _offsets(robot: Robot, runs: Sequence[Run]) -> FloatArray:
     """Prior of the zeros of the joints' current sensors, as factors (n, runs, runs) of its covariance, N·m (N).
 
-    A sensor has one zero, to ``ZERO`` of its range, and every run adds ``DRIFT`` of the joint's RMS torque: a constant
-    of all runs is so no friction that depends on the direction.
+    A sensor has one zero, known to ``ZERO`` of its range. Every run adds ``DRIFT`` of the joint's RMS torque. So a
+    constant of all runs does not pass for friction that depends on the direction.
     """
     torque = np.concatenate([r.torque[r.valid] for r in runs])
     limits = [axis.limits.torque if axis.limits else None for axis in robot.axes]
@@ -405,19 +405,19 @@ class System:
         whitening: (n, order + 1) prediction-error filter per joint over the noise's deviation.
         parameters: the base model's numbers; ``found`` entries that belong to it, beyond the description's.
         design: whitened torque per prior deviation of the description's numbers, as (N, z).
-        A: the same and what was found, as the recording has it at the tolerances in force; ``data`` (N,) whitened
-            torque less the description's, ``y`` (N,) the same less what A is not linear in.
+        A: the same and what was found, as the recording has it at the tolerances in force. ``data`` (N,): whitened
+            torque less the description's. ``y`` (N,): the same less what A is not linear in.
         state: per run, what laws that act on other torques see.
         level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
         noise: (n,) RMS of the noise at the rows, N·m (N).
         widened: number in z → factor on the prior deviation its description gives it.
         slopes: of what was found, by name: numbers they depend on, and whitened slopes there.
         screened: whitened columns of the suspects' starts, which stay the same when something is found.
-        recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any;
-            ``through`` the design as such a recording has it.
+        recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any.
+            ``through``: the design as such a recording has it.
         stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
         turning: (n, n) speeds of the drives per speed of the axes, where drives were found to turn with other axes too.
-        late: s, by which the stops are, where the torque was found to be recorded late.
+        late: s by which the stops are late, where the torque was found to be recorded late.
     """
 
     base: Base
@@ -681,7 +681,7 @@ def stop_columns(
 def _creeping(outside: FloatArray, most: float = 8.0) -> int:
     """Samples for which an axis moves on after its speed is too low to be told from rest.
 
-    Where the jerk, too, ends at zero, the speed falls with the cube of the time left: it is ``most`` times as high
+    Where the jerk, too, ends at zero, the speed falls with the cube of the time left. So it is ``most`` times as high
     twice as long before the axis rests.
 
     Args:
@@ -968,10 +968,10 @@ def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Ro
 def with_presliding(system: System, z: FloatArray, robot: Robot, slight: float = 1e-3) -> Robot:
     """The description at z with the fit's ordinary ``presliding``, which its Coulomb friction gives up.
 
-    After a reversal a bristle of travel t has turned round by 1 − exp(−x/t), an element of yield torque Y and
-    stiffness K by min(K x/(2 Y), 1): elements of all travels together turn as the fitted bristles do, in the least
-    squares of a logarithmic grid, none below zero (Masing's rule; Iwan, J. Appl. Mech. 33, 1966). An element of less
-    than a ``slight`` share of dry friction is none.
+    After a reversal a bristle of travel t has turned round by 1 − exp(−x/t). An element of yield torque Y and stiffness
+    K has turned by min(K x/(2 Y), 1). Elements of all travels together turn as the fitted bristles do: a least-squares
+    fit on a logarithmic grid, none below zero (Masing's rule; Iwan, J. Appl. Mech. 33, 1966). An element of less than a
+    ``slight`` share of dry friction is left out.
     """
     base = system.base
     travels, first = base.presliding[0].shape[2], base.spread.shape[1]
@@ -1241,8 +1241,8 @@ def _likeliest_noise(
 
     Args:
         base: of the runs.
-        B, C: (m, k) columns of the base and of what may be missing, per prior deviation, zero where a row does not
-            count, as the data y (m,) are.
+        B, C: (m, k) columns of the base and of what may be missing, per prior deviation. Like the data y (m,), they are
+            zero where a row does not count.
         valid: (m,) rows that count; ``most`` of them are enough.
         order: of the filter.
     """
@@ -1530,8 +1530,8 @@ def from_every_start(system: System, trial: Trial, few: int = 10) -> Trial:
 def profiled(system: System, suspect: Suspect, own: int, drop: float) -> tuple[float, float]:
     """Values of a number of something found at which all else fits worse by ``drop`` in ln likelihood and prior.
 
-    Rows that hold little but the product of a ratio and a torque leave a bent valley, and steps make it rough: slopes
-    at its floor know nothing of its length.
+    Some rows tell little but the product of a ratio and a torque. They leave a bent valley, and steps make it rough.
+    Slopes at its floor do not tell its length.
     """
     at, rest = system.own(suspect), without(system, suspect)
     best = evaluate(rest, suspect, system.z[at])

@@ -1,8 +1,8 @@
 """What could be missing from a motion log's torque: every effect at every joint, its size as yet unknown.
 
 Everything that is particular to an effect comes from its file in ``twin/physics``: its torque, the prior of its numbers
-and from where a search starts. A size that can have either sign, or vanish, has a normal prior about no effect, as wide
-as ``USUAL_SHARE`` of the joint's recorded torque; shapes (a speed, an order, a travel) a log-normal one.
+and where a search starts. A size that can have either sign, or vanish, has a normal prior about no effect. Its width is
+``USUAL_SHARE`` of the joint's recorded torque. Shapes (a speed, an order, a travel) have a log-normal prior.
 """
 
 from collections.abc import Sequence

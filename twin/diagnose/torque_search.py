@@ -1,8 +1,8 @@
 """From the base model to what a motion log says is missing: screen, refine, decide, go on with it in the model.
 
-Each thing found must lower the error on runs that were not used, must reach nine tenths of what a free function of the
-joint's state gains, and gives way to a simpler one within reach: no law is exact, so a richer one nearly always fits
-better.
+Each thing found must lower the error on runs that were not used. It gives way to a simpler one within reach: no law is
+exact, so a richer one nearly always fits better. What is found at a joint must reach most of what a free function of
+its state gains (``named_reach`` of the calibration). Otherwise something there may have no name.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -387,10 +387,10 @@ def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Itera
 def _one_for_two(
     steps: list[Step], system: System, suspects: Sequence[Suspect], judge: "Judge | None", processes: int
 ) -> System:
-    """The model with one thing at a joint in the stead of two, where one explains as much.
+    """The model with one thing at a joint instead of two, where one explains as much.
 
-    Of an effect with two forms, as a torque constant that is off or falls, the first look may have taken the wrong one,
-    and the next what that lacks.
+    An effect may have two forms, as a torque constant that is off or falls. The first look may have taken the wrong
+    one, and the next what that lacks.
     """
     found = [s for s in steps if s.accepted and len(s.joints) == 1]
     for joint in {s.joints for s in found}:
@@ -421,8 +421,8 @@ def _likely(system: System, judge: "Judge | None") -> float:
 def _revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judge: "Judge | None") -> System:
     """The model with each find put to its rivals once more, all other finds beside it.
 
-    What was found first was the best of all without the others; where another now makes all rows, those kept aside
-    among them, more likely, it takes its place.
+    What was found first was the best of all without the others. Where another now makes all rows more likely, those
+    kept aside among them, it takes its place.
     """
     if sum(step.accepted for step in steps) < 2:
         return system
@@ -819,8 +819,8 @@ def free_gains(system: System, processes: int = 1, judge: "Judge | None" = None)
 def vibration(system: System, joint: int) -> float:
     """ln evidence gained by the vibration at a joint, of a fixed frequency, that explains most of what a model misses.
 
-    Its amplitude and phase are each run's own. Of white residuals the periodogram is what a sine of that frequency
-    takes off ½ χ², and both numbers together cost ln N (Schwarz, Annals of Statistics 6, 1978).
+    Its amplitude and phase are each run's own. For white residuals the periodogram is what a sine of that frequency
+    takes off ½ χ². Amplitude and phase together cost ln N (Schwarz, Annals of Statistics 6, 1978).
     """
     rest, at = system.residual[system.rows(joint)], 0
     longest = scipy.fft.next_fast_len(2 * max(len(mask) for mask in system.masks))

@@ -2,8 +2,8 @@
 
 Torque and every column go through one zero-phase low-pass at the band where the encoder is still above its noise. Laws
 that step where an axis turns back are evaluated on a dense clock first, with the share of each interval spent on either
-side of the reversal, so that filtered they are exact; smooth laws on a coarser one. Rows are thinned to what the band
-holds.
+side of the reversal. So they are exact after filtering. Smooth laws are evaluated on a coarser clock. Rows are thinned
+to what the band holds.
 """
 
 from collections.abc import Callable
@@ -90,8 +90,11 @@ def thinned(signal: FloatArray, rate_hz: float, step: int, pass_hz: float, stop_
 
 @dataclass(frozen=True)
 class _Circle:
-    """On which a signal is low-passed: samples added ``before`` and ``after`` it, its ``rows``, a line over all samples
-    from zero to one, and the gain of its spectrum's lines."""
+    """The period on which a signal is low-passed.
+
+    Samples are added ``before`` and ``after`` the signal. ``rows`` is the number of rows of the period, ``line`` a line
+    over all its samples from zero to one. ``gain`` is that of the spectrum's lines.
+    """
 
     before: int
     after: int

@@ -59,8 +59,9 @@ class BaseParameters:
 def base_parameters(matrix: np.ndarray, columns: list[Column]) -> BaseParameters:
     """Which columns a regressor needs, by orthogonal triangularisation in a fixed order of preference.
 
-    A column is kept when it is independent of those before it: links' moments Izz, mcx, mcy, Ixx, Ixz, Ixy, Iyz first
-    (the choice of the paper's Appendix B), Iyy, mcz and mass last, from the base outwards; then rotors and entries.
+    A column is kept when it is independent of those before it. Links' moments Izz, mcx, mcy, Ixx, Ixz, Ixy, Iyz come
+    first (the choice of the paper's Appendix B), Iyy, mcz and mass last, both from the base outwards. Then come rotors
+    and entries.
 
     Args:
         matrix: (m, p) regressor rows of a motion that excites everything, m well above p.

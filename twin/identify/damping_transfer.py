@@ -1,9 +1,10 @@
 """What data hold of damping in a posture that was not recorded.
 
-A damper fitted in some postures foretells the damping ratios of another. Where that posture was measured too,
-e = ln(measured/foretold) tells how far off that is: by the posterior of the dampers (V), by the measurement (σ²), and
-by what no constant damper says (τ²: friction, seals and cables that move with the robot). τ is of greatest likelihood
-for e ~ N(0, V + σ² + τ²); known from m misses only, it foretells with the tails of Student's t, m degrees of freedom.
+A damper fitted in some postures predicts the damping ratios of another. Where that posture was measured too, e =
+ln(measured/predicted) is the error. Its sources are the posterior of the dampers (V), the measurement (σ²), and what no
+constant damper says (τ²). The last comes from friction, seals and cables that move with the robot. τ maximises the
+likelihood of e ~ N(0, V + σ² + τ²). It is known from m misses only. So it predicts with the tails of Student's t, m
+degrees of freedom.
 """
 
 from collections.abc import Sequence
@@ -114,10 +115,10 @@ def transfer(misses: Sequence[Miss] = ()) -> Transfer:
 def misses_of_frf(robot: Robot, posterior: Posterior, recordings: Sequence[Recorded]) -> list[Miss]:
     """Damping of the modes in recordings that were not fitted to, beside what a fitted robot foretells there.
 
-    After angles and gains of a recording are estimated, every mode of the model may have another damping and another
-    frequency, dampers may couple any two (C and K change by M φᵢ φⱼᵀ M), and gains may change once more. What fits the
-    FRFs best says how far off the damping was. A mode counts where the FRFs hold it to ``KNOWN``. None does where a law
-    of amplitude is in the robot: its damping is no number.
+    First, angles and gains of a recording are estimated. Then every mode of the model may have another damping and
+    another frequency, and gains may change once more. Dampers may couple any two modes (C and K change by M φᵢ φⱼᵀ M).
+    What fits the FRFs best says how far off the damping was. A mode counts where the FRFs hold it to ``KNOWN``. None
+    does where a law of amplitude is in the robot: its damping is no number.
     """
     robot = without_limits(robot)
     if any(CATALOGUE[entry.effect].amplitude_law for entry in robot.physics):

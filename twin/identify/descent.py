@@ -57,18 +57,22 @@ def minimise(
     reach: float = LARGEST_STEP,
     patience: int | None = None,
 ) -> tuple[FloatArray, float, FloatArray, bool]:
-    """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of the valley it goes
-    along (geodesic acceleration; Transtrum and Sethna, arXiv:1201.5885): z, cost, Gauss–Newton matrix, and whether
-    the expected gain fell below ``tolerance``, or below a share ``slack`` of the misfit beyond noise: where that is
-    large the model lacks something. With ``bound`` (n,) it stays within |z| ≤ bound. It is given up where ``HOPE``
-    times the expected gain does not bring it below ``hopeless``. With ``patience``, also where so many steps in turn
-    gained less than ``CRAWL`` each, in the mean: along the valley of a model that is ``LACKING``.
+    """Gauss–Newton within a trust region in prior coordinates (Moré's step), following the bend of its valley.
 
-    The region is a ball in the prior's metric, so that what holds steps back are parameters that the data hardly hold
-    (the logarithm of a damper near zero) and those it shortens; directions the data hold well are left to Newton. The
-    curvature of value = mean · eˣ itself, ∂²/∂x² = ∂/∂x, is added where it is positive. The region grows as long as the
-    model keeps its promises: one that lacks something can want a nuisance at twenty prior deviations. It begins with
-    the radius ``reach``.
+    The bend is taken by geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885). The results are z, cost,
+    Gauss–Newton matrix, and whether the expected gain fell below ``tolerance``, or below a share ``slack`` of the
+    misfit beyond noise. Where that misfit is large, the model lacks something. With ``bound`` (n,) z stays within |z| ≤
+    bound.
+
+    The descent is given up where ``HOPE`` times the expected gain does not bring the cost below ``hopeless``. With
+    ``patience``, it is also given up where so many steps in turn gained less than ``CRAWL`` each, in the mean. That
+    happens along the valley of a model that is ``LACKING``.
+
+    The region is a ball in the prior's metric. So parameters that the data hardly determine (the logarithm of a damper
+    near zero) hold steps back, and their part is shortened. Directions that the data determine well are left to Newton.
+    The curvature of value = mean · eˣ itself, ∂²/∂x² = ∂/∂x, is added where it is positive. The region grows as long as
+    the model keeps its promises: one that lacks something can want a nuisance at twenty prior deviations. It begins
+    with the radius ``reach``.
     """
     data, bent = objective.data, True
     objective.bends = bound is None
@@ -148,8 +152,9 @@ def _within(reach: float, curvature: FloatArray, axes: FloatArray, along: FloatA
 def bounded_step(gradient: FloatArray, curvature: FloatArray, z: FloatArray, bound: FloatArray | float) -> FloatArray:
     """The step (n,) that minimises gradientᵀ s + ½ sᵀ curvature s within |z + s| ≤ bound.
 
-    Block principal pivoting (Júdice and Pires, Computers and Operations Research 21, 587, 1994): those that leave go to
-    their faces and those that a face holds back let go of it, all at once, or the last alone where that has not helped.
+    Block principal pivoting (Júdice and Pires, Computers and Operations Research 21, 587, 1994): coordinates that leave
+    the box go to its faces. Those that a face holds back let go of it. All change at once, or the last alone where that
+    has not helped.
     """
     bound = np.broadcast_to(bound, z.shape)
     low, high = -bound - z, bound - z

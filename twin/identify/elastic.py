@@ -1,10 +1,11 @@
 """Joint stiffness and damping from measured FRFs or modal tables, by maximum posterior probability.
 
-Minimised over z, in which the prior is the standard normal, is ½ Σ |H − H(z)|²/σ² + ½ zᵀz, with σ² the measured
+A fit minimises ½ Σ |H − H(z)|²/σ² + ½ zᵀz over z, in which the prior is the standard normal. σ² is the measured
 variance per real and imaginary part. Model tolerances (masses, centres of mass, inertias, posture angles, channel
-gains) are free under their priors. From afar a linear residual has false minima wherever peaks do not overlap: every
-start goes through the robust residual of the complex logarithm first, then a linear one whose tolerance shrinks, on
-every eighth line; the best ends on all lines. Of many postures the starts see those that cover the others best.
+gains) are free under their priors. From afar a linear residual has false minima wherever peaks do not overlap. So every
+start goes through the robust residual of the complex logarithm first. Then it goes through a linear one whose tolerance
+shrinks. Both are on every eighth line; the best ends on all lines. Of many postures the starts see those that cover the
+others best.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -50,8 +51,8 @@ class Fit:
         robot: the description with the values that belong to it.
         cost: ½ χ² + ½ zᵀz at the optimum; ``misfit`` is χ² over the number of real data.
         fisher: (n, n) information of the data in z, before any scaling by the misfit.
-        starts: where the starts ended, best first; ``agreeing`` of them reached the same minimum, and ``rival`` is the
-            cost of the best of the others above it, ``None`` when there is none.
+        starts: where the starts ended, best first. ``agreeing`` of them reached the same minimum. ``rival`` is the cost
+            of the best of the others above it, ``None`` when there is none.
         data: number of real data.
         converged: the last step was within tolerance.
         noise_known: the recordings state their variance; else the misfit sets its scale.

@@ -1,8 +1,9 @@
 """Joint stiffness and damping from modal tables: maximum posterior, or the source paper's objective (Eq. 23).
 
-Modes are paired by MAC where the table has shapes; otherwise by frequency and by which deflections dominate: those the
-measured mode is known to have, or from the second round on those of the model's mode it was paired with, so that a pair
-stays together when two frequencies cross.
+Modes are paired by MAC where the table has shapes. Otherwise they are paired by frequency and by which deflections
+dominate. Those are the ones that the measured modes are known to have. Where none is known, they are, from the second
+round on, those of the model's mode that a measured mode was paired with. So a pair stays together when two frequencies
+cross.
 """
 
 from collections.abc import Mapping, Sequence
@@ -129,8 +130,10 @@ def fit_modes(
     seed: int = 0,
     guess: FloatArray | None = None,
 ) -> Fit:
-    """Fit a robot to measured modes; one that no mode of the model is paired with costs what one a factor of two off
-    does, so that dropping a mode is no way to agree.
+    """Fit a robot to measured modes.
+
+    A mode that no mode of the model is paired with costs as much as one that is a factor of two off. So dropping a mode
+    is no way to agree.
 
     Args:
         robot: the described robot, whose values are the prior means.

@@ -279,8 +279,8 @@ class Problem:
         """The criterion of variables (…,), and its gradient.
 
         The criterion is the log condition number, smoothed, or minus half the log determinant per parameter. A row of
-        the regressor depends on its own instant's state alone, so that one variation of each coordinate at all
-        instants together gives the gradient with respect to the motion; the chain rule does the rest.
+        the regressor depends on its own instant's state alone. So one variation of each coordinate at all instants
+        together gives the gradient with respect to the motion. The chain rule does the rest.
         """
         coefficients, centre = self.unpack(z)
         states = np.stack([B @ coefficients for B in self.bases])  # (3, nt, n)

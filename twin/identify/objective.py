@@ -114,8 +114,8 @@ class Objective(Cost):
     Attributes:
         exact: derivatives include what sag adds, as of where the cost was evaluated first: to the optimum's last digit.
         sagging: whether springs give way under the weight, by 1e-3 rad; roughly right without, at half the work.
-        lines: the Gauss–Newton matrix is of so many draws from every recording, its lines by what they say, with the
-            weight of all; cost and gradient are of all lines.
+        lines: the Gauss–Newton matrix is of so many lines drawn from every recording, by what they say, with the weight
+            of all. Cost and gradient are of all lines.
         held, among: with ``among``, z holds those coordinates alone and the others are as in ``held``.
         rows: residual, its derivatives and by what, where a linear one was evaluated last; recording by recording, none
             where that is more than ``ROWS``.
@@ -288,8 +288,10 @@ class Objective(Cost):
 
     @cached_property
     def _linear(self) -> list[tuple[Observed, Structure, Observed]]:
-        """Every recording at ``held`` with its derivatives by the free values, where those are all there is to know, or
-        nothing: springs and dampers enter a model linearly, but for what their sag changes."""
+        """Every recording at ``held`` with its derivatives by the free values, where those tell all; else nothing.
+
+        They tell all of springs and dampers, which enter a model linearly, but for what their sag changes.
+        """
         if self.held is None or self.sagging or any(p.kind != "spring" for p in self.free):
             return []
         robot, values = self._described(self.part(self.held))
@@ -327,8 +329,8 @@ def drawn(says: FloatArray, count: int) -> tuple[NDArray[np.intp], FloatArray]:
 def factors(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Q (data + n, n) and R (n, n) of columns (n, data) of prior deviation one and that prior: [columnsᵀ; 1] = Q R.
 
-    Cholesky's factors, twice: as orthogonal as Householder's as long as no singular value is 1e8 times the least, which
-    is one (Yamamoto, Nakatsukasa, Yanagisawa and Fukaya, ETNA 44, 306, 2015), in a sixth of the time.
+    Cholesky's factors, twice, in a sixth of Householder's time. They are as orthogonal as long as no singular value is
+    1e8 times the least, which is one (Yamamoto, Nakatsukasa, Yanagisawa and Fukaya, ETNA 44, 306, 2015).
     """
     rows, R = np.hstack([columns, np.eye(len(columns))]), np.eye(len(columns))  # Qᵀ, as it lies in memory
     try:

@@ -1,7 +1,7 @@
 """What a fit knows and does not know of a robot: ``posterior.h5`` beside its ``robot.yaml``, and draws from it.
 
-The file holds the optimum, the prior and the data's information of every free number, so that whatever follows from
-a model (modes in an unseen posture, a depth of cut) can be given with its interval:
+The file holds the optimum, the prior and the data's information of every free number. So whatever follows from a model
+(modes in an unseen posture, a depth of cut) can be given with its interval:
 
     /            attrs  format="twin-posterior", version=1
     name (n,)    as ``twin.model.parameters`` names them: ``joint1.z.stiffness``, ``link3.mass`` …

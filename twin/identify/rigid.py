@@ -1,7 +1,7 @@
 """Rigid-body parameters from torque logs: signals to rows, least squares, a physically consistent set.
 
-The same low-pass goes over the torque and over every column of the regressor, so that laws that are not smooth
-(friction) stay exact; positions are differentiated in a wider band.
+The same low-pass goes over the torque and over every column of the regressor. So laws that are not smooth (friction)
+stay exact. Positions are differentiated in a wider band.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -158,9 +158,9 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
     """A run in joint coordinates as rows: torque and all columns through the same low-pass, then thinned out.
 
     ``rows_per_hz`` are kept per second and hertz of the low-pass. Links' columns are evaluated at eight times the
-    motion's band. A log of 80 Hz and more holds samples of the torque; a slower one was filtered before it was thinned
-    out, and laws that step are evaluated at 200 Hz. Longer runs are taken in parts of so many samples, which overlap
-    by the memory of the low-pass; ten times longer ones keep half the rows.
+    motion's band. A log of 80 Hz and more is taken to hold samples of the torque. A slower one is taken to be filtered
+    before it was thinned out; laws that step are then evaluated at 200 Hz. Longer runs are taken in parts of so many
+    samples, which overlap by the memory of the low-pass; ten times longer ones keep half the rows.
     """
     rate, count = run.sample_rate_hz, len(run.time)
     bands, rows_per_hz = bands.within(rate), rows_per_hz / (1 if count <= 10 * part else 2)
@@ -389,9 +389,10 @@ def _density(series: FloatArray, size: int) -> FloatArray:
 def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -> FloatArray:
     """All parameters (p,) of a robot that can exist, as near to the estimate and the description as both allow.
 
-    Minimises (K x − π̂)ᵀ Σ⁻¹ (K x − π̂) + Σ z², z the departure from the description in its tolerances, over bodies
-    whose pseudo-inertia, and rotors whose inertia, stays above ``margin`` times the described one, with friction ≥ 0: a
-    convex problem in the cone of positive semidefinite matrices (Wensing, Kim, Slotine 2018), solved by Clarabel.
+    Minimises (K x − π̂)ᵀ Σ⁻¹ (K x − π̂) + Σ z², z the departure from the description in its tolerances. The
+    pseudo-inertia of a body and the inertia of a rotor stay above ``margin`` times the described one, and friction ≥ 0.
+    That is a convex problem in the cone of positive semidefinite matrices (Wensing, Kim, Slotine 2018), solved by
+    Clarabel.
     """
     columns, x0 = regressor.columns, regressor.described
     K = estimate.base.combine
@@ -621,11 +622,12 @@ def identify(
 def foretelling_best(
     log: MotionLog, robot: Robot, hold_out: list[str] | None = None, weighting: str = "joint", offsets: bool = True
 ) -> Identification | None:
-    """What a log shorter than ``SHORT_S`` says, through the low-pass that serves it best; ``None`` of a longer one.
+    """What a log shorter than ``SHORT_S`` says, through the low-pass that serves it best.
 
-    A few seconds below 4 Hz have fewer rows than a robot has parameters. A wider band has more, if the robot is rigid
-    in it: of the usual one and ``LOW_PASSES`` the one whose estimate foretells the torque below ``LOW_PASSES[0]`` best
-    that was held out. A log that is too short for the usual one is too short.
+    ``None`` of a longer one, or one whose sample rate is below 2.5 times the first of ``LOW_PASSES``. A few
+    seconds below 4 Hz have fewer rows than a robot has parameters. A wider band has more, if the robot is rigid in it.
+    Of the usual low-pass and ``LOW_PASSES``, that one is taken whose estimate best predicts the held-out torque below
+    ``LOW_PASSES[0]``. A log that is too short for the usual one is too short.
     """
     seconds = sum(float(np.ptp(run.time)) for run in log.runs.values())
     rate = min((run.sample_rate_hz for run in log.runs.values()), default=0.0)

@@ -81,8 +81,10 @@ def estimates(fit: Fit) -> list[Estimate]:
 def beside_prior(
     parameters: Parameters, z: FloatArray, covariance: FloatArray, k: int
 ) -> tuple[float, float, float, float]:
-    """x of a number at the optimum z (n,), its posterior deviation, and the slope and curvature of the prior's ½ zᵀz
-    where that x moves and all others follow it as the posterior ``covariance`` (n, n) of x has them."""
+    """x of a number at the optimum z (n,), its posterior deviation, and slope and curvature of the prior there.
+
+    The prior is ½ zᵀz where that x moves and all others follow it as the posterior ``covariance`` (n, n) of x has them.
+    """
     follow = np.linalg.solve(parameters.root, covariance[:, k] / covariance[k, k])
     return float(parameters.root[k] @ z), float(np.sqrt(covariance[k, k])), float(follow @ z), float(follow @ follow)
 
@@ -90,10 +92,10 @@ def beside_prior(
 def interval(parameter: Parameter, x: float, deviation: float, slope: float, held: float) -> tuple[float, float]:
     """5 % and 95 % quantiles of a value, from x, its posterior deviation, and slope and curvature of its prior there.
 
-    A mass or a damper enters M or C linearly, so the data's likelihood is normal in the value, not in its logarithm: a
-    damper of which the data only know that it is small has an interval that the prior closes from below. Springs are in
-    series: FRFs are linear in the compliance. A fit that ended where data and prior do not balance, far above the prior
-    of a number it hardly shows, contradicts this: then x is normal.
+    A mass or a damper enters M or C linearly, so the data's likelihood is normal in the value, not in its logarithm.
+    Where the data only know that a damper is small, the prior closes its interval from below. Springs are in series:
+    FRFs are linear in the compliance. A fit may have ended where data and prior do not balance, far above the prior of
+    a number it hardly shows. That contradicts this: then x is normal.
     """
     ends = x - NINETY * deviation, x + NINETY * deviation
     normal = float(parameter.value(ends[0])), float(parameter.value(ends[1]))

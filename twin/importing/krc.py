@@ -1,7 +1,8 @@
 """Traces of KUKA's KRC: a DIAdem header (.dat) beside its numbers (.r64), 64-bit and little-endian, row by row.
 
-Codes of the header as National Instruments documents them: 200 name, 202 unit, 210 implicit or explicit, 211 file,
-213 BLOCK or CHANNEL, 214 REAL64, 220 count, 221 first value (from 1), 240 start or offset, 241 step or factor.
+Codes of the header as National Instruments documents them: 200 name, 202 unit, 210 implicit or explicit, 211 file. Of
+the numbers: 213 BLOCK or CHANNEL, 214 REAL64, 220 count, 221 first value (from 1), 240 start or offset, 241 step or
+factor.
 """
 
 from pathlib import Path, PureWindowsPath

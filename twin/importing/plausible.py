@@ -1,8 +1,8 @@
 """Numbers against what can be: a slip of units (degrees, g, mm, lbf …) is refused, and named as the likely cause.
 
-FRFs are held against the described robot's: between its modes an accelerance follows the masses, which are known within
-some tens of per cent, while a slip is a factor of 4.4 or more. Torques are held against the robot's weight at arm's
-length, and against the torque that the described robot needs for the motion.
+FRFs are compared with the described robot's. Between its modes an accelerance follows the masses, which are known
+within some tens of per cent. A slip is a factor of 4.4 or more. Torques are compared with the robot's weight at arm's
+length, and with the torque that the described robot needs for the motion.
 """
 
 import warnings

@@ -195,10 +195,10 @@ def dead_channels(posture: PostureFRF) -> BoolArray:
 def frf_variance(posture: PostureFRF) -> FloatArray | None:
     """Variance (nf, nr, ne) of the real, and of the imaginary, part of every line, in the unit of ``frf`` squared.
 
-    |H|² (1 − γ²) / (2 n γ²) from coherence γ² and n averages (Bendat & Piersol, Random Data, chapter 9). |H| near
-    an antiresonance is noise itself and takes the estimate to zero with it, so the variance is floored, as
-    accelerance, at the channel's 30 % quantile and at a sensor floor; it is infinite for dead channels. ``None``
-    where the recording holds no coherence over two averages or more.
+    |H|² (1 − γ²) / (2 n γ²) from coherence γ² and n averages (Bendat & Piersol, Random Data, chapter 9). |H| near an
+    antiresonance is noise itself and takes the estimate to zero with it. So the variance, as accelerance, is at least
+    the channel's 30 % quantile and a sensor floor. It is infinite for dead channels. ``None`` where the recording holds
+    no coherence over two averages or more.
     """
     if posture.coherence is None or posture.averages is None or posture.averages < 2:
         return None

@@ -165,8 +165,10 @@ def _allow(seconds: int) -> None:
 
 
 class _Disk:
-    """A file that the HDF5 library writes into, and that keeps the error of a full disk for whoever opened it: the
-    library itself would end the process over it."""
+    """A file that the HDF5 library writes into, and that keeps the error of a full disk for whoever opened it.
+
+    The library itself would end the process over such an error.
+    """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream

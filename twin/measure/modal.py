@@ -1,7 +1,7 @@
 """From the FRFs of a posture to its modes: chart, automatic choice, refinement, and what the data do not hold.
 
-Poly-reference LSCF gives candidates, :mod:`twin.measure.modal_choice` decides which of them, and which others, the data
-hold, and the maximum-likelihood fit of :mod:`twin.measure.modal_fit` sharpens them and puts a deviation on each.
+Poly-reference LSCF gives candidates. :mod:`twin.measure.modal_choice` decides which of them, and which others, the data
+hold. The maximum-likelihood fit of :mod:`twin.measure.modal_fit` sharpens them and puts a deviation on each.
 """
 
 from dataclasses import dataclass, replace

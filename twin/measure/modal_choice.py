@@ -1,10 +1,10 @@
 """Which modes the data hold: candidates from the chart, those missing added, those not needed left out, deviations.
 
-A mode is worth its parameters where the fit loses more without it than the best mode of pure noise would gain, the
-largest singular value of a random matrix (Johnstone, Annals of Statistics 29, 2001). A pole beside a stronger pole
-must explain what no small shift of the stronger one, channel by channel, could explain: references and sensors of a
-real test never quite agree. Deviations count noise, and the scatter of the poles that channels, outputs and
-references ask for.
+A mode is worth its parameters where the fit loses more without it than the best mode of pure noise would gain. That
+gain is the largest singular value of a random matrix (Johnstone, Annals of Statistics 29, 2001). A pole beside a
+stronger pole must explain what no small shift of the stronger one, channel by channel, could explain. References and
+sensors of a real test never quite agree. Deviations count noise, and the scatter of the poles that channels, outputs
+and references ask for.
 """
 
 from dataclasses import dataclass, field, replace
@@ -111,7 +111,8 @@ class Band:
         """Lines that say the same, for what decays as t^power e^(−decay t), decay in 1/s.
 
         An exponential window w = e^(−σt) over the record T correlates the noise of neighbouring lines, and leaves most
-        of it where the record is young: T ∫ k² w² / (∫ k² ∫ w²) with k = t^power e^(−(decay + σ) t).
+        of it where the record is young. The number of lines is T ∫ k² w² / (∫ k² ∫ w²) with k = t^power e^(−(decay + σ)
+        t).
         """
         record = 1 / self.step
         time = (np.arange(RECORD_PARTS) + 0.5) * record / RECORD_PARTS
@@ -123,8 +124,8 @@ class Band:
     def price(self) -> float:
         """Rise of chi2 that a mode must be worth where the variance is right.
 
-        The most that noise gives to the best rank-one residue over all lines: 2 [(√no + √ni)² + t σ] with the scale σ
-        and the tail exp(−4/3 t^1.5) of Tracy and Widom.
+        That is the most that noise gives to the best rank-one residue over all lines: 2 [(√no + √ni)² + t σ] times
+        :meth:`repetition`. The scale σ and the tail exp(−4/3 t^1.5) are those of Tracy and Widom.
         """
         no, ni = (float(np.sqrt(n)) for n in self.live)
         t = (0.75 * np.log(self.frequency.size / FALSE_ALARM)) ** (2 / 3)
@@ -700,8 +701,8 @@ def pooled(variance: FloatArray, weight: FloatArray, size: FloatArray, counted: 
 
     A variance known from few groups is itself uncertain: this is its posterior mean, that of a scaled inverse chi2.
 
-    What all show is a median in which each counts by its ``weight``, raised from the median to the mean of chi2 with
-    ``counted`` degrees of freedom, from which each variance comes (Wilson & Hilferty, PNAS 17, 1931).
+    What all show is a median in which each counts by its ``weight``. It is raised from the median to the mean of chi2
+    with ``counted`` degrees of freedom, from which each variance comes (Wilson & Hilferty, PNAS 17, 1931).
     """
     relative = variance / size**2
     rank = np.argsort(relative)

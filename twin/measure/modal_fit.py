@@ -6,9 +6,9 @@ is fitted to accelerance. Poles λ and participation factors L are found by Gaus
 (Golub & Pereyra 1973) that eliminates shapes ψ and residual terms, which are linear. s = rate + iω puts the poles of
 exponentially windowed records back where they were.
 
-The variance of a line is a course over the band times a level per channel. Every channel then shares one Gram matrix
-of the functions of s, and a step costs what the modes cost, not what channels times lines cost. A real 2 × 2 block
-acts on a complex number as z → α z + β z*; all normal equations are written in such pairs (α, β).
+The variance of a line is a course over the band times a level per channel. Every channel then shares one Gram matrix of
+the functions of s, and a step costs what the modes cost, not what channels times lines cost. A real 2 × 2 block acts on
+a complex number as z → α z + β z*. All normal equations are written in such pairs (α, β).
 """
 
 from dataclasses import dataclass

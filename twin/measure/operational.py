@@ -1,8 +1,8 @@
 """Modes of a structure that runs, from its responses alone: recordings without excitation, and their modes.
 
-Poles, with deviations from the scatter between segments of the record, come from covariance-driven stochastic subspace
-identification by pyOMA2 (MIT licence; Peeters & De Roeck, MSSP 13, 1999; Döhler & Mevel, MSSP 38, 2013). Columns of
-its stabilisation chart are modes where some channel shows them. Shapes over all channels are the residues of the
+Poles come from covariance-driven stochastic subspace identification by pyOMA2 (MIT licence; Peeters & De Roeck, MSSP
+13, 1999; Döhler & Mevel, MSSP 38, 2013). Their deviations come from the scatter between segments of the record. Columns
+of its stabilisation chart are modes where some channel shows them. Shapes over all channels are the residues of the
 correlations at positive lags, which decay with the same poles; their transforms, the half-spectra, are what is drawn.
 """
 

@@ -1,7 +1,7 @@
 """From hammer hits to FRFs, and the checks that tell whether to believe them.
 
-Which hits count and why not (double, overloaded, quiet) is a table. Windows are applied to force and response alike: an
-exponential of rate σ moves every FRF from H(iω) to H(σ + iω), exactly, and the rate travels with the FRFs so that every
+Which hits count and why not (double, overloaded, quiet) is a table. Windows are applied to force and response alike. An
+exponential of rate σ moves every FRF from H(iω) to H(σ + iω), exactly. The rate travels with the FRFs, so that every
 later estimate is free of it.
 """
 
@@ -166,9 +166,9 @@ def spectra(
 ) -> Spectra:
     """Average the accepted hits of every excitation.
 
-    H1 = S_fx/S_ff for noise on the response, H2 = S_xx/S_xf for noise on the force, Hv their geometric mean: total
-    least squares with each side scaled by its own power, so that it does not depend on units. Records that carry
-    their windows get no others.
+    H1 = S_fx/S_ff for noise on the response, H2 = S_xx/S_xf for noise on the force. Hv is their geometric mean: total
+    least squares with each side scaled by its own power, so that it does not depend on units. Records that carry their
+    windows get no others.
 
     Args:
         hits: time records.

@@ -1,8 +1,8 @@
 """Universal files: FRFs and coherence as data set 58 (text or binary), mode shapes as data set 55, through pyuff.
 
-The moving hammer is the reference of data set 58, the sensor its response; the sign of a direction belongs to the label
-and the stored direction carries it, so FRFs are taken over as they are. What data set 58 has no field for (posture,
-window, averages, brakes, force level, bodies) travels as ``key=value`` words in its ID lines.
+The moving hammer is the reference of data set 58, the sensor its response. The sign of a direction belongs to the
+label, and the stored direction carries it. So FRFs are taken over as they are. What data set 58 has no field for
+(posture, window, averages, brakes, force level, bodies) travels as ``key=value`` words in its ID lines.
 """
 
 import re
@@ -78,14 +78,14 @@ def read_uff(
 ) -> Campaign:
     """Read FRFs, and coherence where there is one, from one universal file or many that belong together.
 
-    Data sets of one posture are told by their ``posture=`` word; without it all of a file are one posture of the file's
-    name, and all of several files one posture of the first file's.
+    Data sets of one posture are told by their ``posture=`` word. Without it, all data sets are one posture, which has
+    the name of the first file.
 
     Args:
         paths: files.
         q_deg: axis positions, for files that do not say; of what is no robot there are none.
-        points: nodes by number; without them nodes are taken from data sets 15 or 2411, and body and position of a node
-            that is in neither are ``base`` and the origin.
+        points: nodes by number. Without them, nodes are taken from data sets 15 or 2411. A node that is in neither has
+            the body ``base`` and lies at the origin.
         robot: name for the campaign.
         unit: of the FRFs, as ``g/lbf``, where it is not SI; what the file states must agree.
 

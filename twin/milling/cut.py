@@ -131,8 +131,8 @@ class Coefficients(Data):
     Attributes:
         kt_n_per_m2, kr_n_per_m2, ka_n_per_m2: tangential, radial (away from the work), axial (tip → spindle), N/m².
         kte_n_per_m, kre_n_per_m, kae_n_per_m: the same of the edge, N/m.
-        process_damping_n_per_m: force of the flank against motion into the work, per depth and per ratio of that
-            motion's speed to the cutting speed, N/m; ``process_friction``: tangential over radial part of it.
+        process_damping_n_per_m: force of the flank against motion into the work, N/m. It is per depth and per ratio of
+            that motion's speed to the cutting speed. ``process_friction``: tangential over radial part of it.
         deviation_percent: standard deviation of each shear coefficient; edge coefficients do not move the limit.
         source: where they come from.
     """

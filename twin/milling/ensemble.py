@@ -1,7 +1,7 @@
 """How sure a model is of what happens at the tool: the same tip for many robots that the recordings allow.
 
-Each draw is a robot from the posterior beside ``robot.yaml`` (:mod:`twin.identify.posterior`), standing in the posture
-within the tolerance of its angles, with the dampings of an unseen posture (:mod:`twin.identify.damping_transfer`).
+Each draw is a robot from the posterior beside ``robot.yaml`` (:mod:`twin.identify.posterior`). It stands in the posture
+within the tolerance of its angles. Its dampings are those of an unseen posture (:mod:`twin.identify.damping_transfer`).
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """The cutting force on the tool, linear in chip thickness: directional matrices over a tooth period, their average.
 
 Cut frame: x along the feed, z from tip to spindle. A tooth at angle φ lies at (sin φ, cos φ) from the tool's axis, and
-turns from y towards x. It cuts the chip h = n·[r(t) − r(t − τ)] + c sin φ, n = (sin φ, cos φ, 0), c the feed per
-tooth, and feels
+turns from y towards x. It cuts the chip h = n·[r(t) − r(t − τ)] + c sin φ, n = (sin φ, cos φ, 0). c is the feed per
+tooth. The tooth feels
 
     F = b (a(φ) h + e(φ)),   a = kt (−cos φ, sin φ, 0) + kr (−sin φ, −cos φ, 0) + ka (0, 0, 1)
 

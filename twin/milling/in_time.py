@@ -1,9 +1,9 @@
 """The same cut stepped in MuJoCo: regenerative force at the tip, every nonlinear joint of the robot, loss of contact.
 
-The tip's motion and the force on it go through the Jacobian of the posture: deflections are below a millimetre. A
-tooth cuts what earlier teeth have left: at each angle the surface is remembered, so that a tooth that jumps out of the
-work leaves its chip to the next. Force and motion are taken at the middle of a step, and the steps divide the tooth
-period, so that the delay is exact. The tool's own modes and structural damping beyond viscous are not stepped.
+The tip's motion and the force on it go through the Jacobian of the posture: deflections are below a millimetre. A tooth
+cuts what earlier teeth have left. At each angle the surface is remembered, so that a tooth that jumps out of the work
+leaves its chip to the next. Force and motion are taken at the middle of a step. The steps divide the tooth period, so
+that the delay is exact. The tool's own modes and structural damping beyond viscous are not stepped.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """Stability lobes: the limit in depth over spindle speed, how it is reached, and the depth that is 90 % sure.
 
 At each speed all limits in depth are found at once (:mod:`twin.milling.stability`), so that none hides below another.
-Between speeds, a lobe or an island is as wide as the resonance that makes it, 2ζ of its speed; the speeds are spaced by
-no more than half of that, and a cell whose middle is not where its ends say is halved until it is.
+Over the speed, a lobe or an island is as wide as the resonance that makes it, 2ζ of its speed. The speeds are spaced by
+no more than half of that. A cell whose middle is not where its ends say is halved until it is.
 """
 
 from collections.abc import Callable
@@ -103,8 +103,8 @@ def lobes_of(
 def starting_speeds(modes: ToolModes, cut: Cut) -> np.ndarray:
     """Speeds (ns,) rpm spaced by half the width of the narrowest resonance that can make a lobe there.
 
-    A mode makes lobes and islands where it turns by a quarter of a period or more from tooth to tooth; slower ones
-    only couple, which changes with the speed itself.
+    A mode makes lobes and islands where it turns by a quarter of a period or more from tooth to tooth. Slower ones only
+    couple, and that changes with the speed itself.
     """
     low, high = cut.spindle_rpm
     size = np.abs(modes.pole)
@@ -184,9 +184,9 @@ def _with_lag(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First limits of a helix, whose lag depends on them.
 
-    A helix spreads a tooth over an angle that grows with the depth: the limit is sought with straight teeth, then with
-    the lag at the limit found, rounded to a level, until it stays. Between that level and the next, the depth whose own
-    lag it is lies on the chord.
+    A helix spreads a tooth over an angle that grows with the depth. The limit is sought with straight teeth first. Then
+    it is sought with the lag at the limit found, rounded to a level, until it stays. Between that level and the next,
+    the depth whose own lag it is lies on the chord.
 
     Args:
         first: limits (n,) m of rows (n,) at a level of lag, and the depth m that this lag is of (0: straight).

@@ -4,11 +4,11 @@ The tip's motion under a cut of depth b obeys
 
     r(t) = ∫ h(t − s) F(s) ds,   F(s) = b A(s) [r(s) − r(s − τ)],   A(s + τ) = A(s),
 
-with the impulse response h of :class:`twin.milling.tool_point.ToolModes`. Only where a tooth cuts is r needed: it is
-collocated on Gauss–Legendre nodes there, and h is integrated against the nodes' polynomials, so that free flight and
-modes of any number cost nothing more and are exact (the integral equation of the mode-by-mode solution; compare
+with the impulse response h of :class:`twin.milling.tool_point.ToolModes`. Only where a tooth cuts is r needed. It is
+collocated on Gauss–Legendre nodes there, and h is integrated against the nodes' polynomials. So free flight and modes
+of any number cost nothing more and are exact. This is the integral equation of the mode-by-mode solution; compare
 Butcher, Bobrenkov, Bueler and Nindujarla, J. Comput. Nonlinear Dyn. 4, 2009, for collocation of the differential
-equation).
+equation.
 
 A multiplier μ (growth of the vibration from tooth to tooth) is a solution of det(I − b W(μ)) = 0, with
 
@@ -16,7 +16,7 @@ A multiplier μ (growth of the vibration from tooth to tooth) is a solution of d
 
 Process damping adds the force −b D(s) ṙ(s), and ṙ where a tooth cuts to what is collocated; it has no delay.
 
-At the limit |μ| = 1: the eigenvalues 1/b of W(e^{iθ}) that are real and positive, 0 < θ ≤ π, are *all* limits in depth
+At the limit |μ| = 1. The eigenvalues 1/b of W(e^{iθ}) that are real and positive, 0 < θ ≤ π, are *all* limits in depth
 at a speed, whatever lies below them. No depth is stepped through, so no island is missed.
 """
 
@@ -303,7 +303,7 @@ def first_limits(
 
     A norm bounds the eigenvalues at every angle. They are computed only where it allows a limit that is less deep than
     those sought, first the least depths, then deeper ones while nothing is found. Deep cuts move the tip fast and need
-    many nodes: each row is looked at about ``REACH`` times as deep as its closed form, then farther while nothing is
+    many nodes. So each row is looked at about ``REACH`` times as deep as its closed form, then farther while nothing is
     found.
     """
     rpm = np.asarray(spindle_rpm, float)
@@ -514,8 +514,9 @@ def _brackets(op: Operator, arcs: _Arcs, least_of: np.ndarray) -> _Arcs:
     The ray begins at ``least_of`` (S,) of the arc's batch row.
 
     A curve is taken to stay within a disc about the middle of its chord, the chord its radius. An arc is settled when
-    no disc touches the ray, or when the curve is followed beyond doubt: its chord is short against its size, the next
-    curve is farther than the chord, and it crosses the ray or keeps away from it by a quarter of the chord.
+    no disc touches the ray, or when the curve is followed beyond doubt. Beyond doubt means that its chord is short
+    against its size, and the next curve is farther than the chord. It also crosses the ray, or keeps away from it by a
+    quarter of the chord.
     """
     found = []
     for round_ in range(ROUNDS):

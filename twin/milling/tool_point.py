@@ -221,8 +221,8 @@ def coupled(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Receptance coupling of clamped tool modes: matrices and Jacobian with one coordinate η more for each.
 
-    A mode moves the tip by φη beside the motion of the rigid tool, and the mass that it holds, 1/|φ|², taken at the
-    tip, is driven by that motion: fixed-interface modes of Craig and Bampton (AIAA Journal 6, 1968). That mass is
+    A mode moves the tip by φη beside the motion of the rigid tool. The mass that it holds, 1/|φ|², taken at the tip, is
+    driven by that motion. These are fixed-interface modes of Craig and Bampton (AIAA Journal 6, 1968). That mass is
     part of the rigid tool's.
 
     Raises:
@@ -317,7 +317,7 @@ def measured_modes(
 ) -> tuple[ToolModes, np.ndarray, int]:
     """Modes at a measured point from the FRFs of its channels, their deviations, and how many directions are missing.
 
-    Poles are those of :func:`twin.measure.modal.identify_modes` over all channels; residues are fitted with a static
+    Poles are those of :func:`twin.measure.modal.identify_modes` over all channels. Residues are fitted with a static
     and an inertial remainder, made symmetric, and reduced to one shape each (the nearest u uᵀ).
 
     Args:

@@ -1,8 +1,8 @@
 """Tool paths: CSV, a subset of G-code, APT; as points of the tip with the feed's direction and the tool's axis.
 
 * CSV: a header with ``x_m,y_m,z_m`` (or ``x_mm`` …) and, if the tool tilts, its direction from tip to spindle
-  ``i,j,k``; a column ``rapid`` (0 or 1) marks moves without cutting.
-* G-code (RS274/NGC): G0, G1, G2, G3 with I J K or R in the plane of G17, G18, G19; G20, G21, G90, G91; comments, line
+  ``i,j,k``. A column ``rapid`` (0 or 1) marks moves without cutting.
+* G-code (RS274/NGC): G0, G1, G2, G3 with I J K or R in the plane of G17, G18, G19; G20, G21, G90, G91. Comments, line
   numbers, F, S, T and M words are read over. Anything that would move the tool otherwise is refused.
 * APT (cutter location data): GOTO/ x, y, z [, i, j, k], FROM/, GODLTA/, RAPID, UNITS/ MM or INCHES, MULTAX.
 """

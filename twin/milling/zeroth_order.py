@@ -68,8 +68,8 @@ def limiting_depth(
 def low_frequency_depth(modes: ToolModes, cut: Cut, spindle_rpm: float, shear: np.ndarray | None = None) -> np.ndarray:
     """Limit (…,) m where vibration is slow against the teeth: the delay acts as a damping matrix, b τ A₀.
 
-    r(t) − r(t − τ) ≈ τ ṙ, so that the cut adds −bτA₀ to the damping at the tip: the limit is the least b at which an
-    eigenvalue of iωτ G(iω) A₀ is real and equals 1/b. What it neglects is of the order of ωτ.
+    r(t) − r(t − τ) ≈ τ ṙ, so that the cut adds −bτA₀ to the damping at the tip. The limit is the least b at which an
+    eigenvalue of iωτ G(iω) A₀ is real and equals 1/b. What is neglected is of the order of ωτ.
     """
     tau = float(cut.tooth_period(spindle_rpm))
     return _least_crossing(modes, forces.average(cut, shear), lambda w: 1j * w * tau, np.inf)

@@ -1,14 +1,14 @@
 """A hammer blow on a robot with one nonlinear joint, in time: what the joint adds to its spring.
 
-The robot is linear but for one torque g(φ) at joint coordinate j, so that its response to a force F(s) is
+The robot is linear but for one torque g(φ) at joint coordinate j. So its response to a force F(s) is
 
     H(s) = H_lin(s) − G_j(s) T(s)/F(s),    T the transform of g along the decay,
 
-with G_j the linear response to a torque at j: only g needs stepping, less its tangent at rest, which belongs to the
-linear part there. Over a step g is the parabola through its last three values, a straight line where it has a kink
-(:meth:`Law.line`); what the modes of the linear part make of it, and of the force's half sine, is exact; φ at the end
-of a step depends on g there, which two fixed-point iterations settle (g changes φ within a step by ω²h²/6 of itself at
-most).
+with G_j the linear response to a torque at j. Only g needs stepping, less its tangent at rest, which belongs to the
+linear part there. Over a step g is the parabola through its last three values, or a straight line where it has a kink
+(:meth:`Law.line`). What the modes of the linear part make of it, and of the force's half sine, is exact. φ at the end
+of a step depends on g there. Two fixed-point iterations settle this: g changes φ within a step by ω²h²/6 of itself at
+most.
 """
 
 from collections.abc import Sequence
@@ -94,8 +94,11 @@ def _transform(line: bytes, samples: int, rate_hz: float) -> tuple[FloatArray, F
 def torques(
     strikes: Sequence[Strike], law: Law, length_s: float, rate_hz: float = RATE_HZ
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """What the law adds after every blow: g (samples, ne) in N·m about its value and tangent at rest, and the largest
-    deflection (ne,) of the joint from rest; NaN for blows that no hammer gives."""
+    """What the law adds after every blow, strike by strike; NaN for blows that no hammer gives.
+
+    The first result is g (samples, ne) in N·m about its value and tangent at rest. The second is the largest deflection
+    (ne,) of the joint from rest.
+    """
     if max(strike.pulse_s for strike in strikes) > LONGEST * length_s:
         nothing = [np.full(strike.seen.J_e.shape[0], np.nan) for strike in strikes]
         return [(np.tile(one, (round(length_s * rate_hz), 1)), one) for one in nothing]
@@ -169,9 +172,12 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
 def _columns(
     strikes: Sequence[Strike], parts: "Sequence[_Modal]", blows: Sequence[int], rate_hz: float
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, FloatArray, ComplexArray]:
-    """Propagation of every blow's modes over a step (modes, c), each in units of what it adds to φ: their decay, what g
-    adds to them a step later, and at the start and end of its line; what g adds to φ at once (c,); the blows' push
-    (steps, modes, c). The first two have two rows more: what φ is at rest, and what it has less a step after g."""
+    """Propagation of every blow's modes over a step (modes, c), each in units of what it adds to φ.
+
+    The results are the modes' decay and what g adds to them a step later, both with two rows more. Those rows are what
+    φ is at rest, and what it has less a step after g. Next are what g adds to the modes at the start and at the end of
+    its line. Last are what g adds to φ at once (c,), and the blows' push (steps, modes, c).
+    """
     modes, total = max(len(part.fade) for part in parts), sum(blows)
     fade, kick = (np.zeros((modes + 2, total), complex) for _ in range(2))
     early, late = (np.zeros((modes, total), complex) for _ in range(2))
@@ -194,9 +200,15 @@ def _columns(
 
 @dataclass(frozen=True)
 class _Modal:
-    """Propagation of the modes over one step (m,): poles, decay, reading of φ, input of a torque's line at its start
-    and end, of its samples to φ at their own time and to the modes a step later, and what φ has less of then; input
-    of the blows (m, ne)."""
+    """Propagation of the modes over one step (m,).
+
+    Attributes:
+        pole, fade: poles and decay; ``read`` reading of φ.
+        early_g, late_g: input of a torque's line at its start and end.
+        now_g, next_g: input of the torque's samples to φ at their own time, and to the modes a step later.
+        once_g: what φ has less of then.
+        into: (m, ne) input of the blows.
+    """
 
     pole: ComplexArray
     fade: ComplexArray

@@ -1,8 +1,8 @@
 """A hammer test of the twin in time: MuJoCo stepped under a blow, recorded as an instrumented test would be.
 
 The pulse of a rubber tip is a half sine. MuJoCo holds a force constant over a step, so the force that acts is known
-exactly; force and acceleration both pass the same anti-alias filter (the mean over two samples) before they are
-sampled, which leaves their ratio untouched. Runge–Kutta steps of fourth order keep lightly damped modes where they are.
+exactly. Force and acceleration both pass the same anti-alias filter (the mean over two samples) before they are
+sampled. That leaves their ratio untouched. Runge–Kutta steps of fourth order keep lightly damped modes where they are.
 """
 
 from collections.abc import Callable, Sequence
@@ -200,9 +200,9 @@ def _filtered(cells: np.ndarray, substeps: int) -> np.ndarray:
 def _sharpened(mean: np.ndarray, at_once: np.ndarray) -> np.ndarray:
     """Accelerations (nr, steps) as of a force that is not held over a step, from their means over steps.
 
-    A force held over steps of length T, and means over them, weaken what a mode at ω answers by sinc²(ωT/2), which is
-    1 − (ωT)²/12; not what moves at once with the force, which has every frequency. A second difference undoes that up
-    to (ωT)⁴/240.
+    A force held over steps of length T, and means over them, weaken what a mode at ω answers by sinc²(ωT/2), which is 1
+    − (ωT)²/12. A second difference undoes that up to (ωT)⁴/240. What moves at once with the force is left as it is: it
+    has every frequency.
     """
     late = np.pad(mean - at_once, ((0, 0), (1, 1)))
     return np.asarray(mean - (late[:, 2:] - 2 * late[:, 1:-1] + late[:, :-2]) / 12)

@@ -1,14 +1,15 @@
 """What an FRF lacks that was made from a record which ends while the structure still rings.
 
-After a blow a mode answers with R e^{λt}. Cut off at T, its transform is R (1 − e^{(λ−s)T}) / (s − λ). Of a short blow
-it lacks, per newton of the blow's own transform,
+After a blow a mode answers with R e^{λt}. Cut off at T, its transform is R (1 − e^{(λ−s)T}) / (s − λ). After a short
+blow the FRF lacks, per newton of the blow's own transform,
 
-    L(s) = C g(A) B,    g(λ) = λᵖ e^{(λ−s)T + (λ²−s²)m/2} / (s − λ),
+    L(s) = C g(A) B,    g(λ) = λᵖ e^{(λ−s)T + (λ²−s²)m/2} / (s − λ).
 
-T from the middle of the blow on and m its second moment about there: its transform is P e^{ms²/2} to second order.
+T counts from the middle of the blow. m is the blow's second moment about there: its transform is P e^{ms²/2} to second
+order.
 
-With A of ẏ = A y, B the velocities after a unit blow, C the channels and p the power of s in what is recorded. Where A
-changes, so does g(A): in the eigenvectors of A, ∂g(A)ᵢⱼ = ∂Aᵢⱼ (gᵢ − gⱼ)/(λᵢ − λⱼ), and ∂Aᵢᵢ g'(λᵢ) where i = j
+A is that of ẏ = A y, B the velocities after a unit blow, C the channels and p the power of s in what is recorded. Where
+A changes, so does g(A). In the eigenvectors of A, ∂g(A)ᵢⱼ = ∂Aᵢⱼ (gᵢ − gⱼ)/(λᵢ − λⱼ), and ∂Aᵢᵢ g'(λᵢ) where i = j
 (Higham, Functions of Matrices, 2008, theorem 3.11).
 """
 
@@ -97,8 +98,11 @@ def _gain(seen: Observed, s: ComplexArray) -> ComplexArray:
 
 
 def _vectors(A: ComplexArray | FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Poles, eigenvectors and their inverse; where a coordinate without a spring has one for two poles, of a neighbour
-    of A, whose poles lie ``EQUAL`` of the largest apart."""
+    """Poles, eigenvectors and their inverse.
+
+    A coordinate without a spring may have one eigenvector for two poles. Then they are those of a neighbour of A, whose
+    poles lie ``EQUAL`` of the largest apart.
+    """
     pole, V = np.linalg.eig(A)
     try:
         return pole, V, np.linalg.inv(V)

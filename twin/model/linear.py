@@ -1,8 +1,8 @@
 """The robot linearised about a posture: M, C, K from ``mjd_transitionFD``, and the Jacobians of its test points.
 
-``mjd_transitionFD`` differentiates one step of the discrete simulation. For MuJoCo's Euler and implicit integrators
-the continuous matrices follow from it exactly, without a matrix logarithm: with the velocity rows of the transition
-matrix A = [[·, ·], [A_vq, A_vv]] and the step h,
+``mjd_transitionFD`` differentiates one step of the discrete simulation. For MuJoCo's Euler and implicit integrators the
+continuous matrices follow from it exactly, without a matrix logarithm. With the velocity rows of the transition matrix
+A = [[·, ·], [A_vq, A_vv]] and the step h,
 
     M⁻¹C = (A_vv⁻¹ − I) / h,    M⁻¹K = −A_vv⁻¹ A_vq / h.
 

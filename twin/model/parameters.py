@@ -4,14 +4,15 @@ Names read like the description: ``joint1.z.stiffness``, ``joint1.x.damping``, `
 ``link3.inertia.xx``, ``axis2.a`` (m), ``axis2.alpha`` and ``axis2.theta``, the joint's zero (rad). Any other number of
 a physics entry is ``EFFECT@SITE.name`` (``.name[k]`` in a list).
 
-What belongs to a recording and not to the robot: ``posture.NAME.q1``, the error of an angle; ``gain.21Z+``;
-``node:7.position.x``, in its link's frame, of all that is at a node (``node:7.response.x`` of its sensor,
-``node:7Z+.excitation.x`` of one blow); ``node:7Z+.response.rx``, a channel's direction turned about its link's x axis
-(``node:7Z+.excitation.rx`` that of a blow); and ``posture.sag``, the share of their deflection under the weight by
-which springs sag from the stated angles: 0 where those are the links', 1 where they are the motors'.
+Some numbers belong to a recording and not to the robot. ``posture.NAME.q1`` is the error of an angle, ``gain.21Z+`` a
+channel's gain. ``node:7.position.x`` is the place of all that is at a node, in its link's frame (``node:7.response.x``
+of its sensor, ``node:7Z+.excitation.x`` of one blow). ``node:7Z+.response.rx`` is a channel's direction turned about
+its link's x axis (``node:7Z+.excitation.rx`` that of a blow). ``posture.sag`` is the share of their deflection under
+the weight by which springs sag from the stated angles. It is 0 where those are the links', 1 where they are the
+motors'.
 
-Optimisation runs in z, in which the prior is the standard normal: x = L z with the prior covariance L Lᵀ, and
-value = mean · eˣ (log-normal) or mean + x.
+Optimisation runs in z, in which the prior is the standard normal. x = L z with the prior covariance L Lᵀ. A value is
+mean · eˣ (log-normal) or mean + x.
 """
 
 import re
@@ -181,10 +182,10 @@ class Parameters:
         return found
 
     def moved(self, z: FloatArray, step: FloatArray) -> FloatArray:
-        """z (n,) after a step (n,), to second order on a curve along which an entry's m c² stays if the step leaves it.
+        """z (n,) after a step (n,), to second order along a curve that keeps an entry's m c² if the step does.
 
-        Often a moment of inertia is all that shows of a mass m at c: the valley that all such masses lie in is bent in
-        m and c and straight in ln m and √m c.
+        Often a moment of inertia is all that shows of a mass m at c. The valley that all such masses lie in is bent in
+        m and c, and straight in ln m and √m c.
         """
         end = z + step
         if not self._levers:
@@ -351,7 +352,7 @@ def elastic_parameters(robot: Robot) -> list[Parameter]:
 def entry_parameter(robot: Robot, name: str, deviation: float | None = None) -> Parameter:
     """Any number of a physics entry of the robot, ``EFFECT@SITE.parameter`` or ``….parameter[k]``, as a parameter.
 
-    A number that cannot be negative gets a log-normal prior about its value, any other a normal one; ``deviation`` is
+    A number that cannot be negative gets a log-normal prior about its value, any other a normal one. ``deviation`` is
     that of x, by default the description's prior or what the effect says is usual.
     """
     key, quantity, index = _parse(name)
@@ -369,8 +370,8 @@ def entry_parameter(robot: Robot, name: str, deviation: float | None = None) -> 
 def link_parameters(robot: Robot) -> tuple[list[Parameter], FloatArray]:
     """Mass, centre of mass and inertia of every link within the description's tolerances; prior covariance of x.
 
-    The second moments Σ = tr(I)/2 − I of a link vary as Σ^½ (1 + tolerance·G) Σ^½ with G a random symmetric matrix
-    without preferred directions: mass moves, in whatever frame, and bodies stay bodies.
+    The second moments Σ = tr(I)/2 − I of a link vary as Σ^½ (1 + tolerance·G) Σ^½. G is a random symmetric matrix
+    without preferred directions. So mass moves, in whatever frame, and bodies stay bodies.
     """
     found: list[Parameter] = []
     blocks: list[FloatArray] = []

@@ -1,7 +1,7 @@
 """The torque of a serial robot as a matrix times its parameters: τ = Y(q, q̇, q̈) π (paper, Eq. 5).
 
 Columns are the ten inertial parameters of every link, the drives' rotor inertias, and the parameters of the physics
-entries whose law is linear in them; the columns of an entry are the law of its effect, evaluated per unit.
+entries whose law is linear in them. The columns of an entry are the law of its effect, evaluated per unit.
 """
 
 from collections.abc import Iterator

@@ -127,8 +127,8 @@ def replay(
 ) -> Replay:
     """Track a trajectory with servo actuators on the motor bodies and record torque and link motion.
 
-    The servo is a position and velocity loop with the inverse dynamics fed forward, as a robot controller's; it
-    starts at the trajectory's first state with the springs wound up by the load of that instant.
+    The servo is a position and velocity loop with the inverse dynamics fed forward, as in a robot controller. It starts
+    at the trajectory's first state, with the springs wound up by the load of that instant.
 
     Args:
         robot: description.
@@ -239,8 +239,10 @@ def _track(
 
 
 def recorded_torque(robot: Robot, time: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Torque (nt, n) of the axes as the controller records it: of the motors, which a coupling turns with other axes
-    (τ_q = Cᵀ τ_θ), with the torque constants and the delay of the robot's entries.
+    """Torque (nt, n) of the axes as the controller records it.
+
+    It is that of the motors, which a coupling turns with other axes (τ_q = Cᵀ τ_θ). The torque constants, filter and
+    delay of the robot's entries are applied.
     """
     torque = torque @ np.linalg.inv(robot.coupling)
     chain = MeasurementChain((), np.zeros((0, 3)), (), np.zeros((0, 3)), torque_gain=np.ones(robot.axis_count))

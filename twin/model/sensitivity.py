@@ -1,14 +1,14 @@
 """M, C, K and rows of test points about a posture in closed form, with their derivatives; FRFs and modes with theirs.
 
-The robot about a posture is a tree of rigid bodies on small coordinates, each a screw (ω, v) in world axes: ω the
-angular velocity and v the velocity of the point at the world's origin, per unit rate. With 𝓜_b the spatial inertia of
-body b about that origin and S_b the screws on its path,
+The robot about a posture is a tree of rigid bodies on small coordinates. Each coordinate is a screw (ω, v) in world
+axes. Per unit rate, ω is the angular velocity and v the velocity of the point at the world's origin. With 𝓜_b the
+spatial inertia of body b about that origin and S_b the screws on its path,
 
     M = Σ_b S_bᵀ 𝓜_b S_b,    (K_g)_jk = −g · (ω_j × W_k),  W_k = Σ_b (m_b v_k + ω_k × h_b),  j inboard of k,
 
 h_b the first moment. Springs, dampers and inertial parameters enter linearly, and turning a commanded angle q_i moves
-everything outboard by one screw: all derivatives are exact. Parameters of other physics entries are differentiated by
-central differences of these small matrices. ``twin.model.linear`` gives the same matrices by MuJoCo.
+everything outboard by one screw. So all their derivatives are exact. Parameters of other physics entries are
+differentiated by central differences of these small matrices. ``twin.model.linear`` gives the same matrices by MuJoCo.
 """
 
 import math
@@ -539,8 +539,9 @@ def slopes(
 ) -> Observed:
     """Derivatives of :func:`observe` with respect to the parameters' values, stacked on a first axis (n, …).
 
-    Springs, dampers, links and postures in closed form, without what sag changes in them, see :func:`sag_slopes`; any
-    other parameter through what it changes in the mechanism, or by central differences.
+    Those by springs, dampers, links, postures and channels are in closed form, without what sag changes in them, see
+    :func:`sag_slopes`. Where :func:`_curved` says that there is none (entries, axes, links that bend), derivatives come
+    through what a parameter changes in the mechanism, or by central differences.
 
     Args:
         changes: of the mechanism, kept by the caller for the other postures of the same robot and values.

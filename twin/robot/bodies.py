@@ -34,8 +34,8 @@ def cut(
 ) -> tuple[Inertial, Inertial]:
     """Divide an inertial by a plane; returns the parts (behind, in front), which are bodies and add up to it.
 
-    What is not stated is that of a Gaussian cloud with its mass, mean and covariance: a normal distribution cut off at
-    the plane, or at one parallel to it where the mass divides as stated.
+    What is not stated is that of a Gaussian cloud with the mass, mean and covariance of the whole. Its normal
+    distribution is cut off at the plane, or at one parallel to it where the mass divides as stated.
 
     Args:
         inertial: of the whole.

@@ -1,9 +1,9 @@
 """Where the tool is, and the joint positions that bring it there: forward and inverse kinematics over many postures.
 
-Up to four axes the position of the tool is asked for, from five on the direction of its axis too; what is left free
-(the turn about the tool's axis from six axes on, and what a seventh axis adds) is swept, or stays as near to the start
-as it can. Solved by Levenberg and Marquardt with the damping of Sugihara (IEEE Trans. Robotics 27 (2011) 984–991,
-doi:10.1109/TRO.2011.2148230), which ends near the target also where that is out of reach.
+Up to four axes the position of the tool is asked for, from five on the direction of its axis too. What is left free is
+swept, or stays as near to the start as it can. That is the turn about the tool's axis from six axes on, and what a
+seventh axis adds. The solver is that of Levenberg and Marquardt with the damping of Sugihara (IEEE Trans. Robotics 27
+(2011) 984–991, doi:10.1109/TRO.2011.2148230). It ends near the target also where the target is out of reach.
 """
 
 from dataclasses import dataclass

@@ -34,8 +34,8 @@ def reduce_tree(tree: Tree, tip: str | None = None) -> Reduced:
     """The serial chain from the root to the tip; side branches move with the link that carries them.
 
     Without ``tip`` the branch with the most movable joints is followed, and the chain ends where several have as many
-    (the fingers of a hand). A joint of the chain that follows another stays an axis whose motor turns with that
-    other one; of a parallelogram, whose lever drives the axis after next to it, the lever's drive is kept.
+    (the fingers of a hand). A joint of the chain that follows another stays an axis whose motor turns with that other
+    one. In a parallelogram, a lever beside an axis drives the next axis: the lever's drive is kept.
 
     Raises:
         InputError: no such tip, no axis, or two parents.

@@ -1,7 +1,7 @@
 """URDF read into a tree of parts and joints.
 
-Read with ElementTree rather than MuJoCo's own URDF reader, which drops velocity limits and the inertia of the root
-link and cannot say which link or joint a fault is in.
+It is read with ElementTree. MuJoCo's own URDF reader drops velocity limits and the inertia of the root link, and cannot
+say which link or joint a fault is in.
 """
 
 import reprlib
@@ -26,20 +26,20 @@ from twin.robot.tree import Joint, Part, Shape, Tree, robot_of
 def import_urdf(path: str | Path) -> Robot:
     """The kinematic and inertial part of a URDF's serial chain.
 
-    The movable joints become joint1 … jointN from the root outwards, with the URDF's sign, zero and limits;
-    ``Axis.name`` and ``Link.name`` keep the URDF's names. Links joined by fixed joints are merged; the root link is
-    the base, and the link at the end of the most fixed joints after the last axis is the flange. ``<dynamics>``
-    becomes ``viscous_friction`` and ``coulomb_friction``. Meshes, transmissions and sensors are left out. A moving
-    link whose inertia is written as zero (some are, rounded to three decimals) gets that of a steel ball of its mass,
-    the least a machine part can have; ``description`` then says so.
+    The movable joints become joint1 … jointN from the root outwards, with the URDF's sign, zero and limits.
+    ``Axis.name`` and ``Link.name`` keep the URDF's names. Links joined by fixed joints are merged. The root link is the
+    base. The link at the end of the most fixed joints after the last axis is the flange. ``<dynamics>`` becomes
+    ``viscous_friction`` and ``coulomb_friction``. Meshes, transmissions and sensors are left out. Some moving links
+    have an inertia that is written as zero, rounded to three decimals. They get that of a steel ball of their mass, the
+    least a machine part can have; ``description`` then says so.
 
-    The link frames follow Craig: x_i along the common normal of axes i and i+1 (for intersecting axes along their
-    cross product, on the side nearest to x_{i−1}); d_i = 0 where axes i and i+1 are parallel; θ_N = d_N = 0. Frame 0 is
-    the root link's where axis 1 is parallel to its z; otherwise it sits at the origin of joint 1, z along axis 1.
+    The link frames follow Craig: x_i is along the common normal of axes i and i+1. For intersecting axes it is along
+    their cross product, on the side nearest to x_{i−1}. d_i = 0 where axes i and i+1 are parallel; θ_N = d_N = 0. Frame
+    0 is the root link's where axis 1 is parallel to its z; otherwise it sits at the origin of joint 1, z along axis 1.
 
     Raises:
-        InputError: not a URDF; not one serial chain of revolute, continuous and prismatic joints; a moving link
-            without mass or with an impossible inertia; two axes too near to parallel for a common normal.
+        InputError: not a URDF, or not one serial chain of revolute, continuous and prismatic joints. Also a moving link
+            without mass or with an impossible inertia, or two axes too near to parallel for a common normal.
     """
     tree = read_urdf(path)
     for note in tree.notes:
