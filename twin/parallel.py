@@ -61,7 +61,7 @@ def side_by_side(function: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
     if threads < 2:
         yield from map(function, items)
         return
-    with ThreadPoolExecutor(threads) as pool:
+    with _one_thread_each(), ThreadPoolExecutor(threads) as pool:
         waiting: deque[Future[T]] = deque()
         for item in items:
             waiting.append(pool.submit(function, item))
@@ -119,7 +119,7 @@ def _spread(function: Callable[[int], T], count: int, processes: int) -> Iterato
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """BLAS of one thread here and in what is forked: threads of several processes wait for each other."""
+    """BLAS of one thread here and in what is forked: on a busy machine its threads wait for each other."""
     with _libraries().limit(limits=1, user_api="blas"):
         yield
 
