@@ -124,9 +124,7 @@ def test_a_campaign_whose_records_leak_is_fitted_by_a_model_that_does(tmp_path: 
     assert leak.share * record_s == pytest.approx(record_s * 63 / 64 - late_s - world.test.pulse_s / 2, abs=1e-3)
     assert max(np.abs(shift).max() for shift in leak.earlier.values()) < 1e-3
     leaky = leaking(sample, campaign, leak)
-    again, _ = refined(
-        leak, campaign, robot, replace(base, z=np.zeros(len(base.z))), leaky, list(found.recordings.values())
-    )
+    again, _ = refined(leak, campaign, robot, base, leaky, list(found.recordings.values()))
     for name, r in found.recordings.items():  # doubt of what leaks is added once
         doubt = [one.variance[name] - r.variance for one in (leak, again)]
         assert np.nanmedian(doubt[1] / doubt[0]) == pytest.approx(1.0, abs=0.3)
