@@ -13,6 +13,7 @@ from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import put_right, without_hum
 from twin.diagnose.frf_leak import Leak, cut_off, cut_short, leaking, refined, rewindowed
+from twin.diagnose.frf_off import data_cost, off_description
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, about, settled_with, shared
 from twin.diagnose.joint_reaction import blows
@@ -263,6 +264,7 @@ class _Answer:
         base, best: the base model and the answer, with bodies that can exist.
         links: names of numbers of links that may be wrong in the answer's stead.
         doubts: what base model and answer have free because the recordings show it, and the description allows.
+        told: the number of the description that is wrong beside them.
     """
 
     decision: Decision
@@ -273,6 +275,7 @@ class _Answer:
     best: Fitted
     links: frozenset[str] = frozenset()
     doubts: tuple[Hypothesis, ...] = ()
+    told: Missing | None = None
 
     @property
     def answered(self) -> bool:
@@ -292,8 +295,8 @@ def _answered(
     base: Robot, search: Search, sample: Sample, looked_at: Sequence[Sequence[Hypothesis]], found: Triage, told: bool
 ) -> _Answer:
     """The decision over everything that was fitted; ``told``: the prior of masses is another recording's."""
-    *fits, settled = settle(base, search, sample)
-    fits = that_show(fits)
+    *others, settled = settle(base, search, sample)
+    fits = that_show(others)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     decision = decide(
@@ -314,10 +317,22 @@ def _answered(
         decision = replace(decision, ranked=[in_doubt_of_size(best), *others])
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
+    number = None
     if told:
         ends[-1] = _where_it_ends(ends[-1], base, sample)
+    elif word in ("adequate", "named", "ambiguous"):
+        number = off_description(base, search.base.parameters, ends[-1], settled, others, sample, found.kept)
+    if number:
+        ends = [settled, number.fit]
+        missing = [*missing, number.missing]
+        if not answered:
+            decision = replace(decision, none=1 - decision.other - calibration()["told"])
+        word = "ambiguous" if word == "ambiguous" or number.missing.rivals else "named"
     ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
-    return _Answer(decision, word, missing, fits, ends[0], _loosened(ends[-1]), links, doubts)
+    return _Answer(
+        decision, word, missing, fits, ends[0], _loosened(ends[-1]), links, doubts,
+        number.missing if number else None,
+    )  # fmt: skip
 
 
 def _where_it_ends(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
@@ -344,7 +359,7 @@ def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Deci
     for piece in pieces:
         rest = known.get(first.hypothesis.identity - {piece.key})
         link = piece.law.carrier(base, piece.site) if piece.law and piece.entries else None
-        if link is None or rest is None or _data_cost(rest) - _data_cost(first) >= calibration()["seen"]:
+        if link is None or rest is None or data_cost(rest) - data_cost(first) >= calibration()["seen"]:
             continue
         name = f"link{link + 1}.mass"
         number = Hypothesis("parameter", name, scale=((name, 1.0),))
@@ -359,11 +374,6 @@ def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Deci
         )  # fmt: skip
         return shared, frozenset(p.name for p in rest.parameters if p.name.startswith(f"link{link + 1}."))
     return decision, frozenset()
-
-
-def _data_cost(fit: Fitted) -> float:
-    """½ χ² of the recordings alone."""
-    return float(fit.cost - 0.5 * fit.z @ fit.z)
 
 
 def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _Answer, before: Fitted) -> Finding:
@@ -438,6 +448,9 @@ def _loosened(fit: Fitted) -> Fitted:
 def _next_test(given: Robot, answer: _Answer, few: Sample, seed: int) -> dict[str, Any] | None:
     """What would tell the first answer from its rival; where that has no name, what shows the first most."""
     decision = answer.decision
+    if answer.told and answer.told.rivals:
+        names = [answer.told.first.key, *(rival.key for rival, _ in answer.told.rivals)]
+        return {"description": WEIGH, "separates": names, "posture_deg": None}
     likely = bool(decision.probability) and decision.probability[0] >= calibration()["alternative"]
     if answer.word != "ambiguous" and not (answer.word == "unexplained" and likely):
         return None

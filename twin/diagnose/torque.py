@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.borne_out import falls
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
 from twin.diagnose.edit import check_replayed
@@ -36,6 +37,7 @@ from twin.diagnose.torque_laws import Suspect, log_suspects, model_torque, not_s
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_numbers import GAIN, follow
+from twin.diagnose.torque_off import as_described, far_off, taken_back, told
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
     REFITTED,
@@ -51,7 +53,7 @@ from twin.diagnose.torque_search import (
 )
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.torque_states import RunStates
-from twin.diagnose.verdict import STRAINED, Finding, Missing, Word, estimates_of, missing_of, off_description
+from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of, off_description
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands, in_joints
 from twin.identify.uncertainty import NINETY
@@ -127,7 +129,11 @@ def diagnose_log(
         of_one, notes = RunStates(prepared, suspects, processes).largest()
     if of_one:
         return again(of_one, notes)
-    return _finding(log, robot, source, prepared, search, suspects, [*notes, *faults, *_clocks(rates)], processes)
+    put = [*notes, *faults, *_clocks(rates)]
+    finding = _finding(log, robot, source, prepared, search, suspects, put, processes)
+    if finding.missing and not falls(finding) and (back := taken_back(search)):
+        return _finding(log, robot, source, prepared, back, suspects, put, processes)
+    return finding
 
 
 def _finding(
@@ -136,7 +142,7 @@ def _finding(
 ) -> Finding:  # fmt: skip
     """What was found, beside the log as rows; ``notes`` on what was put right in it."""
     word, missing, none, other = _answer(search)
-    base = search.first.base
+    base = as_described(search)
     records, errors = log_records(prepared, base, search)
     after, _ = _after(search)
     robot_after = after.robot
@@ -206,7 +212,7 @@ def searched(
 ) -> tuple[Search, list[Suspect]]:
     """What is missing, and what was suspected: what drives have, as the log shows it."""
     suspects = log_suspects(base_fit(system).robot, prepared.used)
-    return explain(system, prepared.kept, suspects, progress, processes), suspects
+    return told(explain(system, prepared.kept, suspects, progress, processes)), suspects
 
 
 def predicted_runs(prepared: Prepared, search: Search) -> list[FloatArray]:
@@ -293,15 +299,8 @@ def _narrow(search: Search) -> list[str]:
 
 
 def _strained(search: Search) -> list[Note]:
-    """Numbers of the description that come out far from it beside all that was found, farthest first."""
-    system, fit = search.system, search.after
-    root = fit.parameters.root
-    off = np.abs(root @ fit.z) / np.maximum(np.linalg.norm(root, axis=1), 1e-300)
-    for k, factor in system.widened.items():
-        off[k] = 0.0 if search.narrow == 1.0 else off[k] * factor  # named, or told with all that is too narrow
-    described = np.arange(system.base.spread.shape[1])
-    far = [k for k in described[np.argsort(-off[described])] if off[k] > STRAINED]
-    return [off_description(fit, int(k), float(off[k])) for k in far]
+    """A note on every number of the description that comes out far from it beside all that was found."""
+    return [off_description(search.after, k, off) for k, off in far_off(search)]
 
 
 def _told_apart(search: Search) -> list[str]:

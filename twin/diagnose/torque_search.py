@@ -5,7 +5,7 @@ exact, so a richer one nearly always fits better. What is found at a joint must 
 its state gains (``named_reach`` of the calibration). Otherwise something there may have no name.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any
@@ -162,7 +162,7 @@ class Search:
         free, left: per joint, evidence gained by a free function of its state, before and after.
         other: the joint where something without a name is likeliest, and the probability that it is there.
         law: what was discovered there, with the joint it is at.
-        aside: the base model's columns on the rows kept aside, where there are any.
+        judge: the rows kept aside, where there are any.
         foretold: χ² per datum of the rows kept aside under all that was found, doubt of its numbers beside their noise;
             ``bare`` the same under the base model.
         narrow: times as wide as described the tolerances of the description were taken in the end.
@@ -177,7 +177,7 @@ class Search:
     left: FloatArray
     other: tuple[int, float] = (0, 0.0)
     law: tuple[int, Trial, Fitted] | None = None
-    aside: Base | None = None
+    judge: "Judge | None" = None
     foretold: float = 0.0
     bare: float = 0.0
     narrow: float = 1.0
@@ -186,6 +186,11 @@ class Search:
     def finalists(self) -> tuple[dict[str, Any], ...]:
         """What the first selection was made from."""
         return finalists(self.first.base, self.first.decision.ranked)
+
+    @property
+    def aside(self) -> Base | None:
+        """The base model's columns on the rows kept aside, where there are any."""
+        return self.judge.base if self.judge else None
 
     @property
     def found(self) -> list[Step]:
@@ -243,23 +248,19 @@ def explain(
             if _borne_out(beside, steps, judge):
                 steps.append(beside)
                 system = accepted(system, beside)
-        system = _one_for_two(steps, _pruned(steps, system), suspects, judge, processes)
+        system = _one_for_two(steps, pruned(steps, system), suspects, judge, processes)
         system = with_doubts(_all_grown(steps, system, judge))
     first = steps[0]  # beside the base model alone; what takes its place later stands beside other finds
-    system = _pruned(steps, _revised(steps, system, suspects, judge))
+    system = pruned(steps, _revised(steps, system, suspects, judge))
     system = with_doubts(_all_grown(steps, system, judge))
     left = free_gains(system, processes, judge)
-    search = Search(plain, first, steps, system, base_fit(system), free, left, aside=judge.base if judge else None)
+    search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)
     if judge:
         search.foretold, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:
         _locate(search, joint, judge)
-    elif (strained := too_narrow(search.system, search.after)).scale:
-        wide = relinearised(with_wider(search.system, strained))
-        search.system = _pruned(steps, wide)
-        search.after, search.narrow = base_fit(search.system), strained.scale[0][1]
     return search
 
 
@@ -290,7 +291,7 @@ def _whole_kinds(system: System, suspects: Sequence[Suspect], judge: "Judge | No
     foretold = judge is None or judge.density(here, after) > judge.density(system, before)
     if not foretold or after.evidence() - before.evidence() < calibration()["further"] * len(steps):
         return [], system
-    return steps, with_doubts(_pruned(steps, here))
+    return steps, with_doubts(pruned(steps, here))
 
 
 def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
@@ -556,7 +557,7 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
     return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
 
-def _pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0) -> System:
+def pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0) -> System:
     """The model without the finds that later finds have made needless, least needed first. Those are accepted no more.
 
     Leaving a find out may lose at once ``doubtful`` times what it needs: the model is then not tried without it. Finds
@@ -867,15 +868,14 @@ def free_function(system: System, joint: int) -> FreeFunction:
     return FreeFunction(joint, gain, span, scale * c, moved)
 
 
-def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
-    """Numbers of the base model that may be off beyond what the description allows, each in turn.
+def number_groups(system: System, turning: Collection[str] = ()) -> dict[tuple[str, str], list[int]]:
+    """Numbers of the description that are one answer each: effect and site → their indices.
 
-    A rotor's inertia is one thing with two names: where its effect is a suspect, it is that.
+    Args:
+        turning: joints whose rotor's inertia is left to the effect of that name.
     """
-    names = system.parameters.names
-    turning = {s.hypothesis.site[5:] for s in suspects if s.effect.part == "inertia"}
     groups: dict[tuple[str, str], list[int]] = {}
-    for k, name in enumerate(names):
+    for k, name in enumerate(system.parameters.names):
         owner, _, quantity = name.partition(".")
         link, rotor = owner.startswith("link"), owner.removeprefix("drive")
         drive = owner.startswith("drive") and (rotor not in turning or quantity == "gear_ratio")
@@ -887,8 +887,18 @@ def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
             groups.setdefault(("parameter", f"{owner}.{quantity.partition('.')[0]}"), []).append(k)
         elif "@" in name and effect_named(name.partition("@")[0]).doubted:
             groups.setdefault(("parameter", name.partition("[")[0]), []).append(k)
+    return groups
+
+
+def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
+    """Numbers of the base model that may be off beyond what the description allows, each in turn.
+
+    A rotor's inertia is one thing with two names: where its effect is a suspect, it is that.
+    """
+    names = system.parameters.names
+    turning = {s.hypothesis.site[5:] for s in suspects if s.effect.part == "inertia"}
     found = []
-    for (effect, site), members in groups.items():
+    for (effect, site), members in number_groups(system, turning).items():
         if not any(k in system.widened for k in members):
             hypothesis = Hypothesis(effect, site, scale=tuple((names[k], calibration()["far"]) for k in members))
             found.append(base_fit(with_wider(system, hypothesis), hypothesis))

@@ -415,8 +415,8 @@ def missing_of(decision: Decision, base: Fitted) -> list[Missing]:
         others = []
         for fit, s, p in zip(decision.ranked, sets, decision.probability, strict=True):
             if part not in s and kept <= s and len(s) == len(sets[0]):
-                others.append((_candidate(fit, next(iter(s - kept)), base), p))
-        found.append(Missing(_candidate(first, part, base), probability, tuple(others), ""))
+                others.append((candidate(fit, next(iter(s - kept)), base), p))
+        found.append(Missing(candidate(first, part, base), probability, tuple(others), ""))
     return found
 
 
@@ -426,7 +426,7 @@ def parts(fit: Fitted) -> list[tuple[str, str]]:
     return [(piece.effect, piece.site) for piece in pieces if piece not in fit.allowed]
 
 
-def _candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
+def candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
     scale = max(1.0, fit.misfit)
     return Candidate(*part, fit.evidence(scale) - base.evidence(scale), fit.robot, estimates(fit, part))
 
@@ -516,7 +516,21 @@ def strained(fit: Fitted) -> list[Note]:
         times = fit.misfit**0.5
         text = f"the fit still misses the recording by {times:.0f} times its noise: none of its numbers can be believed"
         return [Note(text, "note", "note")]
-    found: list[tuple[float, Note]] = []
+    found = []
+    for k, change, off in far_off(fit):
+        p, answered = fit.parameters[k], fit.parameters.names[k] in dict(fit.hypothesis.scale)
+        # which of all angles is wrong, where they are the answer, too
+        found.append(_elsewhere_hit(p, change, off, answered) if p.kind == "posture" else off_description(fit, k, off))
+    return found
+
+
+def far_off(fit: Fitted) -> list[tuple[int, float, float]]:
+    """Described numbers that a fit takes much further than their description allows, farthest first.
+
+    Index, change (of a logarithm where the number has one) and standard deviations. Answers are left out, all but
+    angles of postures.
+    """
+    found = []
     answered = dict(fit.hypothesis.scale)
     base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
     for k, (p, value) in enumerate(base):
@@ -524,11 +538,9 @@ def strained(fit: Fitted) -> list[Note]:
             continue
         change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
         off = abs(change) / p.deviation * answered.get(p.name, 1.0)
-        if off > STRAINED and p.kind == "posture":  # which of all angles is wrong, where they are the answer, too
-            found.append((off, _elsewhere_hit(p, change, off, p.name in answered)))
-        elif off > STRAINED:
-            found.append((off, off_description(fit, k, off)))
-    return [note for _, note in sorted(found, key=lambda one: -one[0])]
+        if off > STRAINED:
+            found.append((k, change, off))
+    return sorted(found, key=lambda one: -one[2])
 
 
 def _elsewhere_hit(p: Parameter, change: float, off: float, answered: bool) -> Note:

@@ -1,0 +1,157 @@
+"""Numbers of a description that a log shows to be wrong, as answers of their own beside what is missing.
+
+Every fit has these numbers free within their tolerance, so no prediction becomes better with a hypothesis that widens
+one. What counts is the model that has the number as described and all others free: does it miss the runs kept aside?
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.refit import Fitted
+from twin.diagnose.torque_fit import System, base_fit, relinearised, robot_of, with_wider
+from twin.diagnose.torque_search import Search, Step, accepted, number_groups, possible, pruned, too_narrow
+from twin.diagnose.verdict import STRAINED
+from twin.physics import CATALOGUE
+
+PARAMETER = "parameter"
+HELD = 1e-6  # times its tolerance: as far off as a number is that is held as described
+
+
+def far_off(search: Search) -> list[tuple[int, float]]:
+    """Numbers of the description that come out far from it beside all that was found, farthest first.
+
+    Index and standard deviations. Left out is what was named, or told with all tolerances that are too narrow.
+    """
+    system, fit = search.system, search.after
+    root = fit.parameters.root
+    off = np.abs(root @ fit.z) / np.maximum(np.linalg.norm(root, axis=1), 1e-300)
+    for k, factor in system.widened.items():
+        off[k] = 0.0 if search.narrow == 1.0 else off[k] * factor
+    described = np.arange(system.base.spread.shape[1])
+    return [(int(k), float(off[k])) for k in described[np.argsort(-off[described])] if off[k] > STRAINED]
+
+
+def as_described(search: Search) -> Fitted:
+    """The base model as it would be without the answer: numbers that are answered are held as described."""
+    base, plain = search.first.base, search.plain
+    names = {name for step in search.found if step.trial is None for name, _ in step.first.hypothesis.scale}
+    if not names:
+        return base
+    held = _held(plain, sorted(names))
+    z = held.plain(base_fit(held).z)
+    return replace(base, z=z, robot=robot_of(plain, z))
+
+
+def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
+    """A search with the one number, or numbers of one body, that come out far from the description, as an answer.
+
+    Where several come out far, and none of them brings the others back, which is wrong is not clear. They are warnings
+    then, as they are where other numbers make up for one that is held as described.
+
+    Args:
+        refused: effects that explain no more than these numbers do. A load on the same link is a rival.
+    """
+    if search.other[1] > 0.5:
+        return search
+    hypothesis = _one_thing(search)
+    if hypothesis is None or not _shows(search, hypothesis):
+        return _wider(search)
+    system = search.system
+    fit = base_fit(with_wider(system, hypothesis), hypothesis)
+    rivals = _loads(search, hypothesis, fit, refused)
+    chance = calibration()["told"]
+    share = chance / (1 + len(rivals))
+    other = calibration()["least_other"]
+    decision = Decision([fit, *rivals], [share] * (1 + len(rivals)), 1 - chance - other, other)
+    step = Step(system, base_fit(system), decision, {}, accepted=True)
+    steps = [*search.found, step, *(s for s in search.steps if not s.accepted)]
+    after = accepted(system, step)
+    first = search.first if search.found else step
+    return replace(search, first=first, steps=steps, system=after, after=base_fit(after))
+
+
+def _wider(search: Search) -> Search:
+    """A search with all tolerances as wide as they turn out, where they are far too narrow; else as it is."""
+    narrow = too_narrow(search.system, search.after)
+    if not narrow.scale:
+        return search
+    system = pruned(search.steps, relinearised(with_wider(search.system, narrow)))
+    return replace(search, system=system, after=base_fit(system), narrow=narrow.scale[0][1])
+
+
+def taken_back(search: Search) -> Search | None:
+    """The search without effects that make no prediction better, where one thing of the description stands for them."""
+    refused = [step.first for step in search.found if step.trial is not None and possible(search.system, step)]
+    plain = replace(
+        search, steps=[], system=search.plain, after=base_fit(search.plain), left=search.free, narrow=1.0,
+        foretold=search.bare,
+    )  # fmt: skip
+    back = told(plain, refused)
+    return back if back.found else None
+
+
+def _one_thing(search: Search) -> Hypothesis | None:
+    """The fewest numbers of one kind, or of one link, that bring all that is far off back if they are free."""
+    far = dict(far_off(search))
+    groups = number_groups(search.system)
+    off = {key: members for key, members in groups.items() if any(k in far for k in members)}
+    if len(off) > 1:  # all of a link, under the name of its mass
+        for link in {site.partition(".")[0] for effect, site in off if site.startswith("link")}:
+            members = [k for (_, site), some in groups.items() if site.startswith(f"{link}.") for k in some]
+            off[PARAMETER, f"{link}.mass"] = members
+    names = search.system.parameters.names
+    for (effect, site), members in sorted(off.items(), key=lambda one: len(one[1])):
+        width = max(calibration()["far"], *(far.get(k, 0.0) for k in members))
+        hypothesis = Hypothesis(effect, site, scale=tuple((names[k], width) for k in members))
+        system = relinearised(with_wider(search.system, hypothesis))
+        if not far_off(replace(search, system=system, after=base_fit(system))):
+            return hypothesis
+    return None
+
+
+def _shows(search: Search, hypothesis: Hypothesis) -> bool:
+    """Whether a model that has these numbers as described misses the runs, all other numbers fitted."""
+    held = _held(search.system, [name for name, _ in hypothesis.scale])
+    without = base_fit(held)
+    fall = 0.5 * (without.misfit * without.data - search.after.misfit * search.after.data)
+    numbers = calibration()
+    if fall < numbers["first"] * max(1.0, search.after.misfit):
+        return False
+    if search.judge is None:
+        return True
+    before, after = search.judge.rest(held, without)[0], search.judge.rest(search.system, search.after)[0]
+    return 0.5 * float(before @ before - after @ after) > numbers["tie"] * max(1.0, search.after.misfit)
+
+
+def _held(system: System, names: Sequence[str]) -> System:
+    """The same rows with some numbers as described, all else fitted."""
+    return relinearised(with_wider(system, Hypothesis(PARAMETER, "", scale=tuple((name, HELD) for name in names))))
+
+
+def _loads(search: Search, hypothesis: Hypothesis, fit: Fitted, refused: Sequence[Fitted]) -> list[Fitted]:
+    """The best load on the link whose numbers these are, where it does most of what they do."""
+    link = hypothesis.site.partition(".")[0]
+    gain = fit.evidence() - base_fit(search.system).evidence()
+    looked_at = [f for step in search.steps[-1:] for f in step.decision.ranked if _gain(step, f) > gain / 2]
+    return _on(link, search, [*refused, *looked_at])[:1]
+
+
+def _gain(step: Step, fit: Fitted) -> float:
+    return fit.evidence() - step.base.evidence()
+
+
+def _on(link: str, search: Search, some: Sequence[Fitted]) -> list[Fitted]:
+    """Of fits, those of loads on a link."""
+    robot = search.plain.base.regressor.robot
+    found = []
+    for fit in some:
+        law = CATALOGUE.get(fit.hypothesis.effect)
+        carrier = law.carrier(robot, fit.hypothesis.site) if law else None
+        if carrier is not None and link == f"link{carrier + 1}":
+            found.append(fit)
+    return found
