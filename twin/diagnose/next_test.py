@@ -65,8 +65,8 @@ def smallest_visible(
 
 
 WEIGH = (
-    "no vibration test tells a payload from its link's own inertia: weigh what the robot carries, or take it off and "
-    "repeat the test"
+    "no recording of the robot as it is tells a payload from its link's own inertia: weigh what the robot carries, or "
+    "take it off and repeat the test"
 )
 
 

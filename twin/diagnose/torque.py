@@ -37,7 +37,7 @@ from twin.diagnose.torque_laws import Suspect, log_suspects, model_torque, not_s
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_numbers import GAIN, follow
-from twin.diagnose.torque_off import as_described, far_off, taken_back, told
+from twin.diagnose.torque_off import as_described, far_off, numbers_of_answer, taken_back, told
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
     REFITTED,
@@ -441,6 +441,9 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
                 drop = 0.5 * NINETY**2 * _inflation(search.system)
                 number = [p.quantity for p in step.trial.suspect.hypothesis.own].index(name)
                 numbers[name]["interval90"] = list(profiled(search.system, step.trial.suspect, number, drop))
+            found = replace(found, first=replace(found.first, parameters=numbers))
+        else:
+            numbers = numbers_of_answer(search.system, settled, step.first.hypothesis)
             found = replace(found, first=replace(found.first, parameters=numbers))
         if step.effect.part == "law":
             found = _with_formula(found, step.first)

@@ -133,9 +133,19 @@ class Base:
         """Prior deviation (n,) of the share of a joint's dry friction that turns round otherwise than that of all."""
         return _apart(self.regressor.robot)
 
+    @cached_property
+    def even(self) -> FloatArray:
+        """Described friction (n,), N·m (N), that has one sign in both directions: it is held at rest, too."""
+        found = np.zeros(self.regressor.robot.axis_count)
+        for entry in self.regressor.robot.physics:
+            if even := CATALOGUE[entry.effect].uneven(entry.values):
+                found[axis_of(entry.site)] += even
+        return found
+
     def design(self, k: int, joint: int, state: State | None = None) -> FloatArray:
         """Torque (m, a) of a joint in run k per unit of the numbers that can act on it, as a recording has it."""
-        presliding, ripple = self.presliding[k][:, joint], self.ripple[k][:, joint]
+        presliding = self.presliding[k][:, joint] + self.even[joint] * self.uneven[k][:, joint]
+        ripple = self.ripple[k][:, joint]
         offsets = np.broadcast_to(self.offset[joint, k], (len(presliding), len(self.runs)))
         rows = self.matrix[k][:, joint] @ self.spread
         if state is not None:
@@ -162,7 +172,7 @@ class Base:
         torque += np.einsum("mjo,jo->mj", self.ripple[k], own.reshape(n, orders))
         shares = PRESLIDING * common + self.apart[:, None] * alone.reshape(n, travels)
         turning, uneven = (np.einsum("mjt,jt->mj", part[k], shares) for part in (self.presliding, self.uneven))
-        torque += turning
+        torque += turning + self.even * uneven
         load = on_dense(run, run.bodies[:, :, :links] @ (values[:links] + self.regressor.weights))
         friction = np.zeros_like(load)
         roles = [effect_named(c.name.partition("@")[0]).role for c in self.regressor.columns]
@@ -219,7 +229,7 @@ def base_of(
         angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
         ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
     own = [*others, *_ordinary(runs, sizes, offset, _apart(robot))]
-    parameters = join(Parameters(tuple(links), covariance), independent(own))
+    parameters = join(_linear(links, covariance), independent(own))
     base = Base(
         regressor, list(runs), matrices, known, np.pad(regressor.described, (0, len(numbers))), spread, parameters,
         offset, np.maximum(USUAL_SHARE * scale, described), ripple, np.zeros(robot.axis_count), none, none,
@@ -373,6 +383,13 @@ def _link_spread(robot: Robot, items: Sequence[Parameter]) -> FloatArray:
             sides.append(inertial_vector(mass, com, inertia))
         out[10 * i : 10 * i + 10, k] = (sides[0] - sides[1]) / (2 * abs(h))
     return out
+
+
+def _linear(items: Sequence[Parameter], covariance: FloatArray) -> Parameters:
+    """The same with masses themselves in the place of their logarithms: torque is linear in them, however far off."""
+    width = np.array([p.mean if p.log else 1.0 for p in items])
+    some = (replace(p, log=False, deviation=p.deviation * w) for p, w in zip(items, width, strict=True))
+    return Parameters(tuple(some), covariance * np.outer(width, width))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ Every effect states the recordings that show it (:attr:`Effect.log_tests`); here
 
 from typing import Any
 
+from twin.diagnose.next_test import WEIGH
 from twin.diagnose.verdict import Missing
 from twin.physics import CATALOGUE
 from twin.physics.statements import Test
@@ -29,10 +30,11 @@ OFF: tuple[Test, ...] = ("mass", "sweep")  # what shows a number of the descript
 
 
 def next_log(missing: Missing) -> dict[str, Any]:
-    """The next recording, with the two that it would tell apart."""
+    """The next recording, with the two that it would tell apart; of a load and its link, what is to be done."""
     first, (rival, _) = missing.first, missing.rivals[0]
+    load = rival.effect in CATALOGUE and CATALOGUE[rival.effect].lever and first.site.startswith("link")
     return {
-        "description": _advice({first.effect, rival.effect}),
+        "description": WEIGH if load else _advice({first.effect, rival.effect}),
         "separates": [first.key, rival.key],
         "posture_deg": None,
     }

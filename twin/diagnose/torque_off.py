@@ -6,6 +6,7 @@ one. What counts is the model that has the number as described and all others fr
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +16,12 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import System, base_fit, relinearised, robot_of, with_wider
 from twin.diagnose.torque_search import Search, Step, accepted, number_groups, possible, pruned, too_narrow
-from twin.diagnose.verdict import STRAINED
+from twin.diagnose.verdict import STRAINED, estimates
+from twin.identify.uncertainty import NINETY
+from twin.measure.campaign import FloatArray
+from twin.model.regressor import body_of
 from twin.physics import CATALOGUE
+from twin.robot.frames import inertia_six
 
 PARAMETER = "parameter"
 HELD = 1e-6  # times its tolerance: as far off as a number is that is held as described
@@ -73,6 +78,42 @@ def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
     after = accepted(system, step)
     first = search.first if search.found else step
     return replace(search, first=first, steps=steps, system=after, after=base_fit(after))
+
+
+def numbers_of_answer(system: System, fit: Fitted, hypothesis: Hypothesis) -> dict[str, Any]:
+    """Value, unit and 90 % interval of the numbers of the description that a hypothesis frees, as a fit has them.
+
+    Of a link the numbers of the body: torque is linear in its moments, of which centre and inertia are ratios.
+    """
+    link, _, quantity = hypothesis.site.partition(".")
+    if hypothesis.effect != PARAMETER or not link.startswith("link"):
+        return estimates(replace(fit, hypothesis=hypothesis), (hypothesis.effect, hypothesis.site))
+    base, at = system.base, slice(10 * (int(link[4:]) - 1), 10 * int(link[4:]))
+    plain = system.plain(np.ones(len(fit.z)))[: base.links]
+    moments = base.values(system.plain(fit.z))[at]
+    root = base.spread[at, : base.links] * plain
+    covariance = root @ np.linalg.inv(fit.information)[: base.links, : base.links] @ root.T
+    step = 1e-5 * np.maximum(np.abs(moments), 1e-3 * np.abs(moments).max())
+    rows = [(_body(moments + h) - _body(moments - h)) / (2 * h.sum()) for h in np.diag(step)]
+    value, slopes = _body(moments), np.stack(rows, axis=1)
+    half = NINETY * np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
+    whole = len(hypothesis.scale) > 9  # of the link
+    found: dict[str, Any] = {}
+    for name, unit, some in (("mass", "kg", slice(1)), ("com", "m", slice(1, 4)), ("inertia", "kg·m²", slice(4, 10))):
+        if whole or name == quantity:
+            ends = [[float(v - h), float(v + h)] for v, h in zip(value[some], half[some], strict=True)]
+            numbers = [float(v) for v in value[some]]
+            one = name == "mass"
+            found[name] = {
+                "value": numbers[0] if one else numbers, "unit": unit, "interval90": ends[0] if one else ends
+            }  # fmt: skip
+    return found
+
+
+def _body(moments: FloatArray) -> FloatArray:
+    """Mass, centre of mass and inertia about it, (10,), of the moments (10,) of a link."""
+    mass, com, inertia = body_of(moments)
+    return np.array([mass, *com, *inertia_six(inertia)])
 
 
 def _wider(search: Search) -> Search:

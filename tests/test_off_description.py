@@ -1,0 +1,102 @@
+"""A number of the description that is wrong is an answer where the model that has it as described misses the data."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_diagnose_hammer import recorded as hammer_test
+from test_diagnose_logs import recorded as log_of
+
+from twin.diagnose.borne_out import falls
+from twin.diagnose.frf_off import off_description
+from twin.diagnose.hammer import diagnose_campaign
+from twin.diagnose.refit import NONE, descend
+from twin.diagnose.torque import _finding, base_system, diagnose_log, searched
+from twin.diagnose.torque_off import taken_back
+from twin.diagnose.torque_signal import prepare
+from twin.diagnose.verdict import Finding, far_off
+from twin.measure.motion_log import MotionLog
+from twin.robot.description import Robot, load_robot
+
+
+def answers(finding: Finding) -> list[str]:
+    return [missing.first.key for missing in finding.missing]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> MotionLog:
+    return log_of(tmp_path_factory.mktemp("log"))
+
+
+def test_a_log_names_the_mass_that_is_wrong(log: MotionLog, kr90: Robot) -> None:
+    """Half the forearm's: the error falls from that of the model with the described mass; its value is told."""
+    given, true = kr90.model_copy(deep=True), kr90.links[2].mass
+    assert true is not None
+    given.links[2].mass = 0.5 * true
+    finding = diagnose_log(log, given, "log.h5")
+    assert (finding.word, answers(finding)) == ("named", ["parameter@link3.mass"])
+    assert falls(finding)
+    number = finding.missing[0].first.parameters["mass"]
+    assert number["value"] == pytest.approx(true, rel=kr90.tolerances.mass)
+    assert finding.robot.links[2].mass == pytest.approx(number["value"], rel=0.02)
+
+
+def test_a_log_names_the_rotor_that_is_wrong(log: MotionLog, kr90: Robot) -> None:
+    """A number that the base model has free: no prediction becomes better with its prior wider."""
+    given, true = kr90.model_copy(deep=True), kr90.drives[0].rotor_inertia
+    given.drives[0].rotor_inertia = 0.5 * true
+    finding = diagnose_log(log, given, "log.h5")
+    assert answers(finding) in (["parameter@drive1.rotor_inertia"], ["rotor_inertia@joint1"])
+    assert falls(finding)
+    added = [entry for entry in finding.robot.physics if entry.effect == "rotor_inertia"]
+    drive = finding.robot.drives[0]
+    rotor = drive.rotor_inertia + sum(entry.values["inertia"] for entry in added) / drive.gear_ratio**2
+    assert rotor == pytest.approx(true, rel=0.15)
+
+
+def test_a_load_that_makes_no_prediction_better_is_one_of_two(tmp_path: Path, kr90: Robot) -> None:
+    """It or the link that it is on: neither is more than half likely, and weighing tells."""
+    log = log_of(tmp_path, "--effect", "payload@flange:mass=190,com=1.2|-0.1|0.1")
+    prepared = prepare(log, kr90, "log.h5")
+    search, suspects = searched(base_system(prepared), prepared, None, 1)
+    assert [step.key for step in search.found] == ["payload@flange"]
+    back = taken_back(search)
+    assert back is not None
+    finding = _finding(log, kr90, "log.h5", prepared, back, suspects, (), 1)
+    (missing,) = finding.missing
+    assert finding.word == "ambiguous"
+    assert [missing.first.key, *(rival.key for rival, _ in missing.rivals)] == [
+        "parameter@link3.mass",
+        "payload@flange",
+    ]
+    assert max(missing.probability, *(p for _, p in missing.rivals)) < 0.5
+    assert missing.first.parameters["mass"]["value"] == pytest.approx(190 + 223, rel=0.05)
+    assert finding.next_test is not None
+    assert "weigh" in finding.next_test["description"]
+    assert falls(finding)
+
+
+def test_hammer_tests_name_the_spring_that_is_wrong(tmp_path: Path) -> None:
+    """By five of its deviations; the warning is an answer now."""
+    case = hammer_test(tmp_path)
+    width = next(p.deviation for p in case.free if p.name == "joint3.z.stiffness")
+    given = load_robot("kr90")
+    assert given.axes[2].stiffness is not None
+    given.axes[2].stiffness *= float(np.exp(5 * width))
+    finding = diagnose_campaign(case.campaign, given, "c.h5", processes=2)
+    assert (finding.word, answers(finding)) == ("named", ["parameter@joint3.z.stiffness"])
+    assert falls(finding)
+    assert not [note for note in finding.warnings if getattr(note, "sites", ()) == ("joint3.z.stiffness",)]
+
+
+def test_two_springs_that_are_off_are_no_answer(tmp_path: Path) -> None:
+    """Warnings tell both; neither, if it is free, brings the other back."""
+    case = hammer_test(tmp_path)
+    names = ("joint2.z.stiffness", "joint3.z.stiffness")
+    items = tuple(replace(p, mean=p.mean * float(np.exp(6 * p.deviation))) if p.name in names else p for p in case.free)
+    free = replace(case.free, items=items)
+    z = free.coordinates(case.free.values(np.zeros(len(free))))
+    fit = descend(case.base, NONE, free, case.sample, z)
+    assert {free.names[k] for k, _, _ in far_off(fit)} == set(names)
+    assert off_description(case.base, free, fit, fit, [], case.sample, case.found.kept) is None
