@@ -18,7 +18,16 @@ from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campai
 from tools.trials.naive import best_correlated
 from tools.trials.report import _reading
 from tools.trials.score import Rate, Scored
-from tools.trials.visible import SEEN, hammer_signal, level_signal, multiple_of_visible, overlap, scaled
+from tools.trials.visible import (
+    SEEN,
+    LogSignal,
+    hammer_signal,
+    kept,
+    level_signal,
+    multiple_of_visible,
+    overlap,
+    scaled,
+)
 from tools.truth import chain
 from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
@@ -544,6 +553,7 @@ def test_no_size_is_drawn_from_a_channel_that_tells_nothing(tmp_path: Path, monk
     asked: list[tuple[int, ...]] = []
     monkeypatch.setattr(cases, "hammer_signal", lambda postures, test, points: asked.append(tuple(points)))
     monkeypatch.setattr(cases, "multiple_of_visible", lambda effect, *_, **__: effect)
+    monkeypatch.setattr(cases, "kept", lambda *_: 0.0)
     load = Effect("payload", "flange", {})
     cases._sized([load], campaign, None, (2.0, 6.0), np.random.default_rng(0))
     assert asked == [campaign.live]
@@ -553,6 +563,17 @@ def test_no_size_is_drawn_from_a_channel_that_tells_nothing(tmp_path: Path, monk
     size = np.median(np.abs(posture.frf), axis=(0, 1))  # a blow across the arm's plane gives noise there, too: faint
     noise = (np.max(posture.coherence, axis=(0, 1)) < 0.31) & (size > 0.1 * np.median(size))
     assert [campaign.points[k] for k in np.flatnonzero(noise)] == [campaign.dead]
+
+
+def test_a_recording_keeps_less_of_a_load_than_its_description_betrays() -> None:
+    """Mass, centre and inertia of a forearm make up for most of a load on it, if they may be as far off."""
+    drawn = cases.case("single", "log", 101, 8, (2.0, 6.0))
+    assert drawn.kept == pytest.approx(SEEN * drawn.multiples[0] ** 2, rel=0.1)  # ripple, which nothing makes up for
+    assert drawn.motion is not None
+    truth = replace(drawn.motion.truth, effects=())
+    signal = LogSignal(drawn.motion.runs[:2], drawn.motion.log)
+    load = multiple_of_visible(Effect("payload", "flange", {"mass": 20.0, "com": [0.1, 0.0, 0.1]}), truth, signal, 3.0)
+    assert 0 <= kept(load, truth, signal) < 0.5 * SEEN * 3.0**2
 
 
 def test_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tools.trials.visible import LogSignal, hammer_signal, level_signal, multiple_of_visible, overlap
+from tools.trials.visible import LogSignal, hammer_signal, kept, level_signal, multiple_of_visible, overlap
 from tools.truth.chain import Tolerances, kr90
 from tools.truth.effects import EFFECTS, Effect, draw
 from tools.truth.motion import Log, Run, draw_fourier
@@ -119,6 +119,8 @@ class Case:
         kind: none, single, pair, outside or chain.
         effects: what is concealed; ``multiples`` their sizes over the smallest visible.
         overlap: cosine between the signatures of a pair's effects, negative where one hides the other.
+        kept: of a single effect, ln of a likelihood ratio that the recording itself keeps of it, without tension
+            against the description; ``None`` where that was not computed.
         without: entries the base model is to be without.
         campaign, motion: the recordings.
     """
@@ -132,6 +134,7 @@ class Case:
     without: tuple[str, ...]
     campaign: Campaign | None = None
     motion: Motion | None = None
+    kept: float | None = None
 
     @property
     def circumstances(self) -> dict[str, Any]:
@@ -191,14 +194,14 @@ def case(kind: str, recording: Recording, seed: int, number: int, sizes: tuple[f
     hidden = np.random.default_rng([seed, 1])
     candidates = _candidates(kind, recording, number, hidden)
     campaign, motion, without = _recorded(recording, seed, candidates)
-    effects, multiples, hiding = _sized(candidates, campaign, motion, sizes, hidden)
+    effects, multiples, hiding, keeps = _sized(candidates, campaign, motion, sizes, hidden)
     if campaign:
         shown = tuple(e for e in effects if EFFECTS[e.kind].shows != "log")
         campaign = replace(campaign, truth=replace(campaign.truth, effects=shown))
     if motion:
         shown = tuple(e for e in effects if recording == "log" or EFFECTS[e.kind].shows in ("log", "both"))
         motion = replace(motion, truth=replace(motion.truth, effects=shown))
-    return Case(seed, kind, recording, effects, multiples, hiding, tuple(without), campaign, motion)
+    return Case(seed, kind, recording, effects, multiples, hiding, tuple(without), campaign, motion, keeps)
 
 
 def usual(kind: str, recording: Recording, seed: int, number: int) -> Case:
@@ -272,10 +275,10 @@ def _sized(
     motion: Motion | None,
     sizes: tuple[float, float],
     rng: np.random.Generator,
-) -> tuple[tuple[Effect, ...], tuple[float, ...], float | None]:
-    """The effects, each at a log-uniform multiple of its smallest visible size, and how a pair overlaps."""
+) -> tuple[tuple[Effect, ...], tuple[float, ...], float | None, float | None]:
+    """The effects, each at a log-uniform multiple of its smallest visible size, a pair's overlap, and `Case.kept`."""
     if not candidates:
-        return (), (), None
+        return (), (), None, None
     chain = kr90()
     drawn = [_drawn(draw(e, chain, rng, log=campaign is None), rng) for e in candidates]
     struck = hammer_signal(campaign.postures, campaign.test, campaign.live) if campaign else None
@@ -302,9 +305,11 @@ def _sized(
         truth, signal = where(e)
         if campaign and _by_level(e):
             signal = level_signal(campaign.postures, campaign.test, campaign.live)
-        effects.append(multiple_of_visible(e, truth, signal, multiple, project=not (campaign and _by_level(e))))
+        projected = not (campaign and _by_level(e))
+        effects.append(multiple_of_visible(e, truth, signal, multiple, project=projected))
         multiples.append(multiple)
-    return tuple(effects), tuple(multiples), hiding
+    alone = kept(effects[0], truth, signal) if len(effects) == 1 and projected else None
+    return tuple(effects), tuple(multiples), hiding, alone
 
 
 def _by_level(e: Effect) -> bool:

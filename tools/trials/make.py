@@ -55,6 +55,7 @@ def record(
             answer,
             {
                 "kind": kind, "recording": recording, "seed": found.seed, "number": number, "overlap": found.overlap,
+                "kept": found.kept,
                 "effects": [
                     {"effect": e.kind, "site": e.site, "parameters": plain(e.parameters), "multiple": m}
                     for e, m in zip(found.effects, found.multiples, strict=True)

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from tools.trials.visible import SEEN
+
 Z95 = 1.959964
 LEVEL = 0.9  # of the credible set
 VISIBLE = 2.0  # multiples of the smallest visible size from which rates are asked for
@@ -34,6 +36,7 @@ class Scored:
         circumstances: what the recording is like, whatever it conceals.
         overlap: cosine between a pair's signatures.
         reference: held-out error of the true model refitted, where that was done.
+        kept: ln of a likelihood ratio that the recording itself keeps of a single effect, where that is known.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Scored:
     circumstances: dict[str, Any] = field(default_factory=dict)
     overlap: float | None = None
     reference: float | None = None
+    kept: float | None = None
 
     @property
     def named(self) -> list[str]:
@@ -151,7 +155,7 @@ def scored(answer: dict[str, Any], result: dict[str, Any], reference: float | No
         d.get("error") or {}, intervals, values, " ".join(location),
         next(iter(numbers(result.get("edit_error"))), None), float(result["wall_s"]),
         "" if result["diagnosis"] else last_line(result.get("complaint", "")),
-        answer.get("circumstances", {}), answer.get("overlap"), reference,
+        answer.get("circumstances", {}), answer.get("overlap"), reference, answer.get("kept"),
     )  # fmt: skip
 
 
@@ -229,6 +233,7 @@ def headline(cases: Sequence[Scored]) -> dict[str, Any]:
     null = [c for c in cases if c.kind == "none"]
     one = [c for c in cases if c.kind in ("single", "chain")]
     clear = [c for c in one if c.size >= VISIBLE]
+    keeps = [c for c in clear if c.kept is not None and c.kept >= VISIBLE**2 * SEEN]
     pairs = [c for c in cases if c.kind == "pair" and c.size >= VISIBLE]
     hiding = [c for c in pairs if c.overlap is not None and c.overlap < HIDING]
     outside = [c for c in cases if c.kind == "outside" and c.size >= VISIBLE]
@@ -244,6 +249,7 @@ def headline(cases: Sequence[Scored]) -> dict[str, Any]:
         "nulls not called adequate": rate(null, lambda c: c.verdict != "adequate"),
         "found at all (above twice visible)": rate(clear, lambda c: c.verdict not in ("adequate", "failed")),
         "top-1 (above twice visible)": rate(clear, lambda c: c.top1),
+        "top-1, where the recording itself shows as much": rate(keeps, lambda c: c.top1),
         "top-3 (above twice visible)": rate(clear, lambda c: c.top3),
         "top-1 by effect alone": rate(clear, lambda c: bool(c.named) and _effect(c.named[0]) == _effect(c.truth[0])),
         "top-3 by effect alone": rate(

@@ -129,6 +129,20 @@ def shows(truth: Truth, signal: Signal, change: Array, described: Chain, known: 
     return 0.5 * _hidden(signal, truth, list(_nuisances(truth, described, known)), change)[1]
 
 
+def kept(effect: Effect, truth: Truth, signal: Signal) -> float:
+    """What the recording itself keeps of an effect, ½ |·|² over its noise, after all that nobody knows has moved.
+
+    Numbers far from their description do not count, see `tension` of `multiple_of_visible`.
+    """
+    base = signal(truth)
+    change = signal(_with(truth, effect)) - base
+    every = [
+        n for n in _nuisances(truth, kr90(), Tolerances()) if not np.array_equal(signal(n.change(truth, STEP)), base)
+    ]
+    hiding, _ = _hidden(signal, truth, every, change, tension=False)
+    return _refitted(signal, truth, every, base + change, hiding, tension=False)
+
+
 def _hidden(
     signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], change: Array, tension: bool = True
 ) -> tuple[Array, float]:

@@ -252,6 +252,7 @@ def headline(cases: Sequence[Judged]) -> dict[str, Any]:
     whole = [c for c in cases if c.lacks_nothing]
     on_top = [c for c in cases if c.top]
     inside = [good for c in cases for good in c.inside.values()]
+    first = [c.allowed(h) for c in cases for h, _ in c.named if h.startswith("parameter@")]
     cpu = [c.cpu_s for c in cases if c.cpu_s is not None]
     return {
         f"wrong name at {NAMED:g} or more": rate(cases, lambda c: bool(c.wrong)),
@@ -261,6 +262,7 @@ def headline(cases: Sequence[Judged]) -> dict[str, Any]:
         f"true cause first, where it shows (ln likelihood ratio ≥ {SEEN:g})": rate(clear, lambda c: c.cause_first),
         "true cause first, or told as farthest off its description": rate(off, lambda c: c.cause_told),
         "a number told to be off that is not": rate(cases, lambda c: c.misled),
+        "a number that comes first is a cause": Rate(sum(first), len(first)),
         "true cause first, and no wrong name beside it": rate(off, lambda c: c.outcome == "right"),
         "true cause, near it, or honest": rate(off, lambda c: c.outcome in CLASSES[:3]),
         "right cause, near it, or honest; nulls adequate": rate(cases, lambda c: c.outcome in CLASSES[:3]),
