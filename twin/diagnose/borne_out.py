@@ -83,7 +83,7 @@ def borne_out(verdict: Verdict) -> Verdict:
     worse = [finding for finding in verdict.findings if rises(finding, len(verdict.findings) == 1)]
     if not worse and any(falls(finding) for finding in verdict.findings):
         return verdict
-    names = ", ".join(missing.first.title for missing in verdict.missing)
+    names = ", ".join(missing.first.phrase for missing in verdict.missing)
     if worse and len(verdict.findings) > 1:
         reason = (
             f"no single model fits all recordings. With their common answer ({names}) the error of "

@@ -546,4 +546,4 @@ def _told(missing: Missing, finding: Finding) -> str:
     """The sentence of evidence, where the engine has not written one."""
     if missing.evidence:
         return missing.evidence
-    return sentence(missing.first.title, finding.records, finding.error, finding.held_out)
+    return sentence(missing.first.phrase, finding.records, finding.error, finding.held_out)

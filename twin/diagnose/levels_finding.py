@@ -114,7 +114,7 @@ def levels_finding(
         finalists=finalists(levels.base, levels.fits),
     )  # fmt: skip
     for item in missing:
-        seen = sentence(item.first.title, records, errors, finding.held_out)
+        seen = sentence(item.first.phrase, records, errors, finding.held_out)
         law = CATALOGUE[item.first.effect].amplitude_law if item.first.effect in CATALOGUE else None
         finding.missing.append(replace(item, evidence=f"{levels_sentence(levels)} {seen}" if law else seen))
     if answer and word == "ambiguous":

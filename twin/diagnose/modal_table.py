@@ -149,7 +149,7 @@ def diagnose_table(
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_test(finding)
-    finding.missing = [replace(m, evidence=sentence(m.first.title, records, error, finding.held_out)) for m in missing]
+    finding.missing = [replace(m, evidence=sentence(m.first.phrase, records, error, finding.held_out)) for m in missing]
     return finding
 
 

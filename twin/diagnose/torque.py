@@ -272,7 +272,7 @@ def with_evidence(finding: Finding) -> list[Missing]:
 def _evidence(missing: Missing, finding: Finding) -> str:
     first = missing.first
     joint = axis_of(first.site) if first.site.startswith("joint") else None
-    name = first.title if len(finding.missing) == 1 else f"{first.title} and what else was found,"
+    name = first.phrase if len(finding.missing) == 1 else f"{first.phrase} and what else was found,"
     told = sentence(name, finding.records, finding.error, finding.held_out, joint)
     return " ".join([told, *finding.apart.get(first.key, ())])
 
@@ -797,5 +797,5 @@ def _seen_by(finding: Finding, missing: Missing) -> Missing:
     """Another recording's answer with a second sentence of evidence, of a hammer test that shows it too."""
     if not any(isinstance(r, FrfRecord) for r in finding.records) or not shared(missing.first.effect):
         return missing
-    text = sentence(missing.first.title, finding.records, finding.error, finding.held_out)
+    text = sentence(missing.first.phrase, finding.records, finding.error, finding.held_out)
     return replace(missing, evidence=f"{missing.evidence} In {Path(finding.recording).name}: {text}")

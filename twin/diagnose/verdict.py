@@ -66,8 +66,13 @@ class Candidate:
 
     @property
     def title(self) -> str:
-        """``EFFECT at SITE``, for sentences."""
+        """``EFFECT at SITE``, for lists."""
         return f"{self.effect} at {self.site}"
+
+    @property
+    def phrase(self) -> str:
+        """The same for sentences: what a model is with or without."""
+        return f"the correction of {self.site}" if self.effect == "parameter" else self.title
 
 
 @dataclass(frozen=True)
