@@ -29,7 +29,7 @@ SLIGHT = ANALYSER  # of its swing: no FRF shows that so much of a mode is cut of
 LEAST = 0.75  # of a record is after the blow, at least
 TRIED_RAD = 0.5  # of the fastest line, by which records are tried longer
 SETTLED_SHARE = 0.01  # of the steps by which lengths of records and blows are found
-STEPS, SHORTENED = 6, 3  # of these, and trials of one, each a quarter of the last
+LEAK_STEPS, SHORTENED = 6, 3  # of these, and trials of one, each a quarter of the last
 INEXACT = 0.005  # of what records lack: blows differ in length by a tenth, and the mean of some by less
 JITTER_S = 3e-4  # by which the middles of blows differ, whose lengths differ by a tenth
 PULSE_S, SPREAD = 8e-3, 0.218  # of a usual blow; root of the second moment of a half-sine over its length
@@ -176,7 +176,7 @@ def refined(
 
     better = fitted(leak, fit.z)
     reach = np.array([TRIED_RAD / _longest(campaign) / _fastest(thin), 0.5 * leak.spread_s])
-    for _ in range(STEPS):
+    for _ in range(LEAK_STEPS):
         step = np.clip(_step(lambda how: leaking(thin, campaign, how), leak, better, base, reach), -reach, reach)
         for _ in range(SHORTENED):
             found = _moved(leak, step)

@@ -24,7 +24,7 @@ from twin.physics import CATALOGUE
 from twin.robot.frames import inertia_six
 
 PARAMETER = "parameter"
-HELD = 1e-6  # times its tolerance: as far off as a number is that is held as described
+AS_DESCRIBED = 1e-6  # times its tolerance: as far off as a number is that is held as described
 
 
 def far_off(search: Search) -> list[tuple[int, float]]:
@@ -171,7 +171,7 @@ def _shows(search: Search, hypothesis: Hypothesis) -> bool:
 
 def _held(system: System, names: Sequence[str]) -> System:
     """The same rows with some numbers as described, all else fitted."""
-    return relinearised(with_wider(system, Hypothesis(PARAMETER, "", scale=tuple((name, HELD) for name in names))))
+    return relinearised(with_wider(system, Hypothesis(PARAMETER, "", scale=tuple((name, AS_DESCRIBED) for name in names))))
 
 
 def _loads(search: Search, hypothesis: Hypothesis, fit: Fitted, refused: Sequence[Fitted]) -> list[Fitted]:
