@@ -171,7 +171,8 @@ def _shows(search: Search, hypothesis: Hypothesis) -> bool:
 
 def _held(system: System, names: Sequence[str]) -> System:
     """The same rows with some numbers as described, all else fitted."""
-    return relinearised(with_wider(system, Hypothesis(PARAMETER, "", scale=tuple((name, AS_DESCRIBED) for name in names))))
+    scale = tuple((name, AS_DESCRIBED) for name in names)
+    return relinearised(with_wider(system, Hypothesis(PARAMETER, "", scale=scale)))
 
 
 def _loads(search: Search, hypothesis: Hypothesis, fit: Fitted, refused: Sequence[Fitted]) -> list[Fitted]:
