@@ -1,5 +1,6 @@
 """``twin describe``: what it keeps of a URDF or MJCF, what it assumes and says, what it reduces and repairs."""
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -258,12 +259,103 @@ def test_a_law_through_points_on_a_power_gives_that_power_back() -> None:
     [
         ({"max_speed": [100]}, "max_speed: expected 2 values, one per axis, found 1"),
         ({"tip": "nowhere"}, "tip: no such link: 'nowhere'"),
-        ({"weight": 3}, "weight: unknown field"),
+        ({"weight": 3}, "weight: unknown field; there are name, tip, payload, payload_com"),
+        ({"paylod": 3}, "paylod: unknown field: payload?"),
+        ({"reach": 2200}, "it is in m"),
+        ({"mass": 10}, "mass: expected kg of the whole robot, more than its base's 20, found 10"),
+        ({"coupling": {"j2": {"j2": 1.0}}}, "coupling.j2: expected other axes; a motor turns with j2 anyway"),
         ({"payload": "heavy"}, "payload: expected a number, found 'heavy'"),
     ],
 )
 def test_a_wrong_sheet_gets_one_line_and_nothing_is_written(tmp_path: Path, values: dict, line: str) -> None:
     with pytest.raises(InputError) as caught:
         twin.describe(urdf(tmp_path, ARM), sheet=sheet(tmp_path, **values), out=tmp_path / "out")
-    assert str(caught.value).endswith(line)
+    assert line in str(caught.value)
+    assert "sheet.yaml" in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_track_and_a_tool_leave_the_robot_as_it_is(tmp_path: Path) -> None:
+    """Payload, gears and friction of the robot's own axes are those of the robot alone."""
+    path = urdf(tmp_path, ARM)
+    alone = twin.describe(path).robot
+    track = [{"type": "prismatic", "axis": [0, 1, 0], "mass": 800, "position": [0, 6]}]
+    on_track = twin.describe(path, sheet=sheet(tmp_path, "track.yaml", mount=track)).robot
+    spindle = tmp_path / "tool.yaml"
+    spindle.write_text("{name: spindle, mass: 2, com: [0, 0, 0.1], tip: {position: [0, 0, 0.3]}}")
+    with_tool = twin.describe(path, tool=spindle).robot
+    for robot, first in ((on_track, 1), (with_tool, 0)):
+        for axis, same in zip(robot.axes[first:], alone.axes, strict=True):
+            assert axis.limits == same.limits
+            assert (axis.stiffness, axis.damping) == (same.stiffness, same.damping)
+        for drive, same_drive in zip(robot.drives[first:], alone.drives, strict=True):
+            assert drive == same_drive
+    payload, same_payload = (
+        next(item.value for item in robot.assumed if item.field == "payload") for robot in (alone, on_track)
+    )
+    assert isinstance(payload, float)
+    assert same_payload == pytest.approx(payload, rel=0.01)
+    assert with_tool.links[-1].inertial[0] == pytest.approx(alone.links[-1].inertial[0] + 2)
+    assert np.linalg.norm(np.subtract(with_tool.flange.position, alone.flange.position)) == pytest.approx(0.3)
+    assert any(item.field == "spindle.inertia" for item in with_tool.assumed)
+    slide = on_track.axes[0].limits
+    assert slide is not None
+    assert slide.acceleration is not None
+    moved = 800 + sum(link.inertial[0] for link in alone.links) + 20 + payload
+    assert slide.torque == pytest.approx(moved * slide.acceleration * estimate("torque_margin").value, rel=0.01)
+    units = {item.field: item.unit for item in on_track.assumed}
+    assert units["axes[0].limits.velocity"] == "m/s"
+
+
+def test_a_sheet_in_other_units_and_a_mass_that_is_not_used_are_told(tmp_path: Path) -> None:
+    path = urdf(tmp_path, ARM)
+    turntable = [{"type": "revolute", "axis": [0, 0, 1], "mass": 80, "velocity": 60}]
+    for values, text in (
+        ({"max_speed": [2.6, 2.6]}, "is it in rad/s?"),
+        ({"mass": 90, "link_masses": [5, 5]}, "mass: 90 kg is not used: link_masses and the base make 30 kg"),
+        ({"mount": turntable}, "60 rad/s: is it in °/s?"),
+    ):
+        with pytest.warns(UserWarning, match=re.escape(text)):
+            twin.describe(path, sheet=sheet(tmp_path, **values))
+    heavy = sheet(tmp_path, "tool.yaml", mass=4, com=[0, 0, 0.1])
+    with pytest.warns(UserWarning, match="4 kg, and the robot carries 3 kg"):
+        twin.describe(path, sheet=sheet(tmp_path, payload=3), tool=heavy)
+
+
+def test_a_sheet_may_be_empty_have_gaps_and_one_kind_of_gear(tmp_path: Path) -> None:
+    path, empty = urdf(tmp_path, ARM), tmp_path / "empty.yaml"
+    empty.write_text("")
+    assert twin.describe(path, sheet=empty).robot.axis_count == 2
+    robot = twin.describe(path, sheet=sheet(tmp_path, stiffness=[1e5, None], gears="cycloidal")).robot
+    each = twin.describe(path, sheet=sheet(tmp_path, gears=["cycloidal", "cycloidal"])).robot
+    assert (robot.axes[0].stiffness, robot.axes[1].stiffness) == (1e5, each.axes[1].stiffness)
+
+
+def test_a_negative_mass_leaves_a_possible_inertia(tmp_path: Path) -> None:
+    found = twin.describe(urdf(tmp_path, ARM.replace('<mass value="5.0"/>', '<mass value="-5.0"/>', 1)))
+    np.testing.assert_allclose(np.trace(found.robot.links[0].inertial[2]), 0.75)
+    assert "(repaired: -5 in the file)" in str(found)
+
+
+def test_an_mjcf_tells_springs_and_takes_sites_and_ranges_of_control(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        MJCF.replace('<joint name="j2"', '<joint name="j2" stiffness="500"')
+        .replace('<inertial pos="0 0.2 0"', '<site name="tcp" pos="0 0 0.4"/><inertial pos="0 0.2 0"')
+        .replace("<actuator>", '<actuator><motor joint="j2" gear="50" ctrlrange="-1 1" ctrllimited="true"/>')
+    )
+    with_tip = twin.describe(path, sheet=sheet(tmp_path, tip="tcp"))
+    assert any("its spring of 500" in note for note in with_tip.notes)
+    limits = with_tip.robot.axes[1].limits
+    assert limits is not None
+    assert limits.torque == 50
+    without = twin.describe(path).robot
+    moved = np.subtract(with_tip.robot.flange.position, without.flange.position)
+    assert np.linalg.norm(moved) == pytest.approx(np.hypot(0.3, 0.1))  # from the anchor of j3, at whose zero b is off
+
+
+def test_the_printed_list_says_which_axes(tmp_path: Path) -> None:
+    text = str(twin.describe(urdf(tmp_path, ARM), sheet=sheet(tmp_path, max_acceleration=[None, 90])))
+    assert "axes[0].limits.acceleration = " in text
+    assert "axes[0-1].stiffness = " in text
+    assert "*" not in text.replace("m*", "")

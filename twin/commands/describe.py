@@ -13,9 +13,9 @@ from twin.commands.outputs import Outputs, check_out
 from twin.errors import InputError, Told, tell
 from twin.provenance import provenance, write_json
 from twin.result import Result, written
-from twin.robot.complete import complete
-from twin.robot.datasheet import fit_tools, read_sheet, read_tools, stand_on
-from twin.robot.description import Assumed, Robot, load_robot, save_robot
+from twin.robot.complete import complete, with_tools
+from twin.robot.datasheet import assumed_of, fit_tools, read_sheet, read_tools, stand_on
+from twin.robot.description import Assumed, Robot, load_robot, parse_robot, save_robot
 from twin.robot.doubts import doubts
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, save_mjcf
@@ -85,7 +85,9 @@ class Described(Result):
         lines = [f"{robot.name} · {robot.axis_count} axes · {mass:.4g} kg · {len(self.assumed)} numbers assumed"]
         for table in self.tables():
             lines.append(f"  {table.title}")
-            lines += [f"    {name} = {value} {unit} {within}".rstrip() for name, value, unit, within, _ in table.rows]
+            for name, value, unit, within, source in table.rows:
+                repaired = f"  ({source})" if source.startswith("repaired") else ""
+                lines.append(f"    {name} = {value} {unit} {within}".rstrip() + repaired)
         lines += [f"  note: {note}" for note in self.notes]
         if self.files:
             lines.append(f"  {written(self.files)}")
@@ -116,12 +118,25 @@ def describe(
     given = read_sheet(sheet)
     tree = read_tree(path)
     stand_on(tree, given.mount)
+    if given.tip and given.tip not in {*tree.parts, *tree.sites}:
+        raise InputError(sheet or "sheet", "tip", f"no such link: {given.tip!r}; there are {', '.join(tree.parts)}")
     reduced = reduce_tree(tree, given.tip)
     given.check([joint.name for joint, _ in reduced.chain.axes], sheet or "sheet")
-    fit_tools(reduced.chain, read_tools(tool), tool or "tool")
     data = robot_data(reduced.chain)
     data["name"] = given.name or data["name"]
-    found = Described(complete(data, reduced, given).without(without or []), list(dict.fromkeys(tree.notes)))
+    robot = complete(data, reduced, given, sheet or "sheet")  # the robot alone: its drives do not depend on a tool
+    if tools := read_tools(tool):
+        bodies = fit_tools(reduced.chain, tools, tool or "tool")
+        weight = sum(mass for mass, _, _ in bodies)
+        if given.payload and weight > given.payload:
+            tell(tool or "tool", "mass", f"{weight:g} kg, and the robot carries {given.payload:g} kg by its sheet")
+        with_tools(data, bodies, robot_data(reduced.chain)["flange"])
+        data["assumed"] += [item.model_dump() for item in assumed_of(tools)]
+        robot = parse_robot(data, f"{data['name']} with its tool")
+    notes = [*tree.notes]
+    if any(drive.coupling for drive in robot.drives):
+        notes.append("drives are coupled: a log of this robot must hold positions of motors over the gear ratio")
+    found = Described(robot.without(without or []), list(dict.fromkeys(notes)))
     inputs = [Path(item) for item in (path, sheet, tool) if item is not None]
     found.origin = provenance(inputs, {"sheet": sheet, "tool": tool, "without": without or []})
     if out is not None:
@@ -164,15 +179,32 @@ def middle(robot: Robot) -> np.ndarray:
 Row = tuple[str, str, str, str, str]  # field, value, unit, within, source
 
 
+NUMBERED = re.compile(r"(?<=\[)\d+(?=\])|(?<=joint)\d+")  # of an axis, in a field
+
+
 def _together(rows: list[Row]) -> list[Row]:
-    """One row for what differs by its number alone, as the stiffness of every axis."""
+    """One row for what differs by the number of its axis alone, as the stiffness of every axis."""
     kinds: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
-        kinds.setdefault((re.sub(r"\d+", "*", row[0]), row[2], row[3]), []).append(row)
-    return [
-        (name, ", ".join(row[1] for row in same), unit, within, "; ".join(dict.fromkeys(row[4] for row in same)))
-        for (name, unit, within), same in kinds.items()
-    ]
+        kinds.setdefault((NUMBERED.sub("*", row[0]), row[2], row[3]), []).append(row)
+    found = []
+    for (name, unit, within), same in kinds.items():
+        numbers = [int(match[0]) for row in same if (match := NUMBERED.search(row[0]))]
+        title = name.replace("*", _ranges(numbers)) if numbers else name
+        sources = "; ".join(dict.fromkeys(row[4] for row in same))
+        found.append((title, ", ".join(row[1] for row in same), unit, within, sources))
+    return found
+
+
+def _ranges(numbers: list[int]) -> str:
+    """``0-2, 5``."""
+    found: list[list[int]] = []
+    for number in numbers:
+        if found and number == found[-1][-1] + 1:
+            found[-1][1:] = [number]
+        else:
+            found.append([number])
+    return ", ".join("-".join(map(str, ends)) for ends in found)
 
 
 def _row(item: Assumed) -> Row:

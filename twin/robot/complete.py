@@ -4,6 +4,7 @@ Each number that neither the file nor the sheet states comes from ``twin.robot.s
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from twin.errors import InputError, tell
 from twin.model.regressor import flange_path, inertial_vector, link_regressor
 from twin.physics import effect_of
 from twin.physics.motion import Motion
-from twin.robot.bodies import fuse
+from twin.robot.bodies import Inertial, fuse
 from twin.robot.datasheet import Sheet
-from twin.robot.description import Assumed, Axis, Robot, parse_robot
-from twin.robot.frames import axis_placement, inertia_six
+from twin.robot.description import Assumed, Axis, Placement, Robot, parse_robot
+from twin.robot.frames import axis_placement, inertia_matrix, inertia_six
 from twin.robot.reduce import Reduced
 from twin.robot.scaling import Estimate, estimate
 from twin.robot.tree import ball_inertia
@@ -24,8 +25,10 @@ SHORTEST_M = 0.01  # reach below which no law of scale holds
 POSTURES = 2000  # at random, in which the largest static torque and the reach are looked for
 TURN = np.pi  # rad: range either way of an axis whose limits nobody states
 TRAVEL_M = 1.0  # the same of a linear axis
+SLIDES = Estimate(1.5, 2.0, "tracks of robots reach 1 to 2 m/s by their data sheets")  # m/s
 LINK_SHARE = 0.5  # mass of a link over the one before it, where the file gives none
 HEAVIER = 10.0  # times: drawings hold masses of solid bodies, or of shells
+UNEQUAL = 0.01  # share by which two statements of one mass may differ
 UNLIKE = 3.0  # times: sheet and drawing of one robot are nearer to each other
 UNLOADED = 0.01  # of the largest static torque: below, gravity says nothing of a drive
 LARGEST_STRAIN_WAVE = 400.0
@@ -33,10 +36,13 @@ LARGEST_STRAIN_WAVE = 400.0
 
 
 class Filler:
-    """The content of a ``robot.yaml`` being completed: ``data``, the sheet, and what had to be ``assumed``."""
+    """The content of a ``robot.yaml`` being completed: ``data``, the sheet, and what had to be ``assumed``.
 
-    def __init__(self, data: dict[str, Any], reduced: Reduced, sheet: Sheet) -> None:
-        self.data, self.sheet = data, sheet
+    ``source``: the sheet's file, for messages. ``carried``: how many axes, tracks and turntables, carry the robot.
+    """
+
+    def __init__(self, data: dict[str, Any], reduced: Reduced, sheet: Sheet, source: str | Path) -> None:
+        self.data, self.sheet, self.source, self.carried = data, sheet, source, len(sheet.mount)
         self.assumed = list(reduced.assumed)
         self.massless = reduced.massless
         self.joints = [joint for joint, _ in reduced.chain.axes]
@@ -75,12 +81,19 @@ class Filler:
         return parse_robot(self.data, f"{self.data['name']} as the sheet and scaling laws complete it")
 
 
-def complete(data: dict[str, Any], reduced: Reduced, sheet: Sheet) -> Robot:
-    """The robot that data of a chain and a sheet describe, the rest from scaling laws.
+def complete(data: dict[str, Any], reduced: Reduced, sheet: Sheet, source: str | Path = "sheet") -> Robot:
+    """The robot that data of a chain and a sheet describe, the rest from scaling laws; ``data`` is completed, too.
 
-    Order matters: masses before static torques, those before drives, those before springs.
+    Order matters: masses before static torques, those before drives, those before springs. Reach and payload are of the
+    robot alone, without a track that it stands on or a tool that it carries.
+
+    Args:
+        source: the sheet's file, for messages.
+
+    Raises:
+        InputError: a sheet that does not go with the drawing.
     """
-    filler = Filler(data, reduced, sheet)
+    filler = Filler(data, reduced, sheet, source)
     _limits(filler)
     reach, payload = _size(filler)
     _masses(filler, payload, reach)
@@ -112,12 +125,16 @@ def _size(filler: Filler) -> tuple[float, float]:
     """Reach (m) and payload (kg)."""
     sheet, robot = filler.sheet, filler.robot()
     reach, payload = sheet.reach, sheet.payload
-    foot, last = np.array(robot.base.position), robot.links[-1].com
+    first = filler.carried
+    q, last = _postures(robot), robot.links[-1].com
+    q[:, :first] = q[:1, :first]  # the robot stands somewhere on its track
     body = robot.model_copy(update={"flange": robot.flange.model_copy(update={"position": last})})
-    ends = (flange_path(one, _postures(one)) - foot for one in (robot, body))  # a chain may end in a joint's origin
-    drawn = max(float(np.linalg.norm(tip[:, :2], axis=1).max()) for tip in ends)
+    foot = robot.model_copy(update={"axes": robot.axes[: first + 1], "flange": Placement()})
+    middle = flange_path(foot, q[:, : first + 1])[:, :2]  # of the robot's own first axis
+    ends = (flange_path(one, q)[:, :2] - middle for one in (robot, body))  # a chain may end in a joint's origin
+    drawn = max(float(np.linalg.norm(tip, axis=1).max()) for tip in ends)
     if reach is not None and drawn > SHORTEST_M and not 1 / UNLIKE < reach / drawn < UNLIKE:
-        tell("sheet", "reach", f"{reach:g} m, and the drawing reaches {drawn:.3g} m: is it in another unit?")
+        tell(filler.source, "reach", f"{reach:g} m, and the drawing reaches {drawn:.3g} m: is it in another unit?")
     if reach is None:
         reach = drawn
         if reach < SHORTEST_M:
@@ -137,11 +154,18 @@ def _masses(filler: Filler, payload: float, reach: float) -> None:
     known = [i for i in range(len(links)) if i + 1 not in filler.massless]
     weighed = sum(links[i]["mass"] for i in known)
     total_said = sum(sheet.link_masses) if sheet.link_masses else sheet.mass
+    if sheet.mass and sheet.mass <= base["mass"]:
+        expected = f"expected kg of the whole robot, more than its base's {base['mass']:.4g}, found {sheet.mass:g}"
+        raise InputError(filler.source, "mass", expected)
+    added = base["mass"] + sum(sheet.link_masses or ())
+    if sheet.mass and sheet.link_masses and abs(sheet.mass - added) > UNEQUAL * sheet.mass:
+        text = f"{sheet.mass:g} kg is not used: link_masses and the base make {added:.4g} kg"
+        tell(filler.source, "mass", text)
     if len(known) == len(links) and total_said and not 1 / HEAVIER < total_said / (weighed + base["mass"]) < HEAVIER:
         text = f"{total_said:g} kg, and the drawing holds {weighed + base['mass']:.4g} kg: is it in another unit?"
-        tell("sheet", "link_masses" if sheet.link_masses else "mass", text)
+        tell(filler.source, "link_masses" if sheet.link_masses else "mass", text)
     if (carried := sheet.payload) and total_said is None and carried > weighed > 0 and len(known) == len(links):
-        tell("sheet", "payload", f"{carried:g} kg, and the robot's links weigh {weighed:.4g} kg")
+        tell(filler.source, "payload", f"{carried:g} kg, and the robot's links weigh {weighed:.4g} kg")
     if sheet.link_masses is not None:
         for link, mass in zip(links, sheet.link_masses, strict=True):
             _scale(link, mass)
@@ -156,7 +180,8 @@ def _masses(filler: Filler, payload: float, reach: float) -> None:
     else:
         per_share = (total - base["mass"]) / (sum(share) + 1.0)  # the foot as heavy as the first link
     for number in filler.massless:
-        why = Estimate(0.0, 2.0, f"the file gives none; {LINK_SHARE:g} of the link before it")
+        text = f"the file gives none; links weigh {LINK_SHARE:g} of the one before, by those that have a mass"
+        why = Estimate(0.0, 2.0, text if known else text.partition(", by")[0])
         mass = filler.say(f"links[{number - 1}].mass", per_share * share[number - 1], "kg", why, "torque log")
         _scale(links[number - 1], mass)
     if sheet.mass is not None and known:
@@ -172,15 +197,19 @@ def _scale(link: dict[str, Any], mass: float) -> None:
 
 
 def _speeds(filler: Filler, reach: float) -> None:
-    ramp = estimate("ramp_time")
+    ramp, usual = estimate("ramp_time"), estimate("joint_speed", reach)
+    own = [np.deg2rad(s) for s, turning in zip(filler.given("max_speed"), filler.turning, strict=True) if s and turning]
+    if own and np.median(own) < usual.value * np.sqrt(np.deg2rad(1.0)):  # nearer to the usual speed in rad/s
+        text = f"{np.rad2deg(np.median(own)):.3g} °/s, and such robots turn at {np.rad2deg(usual.value):.0f} °/s"
+        tell(filler.source, "max_speed", f"{text}: is it in rad/s?")
     speeds, accelerations = filler.given("max_speed"), filler.given("max_acceleration")
     for i, (axis, turning) in enumerate(zip(filler.data["axes"], filler.turning, strict=True)):
         limits, unit = axis["limits"], np.deg2rad(1.0) if turning else 1.0
         if (speed := speeds[i]) is not None:
             limits["velocity"] = float(speed * unit)
         elif limits["velocity"] is None or not 0 < limits["velocity"] < np.inf:
-            found = estimate("joint_speed", reach)
-            limits["velocity"] = filler.say(f"axes[{i}].limits.velocity", found.value, "rad/s", found, "data sheet")
+            found, per_s = (usual, "rad/s") if turning else (SLIDES, "m/s")
+            limits["velocity"] = filler.say(f"axes[{i}].limits.velocity", found.value, per_s, found, "data sheet")
         if (acceleration := accelerations[i]) is not None:
             limits["acceleration"] = float(acceleration * unit)
         else:
@@ -192,11 +221,17 @@ def _speeds(filler: Filler, reach: float) -> None:
 def _torques(filler: Filler, payload: float) -> np.ndarray:
     """Largest drive torque of every axis, N·m (N)."""
     given = filler.given("max_torque")
-    static = static_torque(filler.robot(), payload, filler.sheet.payload_com)
-    static = np.maximum.accumulate(static[::-1])[::-1]  # an axis that gravity does not load is as strong as the next
-    for i in range(1, len(static)):
-        if static[i] < UNLOADED * static.max():
-            static[i] = static[i - 1]  # the last of a wrist as strong as the one before
+    robot = filler.robot()
+    static = static_torque(robot, payload, filler.sheet.payload_com)
+    turning = np.flatnonzero(filler.turning)
+    own = np.maximum.accumulate(static[turning][::-1])[::-1]  # what gravity does not load is as strong as the next
+    for k in range(1, len(own)):
+        if own[k] < UNLOADED * own.max():
+            own[k] = own[k - 1]  # the last of a wrist as strong as the one before
+    static[turning] = own
+    for i in np.flatnonzero(~np.array(filler.turning)).tolist():  # N: holds what it moves, or accelerates it
+        moved = payload + sum(link.inertial[0] for link in robot.links[i:])
+        static[i] = max(static[i], moved * filler.data["axes"][i]["limits"]["acceleration"])
     margin, peak = estimate("torque_margin"), np.zeros(len(static))
     for i, joint in enumerate(filler.joints):
         stated = given[i] or joint.effort
@@ -207,9 +242,19 @@ def _torques(filler: Filler, payload: float) -> np.ndarray:
             )
         elif given[i] and not static[i] / 2 <= stated <= 1e3 * max(static[i], UNLOADED * static.max()):
             text = f"{stated:g}, and {static[i]:.3g} holds the robot and its payload: is it in another unit?"
-            tell("sheet", f"max_torque[{i}]", text)
+            tell(filler.source, f"max_torque[{i}]", text)
         peak[i] = filler.data["axes"][i]["limits"]["torque"] = stated
     return peak
+
+
+def with_tools(data: dict[str, Any], tools: Sequence[Inertial], flange: dict[str, Any]) -> None:
+    """Add tools to completed ``data``: bodies in the frame of the last link, and where the flange then is."""
+    link = data["links"][-1]
+    body = link["mass"], np.array(link["com"]), inertia_matrix(link["inertia"])
+    for tool in tools:
+        body = fuse(body, tool)
+    link["mass"], link["com"], link["inertia"] = float(body[0]), [float(x) for x in body[1]], inertia_six(body[2])
+    data["flange"] = flange
 
 
 def static_torque(robot: Robot, payload: float = 0.0, com: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
@@ -278,7 +323,8 @@ def _springs(filler: Filler, peak: np.ndarray) -> None:
         if not turning:
             continue
         rated = peak[i] / overload.value
-        kind = gears[i] if gears else "cycloidal" if rated > LARGEST_STRAIN_WAVE else "strain_wave"
+        stated = gears if isinstance(gears, str) else gears[i] if gears else None
+        kind = stated or ("cycloidal" if rated > LARGEST_STRAIN_WAVE else "strain_wave")
         axis, site = filler.data["axes"][i], f"joint{i + 1}"
         gear = estimate(f"{kind}_torsion", rated)
         if (value := stiffness[i]) is None:

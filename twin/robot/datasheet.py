@@ -1,5 +1,6 @@
 """What people know of a robot beside its drawing: a data sheet of a few lines, what it stands on, and its tool."""
 
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -8,11 +9,12 @@ import numpy as np
 import trimesh
 from pydantic import Field, ValidationError, model_validator
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.ranges import FARTHEST_M, HEAVIEST_ROTOR, ill_named
 from twin.robot.bodies import Inertial, fuse
 from twin.robot.description import (
     Acceleration,
+    Assumed,
     Coupling,
     Data,
     Density,
@@ -36,18 +38,22 @@ from twin.robot.description import (
     check_radius,
     first_problem,
 )
-from twin.robot.frames import inertia_matrix, matrix_of
+from twin.robot.frames import inertia_matrix, inertia_six, matrix_of
 from twin.robot.mesh_inertia import closed_mesh
 from twin.robot.tree import Chain, Joint, Part, Shape, Tree, ball_inertia
 from twin.yamlfile import read_yaml
 
 Reach = Annotated[Positive, Field(ge=0.01, le=FARTHEST_M)]
 RotorInertia = Annotated[Moment, Field(gt=0, le=HEAVIEST_ROTOR)]
+FASTEST_TURNTABLE = 2 * np.pi  # rad/s: a turn a second is more than any that carries a robot
 Gear = Literal["cycloidal", "strain_wave"]
 
 
 class Mount(Data):
-    """A linear track or a turntable that carries the robot: an axis before the first, and the mass that it moves."""
+    """A linear track or a turntable that carries the robot: an axis before the first, and the mass that it moves.
+
+    kg, m and N·m (N); ``position`` rad (m) and ``velocity`` rad/s (m/s).
+    """
 
     type: Literal["prismatic", "revolute"]
     axis: Vector
@@ -60,10 +66,11 @@ class Mount(Data):
 
 
 class Sheet(Data):
-    """A robot's data sheet: whatever is known, the rest is left out. Lists have one number per axis of the chain.
+    """A robot's data sheet: whatever is known, the rest is left out.
 
-    kg, m, N·m (N) and °/s (m/s) as data sheets have them; ``gear_ratio`` and ``rotor_inertia`` (kg·m²) are the
-    motor's; ``payload_com`` is in the flange's frame. ``coupling`` as ``Drive.coupling`` has it, by joint.
+    Lists have one number, or null, per axis of the chain. kg, m, N·m (N) and °/s (m/s) as data sheets have them;
+    ``gear_ratio`` and ``rotor_inertia`` (kg·m²) are the motor's; ``payload_com`` is in the flange's frame.
+    ``coupling`` as ``Drive.coupling`` has it, by joint.
     """
 
     name: Name | None = None
@@ -73,13 +80,13 @@ class Sheet(Data):
     reach: Reach | None = None
     mass: Mass | None = None
     link_masses: list[Mass] | None = None
-    max_speed: list[SpeedOfSheet] | None = None
-    max_acceleration: list[Acceleration] | None = None
-    max_torque: list[Torque] | None = None
-    gear_ratio: list[Ratio] | None = None
-    rotor_inertia: list[RotorInertia] | None = None
-    stiffness: list[Stiffness] | None = None
-    gears: list[Gear] | None = None
+    max_speed: list[SpeedOfSheet | None] | None = None
+    max_acceleration: list[Acceleration | None] | None = None
+    max_torque: list[Torque | None] | None = None
+    gear_ratio: list[Ratio | None] | None = None
+    rotor_inertia: list[RotorInertia | None] | None = None
+    stiffness: list[Stiffness | None] | None = None
+    gears: Gear | list[Gear] | None = None
     coupling: dict[str, dict[str, Coupling]] = Field(default_factory=dict)
     mount: list[Mount] = Field(default_factory=list)
 
@@ -95,6 +102,11 @@ class Sheet(Data):
         for name, turns in self.coupling.items():
             if strange := next((axis for axis in (name, *turns) if axis not in known), None):
                 raise InputError(path, f"coupling.{name}", f"no such axis {strange!r}; there are {', '.join(known)}")
+            if name in turns:
+                raise InputError(path, f"coupling.{name}", f"expected other axes; a motor turns with {name} anyway")
+        for k, mount in enumerate(self.mount):
+            if mount.type == "revolute" and mount.velocity and mount.velocity > FASTEST_TURNTABLE:
+                tell(path, f"mount[{k}].velocity", f"{mount.velocity:g} rad/s: is it in °/s?")
 
 
 class Tool(Placement):
@@ -140,7 +152,9 @@ def read_sheet(path: str | Path | None) -> Sheet:
     Raises:
         InputError: one line that names file and field.
     """
-    return Sheet() if path is None else _valid(Sheet, read_yaml(path), path)
+    if path is None or (Path(path).is_file() and not Path(path).read_text(encoding="utf-8", errors="replace").strip()):
+        return Sheet()
+    return _valid(Sheet, read_yaml(path), path)
 
 
 def read_tools(path: str | Path | None) -> list[Tool]:
@@ -160,6 +174,11 @@ def _valid(kind: type[Any], data: dict[str, Any], path: str | Path) -> Any:
         return kind.model_validate(data)
     except ValidationError as error:
         where, message = first_problem(error)
+        near = get_close_matches(where.rpartition(".")[2], kind.model_fields, 1)
+        if message == "unknown field":
+            message += f": {near[0]}?" if near else f"; there are {', '.join(kind.model_fields)}"
+        if where == "reach" and "less than" in message:
+            message += ": it is in m"
         raise InputError(path, where, message) from error
 
 
@@ -184,13 +203,18 @@ def stand_on(tree: Tree, mounts: list[Mount]) -> None:
         tree.joints.append(Joint(f"{carriage} foot", "fixed", carriage, root, foot, np.eye(3)[2]))
 
 
-def fit_tools(chain: Chain, tools: list[Tool], path: str | Path) -> None:
+def fit_tools(chain: Chain, tools: list[Tool], path: str | Path) -> list[Inertial]:
     """Fix tools to the flange, innermost first: the last link gets their mass and shape, the flange moves to the tip.
+
+    Returns:
+        Their bodies in the frame of the last link.
 
     Raises:
         InputError: a mesh that cannot be read or encloses no volume, a tool heavier than all links.
     """
     last, links = chain.groups[-1], [group.inertial[0] for group in chain.groups[1:]]
+    frame = chain.frames()[0][-1] if tools else np.eye(4)
+    found: list[Inertial] = []
     for tool in tools:
         depth, flange = last.tip
         place = flange @ _matrix(tool)
@@ -207,6 +231,21 @@ def fit_tools(chain: Chain, tools: list[Tool], path: str | Path) -> None:
         last.inertial = fuse(last.inertial, moved)
         last.parts.append((part, place))
         last.tip = depth + 1, place @ _matrix(tool.tip)
+        into = frame[:3, :3].T
+        found.append((moved[0], into @ (moved[1] - frame[:3, 3]), into @ moved[2] @ into.T))
+    return found
+
+
+def assumed_of(tools: list[Tool]) -> list[Assumed]:
+    """Inertias of tools that nobody stated."""
+    balls = [tool for tool in tools if tool.mass is not None and tool.com is not None and tool.inertia is None]
+    return [
+        Assumed(
+            field=f"{tool.name}.inertia", value=inertia_six(ball_inertia(float(tool.mass or 0.0))), unit="kg·m²",
+            source="assumed: that of a steel ball, the least", settled_by="drawing",
+        )
+        for tool in balls
+    ]  # fmt: skip
 
 
 def _tool_shape(tool: Tool, path: str | Path) -> trimesh.Trimesh:

@@ -46,7 +46,17 @@ def read_mjcf(path: str | Path) -> Tree:
     for body in range(model.nbody):
         _add_body(tree, model, data, body, frames)
     _add_equalities(tree, model)
+    _add_sites(tree, model, data, frames)
     return tree
+
+
+def _add_sites(tree: Tree, model: mujoco.MjModel, data: mujoco.MjData, frames: dict[int, np.ndarray]) -> None:
+    """Places that a sheet may name as the tip."""
+    for site in range(model.nsite):
+        body, name = int(model.site_bodyid[site]), model.site(site).name
+        if name and body in frames:
+            pose = np.linalg.inv(frames[body]) @ _pose(data.site_xpos[site], data.site_xmat[site])
+            tree.sites[name] = _body_name(model, body), pose
 
 
 def _add_body(tree: Tree, model: mujoco.MjModel, data: mujoco.MjData, body: int, frames: dict[int, np.ndarray]) -> None:
@@ -69,7 +79,7 @@ def _add_body(tree: Tree, model: mujoco.MjModel, data: mujoco.MjData, body: int,
         frame[:3, 3] = data.xanchor[joint]
         child = name if joint == joints[-1] else f"{name}.{_joint_name(model, joint)}"
         tree.parts[child] = _between(float(model.body_mass[body]))
-        tree.joints.append(_joint(model, data, joint, parent, child, np.linalg.inv(placed) @ frame))
+        tree.joints.append(_joint(tree, model, data, joint, parent, child, np.linalg.inv(placed) @ frame))
         parent, placed = child, frame
     if not joints and body > 0:
         weld = np.linalg.inv(placed) @ frame
@@ -84,19 +94,31 @@ def _between(mass: float) -> Part:
     return Part((BETWEEN * mass, np.zeros(3), ball_inertia(BETWEEN * mass)))
 
 
+def _effort(model: mujoco.MjModel, k: int) -> float | None:
+    """Largest force of an actuator at its joint, N·m (N), by its range of force or, of a motor, of control."""
+    gear, found = abs(float(model.actuator_gear[k, 0])), []
+    if model.actuator_forcelimited[k]:
+        found.append(float(np.abs(model.actuator_forcerange[k]).max()))
+    fixed = model.actuator_gaintype[k] == mujoco.mjtGain.mjGAIN_FIXED
+    if fixed and model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE and model.actuator_ctrllimited[k]:
+        found.append(abs(float(model.actuator_gainprm[k, 0])) * float(np.abs(model.actuator_ctrlrange[k]).max()))
+    return gear * min(found) if found else None
+
+
 def _joint(
-    model: mujoco.MjModel, data: mujoco.MjData, joint: int, parent: str, child: str, placement: np.ndarray
+    tree: Tree, model: mujoco.MjModel, data: mujoco.MjData, joint: int, parent: str, child: str, placement: np.ndarray
 ) -> Joint:
     dof, body = model.jnt_dofadr[joint], model.jnt_bodyid[joint]
     slide = model.jnt_type[joint] == _SLIDE
     limited = bool(model.jnt_limited[joint])
-    efforts = [
-        abs(model.actuator_gear[k, 0]) * float(np.abs(model.actuator_forcerange[k]).max())
-        for k in range(model.nu)
-        if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT
-        and model.actuator_trnid[k, 0] == joint
-        and model.actuator_forcelimited[k]
-    ]
+    drives = (k for k in range(model.nu) if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT)
+    efforts = [effort for k in drives if model.actuator_trnid[k, 0] == joint and (effort := _effort(model, k))]
+    if stiffness := float(np.ravel(model.jnt_stiffness[joint])[0]):
+        unit = "N/m" if slide else "N·m/rad"
+        tree.notes.append(
+            f"joint {_joint_name(model, joint)}: its spring of {stiffness:g} {unit} is left out; add "
+            "`cable_stiffness` if the robot has it"
+        )
     if model.jnt_actfrclimited[joint]:
         efforts.append(float(np.abs(model.jnt_actfrcrange[joint]).max()))
     return Joint(

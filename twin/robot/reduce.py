@@ -10,7 +10,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.robot.description import Assumed, check_inertia
 from twin.robot.frames import inertia_six
-from twin.robot.tree import Chain, Group, Joint, Tree, ball_inertia, gather
+from twin.robot.tree import Chain, Group, Joint, Part, Tree, ball_inertia, gather
 
 THINNEST = 1e-3
 """Least second moment of mass of a repaired link along any axis, over its largest: a rod 30 times as long as thick."""
@@ -99,8 +99,12 @@ def _longest_path(tree: Tree) -> list[Joint]:
 
 
 def _path_to(tree: Tree, tip: str) -> list[Joint]:
+    if tip not in tree.parts and tip in tree.sites:
+        carrier, place = tree.sites[tip]
+        tree.parts[tip] = Part()
+        tree.joints.append(Joint(f"{tip} fixed", "fixed", carrier, tip, place, np.eye(3)[2]))
     if tip not in tree.parts:
-        raise InputError(tree.path, "tip", f"no such link: {tip!r}")
+        raise InputError(tree.path, "tip", f"no such link: {tip!r}; there are {', '.join(tree.parts)}")
     above = {joint.child: joint for joint in tree.joints}
     path = []
     while tip in above:
@@ -159,7 +163,7 @@ def _repair_parts(tree: Tree, assumed: list[Assumed]) -> None:
         mass, com, inertia = part.inertial
         if mass < 0:
             assumed.append(_repaired(f"link {name} mass", -mass, "kg", f"{mass:g} in the file"))
-            mass, inertia = -mass, -inertia
+            mass, inertia = -mass, -inertia if np.trace(inertia) < 0 else inertia
         if mass > 0 and inertia.any():
             try:
                 check_inertia(inertia_six(inertia))

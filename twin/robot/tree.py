@@ -83,7 +83,10 @@ class Joint:
 
 @dataclass
 class Tree:
-    """A file's parts and joints. ``loops``: pairs of parts that it holds together besides."""
+    """A file's parts and joints. ``loops``: pairs of parts that it holds together besides.
+
+    ``sites``: named places, each with its part and the pose (4, 4) in it.
+    """
 
     path: Path
     name: str
@@ -91,6 +94,7 @@ class Tree:
     joints: list[Joint]
     loops: list[tuple[str, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    sites: dict[str, tuple[str, np.ndarray]] = field(default_factory=dict)
 
     def leaving(self, part: str) -> list[Joint]:
         """The joints of which a part is the parent."""
