@@ -11,7 +11,7 @@ from tools.trials.wrong import case
 from tools.truth.recording import ANTI_ALIAS
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose.frf_leak import cut_off, leaking, refined, rewindowed
+from twin.diagnose.frf_leak import _step, cut_off, leaking, refined, rewindowed
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.identify.objective import Sample
@@ -125,6 +125,7 @@ def test_a_campaign_whose_records_leak_is_fitted_by_a_model_that_does(tmp_path: 
     assert max(np.abs(shift).max() for shift in leak.earlier.values()) < 1e-3
     leaky = leaking(sample, campaign, leak)
     again, _ = refined(leak, campaign, robot, base, leaky, list(found.recordings.values()))
+    assert not _step(lambda _: sample, leak, base, robot, np.ones(2)).any()  # of records that lack nothing
     for name, r in found.recordings.items():  # doubt of what leaks is added once
         doubt = [one.variance[name] - r.variance for one in (leak, again)]
         assert np.nanmedian(doubt[1] / doubt[0]) == pytest.approx(1.0, abs=0.3)

@@ -237,7 +237,7 @@ def _step(leaking_as: Callable[[Leak], Sample], leak: Leak, fit: Fitted, base: R
     own = np.stack(columns, axis=1)
     across = J @ own
     information = own.T @ own - across.T @ np.linalg.solve(J @ J.T + np.eye(len(J)), across)
-    return -np.asarray(np.linalg.solve(information, own.T @ residual))
+    return -np.asarray(np.linalg.lstsq(information, own.T @ residual)[0])  # a model may leak nothing
 
 
 def _moved(leak: Leak, step: FloatArray) -> Leak:
