@@ -11,9 +11,11 @@ from test_diagnose_logs import recorded as log_of
 from twin.diagnose.borne_out import falls
 from twin.diagnose.frf_off import off_description
 from twin.diagnose.hammer import diagnose_campaign
+from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, descend
 from twin.diagnose.torque import _finding, base_system, diagnose_log, searched
-from twin.diagnose.torque_off import taken_back
+from twin.diagnose.torque_fit import base_fit, with_wider
+from twin.diagnose.torque_off import numbers_of_answer, taken_back
 from twin.diagnose.torque_signal import prepare
 from twin.diagnose.verdict import Finding, far_off
 from twin.measure.motion_log import MotionLog
@@ -47,7 +49,7 @@ def test_a_log_names_the_rotor_that_is_wrong(log: MotionLog, kr90: Robot) -> Non
     given, true = kr90.model_copy(deep=True), kr90.drives[0].rotor_inertia
     given.drives[0].rotor_inertia = 0.5 * true
     finding = diagnose_log(log, given, "log.h5")
-    assert answers(finding) in (["parameter@drive1.rotor_inertia"], ["rotor_inertia@joint1"])
+    assert answers(finding) == ["rotor_inertia@joint1"]
     assert falls(finding)
     added = [entry for entry in finding.robot.physics if entry.effect == "rotor_inertia"]
     drive = finding.robot.drives[0]
@@ -100,3 +102,16 @@ def test_two_springs_that_are_off_are_no_answer(tmp_path: Path) -> None:
     fit = descend(case.base, NONE, free, case.sample, z)
     assert {free.names[k] for k, _, _ in far_off(fit)} == set(names)
     assert off_description(case.base, free, fit, fit, [], case.sample, case.found.kept) is None
+
+
+def test_a_rotor_is_told_as_its_joint_feels_it(log: MotionLog, kr90: Robot) -> None:
+    """By its effect's name: the inertia behind the gear that the description lacks."""
+    given, true = kr90.model_copy(deep=True), kr90.drives[0].rotor_inertia
+    given.drives[0].rotor_inertia = 0.5 * true
+    system = base_system(prepare(log, given, "log.h5"))
+    scale = (("drive1.rotor_inertia", 10.0),)
+    hypothesis = Hypothesis("rotor_inertia", "joint1", scale=scale)
+    wide = with_wider(system, hypothesis)
+    numbers = numbers_of_answer(wide, base_fit(wide), hypothesis)["inertia"]
+    assert numbers["value"] == pytest.approx(0.5 * true * kr90.drives[0].gear_ratio ** 2, rel=0.2)
+    assert numbers["interval90"][0] < numbers["value"] < numbers["interval90"][1]

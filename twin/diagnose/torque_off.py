@@ -20,10 +20,11 @@ from twin.diagnose.verdict import STRAINED, estimates
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.model.regressor import body_of
-from twin.physics import CATALOGUE
+from twin.physics import CATALOGUE, effect_of
+from twin.physics.effect import axis_of
 from twin.robot.frames import inertia_six
 
-PARAMETER = "parameter"
+PARAMETER, ROTOR = "parameter", ".rotor_inertia"
 AS_DESCRIBED = 1e-6  # times its tolerance: as far off as a number is that is held as described
 
 
@@ -85,6 +86,8 @@ def numbers_of_answer(system: System, fit: Fitted, hypothesis: Hypothesis) -> di
 
     Of a link the numbers of the body: torque is linear in its moments, of which centre and inertia are ratios.
     """
+    if hypothesis.effect == effect_of("inertia").name:
+        return _at_joint(system, fit, hypothesis)
     link, _, quantity = hypothesis.site.partition(".")
     if hypothesis.effect != PARAMETER or not link.startswith("link"):
         return estimates(replace(fit, hypothesis=hypothesis), (hypothesis.effect, hypothesis.site))
@@ -108,6 +111,15 @@ def numbers_of_answer(system: System, fit: Fitted, hypothesis: Hypothesis) -> di
                 "value": numbers[0] if one else numbers, "unit": unit, "interval90": ends[0] if one else ends
             }  # fmt: skip
     return found
+
+
+def _at_joint(system: System, fit: Fitted, hypothesis: Hypothesis) -> dict[str, Any]:
+    """By how much a rotor's inertia is not as described, as its joint feels it through the gear."""
+    number = estimates(replace(fit, hypothesis=hypothesis), (hypothesis.effect, hypothesis.site))
+    squared = system.base.regressor.robot.drives[axis_of(hypothesis.site)].gear_ratio ** 2
+    ((name, one),) = number.items()
+    ends = [squared * end for end in one["interval90"]]
+    return {name: {**one, "value": squared * one["value"], "interval90": ends}}
 
 
 def _body(moments: FloatArray) -> FloatArray:
@@ -148,6 +160,8 @@ def _one_thing(search: Search) -> Hypothesis | None:
     names = search.system.parameters.names
     for (effect, site), members in sorted(off.items(), key=lambda one: len(one[1])):
         width = max(calibration()["far"], *(far.get(k, 0.0) for k in members))
+        if site.endswith(ROTOR):  # a rotor's inertia is told as the effect of that name
+            effect, site = effect_of("inertia").name, f"joint{site[5:].removesuffix(ROTOR)}"
         hypothesis = Hypothesis(effect, site, scale=tuple((names[k], width) for k in members))
         system = relinearised(with_wider(search.system, hypothesis))
         if not far_off(replace(search, system=system, after=base_fit(system))):
