@@ -235,6 +235,8 @@ def _step(leaking_as: Callable[[Leak], Sample], leak: Leak, fit: Fitted, base: R
         high, low = (objective(_moved(leak, side * h)).residual(fit.z) for side in (1, -1))
         columns.append((high - low) / (2 * h.sum()))
     own = np.stack(columns, axis=1)
+    if not (np.isfinite(own).all() and np.isfinite(J).all()):  # a model with a mode that grows leaks without end
+        return np.zeros(2)
     across = J @ own
     information = own.T @ own - across.T @ np.linalg.solve(J @ J.T + np.eye(len(J)), across)
     return -np.asarray(np.linalg.lstsq(information, own.T @ residual)[0])  # a model may leak nothing
