@@ -262,6 +262,11 @@ def test_a_law_through_points_on_a_power_gives_that_power_back() -> None:
         ({"weight": 3}, "weight: unknown field; there are name, tip, payload, payload_com"),
         ({"paylod": 3}, "paylod: unknown field: payload?"),
         ({"reach": 2200}, "it is in m"),
+        ({"gears": "worm"}, "gears: input should be 'cycloidal' or 'strain_wave', found 'worm'"),
+        (
+            {"mount": [{"type": "prismatic", "axis": [0, 0, 0], "mass": 8}]},
+            "mount[0].axis: must not be the zero",
+        ),
         ({"mass": 10}, "mass: expected kg of the whole robot, more than its base's 20, found 10"),
         ({"coupling": {"j2": {"j2": 1.0}}}, "coupling.j2: expected other axes; a motor turns with j2 anyway"),
         ({"payload": "heavy"}, "payload: expected a number, found 'heavy'"),

@@ -117,7 +117,7 @@ def describe(
     check_out(out)
     given = read_sheet(sheet)
     tree = read_tree(path)
-    stand_on(tree, given.mount)
+    stand_on(tree, given.mount, sheet or "sheet")
     if given.tip and given.tip not in {*tree.parts, *tree.sites}:
         raise InputError(sheet or "sheet", "tip", f"no such link: {given.tip!r}; there are {', '.join(tree.parts)}")
     reduced = reduce_tree(tree, given.tip)

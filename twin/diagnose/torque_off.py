@@ -152,13 +152,13 @@ def _one_thing(search: Search) -> Hypothesis | None:
     """The fewest numbers of one kind, or of one link, that bring all that is far off back if they are free."""
     far = dict(far_off(search))
     groups = number_groups(search.system)
-    off = {key: members for key, members in groups.items() if any(k in far for k in members)}
+    off = [(key, members) for key, members in groups.items() if any(k in far for k in members)]
     if len(off) > 1:  # all of a link, under the name of its mass
-        for link in {site.partition(".")[0] for effect, site in off if site.startswith("link")}:
+        for link in sorted({site.partition(".")[0] for (_, site), _ in off if site.startswith("link")}):
             members = [k for (_, site), some in groups.items() if site.startswith(f"{link}.") for k in some]
-            off[PARAMETER, f"{link}.mass"] = members
+            off.append(((PARAMETER, f"{link}.mass"), members))
     names = search.system.parameters.names
-    for (effect, site), members in sorted(off.items(), key=lambda one: len(one[1])):
+    for (effect, site), members in sorted(off, key=lambda one: len(one[1])):
         width = max(calibration()["far"], *(far.get(k, 0.0) for k in members))
         if site.endswith(ROTOR):  # a rotor's inertia is told as the effect of that name
             effect, site = effect_of("inertia").name, f"joint{site[5:].removesuffix(ROTOR)}"

@@ -182,16 +182,20 @@ def _valid(kind: type[Any], data: dict[str, Any], path: str | Path) -> Any:
         raise InputError(path, where, message) from error
 
 
-def stand_on(tree: Tree, mounts: list[Mount]) -> None:
-    """Put the robot on its tracks and turntables, the lowest first: each is a part that moves, before the root."""
-    for mount in reversed(mounts):
+def stand_on(tree: Tree, mounts: list[Mount], path: str | Path) -> None:
+    """Put the robot on its tracks and turntables, the lowest first: each is a part that moves, before the root.
+
+    Raises:
+        InputError: an axis without a direction, of the sheet at ``path``.
+    """
+    for k, mount in reversed(list(enumerate(mounts))):
         root, number = tree.root(), sum(name.startswith("mount") for name in tree.parts) + 1
         carriage, ground = f"mount{number}", f"mount{number} ground"
         tree.parts[carriage] = Part((mount.mass, np.array(mount.com), ball_inertia(mount.mass)))
         tree.parts[ground] = Part()
         axis = np.array(mount.axis)
         if not axis.any():
-            raise InputError(tree.path, "mount", "axis must not be the zero vector")
+            raise InputError(path, f"mount[{k}].axis", "must not be the zero vector")
         tree.joints.append(
             Joint(
                 carriage, mount.type if mount.position or mount.type == "prismatic" else "continuous", ground, carriage,

@@ -626,7 +626,7 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
 
 def _is_type(part: int | str) -> bool:
     """Whether the end of a place is no field, but the validator's name of one of several types that would fit."""
-    return isinstance(part, str) and re.fullmatch(r"str|(list|dict|tuple|function-\w+)\[.*\]", part) is not None
+    return isinstance(part, str) and re.fullmatch(r"str|(list|dict|tuple|literal|function-\w+)\[.*\]", part) is not None
 
 
 SHIPPED = next(
