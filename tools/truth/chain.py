@@ -149,6 +149,7 @@ def inverse_dynamics(chain: Chain, q: Array, v: Array, a: Array, gravity: Array 
     tau = np.zeros(np.shape(q))
     w = np.zeros((*np.shape(q)[:-1], 3))  # angular velocity, angular and origin's linear acceleration of link b
     dw, acc, previous = w, w, np.zeros(3)
+    loads: list[tuple[Array, Array]] = []  # force on each link, and moment about its frame's origin
     for b, link in enumerate(chain.links):
         z, turn, p = rotation[..., b, :, 2], rotation[..., b, :, :], origin[..., b, :]
         acc = acc + accelerate(w, dw, p - previous)
@@ -156,22 +157,26 @@ def inverse_dynamics(chain: Chain, q: Array, v: Array, a: Array, gravity: Array 
         dw = dw + z * a[..., b, None] + cross(w, rate)
         w = w + rate
         previous = p
-        arm = (turn @ link.com[:, None])[..., 0]
+        arm = turn @ link.com
         force = link.mass * (acc + accelerate(w, dw, arm) - gravity)
         turn_t = turn.swapaxes(-1, -2)
         w_body, dw_body = (turn_t @ w[..., None])[..., 0], (turn_t @ dw[..., None])[..., 0]
         moment_body = dw_body @ link.inertia + cross(w_body, w_body @ link.inertia)
-        moment = (turn @ moment_body[..., None])[..., 0]
-        for j in range(b + 1):
-            about_joint = moment + cross(p + arm - origin[..., j, :], force)
-            tau[..., j] += (rotation[..., j, :, 2] * about_joint).sum(-1)
+        loads.append((force, (turn @ moment_body[..., None])[..., 0] + cross(arm, force)))
+    force, moment = loads[-1]
+    for j in range(chain.n - 1, -1, -1):
+        tau[..., j] = (rotation[..., j, :, 2] * moment).sum(-1)
+        if j:
+            moment = moment + cross(origin[..., j, :] - origin[..., j - 1, :], force) + loads[j - 1][1]
+            force = force + loads[j - 1][0]
     return tau
 
 
 def cross(a: Array, b: Array) -> Array:
     """a × b over the last axis (..., 3): numpy's own takes ten times as long for short arrays."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    (ax, ay, az), (bx, by, bz) = (np.moveaxis(v, -1, 0) if v.ndim > 1 else v.tolist() for v in (a, b))
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     out[..., 0], out[..., 1], out[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     return out
 

@@ -5,7 +5,7 @@ a body moves with the screws on its path, M = Σ Jᵀ M_b J, and gravity stiffne
 potential. Rotors are held unless the servo is soft.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -62,15 +62,27 @@ class Structure:
         return abs(roots[keep]) / (2 * np.pi), -roots[keep].real / abs(roots[keep]), vectors[:n, keep]
 
     def row(self, body: str, position: Array, direction: Array) -> Array:
-        """Displacement (n,) of a point along a direction, both in the body's frame, per unit of every coordinate."""
-        if body == "base":
-            return np.zeros(len(self.names))
-        zones = self.zones[int(body.removeprefix("link")) - 1]
-        frame = next(zone.frame for zone in zones if position[0] < zone.end)
-        place = frame.origin + frame.turn @ position
-        moved = self.screws[:, 3:] + self.screws[:, :3] @ skew(place)  # ω × r, row by row
-        felt, path = np.zeros(len(self.names)), list(frame.path)
-        felt[path] = moved[path] @ (frame.turn @ direction)
+        """Displacement (n,) of one point along a direction, as `rows` has it."""
+        return self.rows([body], np.asarray(position)[None], np.asarray(direction)[None])[0]
+
+    def rows(self, bodies: Sequence[str], positions: Array, directions: Array) -> Array:
+        """Displacement (m, n) of points along directions (m, 3), both in their body's frame, per unit of coordinate."""
+        felt = np.zeros((len(bodies), len(self.names)))
+        on = [k for k, body in enumerate(bodies) if body != "base"]
+        if not on:
+            return felt
+        parts = [self.zones[int(bodies[k].removeprefix("link")) - 1] for k in on]
+        frames = [
+            next(zone.frame for zone in zones if positions[k, 0] < zone.end) for k, zones in zip(on, parts, strict=True)
+        ]
+        turn, origin = np.array([f.turn for f in frames]), np.array([f.origin for f in frames])
+        place = origin + np.einsum("mij,mj->mi", turn, positions[on])
+        along = np.einsum("mij,mj->mi", turn, directions[on])
+        carried = np.zeros((len(on), len(self.names)))
+        for row, frame in zip(carried, frames, strict=True):
+            row[list(frame.path)] = 1
+        # (v + ω × r)·d = v·d + ω·(r × d)
+        felt[on] = carried * (along @ self.screws[:, 3:].T + cross(place, along) @ self.screws[:, :3].T)
         return felt
 
     def receptance(self, s: Complex, response: Array, excitation: Array) -> Complex:
@@ -132,8 +144,10 @@ class _Builder:
         """The frame behind a hinge about `axis` of `frame` through the point `at` of it."""
         direction = frame.turn @ axis
         point = frame.origin if at is None else frame.origin + frame.turn @ at
-        turn = rotation_about(direction, self.rest.get(name, 0.0))
         path = self._add(frame, name, np.concatenate([direction, cross(point, direction)]), (k, c, armature))
+        if not self.rest.get(name):
+            return Frame(frame.turn, frame.origin, path)
+        turn = rotation_about(direction, self.rest[name])
         return Frame(turn @ frame.turn, point + turn @ (frame.origin - point), path)
 
     def slide(self, frame: Frame, name: str, axis: Array, k: float, c: float) -> Frame:
@@ -210,7 +224,7 @@ def _assemble(
 ) -> Structure:
     builder = _Builder(rest)
     stiffness, damping = joint_springs(chain, q, effects)
-    frame = _base(builder, effects)
+    frame, ends = _base(builder, effects), chain.ends()
     zones: list[list[Zone]] = []
     for i in range(chain.n):
         placement, offset = constant_transform(*chain.dh[i])
@@ -225,7 +239,7 @@ def _assemble(
                 frame = builder.hinge(frame, f"joint{i + 1}.{axis}", AXES[axis], stiffness[i, a], damping[i, a])
         if cross:
             frame = _oblique(builder, frame, i, stiffness[i, 1:], damping[i, 1:], cross)
-        zones.append(_link(builder, frame, chain, i, effects))
+        zones.append(_link(builder, frame, chain, i, effects, ends[i]))
         frame = zones[i][-1].frame
         _resonators(builder, zones[i], i, effects)
 
@@ -297,13 +311,12 @@ def _servo(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple
     return frame
 
 
-def _link(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple[Effect, ...]) -> list[Zone]:
+def _link(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple[Effect, ...], end: Array) -> list[Zone]:
     """The link's bodies: one, or the parts between its bending hinges, each with the payloads placed on it.
 
     A link bends in one hinge half-way, or as a beam in `segments` equal ones, each in the middle of a segment and
     as many times stiffer: a moment turns the end by the same angle.
     """
-    end = chain.ends()[i]
     bends: dict[float, list[tuple[Effect, int, int]]] = {}
     for e in effects:
         if e.kind == "link_flexibility" and e.joint == i:
@@ -379,6 +392,8 @@ def slabs(link: Link, heights: list[float]) -> list[Link]:
     The link's mass is spread as the normal density with its mass, centre of mass and inertia, and cut there: the
     parts add up to the link exactly, and each is a physical body.
     """
+    if not heights:
+        return [link]
     beyond = [moments_of(link)]
     spread = second_moments(link.inertia) / link.mass
     along = spread[0] / np.sqrt(spread[0, 0])

@@ -218,16 +218,21 @@ def rows(truth: Truth, structure: Structure) -> tuple[Array, Array]:
             turns = [rotation_about(AXES[x], v) for x, v in zip(others, e.array("angles"), strict=True)]
             turned[e.site] = turns[1] @ turns[0]
 
-    def row(channel: Channel, site: str) -> Array:
-        direction = turned[site] @ channel.direction if site in turned else channel.direction
-        if site in truth.turned:
-            direction = direction + cross(truth.turned[site], direction)
-        position = channel.position + truth.moved[site] if site in truth.moved else channel.position
-        return structure.row(channel.body, position, direction)
+    def felt(channels: Sequence[Channel], sites: Sequence[str]) -> Array:
+        position = np.array([c.position for c in channels], float)
+        direction = np.array([c.direction for c in channels])
+        for k, site in enumerate(sites):
+            if site in turned:
+                direction[k] = turned[site] @ direction[k]
+            if site in truth.turned:
+                direction[k] += cross(truth.turned[site], direction[k])
+            if site in truth.moved:
+                position[k] += truth.moved[site]
+        return structure.rows([c.body for c in channels], position, direction)
 
     return (
-        np.array([row(c, f"sensor:{c.node}") for c in truth.sensors]),
-        np.array([row(c, f"hammer:{c.label}") for c in truth.hammer]),
+        felt(truth.sensors, [f"sensor:{c.node}" for c in truth.sensors]),
+        felt(truth.hammer, [f"hammer:{c.label}" for c in truth.hammer]),
     )
 
 
