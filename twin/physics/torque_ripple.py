@@ -33,12 +33,12 @@ class TorqueRipple(Effect):
             mechanism.passive_motor(f"{site}.ripple", motor.name, cogging=(-amplitude, order, phase))
 
     def suspected(self, view: LogView) -> list[Suspected]:
-        """Orders as far apart as the joint's range tells them, from one wave over that range to where the low-pass
-        takes the wave. What waves less than once over all that the joint moves does not repeat."""
+        """Orders as far apart as the joint's range tells them, from half a wave over that range to where the low-pass
+        takes the wave. Less than half a wave over all that the joint moves need not turn back."""
         if view.robot.axes[view.axis].type == "prismatic":
             return []
         _, half = view.middle()
-        lowest = max(1.0, np.pi / max(half, 1e-3))
+        lowest = max(1.0, np.pi / 2 / max(half, 1e-3))
         if lowest >= HIGHEST:
             return []
         highest = 2 * np.pi * view.highest_hz / view.speed()
