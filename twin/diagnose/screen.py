@@ -43,6 +43,7 @@ NO_START = 1.5  # times the least cost of other sizes: with more, a size is no s
 SLIGHT = 3.0  # ln likelihood that a refit must promise
 ROOM = 1.01  # of the least cost that is left then
 BEYOND = 6  # iterations after which such an entry near the truth promises what it has gained
+IN_SERIES = (3.0, 2.0, 1.0, 0.0, -1.0)  # prior deviations of a stiffness, from nearly rigid: little room at a time
 SCANNED = 12  # more variants than this are scanned by their secant alone first
 FOLLOWED = 25  # iterations from the description where the current model is far off
 SCANNED_KEPT = 3
@@ -285,11 +286,15 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     starts = [start for start in starts if start[0] <= NO_START * min(cost for cost, _ in starts)]
     for _, z in sorted(starts, key=lambda start: start[0])[:FAR_STARTS]:
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
+    law = CATALOGUE[suspect.effect]
+    bent = False
     if size is not None and not setting.logarithmic:
+        tangent = _Tangent.of(setting, suspect, objective)
+        bent = law.sprung and not setting.current.pieces and tangent.bent
         found += _part_promise(setting, hypothesis, suspect, objective.parameters) or _tangent_promise(
-            setting, hypothesis, suspect, objective
+            setting, hypothesis, suspect, objective, tangent
         )
-    if CATALOGUE[suspect.effect].ridged and not setting.error and max(promise.gain for promise in found) <= SLIGHT:
+    if (law.ridged or bent) and not setting.error and max(promise.gain for promise in found) <= SLIGHT:
         found.append(_beyond_promise(setting, hypothesis, suspect, objective))
     if setting.logarithmic and size is not None:  # springs make up for what is missing: from the description too
         z = np.zeros(len(objective.parameters))
@@ -344,33 +349,74 @@ def _yielding(
 
 
 def _beyond_promise(setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective) -> Promise:
-    """A few steps from the largest of an entry's sizes for which the springs make room; the smallest has no slope."""
-    sprung, own, n = CATALOGUE[suspect.effect].sprung, np.eye(len(suspect.own))[0], len(setting.z)
+    """A few steps from a size of an entry for which the springs make room.
+
+    Where there are ridges between sizes that is the largest: the smallest has no slope. In a bent valley it is the one
+    that leaves least.
+    """
+    law, own, n = CATALOGUE[suspect.effect], np.eye(len(suspect.own))[0], len(setting.z)
     place, ends = setting.z, []
-    for size in sorted(CATALOGUE[suspect.effect].sizes, reverse=True):  # from the smallest: little room at a time
-        ends.append(_yielding(setting, objective, np.concatenate([place[:n], (size if sprung else -size) * own])))
+    for size in sorted(law.sizes, reverse=True) if law.ridged else IN_SERIES:  # from the smallest
+        ends.append(_yielding(setting, objective, np.concatenate([place[:n], (size if law.sprung else -size) * own])))
         place = ends[-1][1]
+    room = ROOM if law.ridged else 1.0
     least = min(cost for cost, _ in ends)
-    z = next(z for cost, z in reversed(ends) if cost <= ROOM * least)
+    z = next(z for cost, z in reversed(ends) if cost <= room * least)
     few = setting.objective(hypothesis, setting.few)
     z, cost, _, _ = minimise(few, z, BEYOND, 0.5)
     noise = 0.5 * len(own) * (setting.few.repeat - setting.sample.repeat)  # what fewer lines let it fit more of that
     return Promise(hypothesis, suspect, objective.parameters, setting.floor - cost - noise, z, z)
 
 
+@dataclass(frozen=True)
+class _Tangent:
+    """The derivative of the residual with respect to an entry's size, in its usual one, where there is none of it.
+
+    Attributes:
+        share: what a step of the current model can make of it, (n,).
+        along: fall of the cost per size, the current model following; ``across``: what is left of the square.
+        steepest: the largest step of the current model per size, prior deviations times their width.
+    """
+
+    share: FloatArray
+    along: float
+    across: float
+    steepest: float
+
+    @classmethod
+    def of(cls, setting: Setting, suspect: Hypothesis, objective: Objective) -> "_Tangent":
+        base, n, first = setting.linear, len(setting.z), suspect.own[0]
+        small = suspect.of_size(setting.z, TANGENT_SIZE)
+        _, (row,) = replace(objective, logarithmic=False).within(small, [n]).jacobian(small[n:][:1])
+        tangent = row * (-1 if first.quantity == "stiffness" else 1) / (TANGENT_SIZE * first.deviation)
+        share = base.share(tangent)
+        along, across = float(tangent @ base.residual - share @ base.own), float(tangent @ tangent - share @ share)
+        widths = np.array([p.deviation for p in setting.free] + [0.0] * (n - len(setting.free)))
+        springs = np.array([p.log and p.kind == "spring" for p in setting.free] + [False] * (n - len(setting.free)))
+        steps = np.abs(base.step(share) * widths)[springs]
+        return cls(share, along, across, float(steps.max(initial=0.0)))
+
+    @property
+    def bent(self) -> bool:
+        """Whether the current model imitates the entry along a valley that is bent by more than what is left of it.
+
+        Springs in series add compliances. Where the logarithm of one moves by x, ½ x² of what was imitated stays. That
+        is compared at the size whose gain is ``SLIGHT``.
+        """
+        visible = np.sqrt(2 * SLIGHT / max(self.across, 1e-300))
+        imitated = float(self.share @ self.share)
+        return 0.25 * imitated * (self.steepest * visible) ** 2 > self.across
+
+
 def _tangent_promise(
-    setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective
+    setting: Setting, hypothesis: Hypothesis, suspect: Hypothesis, objective: Objective, tangent: "_Tangent"
 ) -> list[Promise]:
     """The size at which an entry promises most to first order, the current model making room for it.
 
     That finds what hides in the tension of the prior: a payload as a forearm with its centre of mass 10 cm off.
     """
-    base, n, first = setting.linear, len(setting.z), suspect.own[0]
-    small = suspect.of_size(setting.z, TANGENT_SIZE)
-    _, (row,) = replace(objective, logarithmic=False).within(small, [n]).jacobian(small[n:][:1])
-    tangent = row * (-1 if first.quantity == "stiffness" else 1) / (TANGENT_SIZE * first.deviation)
-    share = base.share(tangent)
-    along, across = float(tangent @ base.residual - share @ base.own), float(tangent @ tangent - share @ share)
+    base, n, share = setting.linear, len(setting.z), tangent.share
+    along, across = tangent.along, tangent.across
     size = along / max(across, 1e-300)
     if not LEAST_SIZE < size < 1 / LEAST_SIZE:
         return []
