@@ -323,6 +323,10 @@ def _link(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple[
             count = int(e.parameters.get("segments", 1))  # type: ignore[arg-type]
             for number in range(count):
                 bends.setdefault((number + 0.5) / count, []).append((e, count, number))
+    if bends and not abs(end[0]) > 0:
+        raise TruthError(
+            f"link_flexibility@link{i + 1}: expected a link with a length along x: the next joint is at {end}"
+        )
     places = sorted(bends)
     limits = [-np.inf, *(end[0] * place for place in places), np.inf]
     zones: list[Zone] = []

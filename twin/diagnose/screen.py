@@ -18,20 +18,18 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
+from twin.diagnose.parted import divided
 from twin.diagnose.refit import WIDTHS, Fitted
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
-from twin.model.parameters import SIX, Parameters
+from twin.model.parameters import Parameters
 from twin.model.sensitivity import observe
 from twin.parallel import spread
 from twin.physics import CATALOGUE
-from twin.robot.bodies import fuse
 from twin.robot.description import Robot
-from twin.robot.frames import inertia_six
 
 SIZES = (-0.5, 1.0)
 """Where a search starts: prior deviations of the first scale, towards null; linear steps reach little."""
@@ -51,8 +49,6 @@ PLACED = 0.15  # m between the places of a light mass, half a prior deviation of
 TANGENT_SIZE = 1e-6  # of the usual size, where the derivative with respect to it is taken
 IMITATED = 1e-9  # share of a change's square: so much is left of what the current model can imitate, and of rounding
 LEAST_SIZE = 1e-4  # of the usual size: less is nothing
-PARTS = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
-INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
 NEARLY = 0.5  # of its best variant's gain: a variant of an entry (another axis) is looked at beside it
 LONGEST = 3.0  # prior deviations that a promised step may take
 FAR = 0.03  # relative misfit of the current model above which residuals are taken logarithmic
@@ -433,30 +429,11 @@ def _part_promise(
 
     All else stays as it is, exactly: the whole that moves is the same.
     """
-    n, number = len(setting.z), CATALOGUE[suspect.effect].carrier(setting.base, suspect.site)
-    at = [k for k, p in enumerate(setting.free) if p.kind == "link" and p.name.startswith(f"link{(number or 0) + 1}.")]
-    if number is None or len(at) < len(INERTIAL):
+    none = np.concatenate([setting.z, np.zeros(len(suspect.own))])
+    found = divided(setting.base, parameters, none, suspect, present=False)
+    if found is None or found[1] <= 0:
         return []
-    free, link, rest = setting.free.select(at), parameters.select(at), setting.z[at]
-    whole = free.apply(setting.base, free.values(rest)).links[number].inertial
-
-    def tension(own: FloatArray) -> FloatArray:
-        mass, *com = parameters.values(np.concatenate([setting.z, own]))[n:]
-        com, moments = com[:3], com[3:] or [0.0] * 3  # of the part: a point, or a body of its own
-        left, centre, inertia = fuse(whole, (-mass, np.array(com), -np.diag(moments)))
-        if left <= 0.1 * whole[0]:
-            return np.full(len(at) + len(own), 1e6)
-        values = [left, *centre, *(inertia_six(inertia))]
-        return np.concatenate([link.coordinates(np.array([values[k] for k in order])), own])
-
-    order = [INERTIAL.index(setting.free[k].name.partition(".")[2]) for k in at]
-    starts = [np.array([size, *[0.0] * (len(suspect.own) - 1)]) for size in PARTS]
-    best = min((least_squares(tension, start) for start in starts), key=lambda end: float(end.cost))
-    gain = 0.5 * float(rest @ rest) - float(best.cost)
-    if gain <= 0:
-        return []
-    start = np.concatenate([setting.z, best.x])
-    start[at] = tension(best.x)[: len(at)]
+    start, gain = found
     return [Promise(hypothesis, suspect, parameters, gain, start, start)]
 
 

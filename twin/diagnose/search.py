@@ -14,6 +14,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, merged, same_axes, together
 from twin.diagnose.locate import free_laws
+from twin.diagnose.parted import divided
 from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
 from twin.diagnose.within import allowed, members
@@ -574,11 +575,20 @@ def _nearly(robot: Robot, one: _Place, few: Sample, hopeless: float) -> Fitted:
 
 
 def _fully(robot: Robot, near: Fitted, sample: Sample, hopeless: float) -> Fitted:
-    """The same on all lines."""
-    return descend(
-        robot, near.hypothesis, near.parameters, sample, near.z,
-        tempered=0, linear=20, tolerance=0.02, hopeless=hopeless,
-    )  # fmt: skip
+    """The same on all lines; a mass and its link also from where they are divided with the least tension."""
+
+    def end(z: FloatArray) -> Fitted:
+        return descend(
+            robot, near.hypothesis, near.parameters, sample, z,
+            tempered=0, linear=20, tolerance=0.02, hopeless=hopeless,
+        )  # fmt: skip
+
+    fit = end(near.z)
+    for piece in fit.hypothesis.pieces:
+        found = divided(robot, fit.parameters, fit.z, piece, present=True)
+        if found and found[1] > SLIGHT:
+            fit = min(fit, end(found[0]), key=lambda one: one.cost)
+    return fit
 
 
 def _reach(search: Search) -> float:
