@@ -5,6 +5,7 @@ exact, so a richer one nearly always fits better. What is found at a joint must 
 its state gains (``named_reach`` of the calibration). Otherwise something there may have no name.
 """
 
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
@@ -328,19 +329,41 @@ def _outdone(search: Search, judge: "Judge | None") -> list[tuple[int, float]]:
 def _first_borne_out(
     step: Step, earlier: Sequence[Step], suspects: Sequence[Suspect], judge: "Judge | None", tried: int = 5
 ) -> Step:
-    """The step with the first of its answers that goes into the model; as it is where none of those ``tried`` does."""
-    answer = step
+    """The step with the first of its answers that goes into the model; as it is where none of those ``tried`` does.
+
+    A rival that explains most of what a refused answer does is tried, and what shows at other joints. The rest may
+    stand for what was refused.
+    """
+    answer, refused = step, set[int]()
     for _ in range(tried):
         if _borne_out(answer, earlier, judge):
             return answer
-        left = [fit for fit in answer.decision.ranked if fit.hypothesis.key != answer.key]
-        if (
-            max((fit.evidence() for fit in left), default=-np.inf) - step.base.evidence()
-            < calibration()["mostly"] * step.gain
-        ):
+        refused |= set(answer.joints) if len(answer.joints) == 1 else set()
+        left = deque(fit for fit in answer.decision.ranked if fit.hypothesis.key != answer.key)
+        while left and not (_rivals(step, left[0]) or _apart(step, left[0], refused) > calibration()["mostly"]):
+            left.popleft()
+        if not left:
             break
-        answer = _decided(step.system, step.trials, left, suspects)
+        answer = _decided(step.system, step.trials, list(left), suspects)
     return step
+
+
+def _rivals(step: Step, fit: Fitted) -> bool:
+    """Whether an effect explains most of what the first answer of a step does."""
+    return fit.evidence() - step.base.evidence() >= calibration()["mostly"] * step.gain
+
+
+def _apart(step: Step, fit: Fitted, joints: Collection[int]) -> float:
+    """The share of what an effect explains that lies at other joints than some."""
+    trial = step.trials.get(fit.hypothesis.key)
+    if trial is None or not joints:
+        return 0.0
+    system = step.system
+    rest = system.y - system.full(trial.column)[:, 0] - system.A.times(eliminated(system, trial))
+    fallen = system.residual**2 - rest**2
+    by_joint = np.array([fallen[system.rows(j)].sum() for j in range(system.base.regressor.robot.axis_count)])
+    here = float(by_joint[list(joints)].sum())
+    return 1 - here / max(float(by_joint.sum()), 1e-300)
 
 
 def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bool:
