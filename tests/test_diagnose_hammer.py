@@ -21,7 +21,7 @@ from twin.diagnose.next_test import SEEN, next_test, smallest_visible
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.physical import as_written, physical
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, recorded_error
-from twin.diagnose.screen import Promise, Setting, _beyond_promise, _of_any_size, _Scan
+from twin.diagnose.screen import SLIGHT, Promise, Setting, _beyond_promise, _of_any_size, _Scan, _Tangent
 from twin.diagnose.search import Search, _best_of_each, _in_its_stead, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, estimates, estimates_of, judge, missing_of, rival_of, strained
@@ -148,6 +148,18 @@ def test_springs_make_room_for_a_servo_much_stiffer_than_its_gear(tmp_path: Path
     assert found["joint1"].gain > 10 + found["joint2"].gain
     stiffness = found["joint1"].parameters.values(found["joint1"].start)[-4]
     assert 4e7 < stiffness < 1e9  # true is 2e8
+
+
+@pytest.mark.parametrize(("own", "bent"), [(3e2, True), (1e4, False)])
+def test_a_spring_in_series_is_followed_where_the_neighbours_logarithm_leaves_more_than_it_shows(
+    own: float, bent: bool
+) -> None:
+    """Compliances 1 and s in series show as both = 1e5 times their sum, and s alone as ``own``, in units of noise."""
+    both = 1e5
+    size = float(np.sqrt(2 * SLIGHT)) / own  # of which the gain is SLIGHT
+    left = both * (np.exp(-size) + size - 1)  # the neighbour's logarithm moved by -size
+    assert (left > own * size) == bent
+    assert _Tangent(np.array([both]), 0.0, own**2, 1.0).bent == bent
 
 
 def test_a_damper_of_fractional_order_is_not_called_structural(tmp_path: Path) -> None:
