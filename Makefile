@@ -57,6 +57,7 @@ sbom: pyproject.toml
 proof: install
 	$(BIN)/python -m tools.trials prove --world wrong --split wrong --page out/trials/wrong/wrong.md
 	$(BIN)/python -m tools.trials prove --split hammer --recordings hammer levels --each 6 --sizes 2 6 --page docs/proof.md --wrong out/trials/wrong/wrong.md
+	$(BIN)/python -m tools.trials prove --world arms --split arms --cases 120 --page docs/proof-arms.md
 	$(BIN)/python -m tools.trials prove --split logs --recordings log both --each 6 --page docs/proof-logs.md $(if $(REAL),--real $(REAL))
 
 clean:

@@ -13,7 +13,7 @@ import pytest
 from scipy.signal import csd, welch
 
 from tools.trials import __main__ as trials
-from tools.trials import store, wrong
+from tools.trials import arms_score, store, wrong
 from tools.trials.visible import hammer_signal, shows
 from tools.trials.wrong_score import by_number, headline, judged
 from tools.truth.chain import inverse_dynamics, kr90
@@ -380,3 +380,14 @@ def test_what_a_tolerance_explains_does_not_show() -> None:
     assert 0.01 < found[1] < 0.501
     assert 5 < found[2] < 12.6
     assert found[3] > 20
+
+
+def test_a_page_of_whole_arms_counts_what_comes_first_and_lists_the_rest() -> None:
+    top, named = "stribeck_friction@joint3", ("stribeck_friction@joint3", 0.9)
+    answers = [said("named", named), said("named", ("payload@flange", 0.9), named), said("adequate")]
+    cases = [judged(answer(SOUND, top), one) for one in answers] + [judged(answer(SOUND), said("adequate"))]
+    scores = arms_score.headline(cases)
+    assert (scores["named first"].k, scores["named first"].n) == (1, 3)
+    assert (scores["named"].k, scores["false alarms"].k, scores["false alarms"].n) == (2, 0, 1)
+    text = arms_score.page(cases, 4, {"a": {"engine": "e"}}, [])
+    assert text.count("stribeck_friction@joint3") == 4  # of the two that are not right: concealed, and said

@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from tools.trials import ask, make, real, reference, score, store, wrong, wrong_score
+from tools.trials import arms_score, ask, make, real, reference, score, store, wrong, wrong_score
 from tools.trials.cases import RECORDINGS, SIZES
 from tools.trials.report import page
 from twin.diagnose.calibration import calibration
@@ -34,6 +34,7 @@ EXAMPLES = """
 
 With --world wrong the description or the recording of every case is wrong beyond what it says of itself; with --world
 regression they are the cases that were once told wrongly. Their page is a section, which --wrong puts first on another.
+With --world arms they are whole arms of six and seven axes, as described.
 
 Every step goes on where it was interrupted; a result of another version of the engine is asked for again. The
 development split has a fixed seed; the seed of a sealed split is drawn in secret, and its making and every opening of
@@ -277,12 +278,14 @@ def _score(split: Path, target: Path, measured: str, first: str = "") -> None:
 
 
 def _score_wrong(split: Path, target: Path) -> None:
-    """The section about a wrong world."""
+    """The section about a wrong world, or the page about whole arms."""
     results, manifest, ledger = _unsealed(split, "score")
     cases = [wrong_score.judged(_answer(split, name), result) for name, result in results.items()]
     store.write_text(split / "cases.md", "\n".join(wrong_score.every(cases)) + "\n")
-    store.write_text(target, wrong_score.section(cases, len(manifest["cases"]), results, ledger))
-    for name, value in wrong_score.headline(cases).items():
+    arms = manifest["world"] == "arms"
+    text, scores = (arms_score.page, arms_score.headline) if arms else (wrong_score.section, wrong_score.headline)
+    store.write_text(target, text(cases, len(manifest["cases"]), results, ledger))
+    for name, value in scores(cases).items():
         print(f"{name:52s} {value:.3g}" if isinstance(value, float) else f"{name:52s} {value}")
     print(f"wrote {target}")
 

@@ -294,7 +294,7 @@ def section(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger
     engines = sorted({r["engine"] for r in results.values()})
     opened = sum(e["why"].startswith("answers opened") for e in ledger)
     many = "" if len(engines) == 1 else " (**more than one**)"
-    scores = [(k, _shown(v), WANTED.get(k, "")) for k, v in headline(cases).items()]
+    scores = [(k, shown(v), WANTED.get(k, "")) for k, v in headline(cases).items()]
     recordings = [r for r in ("hammer", "log", "both") if any(c.recording == r for c in cases)]
     by_class = [
         (kind, *(sum(c.outcome == kind and c.recording == r for c in cases) for r in recordings),
@@ -379,5 +379,6 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
     return [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *(f"| {' | '.join(row)} |" for row in cells)]
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A score as it is printed."""
     return f"{value:.3g}" if isinstance(value, float) else str(value)
