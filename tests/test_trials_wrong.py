@@ -390,4 +390,4 @@ def test_a_page_of_whole_arms_counts_what_comes_first_and_lists_the_rest() -> No
     assert (scores["named first"].k, scores["named first"].n) == (1, 3)
     assert (scores["named"].k, scores["false alarms"].k, scores["false alarms"].n) == (2, 0, 1)
     text = arms_score.page(cases, 4, {"a": {"engine": "e"}}, [])
-    assert text.count("stribeck_friction@joint3") == 4  # of the two that are not right: concealed, and said
+    assert text.count("stribeck_friction@joint3") == 3  # of two that are not right: concealed twice, said once
