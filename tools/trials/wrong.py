@@ -102,11 +102,11 @@ def regressions() -> list[dict[str, Any]]:
 
 
 def arms(count: int, seed: int) -> list[dict[str, Any]]:
-    """`count` cases of whole arms as described, a quarter with nothing concealed; robots come round in turn."""
+    """`count` cases of whole arms as described, a quarter of each robot's with nothing concealed; robots come round."""
     rng, recordings = np.random.default_rng(seed), ("log", "hammer")
     return [
         {"way": "nothing", "recording": recordings[k // len(ARMS) % 2], "robot": ARMS[k % len(ARMS)],
-         "seed": int(rng.integers(1, 2**31)), "on_top": bool(k % 4)}
+         "seed": int(rng.integers(1, 2**31)), "on_top": bool(k // (2 * len(ARMS)) % 4)}
         for k in range(count)
     ]  # fmt: skip
 

@@ -113,8 +113,7 @@ class Step:
         """χ² per datum that the first leaves on the joints it acts on: above one, where no law here is exact."""
         if self.trial is None:
             return self.first.misfit
-        system = self.system
-        rest = system.y - system.full(self.trial.column)[:, 0] - system.A.times(eliminated(system, self.trial))
+        system, rest = self.system, _left(self.system, self.trial)
         energy = sum(float(np.sum(rest[system.rows(j)] ** 2)) for j in self.joints)
         return energy / (system.count * float(system.level[list(self.joints)].sum()))
 
@@ -359,11 +358,15 @@ def _apart(step: Step, fit: Fitted, joints: Collection[int]) -> float:
     if trial is None or not joints:
         return 0.0
     system = step.system
-    rest = system.y - system.full(trial.column)[:, 0] - system.A.times(eliminated(system, trial))
-    fallen = system.residual**2 - rest**2
+    fallen = system.residual**2 - _left(system, trial) ** 2
     by_joint = np.array([fallen[system.rows(j)].sum() for j in range(system.base.regressor.robot.axis_count)])
-    here = float(by_joint[list(joints)].sum())
-    return 1 - here / max(float(by_joint.sum()), 1e-300)
+    total = float(by_joint.sum())
+    return 1 - float(by_joint[list(joints)].sum()) / total if total > 0 else 0.0
+
+
+def _left(system: System, trial: Trial) -> FloatArray:
+    """What a trial leaves of the rows, the base model's numbers following."""
+    return np.asarray(system.y - system.full(trial.column)[:, 0] - system.A.times(eliminated(system, trial)))
 
 
 def _borne_out(step: Step, earlier: Sequence[Step], judge: "Judge | None") -> bool:
