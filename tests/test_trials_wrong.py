@@ -1,6 +1,7 @@
 """Worlds that are not as described: what the ways do is what they say, and answers are judged for what they are."""
 
 import json
+import sys
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -391,3 +392,14 @@ def test_a_page_of_whole_arms_counts_what_comes_first_and_lists_the_rest() -> No
     assert (scores["named"].k, scores["false alarms"].k, scores["false alarms"].n) == (2, 0, 1)
     text = arms_score.page(cases, 4, {"a": {"engine": "e"}}, [])
     assert text.count("stribeck_friction@joint3") == 3  # of two that are not right: concealed twice, said once
+
+
+@pytest.mark.parametrize("step", ["run", "score", "calibrate"])
+def test_a_split_that_was_not_made_is_told_in_one_line(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["trials", step, "--split", "nothere", "--out", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        trials.main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -152,6 +152,8 @@ def main(arguments: list[str] | None = None) -> None:
         parser.exit(2, f"{error}\n")
     deadline = None if options.minutes is None else time.time() + 60 * options.minutes
     split = ((options.out or Path("out/trials")) / options.split).resolve()
+    if options.step not in ("make", "prove") and not (split / "manifest.json").exists():
+        parser.exit(2, f"{split}: no split of this name has been made; make it first, or say where it is by --out\n")
     if options.step in ("make", "run", "prove"):
         with executor(options.processes, options.scheduler) as pool:
             if options.step != "run":
