@@ -20,7 +20,6 @@ from tools.truth.motion import Log, Run, motor_torque
 from tools.truth.recording import HammerTest, Posture, Truth, accelerance, hit_variance, structure_at
 
 SEEN = 8.0
-LINES = 40  # of an FRF, standing for all
 HIGHEST_HZ = 10.0  # of a torque: above, the low-pass of any identification has the word
 TRANSMISSION_RAD = 2e-5  # RMS: what a gear's own error leaves of the difference between two encoders
 REPEATABLE = 0.05  # relative, near resonances: of FRFs at two force levels
@@ -330,12 +329,12 @@ def _changed(inertia: Array, j: int, k: int, z: float) -> Array:
 
 
 def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Sequence[int]) -> Signal:
-    """FRFs of a linear truth at the blow points `points` in units of their noise, thinned to `LINES`.
+    """FRFs of a linear truth at the blow points `points` in units of their noise, at every line.
 
+    A resonance may be as narrow as the spacing of the lines: fewer of them would miss it, or give it too much weight.
     Without sag, which moves no signature by much. A posture whose angles have not changed is not computed again.
     """
-    span = test.lines * test.spacing_hz
-    thin = replace(test, lines=LINES, spacing_hz=span / LINES, window=test.decay, levels_n=(), hits=0)
+    smooth = replace(test, window=test.decay, levels_n=(), hits=0)
     deviation: dict[str, Array] = {}
     known: dict[tuple[str, int], tuple[Truth, Array]] = {}
     stands: dict[str, tuple[Truth, Structure]] = {}  # of a posture the last one: channels change none
@@ -360,7 +359,7 @@ def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Seque
                 return found
         upright = replace(truth, sag=False)
         stiff = [structure(upright, posture)]
-        found = accelerance(upright, (posture,), thin, structures=stiff)[0][0, 0][:, :, list(points)]
+        found = accelerance(upright, (posture,), smooth, structures=stiff)[0][0, 0][:, :, list(points)]
         if key not in known:
             known[key] = truth, found
         return found
@@ -370,8 +369,7 @@ def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Seque
         for posture in postures:
             found = frf(truth, posture)
             if posture.name not in deviation:
-                noise = _deviation(found, test, test.peak_n, thin.frequency)
-                deviation[posture.name] = noise / np.sqrt(test.lines / LINES)
+                deviation[posture.name] = _deviation(found, test, test.peak_n, test.frequency)
             parts.append((found / deviation[posture.name]).astype(complex).ravel().view(float))
         return np.concatenate(parts)
 

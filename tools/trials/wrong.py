@@ -320,7 +320,7 @@ def _struck(world: World, seed: int, looks: np.random.Generator, top: Sequence[E
     postures = machine.postures(6, streams(seed)[1])
     world.postures = tuple(replace(p, brakes=None if brakes == "unknown" else brakes) for p in postures)
     world.test = HammerTest(
-        machine.start_hz, machine.spacing_hz, machine.lines, averages=int(looks.integers(3, 9)),
+        machine.start_hz, machine.spacing_hz, machine.lines, averages=int(looks.integers(3, 9)), peak_n=machine.peak_n,
         noise=float(3e-5 * np.exp(looks.uniform(-0.7, 0.7))), scatter=float(looks.uniform(0.003, 0.008)),
         coherence=str(looks.choice(["expected", "estimated"])), pulse_s=float(looks.uniform(0.006, 0.010)),
     )  # fmt: skip

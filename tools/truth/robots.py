@@ -21,8 +21,8 @@ from tools.truth.recording import HAMMER, SENSORS, Channel, Posture, draw_postur
 class Machine:
     """A robot as described, and how it is tested.
 
-    `size`, `torque`: of lengths and torques, over the KR90's. `start_hz`, `spacing_hz`, `lines` of its FRFs.
-    `tolerances`: what the description says of itself.
+    `size`, `torque`: of lengths and torques, over the KR90's. `start_hz`, `spacing_hz`, `lines` of its FRFs;
+    `peak_n` of its blows, N, as a hammer for its mass gives them. `tolerances`: what the description says of itself.
     """
 
     name: str
@@ -34,6 +34,7 @@ class Machine:
     start_hz: float = 5.0
     spacing_hz: float = 0.25
     lines: int = 90
+    peak_n: float = 300.0
     tolerances: Tolerances = field(default_factory=Tolerances)
 
     @property
@@ -75,15 +76,15 @@ def machines() -> dict[str, Machine]:
             tolerances=Tolerances(com=0.008, poor_damping=0.0),
         ),
         "six": Machine(
-            "six", six, *_points(six, 0.6), 0.6, 0.1, start_hz=6.0, spacing_hz=0.5,
+            "six", six, *_points(six, 0.6), 0.6, 0.1, start_hz=6.0, spacing_hz=0.5, peak_n=100.0,
             tolerances=Tolerances(com=0.005, poor_damping=0.0),
         ),
         "seven": Machine(
-            "seven", seven, *_points(seven, 0.3), 0.3, 0.02, start_hz=5.0, spacing_hz=0.5,
+            "seven", seven, *_points(seven, 0.3), 0.3, 0.02, start_hz=5.0, spacing_hz=0.5, peak_n=30.0,
             tolerances=Tolerances(com=0.004, poor_damping=0.0),
         ),
         "light": Machine(
-            "light", light, *_points(light, 0.3), 0.3, 0.02, start_hz=5.0, spacing_hz=0.5,
+            "light", light, *_points(light, 0.3), 0.3, 0.02, start_hz=5.0, spacing_hz=0.5, peak_n=30.0,
             tolerances=Tolerances(com=0.005, poor_damping=0.0),
         ),
     }  # fmt: skip
