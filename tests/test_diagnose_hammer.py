@@ -21,7 +21,17 @@ from twin.diagnose.next_test import SEEN, next_test, smallest_visible
 from twin.diagnose.noise import pooled_variance, shared_lines
 from twin.diagnose.physical import as_written, physical
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, recorded_error
-from twin.diagnose.screen import SLIGHT, Promise, Setting, _beyond_promise, _of_any_size, _Scan, _Tangent
+from twin.diagnose.screen import (
+    SLIGHT,
+    TANGENT_SIZE,
+    Promise,
+    Setting,
+    _beyond_promise,
+    _of_any_size,
+    _Scan,
+    _signed_gain,
+    _Tangent,
+)
 from twin.diagnose.search import Search, _best_of_each, _in_its_stead, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, estimates, estimates_of, judge, missing_of, rival_of, strained
@@ -565,6 +575,28 @@ def test_a_light_resonator_is_scanned_wherever_it_hangs(tmp_path: Path) -> None:
     for place in ((0.0, 0.0, 0.0), (0.6, 0.0, 0.3), (1.2, 0.0, -0.3)):  # of some that it looked at, none gains more
         there = {**here, "position": place}
         assert gained(entry_hypothesis(case.base, "attached_resonator", "link2", there)) < 1.05 * gain
+    usual_damping = usual["damping_ratio"]
+    for frequency in np.geomspace(9.0, 18.0, 60):  # nor of frequencies between, sharp or blunt
+        for damping in (usual_damping * np.exp(-1.0), usual_damping, usual_damping * np.exp(1.0)):
+            there = {**here, "frequency_hz": float(frequency), "damping_ratio": float(damping)}
+            assert gained(entry_hypothesis(case.base, "attached_resonator", "link2", there)) < 1.1 * gain
+
+
+def test_a_place_that_does_not_move_gains_nothing() -> None:
+    whole = np.array([1.0, 1e-30, -1e-24, 0.0])
+    assert _signed_gain(np.ones(4), whole, 0.5 * whole) == pytest.approx([2.0, 0.0, 0.0, 0.0])
+
+
+BENT = np.deg2rad([0.0, 70.0, -60.0])
+
+
+def test_a_resonator_of_the_size_where_derivatives_are_taken_hangs_at_a_light_arm(kr90: Robot) -> None:
+    links = [link.model_copy(update={"mass": 0.01 * (link.mass or 0.0)}) for link in kr90.links]
+    light = kr90.model_copy(update={"links": links})
+    usual = CATALOGUE["attached_resonator"].typical(light, "link2") or {}
+    small = {**usual, "effect": "attached_resonator", "site": "link2", "mass": TANGENT_SIZE * usual["mass"]}
+    with_it = light.model_copy(update={"physics": [*light.physics, Entry.model_validate(small)]})
+    assert len(assemble(with_it, BENT).bodies) == len(assemble(light, BENT).bodies) + 1
 
 
 def test_factors_are_orthogonal_whatever_the_columns_say_alike() -> None:

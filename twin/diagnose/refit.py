@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import lu_factor, lu_solve, solve_triangular
 
 from twin.diagnose.hypotheses import Hypothesis, Sprung, together
 from twin.identify.descent import minimise
@@ -102,7 +102,7 @@ class Fitted:
         gained, at = 0.0, len(self.z) - len(self.hypothesis.own)
         if self.hypothesis is NONE:
             return gained
-        covariance = np.linalg.inv(information)
+        factor = lu_factor(information)
         for piece in self.hypothesis.pieces:
             block = list(range(at, at + len(piece.own)))
             at += len(piece.own)
@@ -111,7 +111,7 @@ class Fitted:
                 block = [self.parameters.names.index(name) for name, _ in piece.scale]
                 smaller = tuple(np.geomspace(1 / piece.scale[0][1], 1.0, LEVELS))
             block = block if signed else block[:1]
-            precision = np.linalg.inv(covariance[np.ix_(block, block)])
+            precision = np.linalg.inv(lu_solve(factor, np.eye(len(information))[:, block])[block])
             likelihood = precision - np.eye(len(block))
             if np.linalg.eigvalsh(likelihood)[0] <= 1e-9:
                 continue  # the recording says nothing of it

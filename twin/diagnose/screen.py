@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
 from twin.diagnose.parted import divided
@@ -47,8 +48,9 @@ FOLLOWED = 25  # iterations from the description where the current model is far 
 SCANNED_KEPT = 3
 PLACED = 0.15  # m between the places of a light mass, half a prior deviation of its position
 TANGENT_SIZE = 1e-6  # of the usual size, where the derivative with respect to it is taken
+PEAKS_KEPT = 40  # light resonators of one axis for which the room that the current model makes is counted
 IMITATED = 1e-9  # share of a change's square: so much is left of what the current model can imitate, and of rounding
-LEAST_SIZE = 1e-4  # of the usual size: less is nothing
+LEAST_SIZE = 1e-6  # of the usual size: less is nothing
 NEARLY = 0.5  # of its best variant's gain: a variant of an entry (another axis) is looked at beside it
 LONGEST = 3.0  # prior deviations that a promised step may take
 FAR = 0.03  # relative misfit of the current model above which residuals are taken logarithmic
@@ -532,10 +534,13 @@ class _Scan:
         """The best of resonators that are too light to load the robot, anywhere in a box around places (k, 3).
 
         Such a one changes H by −m s² (2ζω s + ω²)/(s² + 2ζω s + ω²) H_re H_ee′. How its point moves along its axis is
-        linear in the point, u = u₀ + t₁ u₁ + t₂ u₂: six products of receptances hold every place.
+        linear in the point, u = u₀ + t₁ u₁ + t₂ u₂: six products of receptances hold every place. Lightly damped ones
+        answer in a line or two, so frequencies are half a width apart. Most are judged without the room that the
+        current model makes. That room is counted for the best of them, and for those of usual damping.
 
         Args:
-            variants: that differ in frequency alone; of them and of all places the best is returned, with its gain.
+            variants: that differ in frequency alone; of them and of all places, frequencies between and dampings the
+                best is returned, with its gain.
         """
         low, high = box.min(axis=0), box.max(axis=0)
         values = variants[0].entries[0].values
@@ -545,32 +550,56 @@ class _Scan:
         steps = [np.linspace(0, 1, 1 + int(np.ceil(d / PLACED))) for d in size]
         t1, t2 = (t.ravel() for t in np.meshgrid(*steps))
         form = np.stack([np.ones_like(t1), 2 * t1, 2 * t2, t1**2, 2 * t1 * t2, t2**2], axis=1)  # (places, 6)
+        squares = (form[:, :, None] * form[:, None]).reshape(len(form), 36).T
         corners = [low, *(low + d * np.eye(3)[k] for k, d in zip(across_e, size, strict=True))]
-        omega = 2 * np.pi * np.array([h.entries[0].values["frequency_hz"] for h in variants])[:, None]
-        along, across = np.zeros((len(omega), 6)), np.zeros((len(omega), 6, 6))
-        shares = np.zeros((len(omega), 6, len(self.linear.own)))
-        for k, columns in enumerate(self.columns):
-            flat = self._products(variants[0].site, corners, e, k)  # (nf, 6, nr ne)
-            s = self.sample.recordings[k].s
-            give = 2 * values["damping_ratio"] * omega * s + omega**2
-            factor = -(s**2) * give / (s**2 + give)  # (m, nf)
-            seen = flat @ columns
-            found = np.einsum("mf,fpn->mpn", factor, seen).real
-            along += found[:, :, 0]
-            shares += found[:, :, 1:]
-            both = (flat.conj() @ flat.swapaxes(1, 2)).real
-            across += np.einsum("mf,fpq->mpq", np.abs(factor) ** 2, both)
-        along -= shares @ self.linear.own
-        whole, left = (
-            np.einsum("mpq,xp,xq->mx", part, form, form) for part in (across, across - shares @ shares.swapaxes(1, 2))
-        )
-        gain = _signed_gain(along @ form.T, whole, left)  # (m, places)
+        zeta, frequency = self._peaks(variants)
+        flat = [self._products(variants[0].site, corners, e, k) for k in range(len(self.columns))]  # (nf, 6, nr ne)
+        seen = [one @ columns for one, columns in zip(flat, self.columns, strict=True)]  # (nf, 6, 1 + n)
+        rest = [one[:, :, 0] - one[:, :, 1:] @ self.linear.own for one in seen]
+        both = [(one.conj() @ one.swapaxes(1, 2)).real.reshape(len(one), 36) for one in flat]
+
+        def factors_of(some: NDArray[np.intp]) -> list[ComplexArray]:
+            omega, width = 2 * np.pi * frequency[some, None], zeta[some, None]
+            give = [2 * width * omega * r.s + omega**2 for r in self.sample.recordings]
+            return [-(r.s**2) * g / (r.s**2 + g) for r, g in zip(self.sample.recordings, give, strict=True)]
+
+        def sums(factor: Sequence[ComplexArray]) -> tuple[FloatArray, FloatArray]:
+            along = sum((f @ one).real for f, one in zip(factor, rest, strict=True))
+            across = sum(np.abs(f) ** 2 @ one for f, one in zip(factor, both, strict=True))
+            return np.asarray(along @ form.T), np.asarray(across)
+
+        along, across = sums(factors_of(np.arange(len(zeta))))
+        whole = across @ squares
+        crude = _signed_gain(along, whole, whole).max(axis=1)
+        kept = np.union1d(np.argsort(-crude)[:PEAKS_KEPT], np.arange(len(variants)))
+        shares = np.zeros((len(kept), 6, len(self.linear.own)))
+        for one, f in zip(seen, factors_of(kept), strict=True):
+            shares += (f @ one[:, :, 1:].reshape(len(one), -1)).real.reshape(shares.shape)
+        room = (shares @ shares.swapaxes(1, 2)).reshape(len(kept), 36)
+        gain = _signed_gain(along[kept], whole[kept], (across[kept] - room) @ squares)  # (m, places)
         best, place = np.unravel_index(int(np.argmax(gain)), gain.shape)
         position = low + 0.5 * (high - low)
         position[across_e] = low[across_e] + size * (t1[place], t2[place])
-        chosen = variants[int(best)]
-        there = {**chosen.entries[0].values, "position": position.tolist()}
-        return float(gain[best, place]), entry_hypothesis(self.setting.base, chosen.effect, chosen.site, there)
+        at = kept[best]
+        there = {"frequency_hz": float(frequency[at]), "damping_ratio": float(zeta[at]), "position": position.tolist()}
+        first = variants[0]
+        found = entry_hypothesis(self.setting.base, first.effect, first.site, {**values, **there})
+        return float(gain[best, place]), found
+
+    def _peaks(self, variants: Sequence[Hypothesis]) -> tuple[FloatArray, FloatArray]:
+        """Damping ratios and frequencies, Hz, of light resonators: those of the variants first, then every half width.
+
+        Dampings are the usual one and a prior deviation less or more.
+        """
+        values, law = variants[0].entries[0].values, CATALOGUE[variants[0].effect]
+        given = np.array([h.entries[0].values["frequency_hz"] for h in variants])
+        spread_of = next(p.spread for p in law.parameters if p.name == "damping_ratio")
+        zeta, frequency = [np.full(len(given), values["damping_ratio"])], [given]
+        for deviation in (-1.0, 0.0, 1.0):
+            width = values["damping_ratio"] * float(np.exp(deviation * spread_of))
+            frequency.append(np.geomspace(given[0], given[-1], 1 + int(np.ceil(np.log(given[-1] / given[0]) / width))))
+            zeta.append(np.full(len(frequency[-1]), width))
+        return np.concatenate(zeta), np.concatenate(frequency)
 
     def _products(self, site: str, corners: Sequence[FloatArray], e: int, k: int) -> ComplexArray:
         """Weighted products (nf, 6, nr ne) of how three corners move along an axis: of u₀, u₁ and u₂ in pairs."""
@@ -648,8 +677,12 @@ class _Scan:
 
 
 def _signed_gain(along: FloatArray, whole: FloatArray, left: FloatArray) -> FloatArray:
-    """χ² that a change gains at its best amplitude, negative where that is; none where little of the whole is left."""
-    return np.where(left > IMITATED * whole, along * np.abs(along) / np.maximum(left, 1e-300), 0.0)
+    """χ² that a change gains at its best amplitude, negative where that is; none where little of the whole is left.
+
+    Nor where the whole is next to nothing beside the largest: a point on a joint's axis, which does not move.
+    """
+    shown = left > IMITATED * np.maximum(whole, np.max(whole, initial=0.0) * IMITATED)
+    return np.where(shown, along * np.abs(along) / np.where(shown, left, 1.0), 0.0)
 
 
 def _with_point(channels: Channels, body: str, place: Sequence[float]) -> Channels:

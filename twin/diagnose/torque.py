@@ -53,7 +53,7 @@ from twin.diagnose.torque_search import (
 )
 from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.torque_states import RunStates
-from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of, off_description
+from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of, off_descriptions
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands, in_joints
 from twin.identify.uncertainty import NINETY
@@ -300,7 +300,7 @@ def _narrow(search: Search) -> list[str]:
 
 def _strained(search: Search) -> list[Note]:
     """A note on every number of the description that comes out far from it beside all that was found."""
-    return [off_description(search.after, k, off) for k, off in far_off(search)]
+    return off_descriptions(search.after, far_off(search))
 
 
 def _told_apart(search: Search) -> list[str]:

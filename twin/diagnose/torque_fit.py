@@ -549,7 +549,7 @@ class System:
     @cached_property
     def z(self) -> FloatArray:
         """The base model's optimum."""
-        return np.asarray(self.inverse @ self.A.transposed(self.y))
+        return np.asarray(np.linalg.solve(self.information, self.A.transposed(self.y)))
 
     @cached_property
     def residual(self) -> FloatArray:
@@ -1047,8 +1047,9 @@ def that_can_exist(system: System, z: FloatArray) -> FloatArray:
     if min(others, default=0.0) >= 0 and all(_possible(link) for link in links):
         return z
     step = base.spread[: len(values)] * system.plain(np.ones(len(z)))[:shared]
-    covariance = np.linalg.inv(system.information[:size, :size])[:, :shared]
-    H = np.linalg.inv(covariance[:shared])
+    A = system.information[:size, :size]
+    follow = np.linalg.solve(A[shared:, shared:], A[shared:, :shared])
+    H = A[:shared, :shared] - A[shared:, :shared].T @ follow  # of the links, all else where it fits best
     described = -z[:shared]
     try:
         d = nearest_possible(regressor, 0.5 * (H + H.T), np.zeros(shared), values, step)
@@ -1057,8 +1058,8 @@ def that_can_exist(system: System, z: FloatArray) -> FloatArray:
     for share in (0.0, *INWARDS, 1.0):  # the solver's last digits may leave a link just outside
         inside = (1 - share) * d + share * described
         out = z.copy()
-        out[:size] += covariance @ (H @ inside)
-        out[:shared] = z[:shared] + inside  # what the inverse of an inverse is nearly
+        out[:shared] += inside
+        out[shared:size] -= follow @ inside
         links = base.values(system.plain(out))[: links.size].reshape(links.shape)
         if all(_possible(link) for link in links):
             break

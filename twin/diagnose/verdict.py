@@ -31,6 +31,7 @@ Source = Literal["frf-campaign", "modal-table", "motion-log"]
 
 PARTS = ("train", "held_out")
 STRAINED = 3.5  # prior deviations
+ONE_BY_ONE = 5  # numbers of the description that have a sentence each, the farthest off
 MEANING: dict[Word, str] = {
     "adequate": "adequate: nothing is missing that these recordings could show",
     "named": "named: what is missing stands out, each one effect at one site",
@@ -521,12 +522,33 @@ def strained(fit: Fitted) -> list[Note]:
         times = fit.misfit**0.5
         text = f"the fit still misses the recording by {times:.0f} times its noise: none of its numbers can be believed"
         return [Note(text, "note", "note")]
-    found = []
+    found, numbers = [], []
     for k, change, off in far_off(fit):
         p, answered = fit.parameters[k], fit.parameters.names[k] in dict(fit.hypothesis.scale)
         # which of all angles is wrong, where they are the answer, too
-        found.append(_elsewhere_hit(p, change, off, answered) if p.kind == "posture" else off_description(fit, k, off))
-    return found
+        if p.kind == "posture":
+            found.append(_elsewhere_hit(p, change, off, answered))
+        else:
+            numbers.append((k, off))
+    return [*found, *off_descriptions(fit, numbers)]
+
+
+def off_descriptions(fit: Fitted, numbers: Sequence[tuple[int, float]]) -> list[Note]:
+    """That numbers of a fit, by index and deviations, farthest first, are not as described.
+
+    A sentence each of the first ``ONE_BY_ONE``, one of all others: where many are off, no one of them says much.
+    """
+    first, rest = numbers[:ONE_BY_ONE], numbers[ONE_BY_ONE:]
+    notes = [_number_off(fit, k, off) for k, off in first]
+    if rest:
+        names = tuple(fit.parameters[k].name for k, _ in rest)
+        among = ", ".join(names[:ONE_BY_ONE]) + (", …" if len(names) > ONE_BY_ONE else "")
+        text = (
+            f"{len(rest)} more numbers are {rest[-1][1]:.1f} to {rest[0][1]:.1f} standard deviations off their "
+            f"description ({among}). So many together mean a poor description rather than as many faults"
+        )
+        notes.append(Note(text, "description", sites=names))
+    return notes
 
 
 def far_off(fit: Fitted) -> list[tuple[int, float, float]]:
@@ -559,7 +581,7 @@ def _elsewhere_hit(p: Parameter, change: float, off: float, answered: bool) -> N
     return Note(text, "posture", "fail" if answered else "warning")
 
 
-def off_description(fit: Fitted, k: int, off: float) -> Note:
+def _number_off(fit: Fitted, k: int, off: float) -> Note:
     """That a number is not as described, with its value, its interval and by how many deviations."""
     p = fit.parameters[k]
     (one,) = estimates_of(fit, [k]).values()
