@@ -13,7 +13,7 @@ from twin.robot.bodies import Inertial, fuse
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
-SIZES = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
+PARTED_FROM = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
 LEAST_LEFT = 0.1  # of the whole is the link's, at least
 INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
 
@@ -58,7 +58,7 @@ def divided(
         values = [left, *centre, *inertia_six(rest)]
         return np.concatenate([link.coordinates(np.array([values[k] for k in order])), own])
 
-    starts = [np.array([size, *[0.0] * (len(own) - 1)]) for size in SIZES]
+    starts = [np.array([size, *[0.0] * (len(own) - 1)]) for size in PARTED_FROM]
     starts += _rest_of(whole, robot.links[number].inertial, part)
     best = min((least_squares(tension, start) for start in starts), key=lambda end: float(end.cost))
     before = [*z[at], *(z[own] if present else [])]
