@@ -13,9 +13,9 @@ EXPLAINED = f"""\
 Whole arms near their description, each number drawn within the tolerances that it states: *six*, six axes with a
 spherical wrist (20 kg, 1.8 m); *light*, six axes of which the second to fourth are parallel; *seven*, a collaborative
 arm of seven axes. Three in four have one effect concealed, of which the recording itself shows four times the smallest
-visible size when all numbers within tolerance have moved to hide it. Another code than the twin's records hammer tests
-of six postures, and logs. `twin diagnose` is asked with the recording and the description alone, on two cores
-(`tools/truth`, `tools/trials`).
+visible size when all numbers within tolerance have moved to hide it. What shows is counted at every line. Another code
+than the twin's records hammer tests of six postures, with blows of 100 N (*six*) or 30 N, and logs. `twin diagnose` is
+asked with the recording and the description alone, on two cores (`tools/truth`, `tools/trials`).
 
 *Named first*: the first answer listed is the effect that was concealed, at its site. A *wrong name* is any first answer
 of an effect, at {NAMED:g} or more, that is not there. Every rate has Wilson's 95 % interval."""
