@@ -233,7 +233,7 @@ def test_an_axis_that_is_likelier_comes_first_however_many_share_it() -> None:
     axes = {"a@base": "x", "b@joint1": "x"}
 
     def fit(key: str, evidence: float) -> Any:
-        piece = SimpleNamespace(effect="one", family="one")
+        piece = SimpleNamespace(effect="one", family="one", own=())
         hypothesis = SimpleNamespace(
             pieces=(piece,), key=key, identity=frozenset({key}), under=lambda axes: (axes.get(key, key),)
         )

@@ -126,7 +126,6 @@ def _of_sites(fits: Sequence[Fitted], gains: FloatArray, scale: float) -> FloatA
     does not tell where. What swings at a link may be a gram far out or a kilogram near its hinge: along that valley
     neither is more than a convention, and no Gaussian tells its length.
     """
-    costs = np.array([_outside_own(fit, scale) for fit in fits])
     groups: dict[tuple[str, ...], list[int]] = {}
     for k in np.flatnonzero(np.isfinite(gains)):
         pieces = fits[int(k)].hypothesis.pieces
@@ -135,8 +134,8 @@ def _of_sites(fits: Sequence[Fitted], gains: FloatArray, scale: float) -> FloatA
     out = gains.copy()
     for members in groups.values():
         if len(members) > 1:
-            best = members[int(np.argmax(gains[members]))]
-            out[members] = np.maximum(gains[members], gains[best] + costs[best] - costs[members])
+            costs, first = np.array([_outside_own(fits[k], scale) for k in members]), int(np.argmax(gains[members]))
+            out[members] = np.maximum(gains[members], gains[members[first]] + costs[first] - costs)
     return out
 
 
