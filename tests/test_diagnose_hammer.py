@@ -621,6 +621,18 @@ def test_only_the_recordings_tell_at_which_site_an_effect_is(kr90: Robot) -> Non
     assert told[[1, 3]] == pytest.approx(gains[[1, 3]])  # the likeliest, and another effect, are as they were
 
 
+@pytest.mark.parametrize("many", [6, 12])
+def test_of_many_numbers_off_their_description_the_farthest_have_a_sentence_each(kr90: Robot, many: int) -> None:
+    free = free_parameters(kr90, tolerances=False)
+    z = np.zeros(len(free))
+    z[:many] = 20.0 - np.arange(many)
+    fit = Fitted(NONE, free, z, free.values(z), kr90, 0.0, 1.0, np.eye(len(z)), 1e4, True)
+    *each, last = strained(fit)
+    assert [note.sites for note in each] == [(free.names[k],) for k in range(5)]
+    assert last.sites == tuple(free.names[5:many])  # all are told, however many
+    assert ("more numbers" in last) == (many > 6)
+
+
 def test_factors_are_orthogonal_whatever_the_columns_say_alike() -> None:
     rng = np.random.default_rng(0)
     for steepest in (1e5, 1e9):  # the latter beyond Cholesky

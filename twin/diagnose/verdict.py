@@ -538,7 +538,8 @@ def off_descriptions(fit: Fitted, numbers: Sequence[tuple[int, float]]) -> list[
 
     A sentence each of the first ``ONE_BY_ONE``, one of all others: where many are off, no one of them says much.
     """
-    first, rest = numbers[:ONE_BY_ONE], numbers[ONE_BY_ONE:]
+    told = ONE_BY_ONE if len(numbers) > ONE_BY_ONE + 1 else len(numbers)
+    first, rest = numbers[:told], numbers[told:]
     notes = [_number_off(fit, k, off) for k, off in first]
     if rest:
         names = tuple(fit.parameters[k].name for k, _ in rest)

@@ -39,7 +39,7 @@ class AttachedResonator(Effect):
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         mass, omega = values["mass"], 2 * pi * values["frequency_hz"]
-        if mass < 1e-10:  # kg: nothing to be felt, and less than MuJoCo takes
+        if mass < 1e-10:  # kg: as good as none, and a body of MuJoCo needs a mass; derivatives are taken above that
             return
         body = mechanism.part(site, np.array(values["position"], float), mass)
         mechanism.spring(
