@@ -24,7 +24,7 @@ from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import independent
-from twin.model.replay import inverse_dynamics, motion_of, recorded_torque, replay
+from twin.model.replay import STEP_S, inverse_dynamics, motion_of, recorded_torque, replay
 from twin.model.sensitivity import Setup, observe
 from twin.model.sensitivity import frf as algebra
 from twin.physics import CATALOGUE
@@ -104,9 +104,10 @@ def check_replayed(robot: Robot, run: MotionRun, source: str) -> dict[str, Any]:
     """The written description, read again, time-stepped along a run under servos against its inverse dynamics, after a
     low-pass."""
     count = round(min(REPLAYED_S, run.time[-1] - run.time[0]) * run.sample_rate_hz)
+    every = max(1, int(run.sample_rate_hz * STEP_S))  # a sample a step is enough of what is smoothed afterwards
     series = {field.name: getattr(run, field.name) for field in fields(run)}
-    first: dict[str, Any] = {name: v[:count] for name, v in series.items() if isinstance(v, np.ndarray)}
-    short = replace(run, **first)
+    first: dict[str, Any] = {name: v[:count:every] for name, v in series.items() if isinstance(v, np.ndarray)}
+    short = replace(run, **first, sample_rate_hz=run.sample_rate_hz / every)
     try:
         stepped = replay(robot, short, source=source).torque
     except InputError as trouble:  # a model that no robot is: the fit was far off
@@ -115,8 +116,9 @@ def check_replayed(robot: Robot, run: MotionRun, source: str) -> dict[str, Any]:
             "name": "replay in MuJoCo", "value": None, "limit": REPLAYED, "passed": False, "description": told,
         }  # fmt: skip
     exact = recorded_torque(robot, short.time, inverse_dynamics(robot, motion_of(short)))
-    inside = slice(round(run.sample_rate_hz), -round(run.sample_rate_hz))
-    smooth = [lowpass(torque, run.sample_rate_hz, *LOW_PASS)[inside] for torque in (stepped, exact)]
+    second = round(short.sample_rate_hz)
+    inside = slice(second, -second)
+    smooth = [lowpass(torque, short.sample_rate_hz, *LOW_PASS)[inside] for torque in (stepped, exact)]
     off = np.mean((smooth[0] - smooth[1]) ** 2, axis=0) / np.mean(smooth[1] ** 2, axis=0)
     value = float(np.sqrt(np.mean(off)))
     return {

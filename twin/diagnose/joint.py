@@ -12,7 +12,7 @@ import numpy as np
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.refit import Fitted
-from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict, Word
+from twin.diagnose.verdict import NEGLIGIBLE, Candidate, Finding, Missing, Verdict, Word
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import SIX, Parameters, Sprung, entry_parameter, independent, join
 from twin.model.regressor import body_of, inertial_vector
@@ -185,8 +185,8 @@ def settled_with(missing: Sequence[Missing], gains: dict[str, float], none: floa
         if m.first.key not in gains:
             found.append(m)
             continue
-        logs = np.array([np.log(max(p, 1e-12)) + gains.get(c.key, 0.0) / temperature for c, p in candidates])
-        logs = np.append(logs, np.log(max(none, 1e-12)))
+        logs = np.array([np.log(max(p, NEGLIGIBLE)) + gains.get(c.key, 0.0) / temperature for c, p in candidates])
+        logs = np.append(logs, np.log(max(none, NEGLIGIBLE)))
         share = np.exp(logs - logs.max())
         share *= (1 - other) / share.sum()
         ranked = sorted(zip((c for c, _ in candidates), share, strict=False), key=lambda item: -item[1])

@@ -8,6 +8,7 @@ is that nobody described is known least of all: its prior has heavy tails.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve, solve_triangular
@@ -58,7 +59,7 @@ class Fitted:
     allowed: tuple[Hypothesis, ...] = ()
     exact: bool = True
 
-    @property
+    @cached_property
     def covariance(self) -> FloatArray:
         """Posterior (n, n) of x, the data's variance multiplied by a misfit above one.
 
@@ -87,22 +88,23 @@ class Fitted:
         chi2 = self.misfit * self.data
         eye = np.eye(len(self.z))
         information = (self.information - eye) / scale + eye
-        laplace = float(-0.5 * (chi2 / scale + self.z @ self.z) - 0.5 * np.linalg.slogdet(information)[1])
-        return laplace + self._of_any_size(information)
+        factor = lu_factor(information)
+        determinant = float(np.sum(np.log(np.abs(np.diag(factor[0])))))
+        laplace = float(-0.5 * (chi2 / scale + self.z @ self.z) - 0.5 * determinant)
+        return laplace + self._of_any_size(factor)
 
-    def _of_any_size(self, information: FloatArray) -> float:
+    def _of_any_size(self, factor: tuple[FloatArray, FloatArray]) -> float:
         """What the evidence gains when sizes may be far from the usual one: prior widths averaged over their scale.
 
         The prior of an angle, gain or delay of either sign may be as narrow as ``SMALLER`` of its usual width; all
         these scales are alike. The same holds for a number of the description, down to its tolerance. The logarithm of
         a size may be ``WIDTHS`` times as far off, but it stays where it is. A wider prior would move it along a bent
         valley, and no Gaussian tells how far. The likelihood is Gaussian in the own parameters, the others integrated
-        out.
+        out. ``factor``: of the information, as ``lu_factor`` gives it.
         """
         gained, at = 0.0, len(self.z) - len(self.hypothesis.own)
         if self.hypothesis is NONE:
             return gained
-        factor = lu_factor(information)
         for piece in self.hypothesis.pieces:
             block = list(range(at, at + len(piece.own)))
             at += len(piece.own)
@@ -111,7 +113,7 @@ class Fitted:
                 block = [self.parameters.names.index(name) for name, _ in piece.scale]
                 smaller = tuple(np.geomspace(1 / piece.scale[0][1], 1.0, LEVELS))
             block = block if signed else block[:1]
-            precision = np.linalg.inv(lu_solve(factor, np.eye(len(information))[:, block])[block])
+            precision = np.linalg.inv(lu_solve(factor, np.eye(len(self.z))[:, block])[block])
             likelihood = precision - np.eye(len(block))
             if np.linalg.eigvalsh(likelihood)[0] <= 1e-9:
                 continue  # the recording says nothing of it

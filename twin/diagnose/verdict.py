@@ -31,6 +31,7 @@ Source = Literal["frf-campaign", "modal-table", "motion-log"]
 
 PARTS = ("train", "held_out")
 STRAINED = 3.5  # prior deviations
+NEGLIGIBLE = 1e-12  # probability below which an alternative is not listed
 ONE_BY_ONE = 5  # numbers of the description that have a sentence each, the farthest off
 MEANING: dict[Word, str] = {
     "adequate": "adequate: nothing is missing that these recordings could show",
@@ -420,7 +421,7 @@ def missing_of(decision: Decision, base: Fitted) -> list[Missing]:
         probability = sum(p for s, p in zip(sets, decision.probability, strict=True) if part in s)
         others = []
         for fit, s, p in zip(decision.ranked, sets, decision.probability, strict=True):
-            if part not in s and kept <= s and len(s) == len(sets[0]):
+            if p >= NEGLIGIBLE and part not in s and kept <= s and len(s) == len(sets[0]):
                 others.append((candidate(fit, next(iter(s - kept)), base), p))
         found.append(Missing(candidate(first, part, base), probability, tuple(others), ""))
     return found

@@ -3,6 +3,8 @@
 import ast
 import re
 import reprlib
+from collections.abc import Callable
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,9 +74,8 @@ class Discovered(Effect):
         return [Suspected({**law, "coefficients": [0.0]}, [usual], [[0.0]], passive=True)]
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
-        tree = ast.parse(str(values["formula"]).strip(), mode="eval").body
         with np.errstate(all="ignore"):
-            torque = _evaluate(tree, motion, values["coefficients"])
+            torque = _compiled(str(values["formula"]))(motion, values["coefficients"])
         if not np.isfinite(torque).all():
             raise NumericalError(f"{self.name}@{site}", "formula", "is not finite in this motion; change the formula")
         return {axis_of(site): np.broadcast_to(np.asarray(torque, float), motion.time.shape).copy()}
@@ -116,27 +117,53 @@ def _problem(node: ast.AST, coefficients: int, levels: int) -> str | None:
     return next((problem for part in parts if (problem := _problem(part, coefficients, levels - 1))), None)
 
 
-def _evaluate(node: ast.expr, motion: "Motion", coefficients: list[float]) -> Any:
+Law = Callable[["Motion", list[float]], Any]  # of a motion and coefficients
+
+
+@lru_cache(maxsize=64)
+def _compiled(formula: str) -> Law:
+    """A formula as a function: time stepping evaluates it at every step."""
+    return _law(ast.parse(formula.strip(), mode="eval").body)
+
+
+def _law(node: ast.expr) -> Law:
     match node:
         case ast.Constant(value=value):
-            return float(value)  # type: ignore[arg-type]
-        case ast.UnaryOp(op=op, operand=operand):
-            value = _evaluate(operand, motion, coefficients)
-            return -value if isinstance(op, ast.USub) else value
+            number = float(value)  # type: ignore[arg-type]
+            return lambda motion, c: number
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            inner = _law(operand)
+            return lambda motion, c: -inner(motion, c)
+        case ast.UnaryOp(operand=operand):
+            return _law(operand)
         case ast.BinOp(left=left, op=op, right=right):
-            sides = (_evaluate(side, motion, coefficients) for side in (left, right))
-            return _OPERATORS[type(op)](*sides)
+            first, second, operator = _law(left), _law(right), _OPERATORS[type(op)]
+            return lambda motion, c: operator(first(motion, c), second(motion, c))
+        case ast.Call(func=ast.Name(id="sign"), args=[argument]):
+            inner = _law(argument)
+            return lambda motion, c: motion.sign(inner(motion, c))
         case ast.Call(func=ast.Name(id=name), args=[argument]):
-            function = motion.sign if name == "sign" else FUNCTIONS[name]
-            return function(_evaluate(argument, motion, coefficients))
+            inner, function = _law(argument), FUNCTIONS[name]
+            return lambda motion, c: function(inner(motion, c))
         case ast.Name(id="t"):
-            return motion.time
+            return lambda motion, c: motion.time
         case ast.Name(id=name):
-            kind, number = _NAME.fullmatch(name).groups()  # type: ignore[union-attr]
-            if kind == "c":
-                return coefficients[int(number) - 1]
-            state = {"q": motion.position, "v": motion.velocity, "a": motion.acceleration, "load": motion.load}[kind]
-            if int(number) > state.shape[1]:
-                raise ValueError(f"{name}: the robot has {state.shape[1]} axes")
-            return state[:, int(number) - 1]
-    raise ValueError(f"cannot evaluate {ast.dump(node)}")
+            return _state(name)
+    raise TypeError(f"{ast.dump(node)} is not a formula")  # `check` refuses it before
+
+
+def _state(name: str) -> Law:
+    """A coefficient, or the state of an axis."""
+    kind, number = _NAME.fullmatch(name).groups()  # type: ignore[union-attr]
+    at = int(number) - 1
+    if kind == "c":
+        return lambda motion, c: c[at]
+    series = {"q": "position", "v": "velocity", "a": "acceleration", "load": "load"}[kind]
+
+    def state(motion: "Motion", c: list[float]) -> Any:
+        of_axes = getattr(motion, series)
+        if at >= of_axes.shape[1]:
+            raise ValueError(f"{name}: the robot has {of_axes.shape[1]} axes")
+        return of_axes[:, at]
+
+    return state
