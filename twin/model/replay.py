@@ -145,9 +145,9 @@ def replay(
             robot.check_posture(motion.position[k], source, f"runs/{run.name}/position")
     feedforward = inverse_dynamics(robot, motion)
     mechanism = assemble(robot, motion.position[0], brakes="off", drives="servo")
-    model, substeps = _stepped_model(robot, mechanism, run.sample_rate_hz)
+    model, steps, inner = _stepped_model(robot, mechanism, run.sample_rate_hz)
     zeros = robot.encoder_zeros
-    torque, qpos = _track(model, mechanism, motion.on(robot), feedforward, substeps, progress)
+    torque, qpos = _track(model, mechanism, motion.on(robot), feedforward, steps, inner, progress)
     if not (np.isfinite(torque).all() and np.isfinite(qpos).all()):
         message = "the simulation diverges: stiffness, inertia or motion is beyond reason"
         raise InputError(robot.name, f"replay of {run.name}", message)
@@ -162,8 +162,10 @@ def replay(
     return Replay(run.time, recorded_position, link_position, recorded, deflections)
 
 
-def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) -> tuple[mujoco.MjModel, int]:
-    """The model with its time step, and the steps per sample: at most ``STEP_S``, and as short as its fastest pole.
+def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) -> tuple[mujoco.MjModel, int, int]:
+    """The model with its time step, the intervals per sample, at most ``STEP_S`` long, and the steps in each.
+
+    A step is as short as the fastest pole.
 
     Raises:
         InputError: an elastic axis without a rotor's inertia, or a pole too fast to step.
@@ -180,21 +182,25 @@ def _stepped_model(robot: Robot, mechanism: Mechanism, sample_rate_hz: float) ->
     if not fastest < FASTEST:
         message = f"a pole of {fastest:.1e} rad/s: stiffness over inertia is beyond reason"
         raise InputError(robot.name, "axes, links", message)
-    substeps = max(1, int(np.ceil(max(1 / STEP_S, fastest) / sample_rate_hz)))
-    model.opt.timestep = 1 / (sample_rate_hz * substeps)
+    steps = max(1, int(np.ceil(1 / STEP_S / sample_rate_hz)))
+    inner = max(1, int(np.ceil(fastest / (sample_rate_hz * steps))))
+    model.opt.timestep = 1 / (sample_rate_hz * steps * inner)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    return model, substeps
+    return model, steps, inner
 
 
 def _track(
-    model: mujoco.MjModel, mechanism: Mechanism, motion: Motion, feedforward: np.ndarray, substeps: int,
+    model: mujoco.MjModel, mechanism: Mechanism, motion: Motion, feedforward: np.ndarray, steps: int, inner: int,
     progress: Callable[[int], None] | None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Torque (nt, n) of the servos, mean over the sample before, and ``qpos`` (nt, nq); NaN if it diverges."""
+    """Torque (nt, n) of the servos, mean over the sample before, and ``qpos`` (nt, nq); NaN if it diverges.
+
+    Torques that MuJoCo does not have keep their value over ``inner`` steps.
+    """
     data = mujoco.MjData(model)
     nt, n = motion.position.shape
-    if (values := nt * substeps * 3 * n) > MOST_VALUES:
-        message = f"{nt} samples of {substeps} steps each are {values:.1e} values: replay a shorter run"
+    if (values := nt * steps * inner * 3 * n) > MOST_VALUES:
+        message = f"{nt} samples of {steps * inner} steps each are {values:.1e} values: replay a shorter run"
         raise InputError(mechanism.robot.name, "replay", message)
     names = [f"motor{i + 1}" for i in range(n)]
     servo = np.array([model.actuator(name).id for name in names])
@@ -203,23 +209,26 @@ def _track(
     motor_dof = np.array([model.joint(name).dofadr[0] for name in names])
     kp, kv = model.actuator_gainprm[servo, 0], -model.actuator_biasprm[servo, 2]
     reference = CubicSpline(motion.time, np.hstack([motion.position, motion.velocity, feedforward]))
+    substeps = steps * inner
     instants = motion.time[0] + np.arange((nt - 1) * substeps + 1) * model.opt.timestep
     q, qd, torque_ff = np.split(reference(instants), 3, axis=1)
     data.time = motion.time[0]
     data.qpos[motor], data.qvel[motor_dof] = q[0], qd[0]
     _wind_up(model, data, mechanism.joints, motion.acceleration[0], motor_dof)
     torque, qpos = np.empty((nt, n)), np.empty((nt, model.nq))
-    load = CubicSpline(motion.time, np.hstack([motion.load, motion.friction])) if mechanism.passive_forces else None
+    resisted = bool(mechanism.passive_forces)
+    if resisted:
+        felt = CubicSpline(motion.time, np.hstack([motion.load, motion.friction]))(instants[::inner])
     for k in range(nt):
         mean = np.zeros(n)
         for step in range(max(0, (k - 1) * substeps), k * substeps) if k else range(1):
             # implicitfast takes the velocity loop at the end of the step
             data.ctrl[control] = q[step] + (kv * qd[min(step + 1, len(qd) - 1)] + torque_ff[step]) / kp
-            if load is not None:
-                here = load(instants[step])
+            if resisted and step % inner == 0:
+                here = felt[step // inner][None]
                 state = Motion(
                     np.array([data.time]), data.qpos[motor][None], data.qvel[motor_dof][None],
-                    np.zeros((1, n)), here[None, :n], here[None, n:], lambda v: np.tanh(v / SLIDING), motion.coupling,
+                    np.zeros((1, n)), here[:, :n], here[:, n:], lambda v: np.tanh(v / SLIDING), motion.coupling,
                 )  # fmt: skip
                 data.qfrc_applied[motor_dof] = -passive_torque(mechanism.passive_forces, state)
             speed = data.qvel[motor_dof]
