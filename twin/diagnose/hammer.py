@@ -442,7 +442,7 @@ def _loosened(fit: Fitted) -> Fitted:
         return fit
     spread = float(np.rad2deg(np.sqrt(np.mean(np.square(angles)))))
     tolerances = fit.robot.tolerances.model_copy(update={"posture_deg": spread})
-    return replace(fit, robot=fit.robot.model_copy(update={"tolerances": tolerances}))
+    return replace(fit, described=fit.robot.model_copy(update={"tolerances": tolerances}))
 
 
 def _next_test(given: Robot, answer: _Answer, few: Sample, seed: int) -> dict[str, Any] | None:

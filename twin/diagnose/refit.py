@@ -6,9 +6,10 @@ not determine costs nothing. One they determine costs the ratio of its posterior
 is that nobody described is known least of all: its prior has heavy tails.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve, solve_triangular
@@ -37,7 +38,7 @@ class Fitted:
 
     Attributes:
         parameters: free numbers; ``z`` (n,) the optimum in prior coordinates, ``values`` (n,) in units.
-        robot: the description with the values that belong to it.
+        described: the description with the values that belong to it, or what makes it: few fits are asked for theirs.
         cost: ½ χ² + ½ zᵀz; ``misfit`` is χ² over the number of real data.
         information: (n, n) Gauss–Newton matrix, prior included.
         data: number of real data.
@@ -50,7 +51,7 @@ class Fitted:
     parameters: Parameters
     z: FloatArray
     values: FloatArray
-    robot: Robot
+    described: Robot | Callable[[], Robot]
     cost: float
     misfit: float
     information: FloatArray
@@ -58,6 +59,15 @@ class Fitted:
     converged: bool
     allowed: tuple[Hypothesis, ...] = ()
     exact: bool = True
+
+    @cached_property
+    def robot(self) -> Robot:
+        """The description with the values that belong to it."""
+        return self.described if isinstance(self.described, Robot) else self.described()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A fit that goes to another process takes its robot along, not what makes it."""
+        return {**self.__dict__, "described": self.robot}
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -80,7 +90,7 @@ class Fitted:
         """Whether something is said to hang on the robot that is heavier than it: the ground, not a part."""
         hanging = {f"{p.key}.mass" for p in self.hypothesis.pieces if p.law and p.law.lever}
         heaviest = max((v for p, v in zip(self.parameters, self.values, strict=True) if p.name in hanging), default=0.0)
-        return bool(heaviest > sum(link.inertial[0] for link in self.robot.links))
+        return bool(heaviest > 0 and heaviest > sum(link.inertial[0] for link in self.robot.links))
 
     def _evidence_at(self, scale: float) -> float:
         if self.too_heavy:

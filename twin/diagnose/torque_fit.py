@@ -11,7 +11,7 @@ Pereyra, SIAM J. Numer. Anal. 10, 1973).
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.fft
@@ -960,9 +960,8 @@ def _fitted(
     chi2, data = float(residual @ residual), int(system.count * system.level.sum())
     values = np.array([p.value(x) for p, x in zip(parameters, parameters.root @ z, strict=True)])
     entries = with_values(hypothesis, values[len(values) - len(hypothesis.own) :]) if hypothesis.own else []
-    robot = robot_of(system, z, entries)
     return Fitted(
-        hypothesis, parameters, z, values, robot, 0.5 * (chi2 + float(z @ z)), chi2 / max(data, 1), information, data,
+        hypothesis, parameters, z, values, partial(robot_of, system, z, entries), 0.5 * (chi2 + float(z @ z)), chi2 / max(data, 1), information, data,
         True,
     )  # fmt: skip
 

@@ -50,7 +50,7 @@ def as_described(search: Search) -> Fitted:
         return base
     held = _held(plain, sorted(names))
     z = held.plain(base_fit(held).z)
-    return replace(base, z=z, robot=robot_of(plain, z))
+    return replace(base, z=z, described=robot_of(plain, z))
 
 
 def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
