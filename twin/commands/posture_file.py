@@ -12,6 +12,7 @@ from twin.errors import InputError
 from twin.measure.campaign import FASTEST_SAMPLES_HZ, LONGEST_PULSE_S, LONGEST_RECORD_S
 from twin.measure.motion_log import MotionLog, read_motion_log
 from twin.milling.cut import Cut, read_cut
+from twin.model.hammer import LEAST_PULSES
 from twin.ranges import LARGEST_FORCE_N, LEAST_FORCE_N, LONGEST_NAME, NAME
 from twin.robot.description import Data, Number, Robot, first_problem, load_robot
 from twin.yamlfile import read_yaml
@@ -37,7 +38,7 @@ class Hammer(Data):
         default=[300.0]
     )
     pulse_s: Annotated[Number, Field(ge=1e-6, le=LONGEST_PULSE_S)] = 0.008
-    duration_s: Annotated[Number, Field(gt=0, le=LONGEST_RECORD_S)] = 16.0
+    duration_s: Annotated[Number, Field(gt=0, le=LONGEST_RECORD_S)] | None = None
     sample_rate_hz: Annotated[Number, Field(gt=0, le=FASTEST_SAMPLES_HZ)] = 2048.0
     hits: Annotated[int, Field(ge=1, le=1000, strict=True)] = 3
     force_spread: Annotated[Number, Field(ge=0, le=1)] = 0.0
@@ -175,9 +176,11 @@ def _check_hammer(path: Path, hammer: Hammer) -> None:
         raise InputError(
             path, "hammer.sample_rate_hz", f"a pulse of {hammer.pulse_s:g} s needs at least {4 * lines:g} Hz"
         )
+    if hammer.duration_s is None:
+        return
     if hammer.duration_s * hammer.sample_rate_hz > LONGEST_RECORD:
         raise InputError(path, "hammer.duration_s", f"expected at most {LONGEST_RECORD:.0e} samples in a record")
-    if hammer.duration_s < 4 * hammer.pulse_s:
+    if hammer.duration_s < LEAST_PULSES * hammer.pulse_s:
         raise InputError(path, "hammer.duration_s", "expected a record much longer than the pulse")
 
 

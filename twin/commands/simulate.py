@@ -12,7 +12,7 @@ from twin.commands.posture_file import PostureFile, posture_in_memory, read_post
 from twin.errors import InputError
 from twin.measure.campaign import Campaign, write_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, require_axes, write_motion_log
-from twin.model.hammer import HammerTest
+from twin.model.hammer import HammerTest, usual_duration
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import Modes, modes
 from twin.model.replay import Replay, inverse_dynamics, motion_of, recorded_torque, replay
@@ -127,7 +127,8 @@ class Simulation(Result):
             responses, excitations = posture.frf.shape[1:]
             lines.append(
                 f"  hammer {posture.name}: {responses} × {excitations} FRFs, {len(posture.frequency)} lines to "
-                f"{posture.frequency[-1]:.0f} Hz, peak {posture.peak_force_n:.0f} N, {posture.averages} hits each"
+                f"{posture.frequency[-1]:.0f} Hz, {posture.record_s:g} s, peak {posture.peak_force_n:.0f} N, "
+                f"{posture.averages} hits each"
                 + (
                     f", exponential window {posture.exponential_window_rate:.2f} 1/s"
                     if posture.exponential_window_rate
@@ -198,7 +199,10 @@ def simulate(
         raise InputError(case.robot.name, case.name, "the posture is not a stable equilibrium: a stiffness is too low")
     found.origin = provenance(case.inputs, {"robot": robot, "without": without or [], "seed": seed})
     if case.hammer and linear.coordinates and case.robot.accelerometers:
-        test = HammerTest(seed=seed, **case.hammer.model_dump(exclude={"force_n", "raw_hits"}))
+        given = case.hammer.model_dump(exclude={"force_n", "raw_hits"}, exclude_none=True)
+        test = HammerTest(seed=seed, **given)
+        if case.hammer.duration_s is None:
+            test = replace(test, duration_s=usual_duration(linear, test))
         found.campaign = simulated_test(
             mechanism, linear, test, case.hammer.force_n, name=case.name, q_deg=case.q_deg,
             raw_hits=case.hammer.raw_hits, progress=progress,

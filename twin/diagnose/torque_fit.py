@@ -961,8 +961,8 @@ def _fitted(
     values = np.array([p.value(x) for p, x in zip(parameters, parameters.root @ z, strict=True)])
     entries = with_values(hypothesis, values[len(values) - len(hypothesis.own) :]) if hypothesis.own else []
     return Fitted(
-        hypothesis, parameters, z, values, partial(robot_of, system, z, entries), 0.5 * (chi2 + float(z @ z)), chi2 / max(data, 1), information, data,
-        True,
+        hypothesis, parameters, z, values, partial(robot_of, system, z, entries), 0.5 * (chi2 + float(z @ z)),
+        chi2 / max(data, 1), information, data, True,
     )  # fmt: skip
 
 

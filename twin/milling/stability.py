@@ -43,6 +43,10 @@ DEEPER = 3.0  # times deeper, where no limit is found
 FIRST_LOOK = 2.0  # times the depth above which the bound on eigenvalues allows a limit
 REACH, FARTHER = 16.0, 8.0  # times the closed form that nodes resolve the motion for at first, and times deeper then
 STILL = 1e-4  # of 1/depth: a mode that can add no more to the eigenvalues is static compliance
+LIVE = 0.1  # of 1/depth: modes that can add as much set the fastest vibration that a cut feeds
+LATE = 0.01  # of 1/depth: what a faster mode may add otherwise than static compliance, at the deepest looked at
+PATIENCE = 150.0  # rad that the fastest motion advances in a tooth period, beyond which
+AHEAD = 4.0  # times the closed form is looked at first
 CHUNK = 1_000_000  # elements of matrices whose eigenvalues are taken at a time
 
 
@@ -273,6 +277,10 @@ def limits(
 ) -> Limits:
     """All limits in depth up to ``depth_max_m`` for a batch of cuts.
 
+    Where the fastest motion at that depth advances by more than ``PATIENCE`` in a tooth period, it is looked about
+    ``AHEAD`` times as deep as the closed form, then farther while nothing is found: what lies above the depth at which
+    a limit was found is not looked for there.
+
     Args:
         modes: in the cut frame, pole (S, nm) or (nm,).
         spindle_rpm: (S,).
@@ -280,13 +288,37 @@ def limits(
         lag_depth_m: depth for which the lag of a helix is taken.
         digits: decimal digits asked of the collocation.
     """
+    rpm = np.asarray(spindle_rpm, float)
+    shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
+    fast = fastest(modes, shear, depth_max_m) * np.asarray(cut.tooth_period(rpm), float) > PATIENCE
     found = []
-    for rows, some, tau, op in _operators(modes, cut, spindle_rpm, depth_max_m, shear, lag_depth_m, digits):
-        row, *rest = _crossings(op, some, tau, depth_max_m)
-        found.append((rows[row], *rest))
+    if not fast.all():
+        found.append(_limits_to(modes, cut, rpm, np.flatnonzero(~fast), depth_max_m, shear, lag_depth_m, digits))
+    least = np.broadcast_to(limiting_depth(modes, cut, shear=shear), len(rpm))
+    reach_m = min(depth_max_m, AHEAD * float(least[fast].max(initial=0.0)))
+    open_ = np.flatnonzero(fast)
+    while len(open_):
+        own = without_idle(modes, cut, shear[open_], reach_m) if modes.pole.ndim == 1 else modes
+        found.append(_limits_to(own, cut, rpm, open_, reach_m, shear, lag_depth_m, digits))
+        open_ = open_[~np.isin(open_, found[-1][0])] if reach_m < depth_max_m else open_[:0]
+        reach_m = min(depth_max_m, FARTHER * reach_m)
     columns = [np.concatenate(column) for column in zip(*found, strict=True)]
     order = np.lexsort((columns[1], columns[0]))
-    return Limits(len(spindle_rpm), *(column[order] for column in columns))
+    return Limits(len(rpm), *(column[order] for column in columns))
+
+
+def _limits_to(
+    modes: ToolModes, cut: Cut, rpm: np.ndarray, rows: np.ndarray, depth_max_m: float, shear: np.ndarray,
+    lag_depth_m: float, digits: float,
+) -> tuple[np.ndarray, ...]:  # fmt: skip
+    """Row, depth, angle, change, frequency and kind of the limits of some rows (n,) of a batch, up to one depth."""
+    found = []
+    for part, some, tau, op in _operators(
+        modes.rows(rows), cut, rpm[rows], depth_max_m, shear[rows], lag_depth_m, digits
+    ):
+        row, *rest = _crossings(op, some, tau, depth_max_m)
+        found.append((rows[part[row]], *rest))
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 
 
 def first_limits(
@@ -315,21 +347,26 @@ def first_limits(
         for number in np.unique(level[open_]):
             some = open_[level[open_] == number]
             reach_m = depth_max_m / FARTHER ** int(number)
-            own = _without_still(modes.rows(some), cut, shear[some], reach_m)
+            own = without_idle(modes.rows(some), cut, shear[some], reach_m)
             for rows, _, _, op in _operators(own, cut, rpm[some], reach_m, shear[some], lag_depth_m, digits):
                 found[some[rows]] = _first(op, reach_m)
         level = level - 1
     return found
 
 
-def _without_still(modes: ToolModes, cut: Cut, shear: np.ndarray, depth_m: float) -> ToolModes:
-    """Modes, those that no row's cut of a depth, m, can excite turned into static compliance.
+def without_idle(modes: ToolModes, cut: Cut, shear: np.ndarray, depth_m: float) -> ToolModes:
+    """Modes, those that follow any row's cut of a depth, m, as static compliance turned into that.
 
-    A mode adds at most 2b‖A‖|u|²/|Re λ| to an eigenvalue times b, teeth in cut together.
+    A mode adds at most a = 2b‖A‖|u|²/|Re λ| to an eigenvalue times b, teeth in cut together. It is static where that is
+    less than ``STILL``. It is static, too, where it is faster than every mode that a cut of this depth can feed, and
+    answers their vibrations, up to Ω, as at rest: a |Re λ| Ω/(|λ| max(|λ| − Ω, |Re λ|)) is then less than ``LATE``.
     """
-    size = np.linalg.norm(modes.shape, axis=-1) ** 2 / np.abs(modes.pole.real)
+    rate, damped = (np.atleast_2d(values) for values in (np.abs(modes.pole), np.abs(modes.pole.real)))
     push = np.linalg.norm(shear, axis=-1) * max(1, forces.most_teeth(cut)) * depth_m
-    still = (4 * size * push.reshape(-1, 1) < STILL).all(axis=0) if size.ndim > 1 else 4 * size * push.max() < STILL
+    most = 4 * np.atleast_2d(np.linalg.norm(modes.shape, axis=-1) ** 2) / damped * push.reshape(-1, 1)
+    fed = np.where(most >= LIVE, rate, 0.0).max(axis=-1, keepdims=True)
+    late = most * damped * fed / (rate * np.maximum(rate - fed, damped))
+    still = ((most < STILL) | ((rate > fed) & (late < LATE))).all(axis=0)
     if not still.any():
         return modes
     u, pole = modes.shape[..., still, :], modes.pole[..., still]
@@ -430,10 +467,13 @@ def _crossings(op: Operator, modes: ToolModes, tau: np.ndarray, depth_max_m: flo
     """Row, depth, angle, change, frequency and kind of all crossings."""
     least = 1 / depth_max_m
     row, theta = _angles(op.turn)
-    value = _eigenvalues(op, row, theta)
+    low = _bounds(op, row, theta) < 0.5 * least  # no eigenvalue there, nor close by, is a limit
+    follows = np.flatnonzero((row[1:] == row[:-1]) & ~(low[1:] & low[:-1]))
+    wanted = np.unique(np.concatenate([follows, follows + 1, np.flatnonzero(theta == np.pi)]))
+    value = np.zeros((len(row), op.volterra.shape[-1]), complex)
+    value[wanted] = _eigenvalues(op, row[wanted], theta[wanted])
     kept = min(value.shape[1], 1 + int((np.abs(value) > 0.5 * least).sum(axis=1).max(initial=1)))
     value = value[:, :kept]
-    follows = np.flatnonzero(row[1:] == row[:-1])
     arcs = _Arcs(row[follows], theta[follows], theta[follows + 1], value[follows], value[follows + 1])
     row_h, angle_h, value_h, change_h = _polished(op, _brackets(op, arcs, np.full(len(op.turn), least)))
     last = np.flatnonzero(theta == np.pi)

@@ -22,6 +22,8 @@ from twin.robot.mechanism import Mechanism
 from twin.robot.mjcf import build_spec
 
 PRETRIGGER_S = 0.02
+USUAL_STEPS = 2**18  # of a record that nobody asked for: a light arm's springs want steps of 10 µs
+LEAST_PULSES = 4  # of a record, in pulses
 FASTEST = 0.4  # |pole| × step at most: Runge–Kutta then misses a frequency by 0.02 %
 DECAY = 1e-3  # what may be left of a vibration at the end of a record before an exponential window is called for
 
@@ -63,6 +65,13 @@ def channels(mechanism: Mechanism, labels: Sequence[str]) -> Channels:
         np.array([point.position for point in chosen]).reshape(-1, 3),
         np.array([point.direction for point in chosen]).reshape(-1, 3),
     )
+
+
+def usual_duration(linear: LinearModel, test: HammerTest) -> float:
+    """Length of a record where none is asked for, s: the test's, halved until it takes ``USUAL_STEPS`` or fewer."""
+    steps = test.duration_s * test.sample_rate_hz * steps_per_sample(linear, test.sample_rate_hz)
+    halvings = max(0, int(np.ceil(np.log2(steps / USUAL_STEPS))))
+    return max(test.duration_s / 2**halvings, LEAST_PULSES * test.pulse_s)
 
 
 def window_rate(linear: LinearModel, duration_s: float) -> float:
@@ -163,10 +172,12 @@ def _check_steps(mechanism: Mechanism, linear: LinearModel, steps: int, threads:
     """
     width = 4 * len(linear.M)  # positions, velocities, forces and what is made of them
     if threads * steps * width > MOST_VALUES:
+        shorter = 2 ** int(np.ceil(np.log2(threads * steps * width / MOST_VALUES)))
         fastest = np.abs(state_matrix_poles(linear)).max(initial=1.0)
         raise InputError(
-            mechanism.robot.name, "hammer", f"a pole of {fastest:.1e} rad/s asks for {steps:.1e} steps in a record: "
-            "expected shorter records, or less stiffness and damping over the inertia",
+            mechanism.robot.name, "hammer.duration_s", f"a pole of {fastest:.1e} rad/s asks for {steps:.1e} steps in a "
+            f"record: expected records {shorter} times shorter, less stiffness and damping over the inertia, "
+            "or hammer: false for modes only",
         )  # fmt: skip
 
 
