@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from conftest import POSTURES
 
+from twin.errors import InputError
 from twin.measure.spectra import posture_from_hits
 from twin.model.frf import frf
-from twin.model.hammer import HammerTest, simulate_hits, window_rate
+from twin.model.hammer import USUAL_STEPS, HammerTest, simulate_hits, steps_per_sample, usual_duration, window_rate
 from twin.model.linear import linearise, posture_state
 from twin.model.modes import modes
 from twin.robot.description import Robot
@@ -36,6 +37,26 @@ def test_hammer_frfs_in_time_equal_the_linear_ones(kr90: Robot, posture: str) ->
         height = np.abs(exact[near]).max(axis=0)
         clear = height > 0.05 * height.max()  # a channel on a node of the mode has no peak there
         assert (np.abs(np.abs(found[near]).max(axis=0) / height - 1)[clear] < 0.01).all()
+
+
+def test_records_of_a_robot_with_very_fast_modes_are_shorter_unless_asked_for(kr90: Robot) -> None:
+    """A light arm's springs want steps of 10 µs: sixteen seconds of them, which nobody asked for, were refused."""
+    light = kr90.model_copy(deep=True)
+    for axis in light.axes:
+        assert axis.stiffness is not None
+        axis.stiffness *= 1e4
+    test, duration = HammerTest(hits=1), []
+    for robot in (kr90, light):
+        linear = linearise(assemble(robot, robot.angles(POSTURES["milling"])))
+        duration.append(usual_duration(linear, test))
+        steps = duration[-1] * test.sample_rate_hz * steps_per_sample(linear, test.sample_rate_hz)
+        assert steps <= USUAL_STEPS
+    assert duration[0] == 16.0
+    assert 0.5 <= duration[1] <= 8.0
+    with pytest.raises(InputError, match=r"hammer.duration_s.* times shorter.*hammer: false"):
+        simulate_hits(
+            assemble(light, light.angles(POSTURES["milling"])), HammerTest(duration_s=600.0), 1.0, ["21X+"], ["21X+"]
+        )
 
 
 def test_static_load_in_time_gives_the_linear_flexibility(kr90: Robot, milling: np.ndarray) -> None:

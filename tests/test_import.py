@@ -3,7 +3,7 @@
 import csv
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -447,6 +447,54 @@ def test_a_slip_of_units_in_a_log_is_named(
     plan = tsv(tmp_path / "l.tsv", cell) | change
     path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
     refused(twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5"), named, tmp_path / "l.h5")
+
+
+def test_torque_at_the_motor_is_told(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
+    """It is less by the gear ratio, which no unit explains: a note, here and wherever the log is compared."""
+    plan = tsv(tmp_path / "l.tsv", cell) | {"torque": {"channels": "tau*", "unit": "lbf·in", "factor": 1 / 40}}
+    path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
+    said = twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5")
+    assert said.code == 0
+    assert "times the recorded torque: is it the torque at the motor (factor: the gear ratio)" in said.err
+    assert "is it the torque at the motor" in twin("compare", tmp_path / "l.h5").out
+
+
+def test_rad_declared_as_degrees_are_told(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
+    """Where torques do not say so: no axis moves as far as one would record."""
+    other = replace(cell, tau=np.random.default_rng(1).permutation(cell.tau))
+    plan = tsv(tmp_path / "l.tsv", other) | {"position": {"channels": "q*", "unit": "deg"}}
+    path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
+    said = twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5")
+    assert "are these rad, declared deg?" in said.err
+
+
+def test_positions_exchanged_with_torques_are_no_degrees(
+    cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    plan = tsv(tmp_path / "l.tsv", cell) | {"time": {"channels": "t", "unit": "us"}}
+    path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
+    said = twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5")
+    assert (said.code, "degrees" in said.err) == (2, False)
+    assert "is the clock in s, and are these positions?" in said.err
+
+
+def test_an_offset_is_added_after_the_factor(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
+    """A motor's zero is seldom the robot's. Runs without a clock begin together, which is told; JSON has names."""
+    plan = tsv(tmp_path / "a.tsv", cell)
+    tsv(tmp_path / "b.tsv", cell)
+    shift = [0.1, -0.05, 0.15]
+    moved = {**plan["position"], "offset": shift}
+    path = mapped(tmp_path, makes="motion-log", sample_rate_hz=250, position=moved, torque=plan["torque"])
+    said = twin("import", tmp_path / "a.tsv", tmp_path / "b.tsv", "--map", path, "-o", tmp_path / "l.h5", "--json")
+    assert said.code == 0, said.err
+    assert {"run": "a", "axes": 3, "samples": N, "sample_rate_hz": 250.0, "start_s": 0.0} in said.json["parts"]
+    assert "the clock of every run begins at 0" in said.json["notes"][-1]
+    with h5py.File(tmp_path / "l.h5") as file:
+        found = file["runs/a/position"][()] - cell.q
+    np.testing.assert_allclose(found, np.tile(shift, (N, 1)), atol=1e-7)
+    plan["position"]["offset"] = [1.0, 2.0]
+    path = mapped(tmp_path, makes="motion-log", **plan)
+    refused(twin("import", tmp_path / "a.tsv", "--map", path, "-o", tmp_path / "m.h5"), "offset", tmp_path / "m.h5")
 
 
 def test_places_in_mm_are_named(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:

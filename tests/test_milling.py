@@ -28,7 +28,7 @@ from twin.milling.cut import Cut, published_coefficients, read_cut
 from twin.milling.forced import forced_vibration, static_force
 from twin.milling.in_time import CutStepper
 from twin.milling.lobes import first_at, limits_at, lobes_of
-from twin.milling.stability import Limits, first_limits, limits, multipliers
+from twin.milling.stability import Limits, first_limits, limits, multipliers, without_idle
 from twin.milling.tool_point import (
     ToolModes,
     coupled,
@@ -96,6 +96,28 @@ def test_the_first_limit_alone_is_the_first_of_all(immersion: float, milling: st
         assert np.allclose(first_at(modes, cut, speeds), every, rtol=1e-4)
         shallow = np.min(every, initial=0.006) * 0.5
         assert np.isinf(first_limits(modes, cut, speeds, shallow)).all()  # none is made up
+
+
+def with_a_stiff_mode(rad_s: float = 2e4) -> ToolModes:
+    """The benchmark's modes and a fast, well damped one of a hundredth of their compliance, as light arms have."""
+    slow = benchmark_modes()
+    pole = rad_s * (-0.7 + 1j * np.sqrt(1 - 0.7**2))
+    fast = 0.1 * np.abs(slow.shape).max(axis=0) * np.sqrt(rad_s / np.abs(slow.pole).min()) * np.exp(0.25j * np.pi)
+    return ToolModes(np.append(slow.pole, pole), np.vstack([slow.shape, fast]))
+
+
+def test_a_fast_mode_of_a_light_arm_costs_no_nodes_and_moves_no_limit() -> None:
+    """At slow speeds it would swing more than a hundred times from tooth to tooth. Against multipliers of all modes."""
+    modes, speeds = with_a_stiff_mode(), np.array([1100.0, 1900.0, 3100.0])
+    cut = benchmark_cut(0.5, "down")
+    first = limits(modes, cut, speeds, 0.02).first()
+    assert np.isfinite(first).all()
+    for rpm, depth in zip(speeds, first, strict=True):
+        below, above = (np.abs(multipliers(modes, cut, rpm, share * depth, 6)[0]) for share in (0.99, 1.01))
+        assert below < 1 < above
+    slow = without_idle(modes, cut, cut.coefficients.shear, float(first.max()))
+    assert len(slow.pole) == len(benchmark_modes().pole)
+    assert slow.residual is not None
 
 
 def test_coefficients_of_titanium_and_steel_are_those_of_their_sources() -> None:

@@ -153,12 +153,19 @@ def read_tree(path: str | Path) -> Tree:
     """The parts and joints of a URDF or an MJCF, told apart by their top element.
 
     Raises:
-        InputError: the file is neither.
+        InputError: the file is neither, or a robot that the twin wrote.
     """
+    if Path(path).suffix.lower() in (".yaml", ".yml"):
+        raise InputError(path, "", "expected a URDF or an MJCF; a robot.yaml is described already: use it as --robot")
+    joints: set[str | None] = set()
     try:
-        top = ElementTree.parse(path).getroot().tag
+        root = ElementTree.parse(path).getroot()
+        top, joints = root.tag, {joint.get("name") for joint in root.iter("joint")}
     except (OSError, ElementTree.ParseError, LookupError, ValueError):
         top = "robot"  # the reader of URDF says what is wrong
+    if top == "mujoco" and {"motor1", "joint1.z"} <= joints:
+        told = "written by the twin, with its motors and springs; use the robot.yaml beside it as --robot"
+        raise InputError(path, "", told)
     if top == "mujoco":
         from twin.robot.mjcf_tree import read_mjcf
 

@@ -35,7 +35,26 @@ class Imported(Result):
     def data(self) -> dict[str, Any]:
         """As printed with ``--json``."""
         kind = "motion-log" if isinstance(self.content, MotionLog) else "frf-campaign"
-        return {"format": kind, "file": self.file, "parts": [list(row) for row in self._rows()], "notes": self.notes}
+        return {"format": kind, "file": self.file, "parts": self._parts(), "notes": self.notes}
+
+    def _parts(self) -> list[dict[str, Any]]:
+        """Runs or postures, by field."""
+        if isinstance(self.content, MotionLog):
+            return [
+                {
+                    "run": name, "axes": run.position.shape[1], "samples": len(run.time),
+                    "sample_rate_hz": run.sample_rate_hz, "start_s": float(run.time[0]),
+                }
+                for name, run in self.content.runs.items()
+            ]  # fmt: skip
+        return [
+            {
+                "posture": name, "q_deg": [float(q) for q in p.q_deg], "responses": p.frf.shape[1],
+                "excitations": p.frf.shape[2], "lines": len(p.frequency),
+                "band_hz": [float(p.frequency[0]), float(p.frequency[-1])],
+            }
+            for name, p in self.content.postures.items()
+        ]  # fmt: skip
 
     def tables(self) -> list[Table]:
         """Runs or postures."""

@@ -20,6 +20,7 @@ from twin.robot.mjcf import build_spec, lit, save_mjcf
 from twin.table import Table
 
 PARTS = ("train", "held_out")
+ROUNDING = 1e-12  # kg, kg m, kg m², N·m: what cancels in a combination leaves as much
 
 
 @dataclass
@@ -61,8 +62,9 @@ class Identified(Result):
     def data(self) -> dict[str, Any]:
         """The JSON of the command."""
         found, estimate = self.found, self.found.estimate
-        described = estimate.base.combine @ found.regressor.described
-        consistent = estimate.base.combine @ found.parameters
+        described, consistent = (
+            _exact(estimate.base.combine @ x) for x in (found.regressor.described, found.parameters)
+        )
         combinations = estimate.base.combinations(found.regressor.robot)
         parameters: dict[str, Any] = {}
         recording: dict[str, Any] = {}
@@ -95,8 +97,9 @@ class Identified(Result):
     def tables(self) -> list[Table]:
         """Parameters with their intervals, and errors by joint."""
         found, errors = self.found.estimate, self.errors()
-        described = found.base.combine @ self.found.regressor.described
-        consistent = found.base.combine @ self.found.parameters
+        described, consistent = (
+            _exact(found.base.combine @ x) for x in (self.found.regressor.described, self.found.parameters)
+        )
         rows = [
             (
                 name, *_as_sure(found.interval90[k], found.value[k], described[k], consistent[k]), found.base.units[k],
@@ -131,8 +134,9 @@ class Identified(Result):
         lines.append(
             "  parameter                                          value   ± 90 %      described     consistent"
         )
-        described = estimate.base.combine @ found.regressor.described
-        consistent = estimate.base.combine @ found.parameters
+        described, consistent = (
+            _exact(estimate.base.combine @ x) for x in (found.regressor.described, found.parameters)
+        )
         half = [_two(half) for half in estimate.interval90[:, 1] - estimate.value]
         for k, name in enumerate(estimate.base.names):
             mark = "" if estimate.identifiable[k] else "   not identifiable from this log"
@@ -152,6 +156,11 @@ class Identified(Result):
         if self.files:
             lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
+
+
+def _exact(values: np.ndarray) -> np.ndarray:
+    """Combinations of numbers (n,), those that cancel but for rounding zero."""
+    return np.where(np.abs(values) < ROUNDING, 0.0, values)
 
 
 def _two(value: float) -> str:

@@ -29,7 +29,8 @@ def view(
     path = Path(path)
     if path.is_dir() or path.suffix == ".rrd":
         if out is not None:
-            raise InputError("--out", str(out), "is for robots and recordings, which have to be drawn first")
+            message = "is for robots and recordings; a folder and a .rrd are shown as they are, without --out"
+            raise InputError("--out", str(out), message)
         return scene.view(path)
     target = out or Path("out") / f"{path.stem}.rrd"
     check_out(target.parent, alone=False)

@@ -583,13 +583,23 @@ def _elsewhere_hit(p: Parameter, change: float, off: float, answered: bool) -> N
     return Note(text, "posture", "fail" if answered else "warning")
 
 
+def apart(*values: float, least: int = 3, most: int = 9) -> list[str]:
+    """Values with so many digits, the same for all, that those which differ are told apart."""
+    for digits in range(least, most + 1):
+        texts = [f"{value:.{digits}g}" for value in values]
+        if len(set(texts)) == len(set(values)):
+            break
+    return texts
+
+
 def _number_off(fit: Fitted, k: int, off: float) -> Note:
     """That a number is not as described, with its value, its interval and by how many deviations."""
     p = fit.parameters[k]
     (one,) = estimates_of(fit, [k]).values()
-    low, high = np.ravel(one["interval90"])
+    ends = np.ravel(one["interval90"])
+    value, low, high, mean = apart(float(fit.values[k]), float(ends[0]), float(ends[1]), p.mean)
     told = (
-        f"the fit gives {fit.values[k]:.3g} {p.unit} (90 %: {low:.3g} to {high:.3g}), the description {p.mean:.3g}: "
+        f"the fit gives {value} {p.unit} (90 %: {low} to {high}), the description {mean}: "
         f"{off:.1f} standard deviations off"
     )
     if p.quantity == "stiffness":

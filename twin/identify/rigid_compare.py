@@ -20,6 +20,7 @@ from twin.physics import CATALOGUE
 from twin.physics.effect import Effect
 from twin.robot.description import Robot
 
+FAR_OFF = 8.0  # times the described torque, most axes, from which a log is hardly the robot's in these units
 OFFSET_TOLERANCE = 0.1  # a recording's constant torque may be this share of a joint's RMS torque
 
 
@@ -120,8 +121,24 @@ def compare_log(
         rows.append(r)
         predictions.append(predicted + offset)
     pooled = float(np.sqrt(np.mean(squares[0] / squares[1])))
+    size = np.concatenate([p[r.valid] for p, r in zip(predictions, rows, strict=True)])
+    far = far_off(np.sqrt(np.mean(size**2, axis=0)) / np.sqrt(squares[1] / len(size)))
     notes = log.notes if moves(log) else (*log.notes, f"{NO_MOTION}: only weight and friction at rest are compared")
+    notes = (*notes, far) if far else notes
     return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, replays, notes)
+
+
+def far_off(ratio: np.ndarray) -> str | None:
+    """What to say where described over recorded torque (n,), RMS, is far from 1 at most axes; ``None`` where not."""
+    middle = float(np.median(ratio))
+    if 1 / FAR_OFF < middle < FAR_OFF:
+        return None
+    if middle > 1:
+        return (
+            f"the robot as described needs {middle:.3g} times the recorded torque: is it the torque at the motor "
+            "(factor: the gear ratio), or in another unit?"
+        )
+    return f"the recorded torque is {1 / middle:.3g} times what the robot as described needs: is it in another unit?"
 
 
 def _stepped(robot: Robot, run: MotionRun, bands: Bands, rows: Rows, progress: Progress | None) -> np.ndarray:

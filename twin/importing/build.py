@@ -62,14 +62,16 @@ class Source:
             scale = factor(taken.unit, *measures)
         except ValueError as error:
             raise InputError(self.path, f"{field}: unit", str(error)) from error
-        factors = np.atleast_1d(np.asarray(taken.factor, dtype=float))
-        if len(factors) not in (1, len(names)):
-            raise InputError(self.path, f"{field}: factor", f"expected one, or {len(names)}, found {len(factors)}")
+        factors, offsets = (np.atleast_1d(np.asarray(given, dtype=float)) for given in (taken.factor, taken.offset))
+        for key, given in (("factor", factors), ("offset", offsets)):
+            if len(given) not in (1, len(names)):
+                raise InputError(self.path, f"{field}: {key}", f"expected one, or {len(names)}, found {len(given)}")
         values = [np.asarray(self.table.channels[name].values) for name in names]
         lengths = sorted({value.shape for value in values})
         if len(lengths) > 1 or len(lengths[0]) != 1 or values[0].dtype.kind not in "iuf":
             raise InputError(self.path, field, f"expected real channels of one length, found shapes {lengths}")
-        found: FloatArray = np.stack(values, axis=1).astype(float) * factors * scale
+        found: FloatArray = np.stack(values, axis=1).astype(float) * factors
+        found = (found + offsets) * scale
         if measures in RECORDS:
             check_array(self.path, f"{field}: {', '.join(names)}", found, RECORDS[measures])
         return found
@@ -104,9 +106,14 @@ def build_log(sources: Sequence[Source], map_: LogMap) -> MotionLog:
         steps = np.diff(time)
         if not (steps > 0).any():
             raise InputError(source.path, "time", "expected increasing instants")
-        rate = 1 / float(np.median(steps[steps > 0]))
+        rate = float(f"{1 / np.median(steps[steps > 0]):.12g}")
         runs[name], repairs = even_run(source.path, name, name, time, series, rate)
         notes += repairs
+    if len(runs) > 1 and map_.time is None:
+        notes.append(
+            "without a channel `time` the clock of every run begins at 0: what changes from run to run, as "
+            "friction that warms up, cannot be seen"
+        )
     return MotionLog(runs, map_.robot, str(sources[0].path), tuple(notes))
 
 

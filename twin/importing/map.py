@@ -27,11 +27,15 @@ Rate = Annotated[Number, Field(ge=1e-3, le=FASTEST_SAMPLES_HZ)]
 
 
 class Taken(Data):
-    """Channels of one quantity, a list of names or one pattern with ``*``; ``factor`` is applied before the unit."""
+    """Channels of one quantity, a list of names or one pattern with ``*``.
+
+    ``factor``, then ``offset``, which is added, are applied before the unit.
+    """
 
     channels: str | list[str]
     unit: str = ASK
     factor: Factor | list[Factor] = 1.0
+    offset: Number | list[Number] = 0.0
 
 
 class LogMap(Data):

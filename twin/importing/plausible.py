@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.errors import InputError, Told
+from twin.errors import InputError, Told, tell
 from twin.identify.rigid_compare import compare_log
 from twin.measure.campaign import Campaign
 from twin.measure.motion_log import MotionLog, MotionRun, check_against, torque_slip, weight_felt
@@ -31,6 +31,8 @@ SLIPS = {  # measured over predicted accelerance → what was declared, and what
 ANGLES = {"rad": 1.0, "degrees": np.pi / 180}  # what positions may be in by mistake
 TORQUES = {"N·m": 1.0, "lbf·in": POUND_FORCE_N * INCH_M, "kgf·m": STANDARD_GRAVITY, "N·mm": 1e-3, "kN·m": 1e3}
 LOOKED_AT_S = 30.0  # of a log
+LOOKED_AT_HZ = 250.0  # samples of a log are averaged to about as many: a slip shows below 10 Hz
+LEAST_TRAVEL = 0.1  # rad, of the axis that moves most, below which degrees were perhaps not degrees
 UNLIKE = 0.5  # error of the described torque from which a slip is looked for; undone, it is less than half of that
 LIKE_A_SLIP = 1.8  # ratios within this factor of a slip, and farther than that from 1, are one
 
@@ -55,6 +57,30 @@ def check_log(log: MotionLog, robot: Robot | None, position: str = "rad", torque
     if found := torque_slip(log, robot):
         raise InputError(log.source, *found)
     _check_slips(log, robot, _slips(position, torque))
+    _tell_travel(log, robot, position)
+
+
+def _tell_travel(log: MotionLog, robot: Robot, position: str) -> None:
+    """Tell where no axis moves as far as in a log that one would record: rad declared as degrees look so."""
+    turns = [axis.type == "revolute" for axis in robot.axes]
+    if not all(turns) or measure(position) == measure("rad"):
+        return
+    farthest = max(float(np.ptp(run.position, axis=0).max()) for run in log.runs.values())
+    if farthest < LEAST_TRAVEL:
+        told = f"no axis moves by more than {np.rad2deg(farthest):.2g}°; are these rad, declared {position}?"
+        tell(log.source, "position", told)
+
+
+def _thinned(run: MotionRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Time, position and torque of the first ``LOOKED_AT_S``, samples averaged to about ``LOOKED_AT_HZ``; the rate."""
+    assert run.torque is not None
+    every = max(1, int(run.sample_rate_hz / LOOKED_AT_HZ))
+    count = min(round(LOOKED_AT_S * run.sample_rate_hz), len(run.time)) // every * every
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.asarray(values[:count].reshape(-1, every, *values.shape[1:]).mean(axis=1))
+
+    return mean(run.time), mean(run.position), mean(run.torque), run.sample_rate_hz / every
 
 
 def _slips(position: str, torque: str) -> dict[tuple[float, float], str]:
@@ -76,29 +102,35 @@ def _check_slips(log: MotionLog, robot: Robot, slips: dict[tuple[float, float], 
     name, run = max(log.runs.items(), key=lambda item: len(item[1].time))
     if run.torque is None:
         return
-    some = slice(round(LOOKED_AT_S * run.sample_rate_hz))
-    time, position, torque = run.time[some], run.position[some], run.torque[some]
+    time, position, torque, rate = _thinned(run)
+    notes: tuple[str, ...] = ()
 
     def error(turns: float, torques: float) -> float:
-        scaled = MotionRun(name, time, turns * position, run.sample_rate_hz, torques * torque)
+        nonlocal notes
+        scaled = MotionRun(name, time, turns * position, rate, torques * torque)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Told)  # what is told is of units that nobody declared
             try:
-                return compare_log(replace(log, runs={name: scaled}), robot).error
+                found = compare_log(replace(log, runs={name: scaled}, notes=()), robot)
             except InputError:  # too short to judge, or no motion of this robot
                 return np.inf
+        notes = found.notes
+        return found.error
 
     declared = error(1.0, 1.0)
-    if not (slips and UNLIKE < declared < np.inf):
+    said = notes
+    if not UNLIKE < declared < np.inf:
         return
     found = {factors: error(*factors) for factors in slips}
-    likely = min(found, key=lambda factors: found[factors])
-    if found[likely] < UNLIKE * min(declared, 1.0):
+    likely = min(found, key=lambda factors: found[factors], default=None)
+    if likely and found[likely] < UNLIKE * min(declared, 1.0):
         raise InputError(
             log.source, f"{name}: unit",
             f"torques miss those of {robot.name} as described by {declared:.0%}, otherwise by {found[likely]:.0%}: "
             f"{slips[likely]}",
         )  # fmt: skip
+    for note in said:
+        tell(log.source, f"{name}: torque", note)
 
 
 def check_campaign_units(campaign: Campaign, robot: Robot | None) -> None:

@@ -476,8 +476,10 @@ def check_against(log: MotionLog, robot: "Robot") -> None:
             if q.min() >= low - margin and q.max() <= high + margin and fastest <= 2 * speed:
                 continue
             found = f"joint{i + 1} runs from {q.min():.4g} to {q.max():.4g} at up to {fastest:.3g} per s"
-            if axis.type == "revolute" and max(np.abs(q).max() / max(abs(low), abs(high)), fastest / (2 * speed)) > 2:
+            if axis.type == "revolute" and np.abs(q).max() / max(abs(low), abs(high)) > 2:
                 expected = "expected rad, these look like degrees"
+            elif fastest > 4 * speed and q.min() >= low - margin and q.max() <= high + margin:
+                expected = f"at most {speed:.3g} per s was expected: is the clock in s, and are these positions?"
             else:
                 expected = f"its limits are {low:.4g} … {high:.4g}, {speed:.3g} per s (rad, m)"
             raise InputError(log.source, f"runs/{name}/position", f"{found}; {expected}")

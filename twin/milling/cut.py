@@ -322,6 +322,8 @@ def read_cut(content: Mapping[str, Any] | str | Path, source: str | Path = "cut"
         source, folder = path, path.parent
         content = data["cut"] if isinstance(data.get("cut"), Mapping) else data
         field = "cut" if content is not data else ""
+        if "axes" in data and "links" in data:
+            raise InputError(path, "", "is a robot, not a cut: give it as --robot")
     try:
         cut = Cut.model_validate(content)
     except ValidationError as error:
