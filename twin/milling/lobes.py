@@ -20,6 +20,7 @@ from twin.parallel import cores, spread
 TOLERANCE = 1e-3  # of the limit, by which the middle of a cell may be off
 COARSEST = 0.02  # of the speed, between two speeds
 MOST_SPEEDS = 3000
+PART = 64  # speeds whose limits are found together
 ROUNDS = 6  # of halving cells
 LAG, LAG_EVEN = 0.05, 0.5  # rad, to which the lag of a helix is rounded on the way; beyond so much, in its logarithm
 LARGEST = 0.1  # of ln depth between two levels of lag, on one branch
@@ -78,8 +79,7 @@ def lobes_of(
     """
     tell = progress or (lambda count: None)
     at = starting_speeds(modes, cut) if speeds is None else np.asarray(speeds, float)
-    found = limits_at(modes, cut, at)
-    tell(len(at))
+    found = _by_parts(modes, cut, at, tell)
     unresolved = 0
     fresh = np.ones(len(at) - 1, bool)
     for _ in range(ROUNDS if speeds is None else 0):
@@ -90,14 +90,26 @@ def lobes_of(
             unresolved = len(cell)
             break
         middle = 0.5 * (at[cell] + at[cell + 1])
-        new = limits_at(modes, cut, middle)
-        tell(len(middle))
+        new = _by_parts(modes, cut, middle, tell)
         off = _off(found, new, cell, cut.depth_max_m)
         at, found, position = _merged(at, found, middle, new)
         fresh = np.zeros(len(at) - 1, bool)
         halves = position[off]  # the new speeds, on either side of which it goes on
         fresh[halves] = fresh[halves - 1] = True
     return _of(at, found, cut, unresolved)
+
+
+def _by_parts(modes: ToolModes, cut: Cut, speeds: np.ndarray, tell: Callable[[int], None]) -> Limits:
+    """:func:`limits_at` of some speeds at a time, spread over processes."""
+    parts = np.array_split(np.arange(len(speeds)), -(-len(speeds) // PART))
+    found = []
+    for part, some in zip(
+        parts, spread(lambda k: limits_at(modes, cut, speeds[parts[k]]), len(parts), cores()), strict=True
+    ):
+        found.append((part, some))
+        tell(len(part))
+    empty = Limits(len(speeds), *(getattr(found[0][1], name)[:0] for name in _COLUMNS))
+    return _replaced(empty, found)
 
 
 def starting_speeds(modes: ToolModes, cut: Cut) -> np.ndarray:
