@@ -17,10 +17,11 @@ from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from tools.truth.robots import machines, write_description
 from twin.diagnose import engine, torque
+from twin.diagnose.borne_out import falls
 from twin.diagnose.calibration import calibration
 from twin.diagnose.joint import followed
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque import _missed, diagnose_log, pooled, predicted_by, wide_enough, with_evidence
+from twin.diagnose.torque import Log, _missed, diagnose_log, pooled, predicted_by, wide_enough, with_evidence
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import (
     APART,
@@ -705,6 +706,21 @@ def test_the_rest_of_a_log_follows_where_links_are_settled_by_another_recording(
     (entry,) = [e for e in followed_robot.physics if e.effect == "cable_stiffness"]
     assert moved["value"] == entry.values["stiffness"] != answer.first.parameters["stiffness"]["value"]
     assert np.ptp(moved["interval90"]) == pytest.approx(np.ptp(answer.first.parameters["stiffness"]["interval90"]))
+
+
+def test_a_log_s_name_is_judged_with_the_links_that_all_recordings_agree_on(drifting: Finding) -> None:
+    """They may cost the log more than its name gains: both models have them, or the name would be refused."""
+    links = list(drifting.model.links)
+    _, com, _ = links[2].inertial
+    links[2] = links[2].model_copy(update={"com": tuple(com + np.array([0, 0.08, 0.0]))})
+    agreed = drifting.model.model_copy(update={"links": links})
+    finding = replace(drifting)
+    assert drifting.following is not None
+    last = SimpleNamespace(robot=agreed, records=[])
+    Log(SimpleNamespace()).again(finding, drifting.following(agreed), last, finding.held_out)  # type: ignore[arg-type]
+    own, here = (found.error["before"]["held_out"] for found in (drifting, finding))
+    assert own < finding.error["after"]["held_out"] < here
+    assert falls(finding)
 
 
 def test_evidence_is_about_the_joint_that_an_answer_acts_on(drifting: Finding) -> None:

@@ -164,7 +164,8 @@ def _finding(
         ],
         fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
-        following=partial(_following, search.system, after, gaps), bands=prepared.bands, content=log,
+        following=partial(_following, search.system, after, gaps),
+        bare=(base, partial(_following, search.plain, base, [])), bands=prepared.bands, content=log,
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
@@ -712,8 +713,10 @@ def pooled(records: Sequence[LogRecord], stage: Stage) -> dict[str, float | None
     return found
 
 
-def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None) -> list[LogRecord]:
-    """A log's records with ``after`` the torque of a description as it is, beside what the log's fit held for ordinary.
+def predicted_by(
+    robot: Robot, log: MotionLog, finding: Finding, hold_out: list[str] | None, stage: Stage = "after"
+) -> list[LogRecord]:
+    """A log's records with the torque of a description as it is at a stage, beside what its fit held for ordinary.
 
     Ordinary ripple, the travel over which friction turns round and the gain of the record stay as they were fitted.
     What was found of the recording acts on the torque, which is compared as it was recorded. Only offsets are
@@ -727,7 +730,7 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
     robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
     hold_out = [name for name in hold_out or [] if name in log.runs] or None
     prepared = prepare(log, _smooth(robot, finding), finding.recording, hold_out, finding.bands)
-    fit, found = finding.fit, []
+    fit, found = finding.bare[0] if stage == "before" and finding.bare else finding.fit, []
     fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
     records = {(r.name, r.held_out): r for r in finding.records if isinstance(r, LogRecord)}
     for held, runs in ((False, prepared.used), (True, prepared.kept)):
@@ -740,7 +743,7 @@ def predicted_by(robot: Robot, log: MotionLog, finding: Finding, hold_out: list[
         for k, run in enumerate(runs):
             record = records[run.name, held]
             torque = predicted_torque(base, k, z, recording, record.valid)
-            found.append(replace(record, predicted={**record.predicted, "after": torque}))
+            found.append(replace(record, predicted={**record.predicted, stage: torque}))
     return found
 
 
@@ -783,7 +786,11 @@ class Log:
     def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
         """What the log said, with the errors of the model that all end with, and what the last recording adds to it."""
         finding.records = predicted_by(robot, finding.content, finding, hold_out)
-        finding.error = {**finding.error, "after": pooled(finding.records, "after")}
+        if finding.bare and finding.missing and not any(_shown_by_blows(m.first.effect) for m in finding.missing):
+            # the links that all recordings agree on, in both models: they cost the log more than a name may gain
+            bare = finding.bare[1](last.robot)
+            finding.records = predicted_by(bare, finding.content, finding, hold_out, "before")
+        finding.error = {**finding.error, **{stage: pooled(finding.records, stage) for stage in ("before", "after")}}
         finding.missing = [followed(m, finding.model, robot) for m in finding.missing]
         finding.missing = [_seen_by(last, m) for m in with_evidence(finding)]
 

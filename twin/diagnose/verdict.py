@@ -122,6 +122,7 @@ class Finding:
         written: ``robot`` with what the fit held for ordinary and the description has no number for, if anything.
         following: a description whose links and payloads another recording has settled → the same, with the rest where
             this one then has it.
+        bare: the fit of a log's base model, and the same as ``following`` for it: the model without the log's names.
         error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
         held_out: names of postures or runs not used.
         records: the recording beside the three models.
@@ -166,6 +167,7 @@ class Finding:
     apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None
     following: Callable[[Robot], Robot] | None = None
+    bare: tuple[Fitted, Callable[[Robot], Robot]] | None = None
     bands: "Bands | None" = None
     content: Any = None
 
