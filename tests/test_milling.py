@@ -115,6 +115,9 @@ def test_a_fast_mode_of_a_light_arm_costs_no_nodes_and_moves_no_limit() -> None:
     for rpm, depth in zip(speeds, first, strict=True):
         below, above = (np.abs(multipliers(modes, cut, rpm, share * depth, 6)[0]) for share in (0.99, 1.01))
         assert below < 1 < above
+    cut = cut.model_copy(update={"immersion": 0.05})  # islands: what is stable above a limit is followed to its end
+    every = limits(modes, cut, speeds, 0.02)
+    assert (every.unstable(np.array([0.0199])) > 0).all()
     slow = without_idle(modes, cut, cut.coefficients.shear, float(first.max()))
     assert len(slow.pole) == len(benchmark_modes().pole)
     assert slow.residual is not None

@@ -278,8 +278,8 @@ def limits(
     """All limits in depth up to ``depth_max_m`` for a batch of cuts.
 
     Where the fastest motion at that depth advances by more than ``PATIENCE`` in a tooth period, it is looked about
-    ``AHEAD`` times as deep as the closed form, then farther while nothing is found: what lies above the depth at which
-    a limit was found is not looked for there.
+    ``AHEAD`` times as deep as the closed form, then farther while the cut is stable there. Beyond a depth at which it
+    is not, nothing is looked for.
 
     Args:
         modes: in the cut frame, pole (S, nm) or (nm,).
@@ -299,8 +299,12 @@ def limits(
     open_ = np.flatnonzero(fast)
     while len(open_):
         own = without_idle(modes, cut, shear[open_], reach_m) if modes.pole.ndim == 1 else modes
-        found.append(_limits_to(own, cut, rpm, open_, reach_m, shear, lag_depth_m, digits))
-        open_ = open_[~np.isin(open_, found[-1][0])] if reach_m < depth_max_m else open_[:0]
+        row, *rest = _limits_to(own, cut, rpm, open_, reach_m, shear, lag_depth_m, digits)
+        unstable = np.bincount(row, weights=rest[2], minlength=len(rpm))[open_] > 0  # at the deepest looked at
+        done = open_ if reach_m >= depth_max_m else open_[unstable]
+        kept = np.isin(row, done)  # the others are found again, and what lies below
+        found.append((row[kept], *(column[kept] for column in rest)))
+        open_ = open_[~np.isin(open_, done)]
         reach_m = min(depth_max_m, FARTHER * reach_m)
     columns = [np.concatenate(column) for column in zip(*found, strict=True)]
     order = np.lexsort((columns[1], columns[0]))

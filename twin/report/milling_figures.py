@@ -55,8 +55,12 @@ def _chart(ax: Axes, found: "StabilityLobes") -> None:
     lobes = found.lobes
     rpm = lobes.spindle_rpm
     top = min(lobes.depth_max_m, VIEW * float(np.median(lobes.depth_m)))
-    top = max(top, 1.15 * float(lobes.depth_m.max())) if lobes.depth_m.max() < 2 * top else top
-    depth = np.linspace(0, min(top, lobes.depth_max_m), DEPTHS)
+    highest = float(lobes.depth_m[lobes.kind != "none"].max(initial=0.0))
+    many = highest >= 2 * top  # white above what is shown would look stable there
+    if lobes.depth_m.max() < 2 * top or many:
+        top = max(top, 1.15 * (highest if many else float(lobes.depth_m.max())))
+    bottom = 0.5 * float(lobes.depth_m.min()) if many else 0.0
+    depth = (np.geomspace if many else np.linspace)(bottom, min(top, lobes.depth_max_m), DEPTHS)
     unstable = (lobes.limits.unstable(depth) > 0).T.astype(float)
     ax.contourf(rpm, 1e3 * depth, unstable, levels=[0.5, 1.5], colors=[_SHADE])
     ax.plot([], [], color=_SHADE, linewidth=8, label="unstable")
@@ -80,7 +84,8 @@ def _chart(ax: Axes, found: "StabilityLobes") -> None:
         ax.plot(at, 1e3 * chatter, "o", color="#111111", markersize=5, label="chatter in time, nonlinear joints")
     ax.set_ylabel("axial depth of cut, mm")
     ax.set_xlim(rpm[0], rpm[-1])
-    ax.set_ylim(0, 1e3 * top)
+    ax.set_yscale("log" if many else "linear")
+    ax.set_ylim(1e3 * bottom, 1e3 * top)
     columns = -(-len(ax.get_legend_handles_labels()[1]) // 2)
     ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=columns, frameon=False)
 
