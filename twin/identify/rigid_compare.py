@@ -20,7 +20,7 @@ from twin.physics import CATALOGUE
 from twin.physics.effect import Effect
 from twin.robot.description import Robot
 
-FAR_OFF = 8.0  # times the described torque, most axes, from which a log is hardly the robot's in these units
+OTHER_UNIT = 8.0  # times the described torque, most axes, from which a log is hardly the robot's in these units
 OFFSET_TOLERANCE = 0.1  # a recording's constant torque may be this share of a joint's RMS torque
 
 
@@ -131,7 +131,7 @@ def compare_log(
 def far_off(ratio: np.ndarray) -> str | None:
     """What to say where described over recorded torque (n,), RMS, is far from 1 at most axes; ``None`` where not."""
     middle = float(np.median(ratio))
-    if 1 / FAR_OFF < middle < FAR_OFF:
+    if 1 / OTHER_UNIT < middle < OTHER_UNIT:
         return None
     if middle > 1:
         return (
