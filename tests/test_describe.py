@@ -14,6 +14,7 @@ from twin.errors import InputError
 from twin.model.replay import inverse_dynamics
 from twin.physics.motion import Motion
 from twin.robot.description import load_robot
+from twin.robot.frames import inertia_six
 from twin.robot.mjcf_tree import read_mjcf
 from twin.robot.reduce import possible, reduce_tree
 from twin.robot.scaling import estimate
@@ -142,6 +143,20 @@ def test_impossible_inertias_are_repaired_and_said(tmp_path: Path) -> None:
     assert "triangle inequality: 0.1 + 0.2 < 0.5" in said["link a inertia"]
     assert said["link b mass"] == "repaired: -4 in the file"
     assert said["links[2].mass"].startswith("assumed: the file gives none")
+
+
+def test_what_was_assumed_of_a_link_is_what_is_written(tmp_path: Path) -> None:
+    """The sheet's mass scales a repaired inertia, too."""
+    zero = 'ixx="0" iyy="0" izz="0"'
+    path = urdf(
+        tmp_path, link("foot"), link("a", 5), link("b", 4, zero), joint("j1", "foot", "a"), joint("j2", "a", "b")
+    )
+    (tmp_path / "sheet.yaml").write_text("mass: 20\n")
+    plain, found = twin.describe(path), twin.describe(path, sheet=tmp_path / "sheet.yaml")
+    told = [next(i.value for i in one.assumed if i.field == "links[1].inertia") for one in (plain, found)]
+    written = inertia_six(found.robot.links[1].inertial[2])
+    np.testing.assert_allclose(told[1], written, rtol=1e-9)
+    assert told[1][0] > 1.1 * told[0][0] > 0
 
 
 def test_the_nearest_possible_inertia_is_the_inertia_itself_where_it_is_possible() -> None:

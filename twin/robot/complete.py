@@ -3,6 +3,7 @@
 Each number that neither the file nor the sheet states comes from ``twin.robot.scaling`` and is listed as *assumed*.
 """
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,17 @@ class Filler:
         )  # fmt: skip
         return rounded
 
+    def as_written(self) -> None:
+        """Masses and inertias that were assumed, as they are after the sheet's masses have scaled them."""
+        for k, item in enumerate(self.assumed):
+            if not (found := re.fullmatch(r"links\[(\d+)\]\.(mass|inertia)", item.field)):
+                continue
+            link, name = self.data["links"][int(found[1])], found[2]
+            if name == "inertia":  # what turning it into the frame leaves of zero
+                least = 1e-12 * max(map(abs, link[name]))
+                link[name] = [value if abs(value) > least else 0.0 for value in link[name]]
+            self.assumed[k] = item.model_copy(update={"value": link[name]})
+
     def given(self, name: str) -> Sequence[float | None]:
         """A list of the sheet, one value per axis, ``None`` where it has none."""
         return getattr(self.sheet, name) or [None] * len(self.joints)
@@ -97,6 +109,7 @@ def complete(data: dict[str, Any], reduced: Reduced, sheet: Sheet, source: str |
     _limits(filler)
     reach, payload = _size(filler)
     _masses(filler, payload, reach)
+    filler.as_written()
     _speeds(filler, reach)
     peak = _torques(filler, payload)
     ratio = _drives(filler, peak)
