@@ -468,7 +468,7 @@ def test_rad_declared_as_degrees_are_told(cell: Recorded, tmp_path: Path, twin: 
     assert "are these rad, declared deg?" in said.err
 
 
-def test_positions_exchanged_with_torques_are_no_degrees(
+def test_a_clock_in_another_unit_is_not_called_degrees(
     cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
 ) -> None:
     plan = tsv(tmp_path / "l.tsv", cell) | {"time": {"channels": "t", "unit": "us"}}

@@ -62,9 +62,7 @@ class Identified(Result):
     def data(self) -> dict[str, Any]:
         """The JSON of the command."""
         found, estimate = self.found, self.found.estimate
-        described, consistent = (
-            _exact(estimate.base.combine @ x) for x in (found.regressor.described, found.parameters)
-        )
+        described, consistent = self._combined()
         combinations = estimate.base.combinations(found.regressor.robot)
         parameters: dict[str, Any] = {}
         recording: dict[str, Any] = {}
@@ -94,12 +92,16 @@ class Identified(Result):
             "provenance": self.origin,
         }
 
+    def _combined(self) -> list[np.ndarray]:
+        """The base parameters (n,) as described, and of links that can exist; those that cancel are exactly zero."""
+        combine, found = self.found.estimate.base.combine, self.found
+        values = [combine @ x for x in (found.regressor.described, found.parameters)]
+        return [np.where(np.abs(value) < ROUNDING, 0.0, value) for value in values]
+
     def tables(self) -> list[Table]:
         """Parameters with their intervals, and errors by joint."""
         found, errors = self.found.estimate, self.errors()
-        described, consistent = (
-            _exact(found.base.combine @ x) for x in (self.found.regressor.described, self.found.parameters)
-        )
+        described, consistent = self._combined()
         rows = [
             (
                 name, *_as_sure(found.interval90[k], found.value[k], described[k], consistent[k]), found.base.units[k],
@@ -134,9 +136,7 @@ class Identified(Result):
         lines.append(
             "  parameter                                          value   ± 90 %      described     consistent"
         )
-        described, consistent = (
-            _exact(estimate.base.combine @ x) for x in (found.regressor.described, found.parameters)
-        )
+        described, consistent = self._combined()
         half = [_two(half) for half in estimate.interval90[:, 1] - estimate.value]
         for k, name in enumerate(estimate.base.names):
             mark = "" if estimate.identifiable[k] else "   not identifiable from this log"
@@ -156,11 +156,6 @@ class Identified(Result):
         if self.files:
             lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
-
-
-def _exact(values: np.ndarray) -> np.ndarray:
-    """Combinations of numbers (n,), those that cancel but for rounding zero."""
-    return np.where(np.abs(values) < ROUNDING, 0.0, values)
 
 
 def _two(value: float) -> str:

@@ -585,7 +585,7 @@ def _elsewhere_hit(p: Parameter, change: float, off: float, answered: bool) -> N
     return Note(text, "posture", "fail" if answered else "warning")
 
 
-def apart(*values: float, least: int = 3, most: int = 9) -> list[str]:
+def _distinct(*values: float, least: int = 3, most: int = 9) -> list[str]:
     """Values with so many digits, the same for all, that those which differ are told apart."""
     for digits in range(least, most + 1):
         texts = [f"{value:.{digits}g}" for value in values]
@@ -599,7 +599,7 @@ def _number_off(fit: Fitted, k: int, off: float) -> Note:
     p = fit.parameters[k]
     (one,) = estimates_of(fit, [k]).values()
     ends = np.ravel(one["interval90"])
-    value, low, high, mean = apart(float(fit.values[k]), float(ends[0]), float(ends[1]), p.mean)
+    value, low, high, mean = _distinct(float(fit.values[k]), float(ends[0]), float(ends[1]), p.mean)
     told = (
         f"the fit gives {value} {p.unit} (90 %: {low} to {high}), the description {mean}: "
         f"{off:.1f} standard deviations off"

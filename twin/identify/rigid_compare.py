@@ -122,13 +122,13 @@ def compare_log(
         predictions.append(predicted + offset)
     pooled = float(np.sqrt(np.mean(squares[0] / squares[1])))
     size = np.concatenate([p[r.valid] for p, r in zip(predictions, rows, strict=True)])
-    far = far_off(np.sqrt(np.mean(size**2, axis=0)) / np.sqrt(squares[1] / len(size)))
+    told = scale_note(np.sqrt(np.mean(size**2, axis=0)) / np.sqrt(squares[1] / len(size)))
     notes = log.notes if moves(log) else (*log.notes, f"{NO_MOTION}: only weight and friction at rest are compared")
-    notes = (*notes, far) if far else notes
+    notes = (*notes, told) if told else notes
     return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, replays, notes)
 
 
-def far_off(ratio: np.ndarray) -> str | None:
+def scale_note(ratio: np.ndarray) -> str | None:
     """What to say where described over recorded torque (n,), RMS, is far from 1 at most axes; ``None`` where not."""
     middle = float(np.median(ratio))
     if 1 / OTHER_UNIT < middle < OTHER_UNIT:

@@ -103,25 +103,22 @@ def _check_slips(log: MotionLog, robot: Robot, slips: dict[tuple[float, float], 
     if run.torque is None:
         return
     time, position, torque, rate = _thinned(run)
-    notes: tuple[str, ...] = ()
 
-    def error(turns: float, torques: float) -> float:
-        nonlocal notes
+    def judged(turns: float, torques: float) -> tuple[float, tuple[str, ...]]:
+        """Error, and what there is to say of it."""
         scaled = MotionRun(name, time, turns * position, rate, torques * torque)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Told)  # what is told is of units that nobody declared
             try:
                 found = compare_log(replace(log, runs={name: scaled}, notes=()), robot)
             except InputError:  # too short to judge, or no motion of this robot
-                return np.inf
-        notes = found.notes
-        return found.error
+                return np.inf, ()
+        return found.error, found.notes
 
-    declared = error(1.0, 1.0)
-    said = notes
+    declared, notes = judged(1.0, 1.0)
     if not UNLIKE < declared < np.inf:
         return
-    found = {factors: error(*factors) for factors in slips}
+    found = {factors: judged(*factors)[0] for factors in slips}
     likely = min(found, key=lambda factors: found[factors], default=None)
     if likely and found[likely] < UNLIKE * min(declared, 1.0):
         raise InputError(
@@ -129,7 +126,7 @@ def _check_slips(log: MotionLog, robot: Robot, slips: dict[tuple[float, float], 
             f"torques miss those of {robot.name} as described by {declared:.0%}, otherwise by {found[likely]:.0%}: "
             f"{slips[likely]}",
         )  # fmt: skip
-    for note in said:
+    for note in notes:
         tell(log.source, f"{name}: torque", note)
 
 

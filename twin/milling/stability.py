@@ -45,8 +45,8 @@ REACH, FARTHER = 16.0, 8.0  # times the closed form that nodes resolve the motio
 STILL = 1e-4  # of 1/depth: a mode that can add no more to the eigenvalues is static compliance
 LIVE = 0.1  # of 1/depth: modes that can add as much set the fastest vibration that a cut feeds
 LATE = 0.01  # of 1/depth: what a faster mode may add otherwise than static compliance, at the deepest looked at
-PATIENCE = 150.0  # rad that the fastest motion advances in a tooth period, beyond which
-AHEAD = 4.0  # times the closed form is looked at first
+PATIENCE = 150.0  # rad that the fastest motion may advance in a tooth period for all depths to be looked at together
+AHEAD = 4.0  # times the closed form, the depth that is looked at first where it advances by more
 CHUNK = 1_000_000  # elements of matrices whose eigenvalues are taken at a time
 
 
@@ -291,38 +291,32 @@ def limits(
     rpm = np.asarray(spindle_rpm, float)
     shear = np.broadcast_to(cut.coefficients.shear if shear is None else shear, (len(rpm), 3))
     fast = fastest(modes, shear, depth_max_m) * np.asarray(cut.tooth_period(rpm), float) > PATIENCE
-    found = []
-    if not fast.all():
-        found.append(_limits_to(modes, cut, rpm, np.flatnonzero(~fast), depth_max_m, shear, lag_depth_m, digits))
+
+    def to(depth_m: float, rows: np.ndarray, reduced: bool) -> list[np.ndarray]:
+        """Row, depth, angle, change, frequency and kind of the limits of some rows up to one depth."""
+        own = modes.rows(rows)
+        own = without_idle(own, cut, shear[rows], depth_m) if reduced else own
+        parts = []
+        for part, some, tau, op in _operators(own, cut, rpm[rows], depth_m, shear[rows], lag_depth_m, digits):
+            row, *rest = _crossings(op, some, tau, depth_m)
+            parts.append((rows[part[row]], *rest))
+        return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+    found = [to(depth_max_m, np.flatnonzero(~fast), False)] if not fast.all() else []
     least = np.broadcast_to(limiting_depth(modes, cut, shear=shear), len(rpm))
     reach_m = min(depth_max_m, AHEAD * float(least[fast].max(initial=0.0)))
     open_ = np.flatnonzero(fast)
     while len(open_):
-        own = without_idle(modes, cut, shear[open_], reach_m) if modes.pole.ndim == 1 else modes
-        row, *rest = _limits_to(own, cut, rpm, open_, reach_m, shear, lag_depth_m, digits)
+        row, *rest = to(reach_m, open_, True)
         unstable = np.bincount(row, weights=rest[2], minlength=len(rpm))[open_] > 0  # at the deepest looked at
         done = open_ if reach_m >= depth_max_m else open_[unstable]
         kept = np.isin(row, done)  # the others are found again, and what lies below
-        found.append((row[kept], *(column[kept] for column in rest)))
+        found.append([row[kept], *(column[kept] for column in rest)])
         open_ = open_[~np.isin(open_, done)]
         reach_m = min(depth_max_m, FARTHER * reach_m)
     columns = [np.concatenate(column) for column in zip(*found, strict=True)]
     order = np.lexsort((columns[1], columns[0]))
     return Limits(len(rpm), *(column[order] for column in columns))
-
-
-def _limits_to(
-    modes: ToolModes, cut: Cut, rpm: np.ndarray, rows: np.ndarray, depth_max_m: float, shear: np.ndarray,
-    lag_depth_m: float, digits: float,
-) -> tuple[np.ndarray, ...]:  # fmt: skip
-    """Row, depth, angle, change, frequency and kind of the limits of some rows (n,) of a batch, up to one depth."""
-    found = []
-    for part, some, tau, op in _operators(
-        modes.rows(rows), cut, rpm[rows], depth_max_m, shear[rows], lag_depth_m, digits
-    ):
-        row, *rest = _crossings(op, some, tau, depth_max_m)
-        found.append((rows[part[row]], *rest))
-    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 
 
 def first_limits(
