@@ -145,6 +145,14 @@ def test_impossible_inertias_are_repaired_and_said(tmp_path: Path) -> None:
     assert said["links[2].mass"].startswith("assumed: the file gives none")
 
 
+@pytest.mark.parametrize("name", ["robot.xml", "robot.yaml"])
+def test_what_the_twin_wrote_is_not_described_again(name: str, tmp_path: Path) -> None:
+    path = urdf(tmp_path, link("foot"), link("a", 5), link("b", 4), joint("j1", "foot", "a"), joint("j2", "a", "b"))
+    twin.describe(path, out=tmp_path / "out")
+    with pytest.raises(InputError, match=r"as --robot"):
+        twin.describe(tmp_path / "out" / name)
+
+
 def test_what_was_assumed_of_a_link_is_what_is_written(tmp_path: Path) -> None:
     """The sheet's mass scales a repaired inertia, too."""
     zero = 'ixx="0" iyy="0" izz="0"'

@@ -157,13 +157,13 @@ def read_tree(path: str | Path) -> Tree:
     """
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         raise InputError(path, "", "expected a URDF or an MJCF; a robot.yaml is described already: use it as --robot")
-    joints: set[str | None] = set()
+    bodies: set[str | None] = set()
     try:
         root = ElementTree.parse(path).getroot()
-        top, joints = root.tag, {joint.get("name") for joint in root.iter("joint")}
+        top, bodies = root.tag, {body.get("name") for body in root.iter("body")}
     except (OSError, ElementTree.ParseError, LookupError, ValueError):
         top = "robot"  # the reader of URDF says what is wrong
-    if top == "mujoco" and {"motor1", "joint1.z"} <= joints:
+    if top == "mujoco" and {"motor1", "link1"} <= bodies:
         told = "written by the twin, with its motors and springs; use the robot.yaml beside it as --robot"
         raise InputError(path, "", told)
     if top == "mujoco":
