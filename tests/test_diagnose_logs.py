@@ -41,6 +41,7 @@ from twin.diagnose.torque_fit import (
     prediction_filter,
     refine,
     relinearised,
+    robot_of,
     settle,
     start,
     stop_columns,
@@ -51,7 +52,7 @@ from twin.diagnose.torque_fit import (
 from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
 from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_once, seen_at_rest_only, too_narrow
 from twin.diagnose.torque_signal import Run, bands_of, prepare, thinned
-from twin.diagnose.verdict import Finding, Missing, Verdict
+from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
 from twin.errors import InputError
 from twin.identify.rigid import Bands, in_joints
 from twin.identify.rigid_compare import compare_log
@@ -708,6 +709,26 @@ def test_the_rest_of_a_log_follows_where_links_are_settled_by_another_recording(
     assert np.ptp(moved["interval90"]) == pytest.approx(np.ptp(answer.first.parameters["stiffness"]["interval90"]))
 
 
+def test_links_within_what_a_log_knows_cost_it_no_more_than_their_tension(drifting: Finding) -> None:
+    """Links two deviations off, as the gain of the record would have them: gain, ripple and zeros go with them."""
+    follow = drifting.following
+    assert follow is not None
+    fit = follow.fit
+    gain = fit.parameters.names.index("torque_gain")
+    covariance = np.linalg.inv(fit.information)
+    z = fit.z + 2 * covariance[gain] / np.sqrt(covariance[gain, gain])
+    told = dict(zip(fit.parameters.names, fit.parameters.values(z), strict=True))
+    robot = follow(robot_of(follow.system, z))
+    assert follow.values(robot)["torque_gain"] == pytest.approx(told["torque_gain"], rel=1e-3)
+    own, moved = (predicted_by(r, drifting.content, drifting, drifting.held_out) for r in (drifting.robot, robot))
+
+    def cost(records: list[Any]) -> float:
+        rest = [((r.measured - r.predicted["after"]) / r.noise)[r.valid] for r in records]
+        return 0.5 * sum(float(np.sum(part**2)) for part in rest)
+
+    assert cost(moved) - cost(own) < 4  # ½ 2² of tension, and as much for what is not linear
+
+
 def test_a_log_s_name_is_judged_with_the_links_that_all_recordings_agree_on(drifting: Finding) -> None:
     """They may cost the log more than its name gains: both models have them, or the name would be refused."""
     links = list(drifting.model.links)
@@ -721,6 +742,10 @@ def test_a_log_s_name_is_judged_with_the_links_that_all_recordings_agree_on(drif
     own, here = (found.error["before"]["held_out"] for found in (drifting, finding))
     assert own < finding.error["after"]["held_out"] < here
     assert falls(finding)
+    number = Missing(Candidate("parameter", "link3.com", 1.0, drifting.robot, {}), 0.9, (), "")
+    told = replace(drifting, missing=[number])  # a number that blows show, too: before it, links are the log's own
+    Log(SimpleNamespace()).again(told, drifting.following(agreed), last, told.held_out)  # type: ignore[arg-type]
+    assert told.error["before"]["held_out"] == pytest.approx(own)
 
 
 def test_evidence_is_about_the_joint_that_an_answer_acts_on(drifting: Finding) -> None:

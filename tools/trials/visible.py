@@ -32,6 +32,7 @@ STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effec
 FITS = 30  # steps of a refit, those that do not help among them
 FITTED = 1e-3  # share of what is left that one step more would gain, below which a refit ends
 LEAST_SHARE = 0.1  # of what the derivatives promise, which a step that helps gains
+PARTS = (0.05, 0.2, 0.5, 1.0)  # of an effect, by which it grows while all that hides it follows
 IMPOSSIBLE = 1e9  # deviations: what a robot that cannot be answers
 NEAR = 1.15  # what shows over what is to show, from which on a size is not drawn in or out again,
 CORRECTIONS = 8  # as often
@@ -139,7 +140,12 @@ def kept(effect: Effect, truth: Truth, signal: Signal) -> float:
         n for n in _nuisances(truth, kr90(), Tolerances()) if not np.array_equal(signal(n.change(truth, STEP)), base)
     ]
     hiding, _ = _hidden(signal, truth, every, change, tension=False)
-    return _refitted(signal, truth, every, base + change, hiding, tension=False)
+    z, left = _started(every, PARTS[0] * hiding), 0.0
+    for part, following in zip(PARTS, (*PARTS[1:], 1.0), strict=True):  # what hides a large one is far from nothing
+        small = signal(_with(truth, scaled(effect, part))) - base
+        z, left = _fitted(signal, truth, every, base + small, z, tension=False)
+        z = z * following / part
+    return left
 
 
 def _hidden(
@@ -173,9 +179,20 @@ def _refitted(
 
     A spring in series makes the logarithm of a neighbour's stiffness move as log(1 + size), not as its derivative.
     """
+    return _fitted(signal, truth, nuisances, seen, _started(nuisances, z), tension)[1]
+
+
+def _started(nuisances: Sequence[Nuisance], z: Array) -> Array:
+    """Deviations (n,) to start from where derivatives promise z."""
     width = np.array([n.width for n in nuisances])
     safe = np.where(width > 0, width, 1.0)
-    start = np.where(width > 0, np.sign(z) * np.log1p(safe * np.abs(z)) / safe, z)
+    return np.where(width > 0, np.sign(z) * np.log1p(safe * np.abs(z)) / safe, z)
+
+
+def _fitted(
+    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, start: Array, tension: bool
+) -> tuple[Array, float]:
+    """Deviations (n,) that explain a recording best, from a start or from none, and what they leave."""
 
     def moved(z: Array) -> Truth:
         out = truth
@@ -193,13 +210,13 @@ def _refitted(
         return np.vstack([np.array(ahead).T, np.eye(len(z))])
 
     with np.errstate(invalid="ignore"):
-        first = min((start, np.zeros(len(z))), key=lambda z: float(np.sum(residual(z) ** 2)))
-        found = _least(residual, slopes, first)
-    return float(0.5 * np.sum(found[: None if tension else len(seen)] ** 2))
+        first = min((start, np.zeros(len(start))), key=lambda z: float(np.sum(residual(z) ** 2)))
+        end, found = _least(residual, slopes, first)
+    return end, float(0.5 * np.sum(found[: None if tension else len(seen)] ** 2))
 
 
-def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array], z: Array) -> Array:
-    """Residuals (m,) of least squares by the steps of Levenberg and Marquardt.
+def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
+    """Where the steps end, and the residuals (m,) there, of least squares by the steps of Levenberg and Marquardt.
 
     Derivatives cost as much as a hundred residuals. They are kept up by Broyden's update, and computed again where a
     step does not help, and at the end: there another step would gain less than `FITTED`.
@@ -220,7 +237,7 @@ def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array],
             held = max(10 * held, 1.0)
         else:
             J, exact = slopes(z), True
-    return r
+    return z, r
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:

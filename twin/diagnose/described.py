@@ -5,7 +5,7 @@ length of an axis, the position of a node) is freed. How far off it is nobody kn
 the prior, from its tolerance to ``DOUBT`` times that.
 """
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import replace
 
 from twin.diagnose.hypotheses import Hypothesis
@@ -20,6 +20,8 @@ DOUBT = 10.0  # times its tolerance: as far off as a description is thought to b
 def described(free: Parameters) -> list[Hypothesis]:
     """Numbers that every fit has free: springs, dampers, mass, centre and inertia of every link, angles of postures.
 
+    Beside a motion log that knows them, lengths and twists of axes are free as well.
+
     Then the groups of them that one tolerance speaks for, all links or all joints at once: ``link*.inertia``.
 
     Args:
@@ -27,7 +29,7 @@ def described(free: Parameters) -> list[Hypothesis]:
     """
     blocks: dict[str, list[Parameter]] = {}
     for parameter in free:
-        if parameter.kind == "spring":
+        if parameter.kind in ("spring", "axis"):
             blocks.setdefault(parameter.name, []).append(parameter)
         elif parameter.kind == "link":
             blocks.setdefault(".".join(parameter.name.split(".")[:2]), []).append(parameter)
@@ -43,8 +45,12 @@ def described(free: Parameters) -> list[Hypothesis]:
     return [Hypothesis("parameter", site, scale=tuple((p.name, DOUBT) for p in own)) for site, own in blocks.items()]
 
 
-def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[list[Hypothesis]]:
+def geometry(
+    robot: Robot, response: Channels, excitation: Channels, free: Container[str] = ()
+) -> list[list[Hypothesis]]:
     """Numbers that fits take as described: lengths and twists of axes, positions of nodes, one by one and all nodes.
+
+    The zero of an axis is an effect. ``free`` has the names of what every fit has free all the same.
 
     Directions of sensors and blows are freed all at once; one by one they are effects.
 
@@ -61,7 +67,7 @@ def geometry(robot: Robot, response: Channels, excitation: Channels) -> list[lis
     for node, some in variants.items():
         freed = [_freed(f"{node}.position", own) for own in some.values()]
         nodes.append(freed[1:] if len(freed) == 2 else freed)  # one channel group at the node: the two are the same
-    axes = [[_freed(p.name, [p])] for p in axis_parameters(robot) if p.quantity != "theta"]  # a zero is an effect
+    axes = [[_freed(p.name, [p])] for p in axis_parameters(robot) if p.quantity != "theta" and p.name not in free]
     turns = [*direction_parameters(robot, response, "response"), *direction_parameters(robot, excitation, "excitation")]
     everywhere = [_freed("node:*.position", [*sensors, *blows]), _freed("node:*.direction", turns)]
     found = [*axes, *nodes, *([group] for group in everywhere)]

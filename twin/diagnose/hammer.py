@@ -288,7 +288,7 @@ def _suspects(campaign: Campaign, base: Robot, free: Parameters, found: Triage) 
     brakes = [r.setup.brakes for r in found.recordings.values()]
     physics = suspects(base, campaign.response, campaign.excitation, brakes, band)
     numbers = [[one] for one in described(free)]
-    return [*physics, *numbers, *geometry(base, campaign.response, campaign.excitation)]
+    return [*physics, *numbers, *geometry(base, campaign.response, campaign.excitation, free.names)]
 
 
 def _answered(

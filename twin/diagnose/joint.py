@@ -1,8 +1,8 @@
 """One model for a motion log and a hammer test: what the log knows of masses is the hammer test's prior.
 
-p(θ | log, hammer) ∝ p(hammer | θ) p(θ | log). The log's answer goes into the model. Links and payloads matter to both
-recordings: the log's likelihood of these numbers replaces their prior. An entry that both can show gains or loses
-probability by what the hammer test says of it. So a payload must satisfy both.
+p(θ | log, hammer) ∝ p(hammer | θ) p(θ | log). The log's answer goes into the model. Links, lengths and twists of axes
+and payloads matter to both recordings: the log's likelihood of these numbers replaces their prior. An entry that both
+can show gains or loses probability by what the hammer test says of it. So a payload must satisfy both.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,7 +14,16 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.refit import Fitted
 from twin.diagnose.verdict import NEGLIGIBLE, Candidate, Finding, Missing, Verdict, Word
 from twin.measure.campaign import FloatArray
-from twin.model.parameters import SIX, Parameters, Sprung, entry_parameter, independent, join
+from twin.model.parameters import (
+    SIX,
+    Parameter,
+    Parameters,
+    Sprung,
+    axis_parameters,
+    entry_parameter,
+    independent,
+    join,
+)
 from twin.model.regressor import body_of, inertial_vector
 from twin.physics import CATALOGUE, effect_named
 from twin.robot.description import Robot
@@ -26,19 +35,24 @@ def shared(effect: str) -> bool:
     return effect == "parameter" or (effect in CATALOGUE and {"hammer", "log"} <= CATALOGUE[effect].seen_in)
 
 
+def placed(parameter: Parameter) -> bool:
+    """Whether a number says where an axis lies, in both kinds of recording; its zero is the angle of a hammer test."""
+    return parameter.kind == "axis" and parameter.quantity in ("a", "d", "alpha")
+
+
 @dataclass(frozen=True)
 class Knowledge:
     """What a log's fit says of numbers that a hammer test depends on too.
 
     Attributes:
-        names: of the numbers, links first; ``links`` of them are.
+        names: of the numbers, those of the description first: links and axes; ``described`` of them are.
         mean: (n,) values.
-        covariance: (n, n) of x about the mean, posterior; ``prior`` (links, links) what it was for the links.
+        covariance: (n, n) of x about the mean, posterior; ``prior`` (described, described) what it was for those.
         log: (n,) x is relative.
     """
 
     names: tuple[str, ...]
-    links: int
+    described: int
     mean: FloatArray
     covariance: FloatArray
     prior: FloatArray
@@ -46,7 +60,7 @@ class Knowledge:
 
     @classmethod
     def of(cls, fit: Fitted) -> "Knowledge":
-        """From a log's fit: its links, and the payloads of its hypothesis.
+        """From a log's fit: its links and axes, and the payloads of its hypothesis.
 
         The log's numbers of links are its moments, linear about the description. Masses and places have these moments.
         """
@@ -60,25 +74,27 @@ class Knowledge:
             values[at] = _numbers(_moments(described) + was @ x[at])
             turn[np.ix_(at, at)] = np.linalg.solve(_slopes_of(fit.parameters, at, values[at]), was)
         covariance, prior = turn @ covariance @ turn.T, turn @ prior @ turn.T
+        stated = [*links, *(k for k, p in enumerate(fit.parameters) if placed(p))]
         own = [k for k, name in enumerate(names) if "@" in name and shared(name.partition("@")[0])]
-        keep = [*links, *own]
+        keep = [*stated, *own]
         return cls(
-            tuple(names[k] for k in keep), len(links), values[keep], covariance[np.ix_(keep, keep)],
-            prior[np.ix_(links, links)], np.array([fit.parameters[k].log for k in keep]),
+            tuple(names[k] for k in keep), len(stated), values[keep], covariance[np.ix_(keep, keep)],
+            prior[np.ix_(stated, stated)], np.array([fit.parameters[k].log for k in keep]),
         )  # fmt: skip
 
     def on(self, free: Parameters, robot: Robot) -> Parameters:
-        """The free numbers of a hammer test with what the log knows of them; payloads it found become free too.
+        """The free numbers of a hammer test with what the log knows of them; axes and payloads of it become free too.
 
-        The hammer test's prior of the links stays: the log's own prior is taken out of its posterior.
+        The hammer test's prior of the description stays: the log's own prior is taken out of its posterior.
 
         Args:
             free: of the hammer test, links at the log's values.
             robot: the description that holds them, with the log's entries.
         """
         present = set(free.names)
-        added = [entry_parameter(robot, name) for name in self.names[self.links :] if name not in present]
-        added = [p for p in added if p.mean > 0 or not p.log]  # an inertia that the log has at zero stays there
+        added = [p for p in axis_parameters(robot) if placed(p) and p.name in self.names]
+        loads = [entry_parameter(robot, name) for name in self.names[self.described :] if name not in present]
+        added += [p for p in loads if p.mean > 0 or not p.log]  # an inertia that the log has at zero stays there
         items = [*free.items, *added]
         whole = join(free, independent(items[len(free) :])) if added else free
         rows = [k for k, name in enumerate(self.names) if name in whole.names]
@@ -88,10 +104,10 @@ class Knowledge:
         # x of one parametrisation in that of the other, to first order about the mean
         scale = np.where(self.log[rows], value, 1.0) / np.where(own_log, value, 1.0)
         information = np.linalg.inv(self.covariance[np.ix_(rows, rows)] * np.outer(scale, scale))
-        linked = [i for i, k in enumerate(rows) if k < self.links]
-        prior_log = self.prior[np.ix_([rows[i] for i in linked], [rows[i] for i in linked])]
-        prior_own = whole.covariance[np.ix_([at[i] for i in linked], [at[i] for i in linked])]
-        information[np.ix_(linked, linked)] += np.linalg.inv(prior_own) - np.linalg.inv(prior_log)
+        stated = [i for i, k in enumerate(rows) if k < self.described]
+        prior_log = self.prior[np.ix_([rows[i] for i in stated], [rows[i] for i in stated])]
+        prior_own = whole.covariance[np.ix_([at[i] for i in stated], [at[i] for i in stated])]
+        information[np.ix_(stated, stated)] += np.linalg.inv(prior_own) - np.linalg.inv(prior_log)
         block = np.linalg.inv(information)
         covariance = whole.covariance.copy()
         covariance[at, :] = covariance[:, at] = 0.0

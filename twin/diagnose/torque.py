@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +23,18 @@ from twin.diagnose.torque_fit import (
     System,
     base_fit,
     base_of,
-    own_prior,
     profiled,
-    robot_of,
     stops_of,
     system_of,
     that_can_exist,
     with_presliding,
     worth,
 )
+from twin.diagnose.torque_following import Following
 from twin.diagnose.torque_laws import Suspect, log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
-from twin.diagnose.torque_numbers import GAIN, follow
+from twin.diagnose.torque_numbers import GAIN, number_columns, numbers_of
 from twin.diagnose.torque_off import as_described, far_off, numbers_of_answer, taken_back, told
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
@@ -60,8 +58,6 @@ from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Recording
-from twin.model.parameters import entry_parameter
-from twin.model.regressor import inertial_vector
 from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
@@ -164,8 +160,8 @@ def _finding(
         ],
         fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
-        following=partial(_following, search.system, after, gaps),
-        bare=(base, partial(_following, search.plain, base, [])), bands=prepared.bands, content=log,
+        following=Following(search.system, after, gaps), bare=Following(search.plain, base),
+        bands=prepared.bands, content=log,
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_log(next(m for m in missing if m.rivals))
@@ -222,41 +218,6 @@ def predicted_runs(prepared: Prepared, search: Search) -> list[FloatArray]:
     runs = _runs(prepared)
     base, z = base_of(prepared.regressor, runs, search.plain.base.sliding), search.system.plain(after.z)
     return [predicted_torque(base, k, z, entries, run.valid) for k, run in enumerate(runs)]
-
-
-def _following(system: System, fit: Fitted, gaps: Sequence[Play], robot: Robot) -> Robot:
-    """A description whose links and payloads another recording has settled, the rest where the log then has it.
-
-    A log hardly tells the weight of a payload from the torque of a compensator. Where the other recording moves one of
-    them, what the log knows of both together must not be lost. Everything is normal about the fit, so the rest moves to
-    its mean, given links and payloads.
-    """
-    links = system.base.links
-    vectors = np.concatenate([inertial_vector(*link.inertial) for link in robot.links])
-    spread = system.base.spread[: len(vectors), :links] * system.plain(np.ones(len(fit.z)))[:links]
-    there = system.base.values(system.plain(fit.z))[: len(vectors)]
-    at, moved = list(range(links)), np.linalg.lstsq(spread, vectors - there, rcond=None)[0].tolist()
-    keys = [f"{entry.effect}@{entry.site}" for entry in robot.physics]
-    present = {key for key in keys if keys.count(key) == 1}  # of two loads at one place, which one moved is not told
-    for suspect in system.found:
-        hypothesis, own = suspect.hypothesis, system.own(suspect)
-        if _shown_by_blows(hypothesis.effect) and hypothesis.key in present:
-            values = np.array([entry_parameter(robot, parameter.name).mean for parameter in hypothesis.own])
-            at += own
-            moved += (own_prior(hypothesis.own, values) - fit.z[own]).tolist()
-    covariance = np.linalg.inv(fit.information)[:, at]
-    z = fit.z + covariance @ np.linalg.solve(covariance[at], moved)
-    values = np.array([p.value(x) for p, x in zip(fit.parameters, fit.parameters.root @ z, strict=True)])
-    log = robot_of(system, z, with_values(fit.hypothesis, values[fit.own]))
-    log = with_presliding(system, z, reduce(with_play, gaps, log))
-    physics = [entry for entry in robot.physics if _shown_by_blows(entry.effect)]
-    physics += [entry for entry in log.physics if not _shown_by_blows(entry.effect)]
-    followed = follow(robot, robot_of(system, fit.z), log)
-    return followed.model_copy(update={"drives": log.drives, "physics": physics})
-
-
-def _shown_by_blows(effect: str) -> bool:
-    return "hammer" in CATALOGUE[effect].seen_in
 
 
 def with_evidence(finding: Finding) -> list[Missing]:
@@ -718,9 +679,9 @@ def predicted_by(
 ) -> list[LogRecord]:
     """A log's records with the torque of a description as it is at a stage, beside what its fit held for ordinary.
 
-    Ordinary ripple, the travel over which friction turns round and the gain of the record stay as they were fitted.
-    What was found of the recording acts on the torque, which is compared as it was recorded. Only offsets are
-    re-estimated.
+    Ordinary ripple, the travel over which friction turns round, gear ratios and the gain of the record are as the log
+    has them beside the description's links and axes. What was found of the recording acts on the torque, which is
+    compared as it was recorded. Offsets are re-estimated.
     """
     new = [e for e in finding.robot.physics if e not in finding.given.physics]
     found_there = {
@@ -729,15 +690,19 @@ def predicted_by(
     recording = [e for e in robot.physics if (e.effect, e.site) in found_there]
     robot = robot.model_copy(update={"physics": [e for e in robot.physics if e not in recording]})
     hold_out = [name for name in hold_out or [] if name in log.runs] or None
-    prepared = prepare(log, _smooth(robot, finding), finding.recording, hold_out, finding.bands)
-    fit, found = finding.bare[0] if stage == "before" and finding.bare else finding.fit, []
-    fitted = dict(zip(fit.parameters.names, fit.values, strict=True)) if fit else {}
+    prepared = prepare(log, _geared(_smooth(robot, finding), finding.given), finding.recording, hold_out, finding.bands)
+    own_fit = finding.bare if stage == "before" else finding.following
+    fitted, found = own_fit.values(robot) if own_fit else {}, []
     records = {(r.name, r.held_out): r for r in finding.records if isinstance(r, LogRecord)}
     for held, runs in ((False, prepared.used), (True, prepared.kept)):
         if not runs:
             continue
-        base = base_of(prepared.regressor, runs)
-        own = [p.name.startswith("ordinary_") or p.name == GAIN for p in base.parameters]
+        regressor = (
+            own_fit.system.base.regressor if own_fit else prepared.regressor
+        )  # a gain is of the described torque
+        numbers = numbers_of(regressor.robot)
+        base = base_of(prepared.regressor, runs, changes=[number_columns(regressor, run, numbers) for run in runs])
+        own = [p.name.startswith("ordinary_") or p.name == GAIN or p.quantity == "gear_ratio" for p in base.parameters]
         off = [fitted.get(p.name, p.mean) - p.mean for p in base.parameters]
         z = np.where(own, off, 0.0) / [p.deviation for p in base.parameters]
         for k, run in enumerate(runs):
@@ -745,6 +710,15 @@ def predicted_by(
             torque = predicted_torque(base, k, z, recording, record.valid)
             found.append(replace(record, predicted={**record.predicted, stage: torque}))
     return found
+
+
+def _geared(robot: Robot, given: Robot) -> Robot:
+    """A description with the ratios that a log was recorded by: angles and torques of motors went through them."""
+    drives = [
+        drive.model_copy(update={"gear_ratio": told.gear_ratio})
+        for drive, told in zip(robot.drives, given.drives, strict=True)
+    ]
+    return robot.model_copy(update={"drives": drives})
 
 
 def _smooth(robot: Robot, finding: Finding) -> Robot:
@@ -786,9 +760,9 @@ class Log:
     def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
         """What the log said, with the errors of the model that all end with, and what the last recording adds to it."""
         finding.records = predicted_by(robot, finding.content, finding, hold_out)
-        if finding.bare and finding.missing and not any(_shown_by_blows(m.first.effect) for m in finding.missing):
+        if finding.bare and finding.missing and not any(shared(m.first.effect) for m in finding.missing):
             # the links that all recordings agree on, in both models: they cost the log more than a name may gain
-            bare = finding.bare[1](last.robot)
+            bare = finding.bare(last.robot)
             finding.records = predicted_by(bare, finding.content, finding, hold_out, "before")
         finding.error = {**finding.error, **{stage: pooled(finding.records, stage) for stage in ("before", "after")}}
         finding.missing = [followed(m, finding.model, robot) for m in finding.missing]

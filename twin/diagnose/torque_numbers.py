@@ -21,7 +21,6 @@ from twin.robot.description import Entry, Robot
 
 GAIN = "torque_gain"
 LEANING = ("gravity.x", "gravity.y")  # rad, the foot's tilt
-PLACEMENT = ("a", "alpha_deg", "d", "theta_deg")  # of an axis
 
 
 def numbers_of(robot: Robot) -> list[Parameter]:
@@ -92,16 +91,12 @@ def _changed(regressor: Regressor, motion: Motion, parameter: Parameter, step: f
     return replace(regressor, robot=changed).carried_torque(motion)
 
 
-def follow(robot: Robot, was: Robot, now: Robot) -> Robot:
-    """A robot with numbers that moved from one description to another, those left out that it has changed itself."""
+def follow(robot: Robot, log: Robot) -> Robot:
+    """A robot whose axes have the zeros, and whose gravity points, as a log's description says: blows move neither."""
     axes = [
-        axis.model_copy(update={name: getattr(new, name) for name in PLACEMENT})
-        if all(getattr(axis, name) == getattr(old, name) for name in PLACEMENT)
-        else axis
-        for axis, old, new in zip(robot.axes, was.axes, now.axes, strict=True)
+        axis.model_copy(update={"theta_deg": new.theta_deg}) for axis, new in zip(robot.axes, log.axes, strict=True)
     ]
-    gravity = now.gravity if robot.gravity == was.gravity else robot.gravity
-    return robot.model_copy(update={"axes": axes, "gravity": gravity})
+    return robot.model_copy(update={"axes": axes, "gravity": log.gravity})
 
 
 def _elsewhere(motion: Motion, parameter: Parameter, step: float) -> Motion:

@@ -4,7 +4,7 @@ Whatever the recording (hammer test, modal table, motion log), an engine hands o
 :class:`Verdict` is one finding, or several settled on one model.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,6 +24,7 @@ from twin.robot.description import Robot
 from twin.table import Table
 
 if TYPE_CHECKING:
+    from twin.diagnose.torque_following import Following
     from twin.identify.rigid import Bands
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
@@ -120,9 +121,9 @@ class Finding:
         given, base, robot: the description as it came, refitted, and with the answer.
         apart: ``EFFECT@SITE`` → sentences on how far an answer can be told from what does nearly the same.
         written: ``robot`` with what the fit held for ordinary and the description has no number for, if anything.
-        following: a description whose links and payloads another recording has settled → the same, with the rest where
-            this one then has it.
-        bare: the fit of a log's base model, and the same as ``following`` for it: the model without the log's names.
+        following: a description whose links, axes and payloads another recording has settled → the same, with the rest
+            where this one then has it.
+        bare: the same as ``following`` of a log's base model: without the log's names.
         error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
         held_out: names of postures or runs not used.
         records: the recording beside the three models.
@@ -166,8 +167,8 @@ class Finding:
     damping: Transfer | None = None
     apart: dict[str, list[str]] = field(default_factory=dict)
     written: Robot | None = None
-    following: Callable[[Robot], Robot] | None = None
-    bare: tuple[Fitted, Callable[[Robot], Robot]] | None = None
+    following: "Following | None" = None
+    bare: "Following | None" = None
     bands: "Bands | None" = None
     content: Any = None
 
