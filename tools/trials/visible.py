@@ -32,7 +32,6 @@ STEP = 1e-4  # of derivatives: in deviations of a nuisance, in sizes of an effec
 FITS = 30  # steps of a refit, those that do not help among them
 FITTED = 1e-3  # share of what is left that one step more would gain, below which a refit ends
 LEAST_SHARE = 0.1  # of what the derivatives promise, which a step that helps gains
-PARTS = (0.05, 0.2, 0.5, 1.0)  # of an effect, by which it grows while all that hides it follows
 IMPOSSIBLE = 1e9  # deviations: what a robot that cannot be answers
 NEAR = 1.15  # what shows over what is to show, from which on a size is not drawn in or out again,
 CORRECTIONS = 8  # as often
@@ -98,8 +97,7 @@ def multiple_of_visible(
         return scaled(effect, smallest * multiple)
     every = _nuisances(truth, described or kr90(), known or Tolerances())
     nuisances = [n for n in every if not np.array_equal(signal(n.change(truth, STEP)), base)]  # blows of other points
-    tangent = (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)  # one-sided: a size has a sign
-    hiding, left = _hidden(signal, truth, nuisances, tangent, tension)
+    hiding, left = _hidden(signal, truth, nuisances, _tangent(changed), tension)
     if not left > 0:
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
     factor, asked = float(np.sqrt(2 * SEEN / left) * multiple), SEEN * multiple**2
@@ -135,17 +133,20 @@ def kept(effect: Effect, truth: Truth, signal: Signal) -> float:
     Numbers far from their description do not count, see `tension` of `multiple_of_visible`.
     """
     base = signal(truth)
-    change = signal(_with(truth, effect)) - base
+
+    def changed(factor: float) -> Array:
+        return signal(_with(truth, scaled(effect, factor))) - base
+
     every = [
         n for n in _nuisances(truth, kr90(), Tolerances()) if not np.array_equal(signal(n.change(truth, STEP)), base)
     ]
-    hiding, _ = _hidden(signal, truth, every, change, tension=False)
-    z, left = _started(every, PARTS[0] * hiding), 0.0
-    for part, following in zip(PARTS, (*PARTS[1:], 1.0), strict=True):  # what hides a large one is far from nothing
-        small = signal(_with(truth, scaled(effect, part))) - base
-        z, left = _fitted(signal, truth, every, base + small, z, tension=False)
-        z = z * following / part
-    return left
+    hiding, _ = _hidden(signal, truth, every, _tangent(changed), tension=False)
+    return _refitted(signal, truth, every, base + changed(1.0), hiding, tension=False)
+
+
+def _tangent(changed: Callable[[float], Array]) -> Array:
+    """Slope of a signature where the effect begins, one-sided: a size has a sign."""
+    return (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)
 
 
 def _hidden(
@@ -179,20 +180,9 @@ def _refitted(
 
     A spring in series makes the logarithm of a neighbour's stiffness move as log(1 + size), not as its derivative.
     """
-    return _fitted(signal, truth, nuisances, seen, _started(nuisances, z), tension)[1]
-
-
-def _started(nuisances: Sequence[Nuisance], z: Array) -> Array:
-    """Deviations (n,) to start from where derivatives promise z."""
     width = np.array([n.width for n in nuisances])
     safe = np.where(width > 0, width, 1.0)
-    return np.where(width > 0, np.sign(z) * np.log1p(safe * np.abs(z)) / safe, z)
-
-
-def _fitted(
-    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, start: Array, tension: bool
-) -> tuple[Array, float]:
-    """Deviations (n,) that explain a recording best, from a start or from none, and what they leave."""
+    start = np.where(width > 0, np.sign(z) * np.log1p(safe * np.abs(z)) / safe, z)
 
     def moved(z: Array) -> Truth:
         out = truth
@@ -210,13 +200,13 @@ def _fitted(
         return np.vstack([np.array(ahead).T, np.eye(len(z))])
 
     with np.errstate(invalid="ignore"):
-        first = min((start, np.zeros(len(start))), key=lambda z: float(np.sum(residual(z) ** 2)))
-        end, found = _least(residual, slopes, first)
-    return end, float(0.5 * np.sum(found[: None if tension else len(seen)] ** 2))
+        first = min((start, np.zeros(len(z))), key=lambda z: float(np.sum(residual(z) ** 2)))
+        found = _least(residual, slopes, first)
+    return float(0.5 * np.sum(found[: None if tension else len(seen)] ** 2))
 
 
-def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
-    """Where the steps end, and the residuals (m,) there, of least squares by the steps of Levenberg and Marquardt.
+def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array], z: Array) -> Array:
+    """Residuals (m,) of least squares by the steps of Levenberg and Marquardt.
 
     Derivatives cost as much as a hundred residuals. They are kept up by Broyden's update, and computed again where a
     step does not help, and at the end: there another step would gain less than `FITTED`.
@@ -237,7 +227,7 @@ def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array],
             held = max(10 * held, 1.0)
         else:
             J, exact = slopes(z), True
-    return z, r
+    return r
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:
