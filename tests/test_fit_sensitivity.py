@@ -1,5 +1,7 @@
 """The closed-form matrices and their derivatives against MuJoCo's linearisation and finite differences of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import (
     Parameters,
+    axis_parameters,
     entry_parameter,
     free_parameters,
     independent,
@@ -123,17 +126,18 @@ def test_matrices_of_other_robots_are_those_of_mujoco(urdf: str, request: pytest
     for name in ("M", "C", "K"):
         reference = getattr(expected, name)
         np.testing.assert_allclose(getattr(found, name), reference, atol=1e-7 * np.abs(reference).max())
-    parameters = free_parameters(robot, ["p"]).only("spring", "link", "posture")
+    placed = independent(replace(p, deviation=1e-3) for p in axis_parameters(robot))
+    parameters = join(free_parameters(robot, ["p"]).only("spring", "link", "posture"), placed)
     setup = Setup("p", np.array(q), "on", *[channels(robot, (robot.test_points[0].label,))] * 2)
     values = parameters.values(np.zeros(len(parameters)))
     seen, model = observe(robot, setup, parameters, values)
     rate = slopes(robot, setup, parameters, values, seen, model)
-    for k in [k for k, parameter in enumerate(parameters) if parameter.kind == "posture"]:
+    for k in [k for k, parameter in enumerate(parameters) if parameter.kind in ("posture", "axis")]:
         sides = []
         for step in (1e-5, -1e-5):
             moved = values.copy()
-            moved[k] = step
-            sides.append(observe(robot, setup, parameters, moved)[0])
+            moved[k] += step
+            sides.append(observe(parameters.apply(robot, moved), setup, parameters, moved)[0])
         for name in ("M", "K", "J_r"):
             difference = (getattr(sides[0], name) - getattr(sides[1], name)) / 2e-5
             scale = max(np.abs(difference).max(), 1e-3 * np.abs(getattr(seen, name)).max())
@@ -175,13 +179,14 @@ def everything(robot: Robot) -> Parameters:
             "spring", "entry", "link", "posture", "sag", "gain"
         ),
         independent(entry_parameter(robot, name) for name in entries),
+        independent(axis_parameters(robot)),
     )
 
 
-@pytest.mark.parametrize("hardening", [True, False])
-def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot, hardening: bool) -> None:
-    """Every parameter: springs, dampers, links (one split), postures, sag, gains, entries, measurement chain."""
-    full = full if hardening else full.without(["hardening_stiffness"])
+@pytest.mark.parametrize("left_out", [[], ["hardening_stiffness"], ["hardening_stiffness", "link_flexibility"]])
+def test_derivatives_of_frfs_are_finite_differences_of_the_model(full: Robot, left_out: list[str]) -> None:
+    """Every parameter: springs, dampers, links (one split), axes, postures, sag, gains, entries, measurement chain."""
+    full = full.without(left_out)
     setup, parameters = setup_of(full), everything(full)
     z = 0.3 * np.random.default_rng(1).normal(size=len(parameters))
 

@@ -31,7 +31,9 @@ VERDICTS = {  # that a tutorial shows
 }
 
 
-@pytest.mark.parametrize("page", notebooks.PAGES)
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page == "tutorial-hits")) for page in notebooks.PAGES]
+)
 def test_a_tutorial_runs_as_a_notebook_and_finds_what_was_concealed(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

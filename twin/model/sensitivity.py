@@ -14,7 +14,6 @@ differentiated by central differences of these small matrices. ``twin.model.line
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -85,11 +84,15 @@ class Structure:
         """Displacement of points per unit of the coordinates, (n, nv), along directions (n, 3) in the links' frames."""
         return _rows([self], channels, direction)[0]
 
-    def row_slopes(self, channels: Channels, direction: FloatArray) -> FloatArray:
-        """Derivative of :meth:`rows` with respect to every commanded position, (n_axes, n, nv)."""
+    def wrenches(self, channels: Channels, direction: FloatArray) -> tuple[list[int], FloatArray]:
+        """The bodies of points, and unit forces (n, 6) on them along directions (n, 3) in the links' frames."""
         body, local = self.carried_points(channels)
-        wrench = _wrench(self.rotation[body], self.origin[body], local, direction)
-        return np.asarray(wrench @ self.turned.swapaxes(1, 2) * self.path[body] * self.moved[:, body][:, :, None])
+        return body, _wrench(self.rotation[body], self.origin[body], local, direction)
+
+    def row_slopes(self, wrenches: tuple[list[int], FloatArray], axis: int, screw: FloatArray) -> FloatArray:
+        """Derivative (n, nv) of :meth:`rows` where all from a zero-based axis on moves along a screw (6,)."""
+        body, wrench = wrenches
+        return np.asarray(wrench @ self.turned(axis, screw).T * self.path[body] * self.moved[axis, body][:, None])
 
     def carried_points(self, channels: Channels) -> tuple[list[int], FloatArray]:
         """The body that carries every point, and where it lies in that body's own frame (n, 3)."""
@@ -103,24 +106,38 @@ class Structure:
         along, force = self.rotation[body][:, "xyz".index(letter)], self.rotation[body] @ direction[row]
         return np.asarray(self.screw[:, :3] @ _cross(along, force) * self.path[body])
 
-    @cached_property
-    def turned(self) -> FloatArray:
-        """Rates (n, nv, 6) of the screws inboard of every commanded position, seen from what it moves."""
-        omega_q, v_q = self.command[:, None, :3], self.command[:, None, 3:]
-        omega = _cross(omega_q, self.screw[:, :3])
-        v = _cross(omega_q, self.screw[:, 3:]) + _cross(v_q, self.screw[:, :3])
-        return -np.concatenate([omega, v], axis=-1) * (1 - self.carried)[:, :, None]
+    def placement(self, axis: int, number: str) -> FloatArray:
+        """The screw (6,) along which a number of a zero-based axis moves it: ``a``, ``alpha``, ``d`` or ``theta``.
 
-    def command_slopes(self, axis: int) -> tuple[FloatArray, FloatArray]:
-        """∂M/∂q and ∂K/∂q (nv, nv) for a commanded position, zero-based axis."""
+        They place it by Rx(α) Tx(a) Rz(θ) Tz(d) in the frame of the link before.
+        """
+        motor = self.bodies[f"motor{axis + 1}"]
+        before = self.mechanism.bodies[f"motor{axis + 1}"].parent
+        if number in ("d", "theta"):
+            along, through = self.rotation[motor][:, 2], self.origin[motor]
+        else:
+            along, through = self.rotation[self.bodies[before]][:, 0], self.origin[self.bodies[before]]
+        if number in ("a", "d"):
+            return np.concatenate([np.zeros(3), along])
+        return np.concatenate([along, _cross(through, along)])
+
+    def turned(self, axis: int, screw: FloatArray) -> FloatArray:
+        """Rates (nv, 6) of the screws inboard of an axis, seen from what moves along a screw (6,) with that axis."""
+        omega = _cross(screw[:3], self.screw[:, :3])
+        v = _cross(screw[:3], self.screw[:, 3:]) + _cross(screw[3:], self.screw[:, :3])
+        return -np.concatenate([omega, v], axis=-1) * (1 - self.carried[axis])[:, None]
+
+    def placed_slopes(self, axis: int, screw: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of M and K (nv, nv) where all from a zero-based axis on moves along a screw (6,)."""
         weight = (self.path * self.moved[axis][:, None])[:, :, None]
-        S, dS = self.screw * weight, self.turned[axis] * weight
+        turned = self.turned(axis, screw)
+        S, dS = self.screw * weight, turned * weight
         inertial = self.spatial @ S.swapaxes(1, 2)
         dM = (dS @ inertial).sum(axis=0)
         momentum = inertial[:, 3:].sum(axis=0)
         momentum_rate = (self.spatial[:, 3:] @ dS.swapaxes(1, 2)).sum(axis=0)
-        omega, omega_rate = self.screw[:, :3], self.turned[axis][:, :3]
-        turned_gravity = -_cross(self.command[axis][:3], self.gravity)
+        omega, omega_rate = self.screw[:, :3], turned[:, :3]
+        turned_gravity = -_cross(screw[:3], self.gravity)
         dK = (
             _hessian(omega, momentum, turned_gravity, self.inboard)
             + _hessian(omega_rate, momentum, self.gravity, self.inboard)
@@ -539,8 +556,8 @@ def slopes(
 ) -> Observed:
     """Derivatives of :func:`observe` with respect to the parameters' values, stacked on a first axis (n, …).
 
-    Those by springs, dampers, links, postures and channels are in closed form, without what sag changes in them, see
-    :func:`sag_slopes`. Where :func:`_curved` says that there is none (entries, axes, links that bend), derivatives come
+    Those by springs, dampers, links, axes, postures and channels are in closed form, without what sag changes in them,
+    see :func:`sag_slopes`. Where :func:`_curved` says that there is none (entries, links that bend), derivatives come
     through what a parameter changes in the mechanism, or by central differences.
 
     Args:
@@ -551,8 +568,8 @@ def slopes(
     among = range(len(parameters)) if among is None else list(among)
     out = Observed.of(np.zeros((len(among), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
-    turned: tuple[FloatArray, FloatArray] | None = None
     chain: MeasurementChain | None = None
+    wrenches: list[tuple[list[int], FloatArray]] = []
     links: dict[str, list[tuple[int, int]]] = {}
     turns: list[tuple[int, int]] = []
     for row, p in enumerate(among):
@@ -571,16 +588,17 @@ def slopes(
             links.setdefault(site.partition(".")[0], []).append((row, p))
         elif parameter.kind == "spring" and site in index:
             _apply_spring(out, row, what, index[site], model)
-        elif parameter.kind == "posture" and site == f"posture.{setup.name}":
-            axis = int(what[1:]) - 1
-            if turned is None:
-                chain = chain or recording_chain(robot, setup.response, setup.excitation)
-                turned = (
-                    model.row_slopes(setup.response, chain.response_direction),
-                    model.row_slopes(setup.excitation, chain.excitation_direction),
-                )
-            out.M[row], out.K[row] = model.command_slopes(axis)
-            out.J_r[row], out.J_e[row] = turned[0][axis], turned[1][axis]
+        elif parameter.kind == "axis" or (parameter.kind == "posture" and site == f"posture.{setup.name}"):
+            axis = int((what if parameter.kind == "posture" else site).lstrip("axisq")) - 1
+            screw = model.command[axis] if parameter.kind == "posture" else model.placement(axis, what)
+            chain = chain or recording_chain(robot, setup.response, setup.excitation)
+            if not wrenches:
+                wrenches = [
+                    model.wrenches(setup.response, chain.response_direction),
+                    model.wrenches(setup.excitation, chain.excitation_direction),
+                ]
+            out.M[row], out.K[row] = model.placed_slopes(axis, screw)
+            out.J_r[row], out.J_e[row] = (model.row_slopes(one, axis, screw) for one in wrenches)
         elif parameter.kind == "sag" and seen.sag is not None:
             for target, rate in zip(out.arrays(), seen.sag.arrays(), strict=True):
                 target[row] = rate
@@ -634,6 +652,7 @@ def sag_slopes(
             k
             for k, (setup, model) in enumerate(zip(setups, models, strict=True))
             if moves
+            or parameter.kind == "axis"
             or (parameter.kind == "posture" and parameter.site == f"posture.{setup.name}")
             or _curved(parameter, parameter.site, setup, model)
         ]
@@ -655,7 +674,9 @@ def _curved(parameter: Parameter, site: str, setup: Setup, model: Structure) -> 
         return bool(model.curved) or int(site.partition(".")[0][4:]) in model.mechanism.splits
     if parameter.kind == "posture":
         return bool(model.curved) and site == f"posture.{setup.name}"
-    return parameter.kind in ("entry", "axis")
+    if parameter.kind == "axis":  # a link that bends is cut in two of its length
+        return bool(model.curved or model.mechanism.splits)
+    return parameter.kind == "entry"
 
 
 def _difference(
