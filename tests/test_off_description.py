@@ -57,6 +57,18 @@ def test_a_log_names_the_rotor_that_is_wrong(log: MotionLog, kr90: Robot) -> Non
     assert rotor == pytest.approx(true, rel=0.15)
 
 
+def test_a_log_whose_torque_has_a_gain_names_no_rotors(log: MotionLog, kr90: Robot) -> None:
+    """Torque that turns the rotors is recorded with the same gain as that of the links."""
+    runs = {name: replace(run, torque=0.85 * np.asarray(run.torque)) for name, run in log.runs.items()}
+    finding = diagnose_log(replace(log, runs=runs), kr90, "log.h5")
+    assert answers(finding) == ["parameter@torque_gain"]
+    gain = finding.missing[0].first.parameters["torque_gain"]
+    low, high = gain["interval90"]
+    assert low < 0.85 < high
+    turned = [drive.rotor_inertia for drive in finding.robot.drives]
+    np.testing.assert_allclose(turned, [drive.rotor_inertia for drive in kr90.drives], rtol=0.05)
+
+
 def test_a_load_that_makes_no_prediction_better_is_one_of_two(tmp_path: Path, kr90: Robot) -> None:
     """It or the link that it is on: neither is more than half likely, and weighing tells."""
     log = log_of(tmp_path, "--effect", "payload@flange:mass=190,com=1.2|-0.1|0.1")

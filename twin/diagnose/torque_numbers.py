@@ -60,7 +60,7 @@ def number_columns(regressor: Regressor, run: Run, numbers: Sequence[Parameter])
     torque, found = run.filtered(_through_gears(regressor, run.smooth)), []
     for parameter in numbers:
         if parameter.name == GAIN:
-            found.append(torque)
+            found.append(torque + run.filtered(_of_rotors(regressor, run.smooth)))
             continue
         step = 0.1 * parameter.deviation
         high, low = (_changed(regressor, run.smooth, parameter, side) for side in (step, -step))
@@ -81,6 +81,12 @@ def _through_gears(regressor: Regressor, motion: Motion) -> FloatArray:
         if effect in CATALOGUE and CATALOGUE[effect].role == "load":
             torque[:, axis] += regressor.columns[column].value * law
     return torque
+
+
+def _of_rotors(regressor: Regressor, motion: Motion) -> FloatArray:
+    """Torque (nt, n) that turns the rotors, as described. A ratio that is off changes none of it."""
+    inertia = np.array([drive.rotor_inertia for drive in regressor.robot.drives])
+    return np.asarray(regressor.bodies(motion)[:, :, 10 * len(inertia) :] @ inertia)
 
 
 def _changed(regressor: Regressor, motion: Motion, parameter: Parameter, step: float) -> FloatArray:
