@@ -18,11 +18,11 @@ lint: install
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadgroup --durations=10
+	$(BIN)/python -m pytest -n 2 --durations=10
 
 # Whole diagnoses of rarer cases, a quarter of an hour.
 test-slow: install
-	$(BIN)/python -m pytest -n 2 --dist loadgroup --durations=10 -m slow
+	$(BIN)/python -m pytest -n 2 --durations=10 -m slow
 
 demo: install
 	$(BIN)/twin simulate mjcf/postures/milling.yaml --out out/milling

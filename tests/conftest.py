@@ -17,14 +17,6 @@ from twin.robot.description import Robot, load_robot, parse_robot
 POSTURES = {"milling": (0, 70, -100), "upright": (0, 135, -100), "rigid": (0, 135, -140)}
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that share what their file makes once go to one process: `--dist loadgroup`."""
-    for item in items:
-        fixtures = item._fixtureinfo.name2fixturedefs.values() if isinstance(item, pytest.Function) else ()
-        if any(defined[-1].scope == "module" for defined in fixtures):
-            item.add_marker(pytest.mark.xdist_group(item.path.name))
-
-
 @pytest.fixture(scope="session")
 def kr90() -> Robot:
     return load_robot("kr90")
