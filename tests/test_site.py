@@ -31,6 +31,12 @@ VERDICTS = {  # that a tutorial shows
 }
 
 
+@pytest.mark.parametrize("page", notebooks.PAGES)
+def test_a_notebook_is_its_page(page: str) -> None:
+    path = notebooks.FOLDER / f"{page}.ipynb"
+    assert path.read_text() == notebooks.notebook(page), "out of date: python -m tools.notebooks"
+
+
 @pytest.mark.parametrize(
     "page", [pytest.param(page, marks=[pytest.mark.slow] * (page == "tutorial-hits")) for page in notebooks.PAGES]
 )
@@ -38,7 +44,6 @@ def test_a_tutorial_runs_as_a_notebook_and_finds_what_was_concealed(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = notebooks.FOLDER / f"{page}.ipynb"
-    assert path.read_text() == notebooks.notebook(page), "out of date: python -m tools.notebooks"
     command = tmp_path / "bin" / "twin"  # of this checkout
     command.parent.mkdir()
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m twin "$@"\n')

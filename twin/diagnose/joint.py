@@ -35,7 +35,7 @@ def shared(effect: str) -> bool:
     return effect == "parameter" or (effect in CATALOGUE and {"hammer", "log"} <= CATALOGUE[effect].seen_in)
 
 
-def placed(parameter: Parameter) -> bool:
+def places_axis(parameter: Parameter) -> bool:
     """Whether a number says where an axis lies, in both kinds of recording; its zero is the angle of a hammer test."""
     return parameter.kind == "axis" and parameter.quantity in ("a", "d", "alpha")
 
@@ -74,7 +74,7 @@ class Knowledge:
             values[at] = _numbers(_moments(described) + was @ x[at])
             turn[np.ix_(at, at)] = np.linalg.solve(_slopes_of(fit.parameters, at, values[at]), was)
         covariance, prior = turn @ covariance @ turn.T, turn @ prior @ turn.T
-        stated = [*links, *(k for k, p in enumerate(fit.parameters) if placed(p))]
+        stated = [*links, *(k for k, p in enumerate(fit.parameters) if places_axis(p))]
         own = [k for k, name in enumerate(names) if "@" in name and shared(name.partition("@")[0])]
         keep = [*stated, *own]
         return cls(
@@ -92,7 +92,7 @@ class Knowledge:
             robot: the description that holds them, with the log's entries.
         """
         present = set(free.names)
-        added = [p for p in axis_parameters(robot) if placed(p) and p.name in self.names]
+        added = [p for p in axis_parameters(robot) if places_axis(p) and p.name in self.names]
         loads = [entry_parameter(robot, name) for name in self.names[self.described :] if name not in present]
         added += [p for p in loads if p.mean > 0 or not p.log]  # an inertia that the log has at zero stays there
         items = [*free.items, *added]

@@ -1,12 +1,12 @@
 """What a motion log says of all else where another recording has settled links, lengths of axes and payloads."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 
-from twin.diagnose.joint import placed
+from twin.diagnose.joint import places_axis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import System, own_prior, robot_of, with_presliding
 from twin.diagnose.torque_laws import with_values
@@ -34,7 +34,7 @@ class Following:
 
     system: System
     fit: Fitted
-    gaps: Sequence[Play] = field(default=())
+    gaps: Sequence[Play] = ()
 
     def values(self, robot: Robot) -> dict[str, float]:
         """The numbers of the fit by name, in their units, beside what a description has settled."""
@@ -62,7 +62,7 @@ class Following:
         spread = system.base.spread[: len(vectors), :links] * system.plain(np.ones(len(fit.z)))[:links]
         there = system.base.values(system.plain(fit.z))[: len(vectors)]
         at, moved = list(range(links)), np.linalg.lstsq(spread, vectors - there, rcond=None)[0].tolist()
-        axes = {p.name: p.mean for p in axis_parameters(robot) if placed(p)}
+        axes = {p.name: p.mean for p in axis_parameters(robot) if places_axis(p)}
         for k, p in enumerate(fit.parameters):
             if p.name in axes:
                 at.append(k)

@@ -58,9 +58,10 @@ def number_columns(regressor: Regressor, run: Run, numbers: Sequence[Parameter])
         if known is regressor:
             return columns
     torque, found = run.filtered(_through_gears(regressor, run.smooth)), []
+    rotors = np.array([drive.rotor_inertia for drive in regressor.robot.drives])
     for parameter in numbers:
         if parameter.name == GAIN:
-            found.append(torque + run.filtered(_of_rotors(regressor, run.smooth)))
+            found.append(torque + run.bodies[:, :, 10 * len(rotors) :] @ rotors)  # all that is recorded
             continue
         step = 0.1 * parameter.deviation
         high, low = (_changed(regressor, run.smooth, parameter, side) for side in (step, -step))
@@ -81,12 +82,6 @@ def _through_gears(regressor: Regressor, motion: Motion) -> FloatArray:
         if effect in CATALOGUE and CATALOGUE[effect].role == "load":
             torque[:, axis] += regressor.columns[column].value * law
     return torque
-
-
-def _of_rotors(regressor: Regressor, motion: Motion) -> FloatArray:
-    """Torque (nt, n) that turns the rotors, as described. A ratio that is off changes none of it."""
-    inertia = np.array([drive.rotor_inertia for drive in regressor.robot.drives])
-    return np.asarray(regressor.bodies(motion)[:, :, 10 * len(inertia) :] @ inertia)
 
 
 def _changed(regressor: Regressor, motion: Motion, parameter: Parameter, step: float) -> FloatArray:

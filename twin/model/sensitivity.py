@@ -6,9 +6,10 @@ spatial inertia of body b about that origin and S_b the screws on its path,
 
     M = Σ_b S_bᵀ 𝓜_b S_b,    (K_g)_jk = −g · (ω_j × W_k),  W_k = Σ_b (m_b v_k + ω_k × h_b),  j inboard of k,
 
-h_b the first moment. Springs, dampers and inertial parameters enter linearly, and turning a commanded angle q_i moves
-everything outboard by one screw. So all their derivatives are exact. Parameters of other physics entries are
-differentiated by central differences of these small matrices. ``twin.model.linear`` gives the same matrices by MuJoCo.
+h_b the first moment. Springs, dampers and inertial parameters enter linearly, and turning a commanded angle q_i, or
+displacing an axis, moves everything outboard by one screw. So all their derivatives are exact. Parameters of other
+physics entries are differentiated by central differences of these small matrices. ``twin.model.linear`` gives the same
+matrices by MuJoCo.
 """
 
 import math
