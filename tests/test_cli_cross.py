@@ -116,6 +116,14 @@ def test_a_command_answers_or_refuses_in_one_line(
         assert list(tmp_path.iterdir())
 
 
+def test_a_log_that_the_twin_simulated_without_noise_is_given_no_name(written: Path, tmp_path: Path) -> None:
+    found = run("diagnose", written / "simulate" / "replay.h5", "-o", tmp_path / "out")
+    assert found.code == 0, found.err
+    told = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert not told["effects"]
+    assert told["error"]["before"]["train"] <= 1.05 * told["error"]["as_given"]["train"]
+
+
 class Page(HTMLParser):
     """What a page loads, shows and calls things."""
 

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve, solve_triangular
+from scipy.linalg import lu_factor, lu_solve
 
 from twin.diagnose.hypotheses import Hypothesis, Sprung, together
 from twin.identify.descent import minimise
@@ -73,10 +73,12 @@ class Fitted:
     def covariance(self) -> FloatArray:
         """Posterior (n, n) of x, the data's variance multiplied by a misfit above one.
 
-        By factors: what recordings hold to a millionth of a deviation would else round to less than nothing.
+        By factors: what recordings hold to a millionth of a deviation would else round to less than nothing. The prior
+        gives every direction an information of one at least. Rounding may take it away beside a very large one.
         """
-        factor = solve_triangular(np.linalg.cholesky(self.information), self.parameters.root.T, lower=True)
-        return np.asarray(factor.T @ factor) * max(1.0, self.misfit)
+        size, axes = np.linalg.eigh(self.information)
+        factor = self.parameters.root @ (axes / np.sqrt(np.maximum(size, 1.0)))
+        return np.asarray(factor @ factor.T) * max(1.0, self.misfit)
 
     def evidence(self, scale: float = 1.0) -> float:
         """Logarithm of the evidence with the data's variance multiplied by ``scale`` (Birge's ratio)."""
