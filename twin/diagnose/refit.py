@@ -73,11 +73,11 @@ class Fitted:
     def covariance(self) -> FloatArray:
         """Posterior (n, n) of x, the data's variance multiplied by a misfit above one.
 
-        By factors: what recordings hold to a millionth of a deviation would else round to less than nothing. The prior
-        gives every direction an information of one at least. Rounding may take it away beside a very large one.
+        By factors: what recordings hold to a millionth of a deviation would else round to less than nothing. The widest
+        prior gives every direction some information at least. Rounding may take it away beside a very large one.
         """
         size, axes = np.linalg.eigh(self.information)
-        factor = self.parameters.root @ (axes / np.sqrt(np.maximum(size, 1.0)))
+        factor = self.parameters.root @ (axes / np.sqrt(np.maximum(size, WIDTHS[-1] ** -2)))
         return np.asarray(factor @ factor.T) * max(1.0, self.misfit)
 
     def evidence(self, scale: float = 1.0) -> float:
