@@ -109,7 +109,7 @@ class Scored:
 def aliases(hypothesis: str, same_q1: bool = False) -> set[str]:
     """Hypotheses that mechanics does not tell from this one; `same_q1`: with one q₁ in all postures."""
     pairs = [
-        {"payload@flange", "payload@link3", "parameter@link3.mass"},
+        {"payload@flange", "parameter@link3.mass"},
         {"base_compliance@base.rz", "parameter@joint1.z.stiffness", "servo_compliance@joint1"},
         *({f"payload@link{i}", f"parameter@link{i}.mass"} for i in (1, 2)),
         *({f"servo_compliance@joint{i}", f"parameter@joint{i}.z.stiffness"} for i in (1, 2, 3)),
@@ -130,12 +130,17 @@ def aliases(hypothesis: str, same_q1: bool = False) -> set[str]:
     return set().union({hypothesis}, *(pair for pair in pairs if hypothesis in pair))
 
 
+def outermost(effect: dict[str, Any]) -> dict[str, Any]:
+    """An effect under the outermost name of its site: the last link of these three axes carries the flange."""
+    return {**effect, "site": "flange"} if (effect["effect"], effect["site"]) == ("payload", "link3") else effect
+
+
 def scored(answer: dict[str, Any], result: dict[str, Any], reference: float | None = None) -> Scored:
     """Truth and result put side by side, and the error of the true model.
 
     A command that failed has said nothing: no verdict, all mass on `other`.
     """
-    effects = sorted(answer["effects"], key=lambda e: -e["multiple"])
+    effects = [outermost(e) for e in sorted(answer["effects"], key=lambda e: -e["multiple"])]
     d = result["diagnosis"] or {"verdict": "failed", "effects": [], "probabilities": {"none": 0.0, "other": 1.0}}
     groups = tuple(
         (

@@ -33,6 +33,8 @@ FITS = 30  # steps of a refit, those that do not help among them
 FITTED = 1e-3  # share of what is left that one step more would gain, below which a refit ends
 LEAST_SHARE = 0.1  # of what the derivatives promise, which a step that helps gains
 IMPOSSIBLE = 1e9  # deviations: what a robot that cannot be answers
+FASTER = 2.0  # than as the square of a size may what shows grow; beyond, the refit is taken to have got stuck
+LEAST_RATIO = 1.2  # of two sizes, between which a refit takes no step more
 NEAR = 1.15  # what shows over what is to show, from which on a size is not drawn in or out again,
 CORRECTIONS = 8  # as often
 
@@ -83,7 +85,8 @@ def multiple_of_visible(
     shows as numbers far from their description counts, too; without it what the recording itself keeps.
 
     Raises:
-        ValueError: the recording shows no usual size of it, or less of that multiple than of the smallest.
+        ValueError: the recording shows no usual size of it, less of that multiple than of the smallest, or more than a
+            refit can follow.
     """
     base = signal(truth)
 
@@ -97,16 +100,18 @@ def multiple_of_visible(
         return scaled(effect, smallest * multiple)
     every = _nuisances(truth, described or kr90(), known or Tolerances())
     nuisances = [n for n in every if not np.array_equal(signal(n.change(truth, STEP)), base)]  # blows of other points
-    hiding, left = _hidden(signal, truth, nuisances, _tangent(changed), tension)
-    if not left > 0:
+    small = _hidden(signal, truth, nuisances, _tangent(changed))
+    if not (left := small.shown if tension else small.kept) > 0:
         raise ValueError(f"{effect.kind}@{effect.site}: expected an effect that this recording shows")
-    factor, asked = float(np.sqrt(2 * SEEN / left) * multiple), SEEN * multiple**2
+    factor, asked = float(np.sqrt(SEEN / left) * multiple), SEEN * multiple**2
     too_small: tuple[float, float] | None = None  # logarithms of a size and of what it shows
     too_large: tuple[float, float] | None = None
+    path = _path(signal, truth, nuisances, changed, small)
     for _ in range(CORRECTIONS):
         if factor > LARGEST_FACTOR:  # as a gap in a joint whose load never changes sign
             break
-        shown = _refitted(signal, truth, nuisances, base + changed(factor), factor * hiding, tension)
+        found = path.to(factor)
+        shown = found.shown if tension else found.kept
         if asked / NEAR < shown < asked * NEAR:
             return scaled(effect, factor)
         point = float(np.log(factor)), float(np.log(max(shown, 1e-12) / asked))
@@ -124,7 +129,7 @@ def shows(truth: Truth, signal: Signal, change: Array, described: Chain, known: 
 
     What nobody knows exactly has moved to explain it, each number paying for its deviations as the description states.
     """
-    return 0.5 * _hidden(signal, truth, list(_nuisances(truth, described, known)), change)[1]
+    return _hidden(signal, truth, list(_nuisances(truth, described, known)), change).shown
 
 
 def kept(effect: Effect, truth: Truth, signal: Signal) -> float:
@@ -140,8 +145,8 @@ def kept(effect: Effect, truth: Truth, signal: Signal) -> float:
     every = [
         n for n in _nuisances(truth, kr90(), Tolerances()) if not np.array_equal(signal(n.change(truth, STEP)), base)
     ]
-    hiding, _ = _hidden(signal, truth, every, _tangent(changed), tension=False)
-    return _refitted(signal, truth, every, base + changed(1.0), hiding, tension=False)
+    small = _hidden(signal, truth, every, _tangent(changed))
+    return _path(signal, truth, every, changed, small).to(1.0).kept
 
 
 def _tangent(changed: Callable[[float], Array]) -> Array:
@@ -149,17 +154,28 @@ def _tangent(changed: Callable[[float], Array]) -> Array:
     return (4 * changed(STEP) - changed(2 * STEP)) / (2 * STEP)
 
 
-def _hidden(
-    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], change: Array, tension: bool = True
-) -> tuple[Array, float]:
-    """Deviations by which nuisances hide a change of the recording best, to first order, and the squares left."""
+@dataclass(frozen=True)
+class _Fit:
+    """An effect `factor` times as drawn and the deviations `z` that hide it best.
+
+    `shown` is what is left, ½ |·|² over noise and tolerances; `kept` is the recording's part of it.
+    """
+
+    factor: float
+    z: Array
+    shown: float
+    kept: float
+
+
+def _hidden(signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], change: Array) -> _Fit:
+    """What hides a change of the recording, to first order."""
     ends = ((n.change(truth, STEP), n.change(truth, -STEP)) for n in nuisances)
     J = np.array([(signal(up) - signal(down)) / (2 * STEP) for up, down in ends]).T
     # by orthogonal factors: what is left may be 1e-5 of the signature, which normal equations lose
     Q, R = np.linalg.qr(np.vstack([J, np.eye(J.shape[1])]))
     whole = np.concatenate([change, np.zeros(J.shape[1])])
-    left = (whole - Q @ (Q.T @ whole))[: None if tension else len(change)]
-    return np.linalg.solve(R, Q.T @ whole), float(np.sum(left**2))
+    left = 0.5 * (whole - Q @ (Q.T @ whole)) ** 2
+    return _Fit(1.0, np.linalg.solve(R, Q.T @ whole), float(np.sum(left)), float(np.sum(left[: len(change)])))
 
 
 def overlap(first: Effect, second: Effect, truth: Truth, signal: Signal) -> float:
@@ -173,16 +189,51 @@ def _with(truth: Truth, effect: Effect) -> Truth:
     return replace(truth, effects=(*truth.effects, effect))
 
 
-def _refitted(
-    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], seen: Array, z: Array, tension: bool = True
-) -> float:
-    """½ |what the nuisances leave of a recording|² and, as `tension`, ½ |z|², fitted from what derivatives make of z.
+@dataclass
+class _Path:
+    """Fits of what hides an effect, followed from its smallest size up.
 
-    A spring in series makes the logarithm of a neighbour's stiffness move as log(1 + size), not as its derivative.
+    A resonance that has moved by more than its width no longer tells a fit where it was. From a size somewhat smaller,
+    whose fit is known, it has not. So what shows grows about as the square of a size; where it seems to grow faster,
+    smaller steps are taken.
     """
-    width = np.array([n.width for n in nuisances])
-    safe = np.where(width > 0, width, 1.0)
-    start = np.where(width > 0, np.sign(z) * np.log1p(safe * np.abs(z)) / safe, z)
+
+    fit: Callable[[float, Sequence[Array]], _Fit]
+    width: Array
+    fits: list[_Fit]
+
+    def to(self, factor: float) -> _Fit:
+        """The fit at a size.
+
+        Raises:
+            ValueError: however small the steps, a fit gets stuck on the way.
+        """
+        low = max((f for f in self.fits if f.factor <= factor), key=lambda f: f.factor, default=self.fits[0])
+        ratio = factor / low.factor
+        found = self.fit(factor, (self._grown(low.z, ratio), low.z, 0 * low.z))
+        if found.shown > FASTER * max(low.shown * ratio**2, SEEN):
+            if ratio < LEAST_RATIO:
+                raise ValueError("expected an effect that a refit can follow to this size")
+            self.to(float(np.sqrt(low.factor * factor)) if low is not self.fits[0] else factor / LEAST_RATIO**4)
+            return self.to(factor)
+        self.fits.append(found)
+        return found
+
+    def _grown(self, z: Array, ratio: float) -> Array:
+        """Deviations at a size so many times as large.
+
+        A spring in series makes the logarithm of a neighbour's stiffness move as log(1 + size).
+        """
+        safe = np.where(self.width > 0, self.width, 1.0)
+        size = np.expm1(safe * np.abs(z)) / safe * ratio
+        return np.where(self.width > 0, np.sign(z) * np.log1p(safe * size) / safe, z * ratio)
+
+
+def _path(
+    signal: Signal, truth: Truth, nuisances: Sequence[Nuisance], changed: Callable[[float], Array], slope: _Fit
+) -> _Path:  # fmt: skip
+    """From a size so small that derivatives hold: `slope` is what they make of the effect as drawn."""
+    base = signal(truth)
 
     def moved(z: Array) -> Truth:
         out = truth
@@ -190,26 +241,32 @@ def _refitted(
             out = nuisance.change(out, float(value))
         return out
 
-    def residual(z: Array) -> Array:
-        return np.nan_to_num(np.concatenate([signal(moved(z)) - seen, z]), nan=IMPOSSIBLE)
-
     def slopes(z: Array) -> Array:
         there = moved(z)
         known = signal(there)
         ahead = [(signal(n.change(there, STEP)) - known) / STEP for n in nuisances]
         return np.vstack([np.array(ahead).T, np.eye(len(z))])
 
-    with np.errstate(invalid="ignore"):
-        first = min((start, np.zeros(len(z))), key=lambda z: float(np.sum(residual(z) ** 2)))
-        found = _least(residual, slopes, first)
-    return float(0.5 * np.sum(found[: None if tension else len(seen)] ** 2))
+    def fit(factor: float, starts: Sequence[Array]) -> _Fit:
+        seen = base + changed(factor)
+
+        def residual(z: Array) -> Array:
+            return np.nan_to_num(np.concatenate([signal(moved(z)) - seen, z]), nan=IMPOSSIBLE)
+
+        with np.errstate(invalid="ignore"):
+            z, r = _least(residual, slopes, min(starts, key=lambda z: float(np.sum(residual(z) ** 2))))
+        return _Fit(factor, z, 0.5 * float(r @ r), 0.5 * float(np.sum(r[: len(seen)] ** 2)))
+
+    small = _Fit(STEP, STEP * slope.z, slope.shown * STEP**2, slope.kept * STEP**2)
+    return _Path(fit, np.array([n.width for n in nuisances]), [small])
 
 
-def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array], z: Array) -> Array:
-    """Residuals (m,) of least squares by the steps of Levenberg and Marquardt.
+def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
+    """Deviations by the steps of Levenberg and Marquardt, and the least residuals (m,) that derivatives there promise.
 
     Derivatives cost as much as a hundred residuals. They are kept up by Broyden's update, and computed again where a
-    step does not help, and at the end: there another step would gain less than `FITTED`.
+    step does not help, and at the end: there another step would gain less than `FITTED`. Along a curved valley a
+    hundred noises deep steps are short, and many would be needed to its end. Derivatives on its floor say how deep it is.
     """
     r, J, exact, held = residual(z), slopes(z), True, 0.0
     for _ in range(FITS):
@@ -227,7 +284,8 @@ def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array],
             held = max(10 * held, 1.0)
         else:
             J, exact = slopes(z), True
-    return r
+    J = J if exact else slopes(z)
+    return z, r + J @ np.linalg.solve(J.T @ J, -J.T @ r)
 
 
 def _visible_factor(changed: Callable[[float], Array]) -> float:

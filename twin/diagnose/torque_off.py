@@ -45,7 +45,8 @@ def far_off(search: Search) -> list[tuple[int, float]]:
 def as_described(search: Search) -> Fitted:
     """The base model as it would be without the answer: numbers that are answered are held as described."""
     base, plain = search.first.base, search.plain
-    names = {name for step in search.found if step.trial is None for name, _ in step.first.hypothesis.scale}
+    answers = [step.first.hypothesis for step in search.found if step.trial is None]
+    names = {name for numbers in [*answers, *search.stand_ins] for name, _ in numbers.scale}
     if not names:
         return base
     held = _held(plain, sorted(names))
@@ -60,7 +61,7 @@ def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
     then, as they are where other numbers make up for one that is held as described.
 
     Args:
-        refused: effects that explain no more than these numbers do. A load on the same link is a rival.
+        refused: effects that explain no more than these numbers do. A load is a rival, see :func:`_loads`.
     """
     if search.other[1] > 0.5:
         return search
@@ -138,14 +139,29 @@ def _wider(search: Search) -> Search:
 
 
 def taken_back(search: Search) -> Search | None:
-    """The search without effects that make no prediction better, where one thing of the description stands for them."""
-    refused = [step.first for step in search.found if step.trial is not None and possible(search.system, step)]
+    """The search without effects that make no prediction better, where one thing of the description stands for them.
+
+    A load that has more evidence than the numbers that stand for it stays, and they are its rival.
+    """
+    effects = [step for step in search.found if step.trial is not None and possible(search.system, step)]
+    refused = [fit for step in effects for fit in step.decision.ranked]
     plain = replace(
         search, steps=[], system=search.plain, after=base_fit(search.plain), left=search.free, narrow=1.0,
         foretold=search.bare,
     )  # fmt: skip
     back = told(plain, refused)
-    return back if back.found else None
+    if not back.found:
+        return None
+    (answer,) = back.found
+    numbers, *loads = answer.decision.ranked
+    ranked = sorted(loads, key=lambda load: -load.evidence())
+    if len(effects) != 1 or effects[0].first is not next(iter(ranked), None):
+        return back
+    if effects[0].first.evidence() < numbers.evidence():
+        return back
+    decision = replace(answer.decision, ranked=[*ranked, numbers])
+    steps = [replace(effects[0], decision=decision) if step is effects[0] else step for step in search.steps]
+    return replace(search, steps=steps, stand_ins=(numbers.hypothesis,))
 
 
 def _one_thing(search: Search) -> Hypothesis | None:
@@ -190,24 +206,29 @@ def _held(system: System, names: Sequence[str]) -> System:
 
 
 def _loads(search: Search, hypothesis: Hypothesis, fit: Fitted, refused: Sequence[Fitted]) -> list[Fitted]:
-    """The best load on the link whose numbers these are, where it does most of what they do."""
+    """The best load on the link whose numbers these are, where it does most of what they do.
+
+    And loads on other links that have no less evidence than the numbers: a mass at a joint is as well on either link.
+    """
     link = hypothesis.site.partition(".")[0]
     gain = fit.evidence() - base_fit(search.system).evidence()
     looked_at = [f for step in search.steps[-1:] for f in step.decision.ranked if _gain(step, f) > gain / 2]
-    return _on(link, search, [*refused, *looked_at])[:1]
+    loads = _carried(search, [*refused, *looked_at])
+    here = [load for load, carrier in loads if carrier == link][:1]
+    return here + [load for load, carrier in loads if carrier != link and load.evidence() >= fit.evidence()]
 
 
 def _gain(step: Step, fit: Fitted) -> float:
     return fit.evidence() - step.base.evidence()
 
 
-def _on(link: str, search: Search, some: Sequence[Fitted]) -> list[Fitted]:
-    """Of fits, those of loads on a link."""
+def _carried(search: Search, some: Sequence[Fitted]) -> list[tuple[Fitted, str]]:
+    """Of fits, those of loads, each with the link that carries it."""
     robot = search.plain.base.regressor.robot
     found = []
     for fit in some:
         law = CATALOGUE.get(fit.hypothesis.effect)
         carrier = law.carrier(robot, fit.hypothesis.site) if law else None
-        if carrier is not None and link == f"link{carrier + 1}":
-            found.append(fit)
+        if carrier is not None:
+            found.append((fit, f"link{carrier + 1}"))
     return found

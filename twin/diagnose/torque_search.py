@@ -166,6 +166,7 @@ class Search:
         foretold: χ² per datum of the rows kept aside under all that was found, doubt of its numbers beside their noise;
             ``bare`` the same under the base model.
         narrow: times as wide as described the tolerances of the description were taken in the end.
+        stand_ins: numbers of the description that explain as much as what was found, if they are far off.
     """
 
     plain: System
@@ -181,6 +182,7 @@ class Search:
     foretold: float = 0.0
     bare: float = 0.0
     narrow: float = 1.0
+    stand_ins: tuple[Hypothesis, ...] = ()
 
     @property
     def finalists(self) -> tuple[dict[str, Any], ...]:
