@@ -511,6 +511,16 @@ def test_a_large_payload_is_not_drawn_towards_a_usual_one(tmp_path: Path, kr90: 
 
 
 @pytest.mark.slow
+def test_a_load_that_a_links_own_mass_may_be_has_that_mass_as_its_rival(tmp_path: Path, kr90: Robot) -> None:
+    """50 kg on the elbow's axis, within what links may weigh: on the outer link, or that link's own."""
+    found = diagnose_log(recorded(tmp_path, "--effect", "payload@link2:mass=50,com=1.35|0|0"), kr90)
+    (missing,) = found.missing
+    said = {c.key: p for c, p in [(missing.first, missing.probability), *missing.alternatives]}
+    assert set(said) == {"payload@link3", "parameter@link3.mass"}
+    assert max(said.values()) < 0.6
+
+
+@pytest.mark.slow
 def test_a_drive_that_hardly_turns_with_another_axis_is_found(tmp_path: Path, kr90: Robot) -> None:
     """A ratio of −0.016: far from one, and where its dry friction turns round goes with its sign."""
     found = diagnose_log(recorded(tmp_path, "--effect", "joint_coupling@joint2:from=3,ratio=-0.016"), kr90)

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -77,6 +78,12 @@ def test_the_right_name_first() -> None:
     assert found.credible == ["payload@flange"]
     assert found.intervals == {"payload@flange.mass": (8.0, 11.0)}
     assert score.headline([found])["held-out gain over the true model's"] == pytest.approx(0.9)
+
+
+def test_a_payload_on_the_last_link_is_one_at_the_flange() -> None:
+    found = one(answer("single", ("payload", "link3", 3.0)), result("named", [("payload", "flange", 0.9)]))
+    assert found.top1
+    assert found.intervals
 
 
 def test_an_alias_counts_only_with_the_truth_beside_it() -> None:
@@ -530,11 +537,47 @@ def test_what_a_refit_leaves_is_what_scipy_leaves_with_fewer_derivatives() -> No
         bent = 40 * (1 / np.cosh(inside) ** 2)[:, None] * A * 0.6 * np.exp(0.6 * z) / 8
         return np.vstack([bent, np.eye(8)])
 
-    found, mine = visible._least(residual, slopes, np.zeros(8)), len(asked)
+    (_, found), mine = visible._least(residual, slopes, np.zeros(8)), len(asked)
     asked.clear()
     known = least_squares(residual, np.zeros(8), slopes, ftol=1e-10)
     assert float(found @ found) == pytest.approx(2 * known.cost, rel=2 * visible.FITTED)
     assert mine < len(asked)
+
+
+def test_a_resonance_is_followed_beyond_its_width() -> None:
+    """An effect moves a peak by thirty times its width, a spring moves it back: only the spring's tolerance shows."""
+    f, width = np.linspace(2.0, 12.0, 2001), 0.1
+
+    def peak(squared: float) -> np.ndarray:
+        return np.asarray(20 / (100 * squared - f**2 + 0.2j * f))
+
+    def fit(factor: float, starts: Sequence[np.ndarray]) -> visible._Fit:
+        def residual(z: np.ndarray) -> np.ndarray:
+            left = peak(np.exp(width * z[0])) - peak((1 + factor) ** -2)
+            return np.concatenate([left.view(float), z])
+
+        def slopes(z: np.ndarray) -> np.ndarray:
+            return (residual(z + 1e-6) - residual(z - 1e-6))[:, None] / 2e-6
+
+        z, r = visible._least(residual, slopes, min(starts, key=lambda z: float(np.sum(residual(z) ** 2))))
+        return visible._Fit(factor, z, 0.5 * float(r @ r), 0.0)
+
+    small = fit(1e-6, [np.zeros(1)])
+    path = visible._Path(fit, np.array([width]), [small])
+    shown = 0.5 * (2 * np.log(2.5) / width) ** 2
+    assert path.to(1.5).shown == pytest.approx(shown, rel=0.05)
+    assert fit(1.5, [path._grown(small.z, 1.5 / 1e-6)]).shown > 2 * shown  # in one step from its beginning
+
+
+def test_a_size_that_no_fit_reaches_is_refused() -> None:
+    def stuck(factor: float, starts: Sequence[np.ndarray]) -> visible._Fit:
+        return visible._Fit(factor, starts[0], SEEN * (1 if factor < 0.3 else 1e6) * (factor / 0.1) ** 2, 0.0)
+
+    small = visible._Fit(1e-6, np.zeros(1), SEEN * 1e-10, 0.0)
+    path = visible._Path(stuck, np.zeros(1), [small])
+    assert path.to(0.2).shown == pytest.approx(4 * SEEN)
+    with pytest.raises(ValueError, match="follow"):
+        path.to(1.0)
 
 
 def test_cross_products_are_numpys() -> None:

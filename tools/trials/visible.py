@@ -266,7 +266,7 @@ def _least(residual: Callable[[Array], Array], slopes: Callable[[Array], Array],
 
     Derivatives cost as much as a hundred residuals. They are kept up by Broyden's update, and computed again where a
     step does not help, and at the end: there another step would gain less than `FITTED`. Along a curved valley a
-    hundred noises deep steps are short, and many would be needed to its end. Derivatives on its floor say how deep it is.
+    hundred noises deep, steps are short and the end is far. Derivatives on its floor say how deep it is.
     """
     r, J, exact, held = residual(z), slopes(z), True, 0.0
     for _ in range(FITS):

@@ -215,7 +215,8 @@ def _loads(search: Search, hypothesis: Hypothesis, fit: Fitted, refused: Sequenc
     looked_at = [f for step in search.steps[-1:] for f in step.decision.ranked if _gain(step, f) > gain / 2]
     loads = _carried(search, [*refused, *looked_at])
     here = [load for load, carrier in loads if carrier == link][:1]
-    return here + [load for load, carrier in loads if carrier != link and load.evidence() >= fit.evidence()]
+    enough = fit.evidence() - calibration()["tie"]
+    return here + [load for load, carrier in loads if carrier != link and load.evidence() > enough]
 
 
 def _gain(step: Step, fit: Fitted) -> float:
