@@ -52,6 +52,7 @@ FARTHEST_SHAPE = 3.0  # prior deviations of a shape (a speed, an order, a travel
 NOISE_ORDER = 30  # of the autoregression, less where runs are short
 RIPPLE_ORDERS = 14  # up to which any gear and motor adds waves of the joint's angle
 MUCH_TAKEN = 0.2  # share of the rows of a log that the richest model fits by itself
+ROUNDED = 8 / 4096 / 12**0.5  # of a torque's RMS: noise of a 12-bit converter whose range is four times that RMS
 CONVERGED = 0.02  # of ½ χ²: less is no gain
 DIFFERENCES = (1e-3, 0.02)  # of a prior deviation, for differences: as far as the rows tell a number, within
 RINGING = 16  # rows that the low-pass rings before and after a step
@@ -1236,19 +1237,23 @@ def _noise(
         variance = max(float(e @ e) / max(valid.sum() - float(share.sum()), 0.1 * valid.sum()), 1e-300)
     Q = Q * np.sqrt(1 - (1 - share) ** 2)
     correlation = _correlation(np.split(e, ends), np.split(Q, ends), np.split(valid, ends), order)
+    rounded = ROUNDED**2 * float(np.mean(recorded[valid] ** 2))
+    correlation[0] += rounded
     whitening = prediction_filter(correlation)
     white = np.concatenate([lfilter(whitening, [1.0], part)[order:] for part in np.split(e, ends)])
     taken = float(np.sum(Q**2)) / valid.sum()
-    found = whitening, float(white @ white) / max(1 - taken, 0.1) / valid.sum(), float(np.sqrt(correlation[0]))
+    level = float(white @ white) / max(1 - taken, 0.1) / valid.sum() + rounded * float(whitening @ whitening)
+    found = whitening, level, float(np.sqrt(correlation[0]))
     if taken < MUCH_TAKEN:
         return found
-    other = _likeliest_noise(base, B[:, :-extras], B[:, -extras:], y, valid, order)  # either comes out too low
+    other = _likeliest_noise(base, B[:, :-extras], B[:, -extras:], y, valid, order, rounded)  # either is too low
     return max(found, other, key=lambda noise: noise[2])
 
 
 def _likeliest_noise(
-    base: Base, B: FloatArray, C: FloatArray, y: FloatArray, valid: np.ndarray, order: int, most: int = 400
-) -> tuple[FloatArray, float, float]:
+    base: Base, B: FloatArray, C: FloatArray, y: FloatArray, valid: np.ndarray, order: int, rounded: float,
+    most: int = 400,
+) -> tuple[FloatArray, float, float]:  # fmt: skip
     """As :func:`_noise`, for a short log: the noise that makes the data likeliest, all columns under their prior.
 
     In a short log the columns of a rich model span everything slow. Their share does not tell how much noise they took.
@@ -1262,6 +1267,7 @@ def _likeliest_noise(
             zero where a row does not count.
         valid: (m,) rows that count; ``most`` of them are enough.
         order: of the filter.
+        rounded: power of white noise that is there at least, (N·m)² or N².
     """
     rows = np.flatnonzero(valid)[:most]
     run = np.repeat(np.arange(len(base.runs)), [len(r.time) for r in base.runs])[rows]
@@ -1280,6 +1286,7 @@ def _likeliest_noise(
             k = int(np.argmax(likely))
             if likely[k] > best:
                 best, found = float(likely[k]), power[k] * correlation
+    found = found + rounded * np.eye(1, len(found))[0]
     whitening = prediction_filter(found[: order + 1])
     level = float(whitening @ scipy.linalg.toeplitz(found[: order + 1]) @ whitening)
     return whitening, level, float(np.sqrt(found[0]))
