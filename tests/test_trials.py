@@ -619,6 +619,21 @@ def test_a_recording_keeps_less_of_a_load_than_its_description_betrays() -> None
     assert 0 <= kept(load, truth, signal) < 0.5 * SEEN * 3.0**2
 
 
+def test_a_constant_torque_while_an_axis_moves_is_taken_for_an_offset() -> None:
+    """What a motor has at rest nobody knows, so a constant while it moves is the offset of a current sensor."""
+    drawn = cases.case("single", "log", 101, 8, (2.0, 6.0))
+    assert drawn.motion is not None
+    signal = LogSignal(drawn.motion.runs[:2], drawn.motion.log)
+    sound = replace(drawn.motion.truth, effects=())
+
+    def shown(**values: float) -> float:
+        effect = Effect("asymmetric_friction", "joint2", {"torque_difference": 0.0, "viscous_difference": 0.0, **values})
+        change = signal(replace(sound, effects=(effect,))) - signal(sound)
+        return 0.5 * float(change @ change)
+
+    assert shown(torque_difference=40.0) < 0.01 * shown(viscous_difference=40.0)  # axes turn at about 1 rad/s
+
+
 def test_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(SystemExit, match="expected Dask"), trials.executor(1, "tcp://localhost:8786"):

@@ -501,14 +501,17 @@ class LogSignal:
         samples = sum(len(run.time[::EVERY]) for run in self.runs)
         for run in self.runs:
             link, motor, torque = motor_torque(truth, replace(run, time=run.time[::EVERY]), plain)
-            total = np.sum(list(torque.values()), axis=0) * _sliding(motor)
-            spectrum = np.fft.rfft(total, axis=0) / np.sqrt(len(total) / 2)
+            known = _sliding(motor)
+            total = np.sum(list(torque.values()), axis=0) * known
+            spectrum, offset = (np.fft.rfft(x, axis=0) / np.sqrt(len(total) / 2) for x in (total, known))
             frequency = np.fft.rfftfreq(len(total), 1 / rate)
             kept = (frequency > 0) & (frequency <= HIGHEST_HZ)
             keep = np.exp(-1 / (self.log.colour_s * rate))
             shape = (1 - keep**2) / np.abs(1 - keep * np.exp(-2j * np.pi * frequency / rate)) ** 2
             density = self.log.white**2 / EVERY + self.log.coloured**2 * shape
-            parts.append((spectrum[kept] / np.sqrt(density[kept])[:, None]).ravel().view(float))
+            white, offset = (x[kept] / np.sqrt(density[kept])[:, None] for x in (spectrum, offset))
+            like = np.sum(offset.conj() * white, axis=0).real / np.maximum(np.sum(np.abs(offset) ** 2, axis=0), 1e-300)
+            parts.append((white - offset * like).ravel().view(float))
             if self.log.link_encoder:
                 twist = motor - link
                 parts.append(((twist - twist.mean(0)) / (TRANSMISSION_RAD * np.sqrt(samples / (2 * SEEN)))).ravel())
