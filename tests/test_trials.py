@@ -627,7 +627,9 @@ def test_a_constant_torque_while_an_axis_moves_is_taken_for_an_offset() -> None:
     sound = replace(drawn.motion.truth, effects=())
 
     def shown(**values: float) -> float:
-        effect = Effect("asymmetric_friction", "joint2", {"torque_difference": 0.0, "viscous_difference": 0.0, **values})
+        effect = Effect(
+            "asymmetric_friction", "joint2", {"torque_difference": 0.0, "viscous_difference": 0.0, **values}
+        )
         change = signal(replace(sound, effects=(effect,))) - signal(sound)
         return 0.5 * float(change @ change)
 
