@@ -33,6 +33,7 @@ FITS = 30  # steps of a refit, those that do not help among them
 FITTED = 1e-3  # share of what is left that one step more would gain, below which a refit ends
 LEAST_SHARE = 0.1  # of what the derivatives promise, which a step that helps gains
 IMPOSSIBLE = 1e9  # deviations: what a robot that cannot be answers
+FARTHEST = 100.0  # deviations of a nuisance: one more would itself show more than any effect that is drawn
 FASTER = 2.0  # than as the square of a size may what shows grow; beyond, the refit is taken to have got stuck
 LEAST_RATIO = 1.2  # of two sizes, between which a refit takes no step more
 NEAR = 1.15  # what shows over what is to show, from which on a size is not drawn in or out again,
@@ -251,6 +252,8 @@ def _path(
         seen = base + changed(factor)
 
         def residual(z: Array) -> Array:
+            if not np.abs(z).max() < FARTHEST:
+                return np.full(len(seen) + len(z), IMPOSSIBLE)
             return np.nan_to_num(np.concatenate([signal(moved(z)) - seen, z]), nan=IMPOSSIBLE)
 
         with np.errstate(invalid="ignore"):
