@@ -497,6 +497,38 @@ def test_an_offset_is_added_after_the_factor(cell: Recorded, tmp_path: Path, twi
     refused(twin("import", tmp_path / "a.tsv", "--map", path, "-o", tmp_path / "m.h5"), "offset", tmp_path / "m.h5")
 
 
+def test_positions_and_torques_of_two_files_are_one_run(
+    cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    """The wrist's motor turns with the axis before it: rows of ``factor`` are a matrix. The guess joins the files."""
+    turns = np.array([[100.0, 0, 0], [0, 120, 0], [0, 50, 80]])
+    for name, values in (("pos", cell.q @ turns.T), ("curr", cell.tau @ np.linalg.inv(turns))):
+        header = ",".join(f"Joint_{i + 1}" for i in range(cell.axes))
+        np.savetxt(tmp_path / f"{name}_data.csv", values, delimiter=",", header=header, comments="")
+    files = tmp_path / "pos_data.csv", tmp_path / "curr_data.csv"
+    said = twin("import", *files, "--guess")
+    assert said.code == 0, said.err
+    guessed = YAML(typ="safe", pure=True).load(said.out)
+    assert guessed["runs"] == {"run": ["pos_data", "curr_data"]}
+    assert guessed["torque"]["channels"] == [f"curr_data.Joint_{i + 1}" for i in range(cell.axes)]
+    plan = {
+        "makes": "motion-log", "sample_rate_hz": 250, "runs": {"a": ["pos_*", "curr_*"]},
+        "position": {"channels": "pos_data.*", "unit": "rad", "factor": np.linalg.inv(turns).tolist()},
+        "torque": {"channels": "curr_data.*", "unit": "N·m", "factor": turns.T.tolist()},
+    }  # fmt: skip
+    said = twin("import", *files, "--map", mapped(tmp_path, **plan), "-o", tmp_path / "l.h5")
+    assert said.code == 0, said.err
+    with h5py.File(tmp_path / "l.h5") as file:
+        np.testing.assert_allclose(file["runs/a/position"][()], cell.q, atol=1e-6)
+        np.testing.assert_allclose(file["runs/a/torque"][()], cell.tau, rtol=1e-6, atol=1e-6)
+    rows = {**plan["position"], "factor": [[1.0, 2.0], [3.0, 4.0]]}
+    for wrong, word in ({"runs": {"a": "x_*"}}, "runs.a"), ({"position": rows}, "rows of 3"):
+        path, out = mapped(tmp_path, **{**plan, **wrong}), tmp_path / "m.h5"
+        refused(twin("import", *files, "--map", path, "-o", out), word, out)
+    files[1].write_text("\n".join(files[1].read_text().splitlines()[:50]))
+    refused(twin("import", *files, "--map", mapped(tmp_path, **plan), "-o", out), "as many samples", out)
+
+
 def test_places_in_mm_are_named(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
     universal(tmp_path / "e.unv", cell, True)
     in_mm = {n: node | {"position": [1e3 * x for x in node["position"]]} for n, node in nodes(cell).items()}

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.importing.map import FunctionsMap, HitsMap, LogMap, Sensor, Stance, Struck, Taken, UniversalMap
-from twin.importing.tables import Table, chosen
+from twin.importing.tables import Table, chosen, joined
 from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, check_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, even_run
 from twin.measure.spectra import posture_from_hits
@@ -62,19 +62,31 @@ class Source:
             scale = factor(taken.unit, *measures)
         except ValueError as error:
             raise InputError(self.path, f"{field}: unit", str(error)) from error
-        factors, offsets = (np.atleast_1d(np.asarray(given, dtype=float)) for given in (taken.factor, taken.offset))
-        for key, given in (("factor", factors), ("offset", offsets)):
-            if len(given) not in (1, len(names)):
-                raise InputError(self.path, f"{field}: {key}", f"expected one, or {len(names)}, found {len(given)}")
+        factors, offsets = self._scales(field, taken, len(names))
         values = [np.asarray(self.table.channels[name].values) for name in names]
         lengths = sorted({value.shape for value in values})
         if len(lengths) > 1 or len(lengths[0]) != 1 or values[0].dtype.kind not in "iuf":
             raise InputError(self.path, field, f"expected real channels of one length, found shapes {lengths}")
-        found: FloatArray = np.stack(values, axis=1).astype(float) * factors
-        found = (found + offsets) * scale
+        found: FloatArray = np.stack(values, axis=1).astype(float)
+        found = ((found @ factors.T if factors.ndim == 2 else found * factors) + offsets) * scale
         if measures in RECORDS:
             check_array(self.path, f"{field}: {', '.join(names)}", found, RECORDS[measures])
         return found
+
+    def _scales(self, field: str, taken: Taken, count: int) -> tuple[FloatArray, FloatArray]:
+        """``factor`` (n,), (1,) or as a matrix (axes, n), and ``offset``, one number or one per axis."""
+        rows = taken.factor if isinstance(taken.factor, list) else [taken.factor]
+        if len({len(row) for row in rows if isinstance(row, list)}) > 1:
+            raise InputError(self.path, f"{field}: factor", "expected rows of the same length")
+        factors, offsets = (np.atleast_1d(np.asarray(given, dtype=float)) for given in (rows, taken.offset))
+        if factors.ndim == 2 and factors.shape[1] != count:
+            expected = f"expected rows of {count} numbers, one per channel, found {factors.shape[1]}"
+            raise InputError(self.path, f"{field}: factor", expected)
+        axes = len(factors) if factors.ndim == 2 else count
+        for key, given, wanted in (("factor", factors, axes), ("offset", offsets, axes)):
+            if len(given) not in (1, wanted):
+                raise InputError(self.path, f"{field}: {key}", f"expected one, or {wanted}, found {len(given)}")
+        return factors, offsets
 
     def _some(self) -> str:
         names = list(self.table.channels)
@@ -82,11 +94,12 @@ class Source:
 
 
 def build_log(sources: Sequence[Source], map_: LogMap) -> MotionLog:
-    """A motion log: every table a run, on an even clock.
+    """A motion log: every table a run, or the tables that ``runs`` puts together; on an even clock.
 
     Raises:
         InputError: what is missing, or a clock that cannot be repaired.
     """
+    sources = sources if map_.runs is None else [_together(sources, *run) for run in map_.runs.items()]
     runs: dict[str, MotionRun] = {}
     notes: list[str] = []
     for source in sources:
@@ -115,6 +128,17 @@ def build_log(sources: Sequence[Source], map_: LogMap) -> MotionLog:
             "friction that warms up, cannot be seen"
         )
     return MotionLog(runs, map_.robot, str(sources[0].path), tuple(notes))
+
+
+def _together(sources: Sequence[Source], name: str, patterns: str | list[str]) -> Source:
+    """One table of all that fit the patterns of a run."""
+    here = [source for source in sources if source.matches(patterns)]
+    if not here:
+        raise InputError(sources[0].path, f"runs.{name}", f"no file or table fits {patterns!r}")
+    try:
+        return Source(here[0].path, joined(name, [source.table for source in here]))
+    except ValueError as error:
+        raise InputError(here[0].path, f"runs.{name}", str(error)) from error
 
 
 def _clock(source: Source, map_: LogMap, count: int) -> FloatArray:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import InputError
-from twin.importing.tables import Table, natural
+from twin.importing.tables import Table, joined, natural
 from twin.measure.units import ASK
 
 CLOCK = re.compile(r"(?i)^(time(stamp)?|t|zeit|.*\.(time|t))$")
@@ -17,7 +17,7 @@ HAMMER = re.compile(r"(?i)hammer|force|kraft|impact")
 FRF = re.compile(r"(?i)(^|\.)(frf|h|h1|hv|accelerance)$")
 LINES = re.compile(r"(?i)(^|\.)(f|freq.*)$")
 SERIES = {  # in the order they are looked for; what others call them: URScript's RTDE, KRC, ROS, German
-    "torque": re.compile(r"(?i)tau|torque|effort|moment|current"),
+    "torque": re.compile(r"(?i)tau|torque|effort|moment|curr(ent|[_.])"),
     "velocity": re.compile(r"(?i)vel|qd|speed|geschw|drehzahl"),
     "acceleration": re.compile(r"(?i)acc|qdd"),
     "position": re.compile(r"(?i)pos|(^|_|\.)q([_.]?\d+)?$|axis|angle|achs|winkel"),
@@ -31,6 +31,13 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
     Raises:
         InputError: no channel has a name that tells.
     """
+    together: dict[str, Any] = {}
+    if len(tables) > 1 and not set.intersection(*(_kinds(table) for table in tables)):
+        try:  # positions in one file, torques in another
+            tables, names = [joined("run", tables)], [table.name for table in tables]
+            together = {"runs": {"run": names}}
+        except ValueError:
+            pass
     first = tables[0]
     names = [name for name in first.channels if not COMMANDED.search(name)]
     if any(FRF.search(name) and first.channels[name].values.ndim == 3 for name in names):
@@ -39,13 +46,12 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
         return _hits(first, tables, names, hammers[0])
     series: dict[str, list[str]] = {}
     for name in sorted((name for name in names if not CLOCK.match(name)), key=natural):
-        kind = next((kind for kind, pattern in SERIES.items() if pattern.search(name)), None)
-        if kind:
+        if kind := _kind(name):
             series.setdefault(kind, []).append(name)
     if "position" not in series:
         raise InputError(first.name, "channels", f"no name tells a hammer or positions: {', '.join(names[:12])}")
     clock = next((name for name in names if CLOCK.match(name)), None)
-    found: dict[str, Any] = {"makes": "motion-log", "robot": ASK}
+    found: dict[str, Any] = {"makes": "motion-log", "robot": ASK, **together}
     if clock:
         found["time"] = {"channels": [clock], "unit": first.channels[clock].unit or ASK}
     else:
@@ -54,6 +60,17 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
         if kind in series or kind == "torque":
             found[kind] = _taken(first, series.get(kind, [ASK]))
     return found
+
+
+def _kind(name: str) -> str | None:
+    return next((kind for kind, pattern in SERIES.items() if pattern.search(name)), None)
+
+
+def _kinds(table: Table) -> set[str]:
+    """Of which quantities a table has channels; blows and FRFs are ``other``, they belong to no run."""
+    names = [name for name in table.channels if not COMMANDED.search(name)]
+    other = {"other"} if any(HAMMER.search(name) or FRF.search(name) for name in names) else set[str]()
+    return other | {kind for name in names if (kind := _kind(name))}
 
 
 def _taken(table: Table, names: list[str]) -> dict[str, Any]:

@@ -29,20 +29,25 @@ Rate = Annotated[Number, Field(ge=1e-3, le=FASTEST_SAMPLES_HZ)]
 class Taken(Data):
     """Channels of one quantity, a list of names or one pattern with ``*``.
 
-    ``factor``, then ``offset``, which is added, are applied before the unit.
+    ``factor``, then ``offset``, which is added, are applied before the unit. Rows of numbers are a matrix, axes by
+    channels: of drives that turn with one another.
     """
 
     channels: str | list[str]
     unit: str = ASK
-    factor: Factor | list[Factor] = 1.0
+    factor: Factor | list[Factor] | list[list[Number]] = 1.0
     offset: Number | list[Number] = 0.0
 
 
 class LogMap(Data):
-    """A motion log. Every table of every file is a run; ``sample_rate_hz`` serves where there is no clock."""
+    """A motion log. Every table of every file is a run; ``sample_rate_hz`` serves where there is no clock.
+
+    ``runs``: patterns for the tables of each run, where several files hold one run.
+    """
 
     makes: Literal["motion-log"]
     robot: str | None = None
+    runs: Annotated[dict[str, str | list[str]], Field(min_length=1)] | None = None
     time: Taken | None = None
     sample_rate_hz: Rate | None = None
     position: Taken

@@ -60,6 +60,27 @@ class Table:
     sample_rate_hz: float | None = None
 
 
+def joined(name: str, tables: Sequence[Table]) -> Table:
+    """Tables of one run, recorded beside one another, as one.
+
+    A channel that several have with the same values, a clock, is taken once; of other values, it is ``TABLE.CHANNEL``.
+
+    Raises:
+        ValueError: channels of different lengths.
+    """
+    lengths = {table.name: len(next(iter(table.channels.values())).values) for table in tables}
+    if len(set(lengths.values())) > 1:
+        found = ", ".join(f"{name} {count}" for name, count in lengths.items())
+        raise ValueError(f"expected as many samples in every file of a run, found {found}")
+    channels: dict[str, Channel] = {}
+    for table in tables:
+        for key, channel in table.channels.items():
+            others = [t.channels[key] for t in tables if t is not table and key in t.channels]
+            same = all(np.array_equal(channel.values, other.values) for other in others)
+            channels[key if same else f"{table.name}.{key}"] = channel
+    return Table(name, channels, tables[0].sample_rate_hz)
+
+
 def read_tables(path: Path) -> list[Table]:
     """Tables of a foreign file.
 
