@@ -20,6 +20,7 @@ from twin.diagnose import engine, torque
 from twin.diagnose.borne_out import falls
 from twin.diagnose.calibration import calibration
 from twin.diagnose.joint import followed
+from twin.diagnose.note import Note
 from twin.diagnose.sentences import sentence
 from twin.diagnose.torque import Log, _missed, diagnose_log, pooled, predicted_by, wide_enough, with_evidence
 from twin.diagnose.torque_design import Block, Design
@@ -518,6 +519,22 @@ def test_a_load_that_a_links_own_mass_may_be_has_that_mass_as_its_rival(tmp_path
     said = {c.key: p for c, p in [(missing.first, missing.probability), *missing.alternatives]}
     assert set(said) == {"payload@link3", "parameter@link3.mass"}
     assert max(said.values()) < 0.6
+
+
+@pytest.mark.slow
+def test_play_stays_where_what_was_named_beside_it_is_refused(
+    tmp_path: Path, kr90: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A load that only relieves tension goes; the gap, which the second encoder shows, does not go with it."""
+    effects = ("--effect", "backlash@joint2.z:gap=0.00015", "--effect", "payload@link2:mass=70,com=1.35|0|0")
+    log = recorded(tmp_path, "--link-encoder", *effects)
+    monkeypatch.setattr(torque, "falls", lambda _: False)
+    monkeypatch.setattr(torque, "taken_back", lambda _: None)
+    found = diagnose_log(log, kr90)
+    assert [missing.first.key for missing in found.missing] == ["backlash@joint2.z"]
+    (note,) = (w for w in found.warnings if isinstance(w, Note) and w.kind == "tension")
+    assert len(note.sites) == 1
+    assert note.sites[0].startswith("payload@")
 
 
 @pytest.mark.slow

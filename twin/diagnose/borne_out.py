@@ -13,7 +13,7 @@ from typing import Any
 from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
 from twin.diagnose.records import FrfRecord, LogRecord, Record
-from twin.diagnose.verdict import Finding, Verdict, Word
+from twin.diagnose.verdict import Finding, Missing, Verdict, Word
 from twin.physics import effect_named
 from twin.robot.description import Robot
 
@@ -84,22 +84,16 @@ def borne_out(verdict: Verdict) -> Verdict:
     if not worse and any(falls(finding) for finding in verdict.findings):
         return verdict
     names = ", ".join(missing.first.phrase for missing in verdict.missing)
+    note = tension(verdict.missing)
     if worse and len(verdict.findings) > 1:
         reason = (
             f"no single model fits all recordings. With their common answer ({names}) the error of "
             f"{', '.join(finding.recording for finding in worse)} rises. They may be of different robots, or of one "
             "robot in different states. Diagnose them one by one"
         )
-    else:
-        reason = (
-            f"some fitted numbers are far from the description. With {names} in the model they come closer, but the "
-            "recordings are not predicted better. So it is not named; the description's tolerances may be too narrow"
-        )
+        note = Note(reason, "other_robot")
     findings = [_without(finding) for finding in verdict.findings]
-    kind = "other_robot" if worse and len(verdict.findings) > 1 else "tension"
-    firsts = [missing.first for missing in verdict.missing]
-    refused = tuple(f.site if f.effect == "parameter" else f.key for f in firsts) if kind == "tension" else ()
-    findings[0].warnings = [*findings[0].warnings, Note(reason, kind, sites=refused)]
+    findings[0].warnings = [*findings[0].warnings, note]
     words = [finding.word for finding in findings]
     word: Word = "unexplained" if worse or "unexplained" in words else "adequate"
     none, other = (
@@ -107,6 +101,17 @@ def borne_out(verdict: Verdict) -> Verdict:
     )
     base = _base(verdict)
     return replace(verdict, findings=findings, word=word, missing=[], none=none, other=other, base=base, robot=base)
+
+
+def tension(refused: Sequence[Missing]) -> Note:
+    """Why names are not given with which no recording is predicted better."""
+    names = ", ".join(missing.first.phrase for missing in refused)
+    firsts = [missing.first for missing in refused]
+    text = (
+        f"some fitted numbers are far from the description. With {names} in the model they come closer, but the "
+        "recordings are not predicted better. So it is not named; the description's tolerances may be too narrow"
+    )
+    return Note(text, "tension", sites=tuple(f.site if f.effect == "parameter" else f.key for f in firsts))
 
 
 def _base(verdict: Verdict) -> Robot:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.borne_out import falls
+from twin.diagnose.borne_out import falls, tension
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
 from twin.diagnose.edit import check_replayed
@@ -35,7 +35,7 @@ from twin.diagnose.torque_laws import Suspect, log_suspects, model_torque, not_s
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_numbers import GAIN, number_columns, numbers_of
-from twin.diagnose.torque_off import as_described, far_off, numbers_of_answer, taken_back, told
+from twin.diagnose.torque_off import as_described, bare, far_off, numbers_of_answer, taken_back, told
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_search import (
     REFITTED,
@@ -127,8 +127,14 @@ def diagnose_log(
         return again(of_one, notes)
     put = [*notes, *faults, *_clocks(rates)]
     finding = _finding(log, robot, source, prepared, search, suspects, put, processes)
-    if finding.missing and not falls(finding) and (back := taken_back(search)):
+    if not finding.missing or falls(finding):
+        return finding
+    if back := taken_back(search):
         return _finding(log, robot, source, prepared, back, suspects, put, processes)
+    refused = [missing for missing in finding.missing if effect_named(missing.first.effect).part != "play"]
+    if len(refused) < len(finding.missing):  # the second encoder shows the play without them
+        put = [*put, tension(refused)]
+        return _finding(log, robot, source, prepared, bare(search), suspects, put, processes)
     return finding
 
 
@@ -271,6 +277,8 @@ def _strained(search: Search) -> list[Note]:
 def _told_apart(search: Search) -> list[str]:
     """Of what would be the recording's, of all joints at once, and was not found though alone it would explain much."""
     found = {step.key for step in search.found}
+    if not found:
+        return []
     alone: dict[str, float] = {}
     for step in [search.first, *search.steps]:
         for fit in step.decision.ranked:

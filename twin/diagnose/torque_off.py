@@ -145,11 +145,7 @@ def taken_back(search: Search) -> Search | None:
     """
     effects = [step for step in search.found if step.trial is not None and possible(search.system, step)]
     refused = [fit for step in effects for fit in step.decision.ranked]
-    plain = replace(
-        search, steps=[], system=search.plain, after=base_fit(search.plain), left=search.free, narrow=1.0,
-        foretold=search.bare,
-    )  # fmt: skip
-    back = told(plain, refused)
+    back = told(bare(search), refused)
     if not back.found:
         return None
     (answer,) = back.found
@@ -162,6 +158,14 @@ def taken_back(search: Search) -> Search | None:
     decision = replace(answer.decision, ranked=[*ranked, numbers])
     steps = [replace(effects[0], decision=decision) if step is effects[0] else step for step in search.steps]
     return replace(search, steps=steps, stand_ins=(numbers.hypothesis,))
+
+
+def bare(search: Search) -> Search:
+    """The search without anything that it found."""
+    return replace(
+        search, steps=[], system=search.plain, after=base_fit(search.plain), left=search.free, narrow=1.0,
+        foretold=search.bare,
+    )  # fmt: skip
 
 
 def _one_thing(search: Search) -> Hypothesis | None:
