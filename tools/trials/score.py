@@ -109,7 +109,7 @@ class Scored:
 def aliases(hypothesis: str, same_q1: bool = False) -> set[str]:
     """Hypotheses that mechanics does not tell from this one; `same_q1`: with one q₁ in all postures."""
     pairs = [
-        {"payload@flange", "parameter@link3.mass"},
+        {"payload@flange", "payload@link3", "parameter@link3.mass"},
         {"base_compliance@base.rz", "parameter@joint1.z.stiffness", "servo_compliance@joint1"},
         *({f"payload@link{i}", f"parameter@link{i}.mass"} for i in (1, 2)),
         *({f"servo_compliance@joint{i}", f"parameter@joint{i}.z.stiffness"} for i in (1, 2, 3)),
