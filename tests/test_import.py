@@ -527,6 +527,10 @@ def test_positions_and_torques_of_two_files_are_one_run(
         refused(twin("import", *files, "--map", path, "-o", out), word, out)
     files[1].write_text("\n".join(files[1].read_text().splitlines()[:50]))
     refused(twin("import", *files, "--map", mapped(tmp_path, **plan), "-o", out), "as many samples", out)
+    (tmp_path / "b").mkdir()
+    same = tmp_path / "b" / "pos_data.csv"  # as folders `pos` and `curr` with a file per run have it
+    same.write_text(files[0].read_text())
+    refused(twin("import", files[0], same, "--map", path, "-o", out), "two files are called pos_data", out)
 
 
 def test_places_in_mm_are_named(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:

@@ -66,8 +66,11 @@ def joined(name: str, tables: Sequence[Table]) -> Table:
     A channel that several have with the same values, a clock, is taken once; of other values, it is ``TABLE.CHANNEL``.
 
     Raises:
-        ValueError: channels of different lengths.
+        ValueError: channels of different lengths, or two tables of one name.
     """
+    names = [table.name for table in tables]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ValueError(f"two files are called {twice}: rename one, for their channels are told apart by it")
     lengths = {table.name: len(next(iter(table.channels.values())).values) for table in tables}
     if len(set(lengths.values())) > 1:
         found = ", ".join(f"{name} {count}" for name, count in lengths.items())
