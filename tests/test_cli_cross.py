@@ -122,6 +122,7 @@ def test_a_log_that_the_twin_simulated_without_noise_is_given_no_name(written: P
     told = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert not told["effects"]
     assert told["error"]["before"]["train"] <= 1.05 * told["error"]["as_given"]["train"]
+    assert not [note["text"] for note in told["triage"] if "standard deviations off" in note["text"]]
 
 
 class Page(HTMLParser):
