@@ -259,7 +259,6 @@ def test_a_tilt_that_only_the_height_of_its_hinge_tells_from_another_is_never_on
     assert decision.ranked[0].hypothesis.key == "base_compliance@base.ry"
     assert rival is not None
     assert rival.hypothesis.key == "parameter@joint1.y.stiffness"
-    assert rival.converged
     assert judge(decision) == "ambiguous"
     told = decide(fits, base, among)
     assert decision.alike == pytest.approx(told.probability[0], abs=0.05)  # it is shared, nothing else is changed

@@ -1,6 +1,6 @@
 """What a hammer test says is missing from a robot description: the hammer-test side of ``twin diagnose``."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -54,10 +54,11 @@ from twin.identify.recorded import Recorded, base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
 from twin.measure.recordings import Recording
 from twin.model.parameters import Parameters, free_parameters, written_names
-from twin.parallel import Progress, spread
+from twin.parallel import Progress, ahead
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
+CRAWLING = 4  # steps that hardly lower a cost far above noise: links as described have no better numbers
 ABOUT = 2  # times that knowledge of moments is made linear where a fit ends: the second moves it by little
 
 
@@ -246,7 +247,7 @@ def _sorted_out(campaign: Campaign, found: Triage, ask: _Ask) -> Finding | None:
     alone = len({r.setup.name for r in sample.recordings}) == len(sample.recordings) > 2
     if ask.sorted or ask.leak or ask.told_by or found.nonlinear or not alone:
         return None
-    some, notes = sorted_out(without_limits(ask.given), campaign, sample)
+    some, notes = sorted_out(without_limits(ask.given), campaign, sample, ask.processes)
     if not notes:
         return None
     held = ask.hold_out and [name for name in ask.hold_out if name in some.postures]
@@ -295,14 +296,24 @@ def _answered(
     base: Robot, search: Search, sample: Sample, looked_at: Sequence[Sequence[Hypothesis]], found: Triage, told: bool
 ) -> _Answer:
     """The decision over everything that was fitted; ``told``: the prior of masses is another recording's."""
+    with ahead(lambda: _possible(search.base, base, sample), search.processes) as possible_base:
+        return _decided(base, search, sample, looked_at, found, told, possible_base)
+
+
+def _decided(
+    base: Robot, search: Search, sample: Sample, looked_at: Sequence[Sequence[Hypothesis]], found: Triage, told: bool,
+    possible_base: Callable[[], Fitted],
+) -> _Answer:  # fmt: skip
     *others, settled = settle(base, search, sample)
     fits = that_show(others)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
-    decision = decide(
-        fits, settled, looked_at, kept=unseen, unnamed=lambda fit: search.lawless(fit, sample), axes=axes,
-        processes=search.processes,
-    )  # fmt: skip
+    likeliest = fits[0] if fits else settled
+    with ahead(lambda: search.lawless(likeliest, sample), search.processes) as of_likeliest:
+        decision = decide(
+            fits, settled, looked_at, kept=unseen, axes=axes, processes=search.processes,
+            unnamed=lambda fit: of_likeliest() if fit is likeliest else search.lawless(fit, sample),
+        )  # fmt: skip
     decision, doubts = sifted(decision, base)
     if doubts:
         settled = base_with(base, search.base.parameters, settled, doubts, sample, sample.thin(REFIT_LINES))
@@ -328,7 +339,7 @@ def _answered(
         if not answered:
             decision = replace(decision, none=1 - decision.other - calibration()["told"])
         word = "ambiguous" if word == "ambiguous" or number.missing.rivals else "named"
-    ends = list(spread(lambda number: _possible(ends[number], base, sample), len(ends), search.processes))
+    ends = [possible_base() if end is search.base else _possible(end, base, sample) for end in ends]
     return _Answer(
         decision, word, missing, fits, ends[0], _loosened(ends[-1]), links, doubts,
         number.missing if number else None,
@@ -382,12 +393,10 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     settled, best, decision = answer.base, answer.best, answer.decision
     recordings = found.used, found.kept, found.shared, search.processes
 
-    def beside(number: int) -> Any:
-        if number:
-            return misses_of_frf(physical(best.robot), Posterior.of(best), found.kept)
-        return frf_records(without_limits(given), before, best, *recordings)
-
-    (records, errors), misses = spread(beside, 2, search.processes)
+    known, shown = Posterior.of(best), physical(best.robot)
+    with ahead(lambda: misses_of_frf(shown, known, found.kept), search.processes) as missed:
+        records, errors = frf_records(without_limits(given), before, best, *recordings)
+        misses = missed()
     free = records
     if _zeros(best):  # against free angles, too, the zero of an axis has to gain
         free, _ = frf_records(without_limits(given), settled, best, *recordings)
@@ -486,7 +495,8 @@ def _possible(fit: Fitted, base: Robot, sample: Sample) -> Fitted:
     for start, z, logarithmic in starts:
         fits.append((descend(start, NONE, free, few, z, logarithmic=logarithmic, linear=5), start))
     best, start = min(fits, key=lambda pair: pair[0].cost)
-    return replace(descend(start, NONE, free, sample, best.z, tempered=0, linear=25), hypothesis=fit.hypothesis)
+    ended = descend(start, NONE, free, sample, best.z, tempered=0, linear=25, patience=CRAWLING)
+    return replace(ended, hypothesis=fit.hypothesis)
 
 
 def _weighed(told_by: Finding, given: Robot, settled: Fitted, sample: Sample, seed: int) -> Fitted:

@@ -135,25 +135,33 @@ class Hypothesis:
 
 def entry_hypothesis(base: Robot, effect: str, site: str, values: dict[str, Any]) -> Hypothesis:
     """The hypothesis of one entry, its prior centred on ``values``."""
-    entry = Entry(effect=effect, site=site, **values)
+    return _variants(base, effect, site, [values])[0]
+
+
+def _variants(base: Robot, effect: str, site: str, some: Sequence[dict[str, Any]]) -> list[Hypothesis]:
+    """The hypotheses of one entry, the prior of each centred on values of its own; all have the same ones."""
     same = sum(other.effect == effect and other.site == site for other in base.physics)
     key = f"{effect}@{site}" + (f"#{same + 1}" if same else "")
-    own: list[Parameter] = []
     law = CATALOGUE[effect]
     kind: Kind = "spring" if law.hinge else "entry"
-    for quantity in law.parameters:
-        if quantity.word or not quantity.spread or quantity.name not in values:
-            continue
-        given = values[quantity.name]
-        numbers = given if quantity.length else [given]
-        for k, number in enumerate(numbers):
-            name = f"{key}.{quantity.name}" + (f"[{k}]" if quantity.length else "")
-            if law.hinge:
-                name = f"{site}.{quantity.name}"
+    free = [p for p in law.parameters if not p.word and p.spread and p.name in some[0]]
+    own: list[tuple[str, str, bool, float]] = []
+    for quantity in free:
+        for k in range(len(some[0][quantity.name]) if quantity.length else 1):
+            at = f"[{k}]" if quantity.length else ""
+            name = f"{site if law.hinge else key}.{quantity.name}" + ("" if law.hinge else at)
             width = law.deviation(base, site, quantity, k)
-            unit = law.unit(quantity.name + (f"[{k}]" if quantity.length else ""), site, base)
-            own.append(Parameter(name, unit, kind, quantity.log, float(number), width, "usual size"))
-    return Hypothesis(effect, site, (entry,), tuple(own))
+            own.append((name, law.unit(quantity.name + at, site, base), quantity.log, width))
+
+    def one(values: dict[str, Any]) -> Hypothesis:
+        means = [x for p in free for x in (values[p.name] if p.length else [values[p.name]])]
+        parameters = [
+            Parameter(name, unit, kind, log, float(mean), width, "usual size")
+            for (name, unit, log, width), mean in zip(own, means, strict=True)
+        ]
+        return Hypothesis(effect, site, (Entry(effect=effect, site=site, **values),), tuple(parameters))
+
+    return [one(values) for values in some]
 
 
 def sites(effect: str, axes: int, response: Channels, excitation: Channels) -> list[str]:
@@ -189,7 +197,7 @@ def suspects(
                 continue
             variants = effect.variants(base, site, band_hz)
             if variants:
-                found.append([entry_hypothesis(base, name, site, values) for values in variants])
+                found.append(_variants(base, name, site, variants))
     return found
 
 

@@ -211,15 +211,19 @@ def descend(
     linear: int = 20,
     tolerance: float = 0.05,
     hopeless: float = np.inf,
+    patience: int | None = None,
 ) -> Fitted:
-    """Fit a hypothesis from z; the numbers are the largest iterations on each kind of residual."""
+    """Fit a hypothesis from z; the numbers are the largest iterations on each kind of residual.
+
+    ``hopeless`` and ``patience`` are those of :func:`minimise`, on the linear residual.
+    """
     robot = hypothesis.robot(base)
     if logarithmic:
         z, *_ = minimise(Objective(robot, parameters, sample, logarithmic=True), z, logarithmic, 0.1)
     for temper in REFIT_TEMPERS if tempered else ():
         z, *_ = minimise(Objective(robot, parameters, sample, temper), z, tempered, 0.1)
     objective = Objective(robot, parameters, sample)
-    z, cost, information, converged = minimise(objective, z, linear, tolerance, hopeless)
+    z, cost, information, converged = minimise(objective, z, linear, tolerance, hopeless, patience=patience)
     values = parameters.values(z)
     data = objective.data
     return Fitted(

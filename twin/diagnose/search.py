@@ -18,7 +18,7 @@ from twin.diagnose.parted import divided
 from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
 from twin.diagnose.within import allowed, members
-from twin.identify.descent import minimise
+from twin.identify.descent import LACKING, minimise
 from twin.identify.elastic import AGREEMENT
 from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import FloatArray
@@ -478,9 +478,10 @@ class _Place:
 def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
     """Fits what turns the robot about the same axis as a piece of a likely answer, in its stead, to convergence.
 
-    Pieces of the best answer are also replaced by simpler ones that they contain, as a foundation without a mass of its
-    own. Beside what was found after that piece, the simpler may do as well. So may one node that is far astray and was
-    freed with all others.
+    What still lacks something on a few lines (``LACKING``) is not followed to its end on all. Pieces of the best
+    answer are also replaced by simpler ones that they contain, as a foundation without a mass of its own. Beside what
+    was found after that piece, the simpler may do as well. So may one node that is far astray and was freed with all
+    others.
     """
     free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
     axes, finalists = same_axes(robot, postures), search.finalists
@@ -489,6 +490,8 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
     best, *others = finalists
     likely = [best, *(fit for fit in others if len(fit.hypothesis.pieces) <= len(best.hypothesis.pieces))]
     least = max(search.base.evidence(), best.evidence() - LIKELY)
+    behind = best.cost + WITHIN * max(1.0, best.misfit)
+    lacking = max(behind, 0.5 * LACKING * best.data)
     places = []
     for fit in [fit for fit in likely if fit.evidence() > least]:
         for piece in fit.hypothesis.pieces:
@@ -496,7 +499,7 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
             hopeless = np.inf
             if piece.key not in axes:
                 instead = [c for c in instead if fit is best and c.law and len(c.own) < len(piece.own)]
-                hopeless = best.cost + WITHIN * max(1.0, best.misfit)
+                hopeless = behind
             rest = [other for other in fit.hypothesis.pieces if other is not piece]
             there = {other.key for other in rest}  # both may be missing, but neither twice
             if fit is best:
@@ -512,7 +515,7 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
 
     def found(number: int) -> Fitted:
         one = places[number]
-        return _fully(robot, _nearly(robot, one, few, THINNED_COST * one.worth), sample, one.worth)
+        return _fully(robot, _nearly(robot, one, few, THINNED_COST * one.worth), sample, min(one.worth, lacking))
 
     for fit in spread(found, len(places), search.processes):
         known = search.fits.get(fit.hypothesis.identity)

@@ -20,6 +20,7 @@ from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.parameters import Parameters, free_parameters, independent
+from twin.parallel import spread
 from twin.robot.description import Robot
 
 Fit = TypeVar("Fit")
@@ -28,16 +29,17 @@ STEP_DEG, FURTHEST_DEG = 1.5, 20.0
 MEANS = "They may be of different robots, of one robot in different states, or have wrong angles in the file"
 
 
-def sorted_out(robot: Robot, campaign: Campaign, sample: Sample) -> tuple[Campaign, list[Note]]:
+def sorted_out(robot: Robot, campaign: Campaign, sample: Sample, processes: int = 1) -> tuple[Campaign, list[Note]]:
     """A campaign with the postures that are of one robot, wrong angles put right, and a note on each fault.
 
     Args:
         robot: the description without limits.
         sample: all postures of the campaign, each at one force.
+        processes: postures are fitted one by one by so many.
     """
     few = list(sample.thin(SCREEN_LINES).recordings)
     free = free_parameters(robot, [r.setup.name for r in few], few[0].setup.response.label)
-    groups, lone = _groups(robot, free, few, sample.repeat)
+    groups, lone = _groups(robot, free, few, sample.repeat, processes)
     sound = [group for group in groups if len(group[0]) > 1 and not _strained(group[1])]
     if not sound:
         return campaign, []
@@ -80,15 +82,19 @@ def sorted_out(robot: Robot, campaign: Campaign, sample: Sample) -> tuple[Campai
 
 
 def _groups(
-    robot: Robot, free: Parameters, few: Sequence[Recorded], repeat: float
+    robot: Robot, free: Parameters, few: Sequence[Recorded], repeat: float, processes: int
 ) -> tuple[list[tuple[list[int], Fitted]], list[int]]:
     """Postures that one model explains together, with its fit, and those that none explains.
 
     None at all where two are not explained each by itself: something else is missing.
     """
     alone: dict[int, Fitted] = {}
-    for k, r in enumerate(few):
-        if (fit := _explained(robot, free, Sample((r,), repeat), np.zeros(len(free)))) is not None:
+
+    def by_itself(k: int) -> Fitted | None:
+        return _explained(robot, free, Sample((few[k],), repeat), np.zeros(len(free)))
+
+    for k, fit in enumerate(spread(by_itself, len(few), processes)):
+        if fit is not None:
             alone[k] = fit
         if k + 1 - len(alone) > 1:
             return [], []

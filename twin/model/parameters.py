@@ -29,7 +29,7 @@ from twin.measure.campaign import Channels, FloatArray
 from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
 from twin.robot.description import Entry, Robot
-from twin.robot.frames import inertia_matrix, inertia_six
+from twin.robot.frames import inertia_six
 
 Kind = Literal["spring", "entry", "link", "axis", "posture", "sag", "gain", "point", "direction"]
 Side = Literal["response", "excitation"]
@@ -558,6 +558,8 @@ def _changed(robot: Robot, values: dict[str, float]) -> Robot:
     hinges = {entry.site: key for key, entry in described.items() if CATALOGUE[entry.effect].hinge}
     entries = {key: dict(entry.model_extra or {}) for key, entry in described.items()}
     touched: set[str] = set()
+    frames: dict[int, dict[str, float]] = {}
+    bodies: dict[int, tuple[float, FloatArray, list[float]]] = {}
     for name, value in values.items():
         if name.startswith(("posture.", "gain.", "node:")):
             continue
@@ -581,22 +583,23 @@ def _changed(robot: Robot, values: dict[str, float]) -> Robot:
             i = int(site[4:]) - 1
             turned = quantity in ("alpha", "theta")
             change = {f"{quantity}_deg": float(np.rad2deg(value))} if turned else {quantity: float(value)}
-            axes[i] = axes[i].model_copy(update=change)
+            frames.setdefault(i, {}).update(change)
         else:
             link, _, quantity = name.partition(".")
             i = int(link[4:]) - 1
-            mass, com, inertia = links[i].inertial
+            if i not in bodies:
+                mass, com, inertia = links[i].inertial
+                bodies[i] = mass, com, inertia_six(inertia)
             if quantity == "mass":
-                mass = value
+                bodies[i] = value, *bodies[i][1:]
             elif quantity.startswith("com."):
-                com["xyz".index(quantity[-1])] = value
+                bodies[i][1]["xyz".index(quantity[-1])] = value
             else:
-                six = inertia_six(inertia)
-                six[SIX.index(quantity.partition(".")[2])] = value
-                inertia = inertia_matrix(six)
-            links[i] = links[i].model_copy(
-                update={"mass": mass, "com": tuple(map(float, com)), "inertia": tuple(inertia_six(inertia))}
-            )
+                bodies[i][2][SIX.index(quantity.partition(".")[2])] = value
+    for i, frame in frames.items():
+        axes[i] = axes[i].model_copy(update=frame)
+    for i, (mass, com, six) in bodies.items():
+        links[i] = links[i].model_copy(update={"mass": mass, "com": tuple(map(float, com)), "inertia": tuple(six)})
     physics = [
         Entry(effect=entry.effect, site=entry.site, **entries[key]) if key in touched else entry
         for key, entry in described.items()

@@ -940,14 +940,30 @@ def _receptances(seen: Observed, s: ComplexArray, power: int) -> tuple[ComplexAr
 
 
 def _stiffness_slopes(rate: Observed, s: ComplexArray, pull: ComplexArray, X_e: ComplexArray) -> ComplexArray:
-    """pull ∂Z X_e (n, nf, nr, ne), pull (nf, nr, nv), X_e (nf, nv, ne): ∂Z first meets the side with fewer channels."""
+    """pull ∂Z X_e (n, nf, nr, ne), pull (nf, nr, nv), X_e (nf, nv, ne).
+
+    A spring or damper of one coordinate makes a product of two vectors; else ∂Z first meets the side with fewer
+    channels.
+    """
     (nf, nr, nv), ne = pull.shape, X_e.shape[2]
-    felt = np.flatnonzero(np.any([m.any(axis=(1, 2)) for m in _matrices(rate)], axis=0))  # not channels' own numbers
-    out, n = np.zeros((len(rate.M), nf, nr, ne), complex), len(felt)
-    every = [m[felt] for m in _matrices(rate)]
-    parts = [(m, factor[:, None, None]) for m, factor in zip(every, _factors(s), strict=True) if m.any()]
+    out, matrices = np.zeros((len(rate.M), nf, nr, ne), complex), np.stack(_matrices(rate), axis=1)
+    entries = np.count_nonzero(matrices.reshape(len(matrices), -1), axis=1)  # none of channels' own numbers
+    one = (entries == 1) & matrices.diagonal(axis1=2, axis2=3).any(axis=(1, 2))
+    for k in range(nv):
+        along = matrices[:, :, k, k] * one[:, None]
+        if (springs := np.flatnonzero(along.any(axis=1))).size:
+            product = pull[:, :, k, None] * X_e[:, None, k, :]
+            for p, factor in zip(springs, along[springs] @ _factors(s), strict=True):
+                np.multiply(factor[:, None, None], product, out=out[p])
+    felt = np.flatnonzero((entries > 0) & ~one)
+    parts = [
+        (m, factor[:, None, None])
+        for m, factor in zip(matrices[felt].swapaxes(0, 1), _factors(s), strict=True)
+        if m.any()
+    ]
     if not parts:
         return out
+    n = len(felt)
     if nr <= ne:
         by = np.concatenate([m.transpose(1, 0, 2).reshape(nv, -1) for m, _ in parts])
     else:

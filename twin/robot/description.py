@@ -6,7 +6,7 @@ The schema of ``robot.yaml``; its keys, units and defaults are the fields below.
 import fnmatch
 import re
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -25,6 +25,7 @@ from pydantic import (
 
 from twin.errors import InputError, tell
 from twin.physics import CATALOGUE
+from twin.physics.effect import Effect
 from twin.ranges import (
     FARTHEST_M,
     FREE_TURNS,
@@ -276,11 +277,15 @@ class Entry(BaseModel):
     @property
     def values(self) -> dict[str, Any]:
         """The parameters, defaults filled in."""
-        given = {name: value for name, value in (self.model_extra or {}).items() if value is not None}
-        for parameter in CATALOGUE[self.effect].parameters:
-            if parameter.optional and parameter.name not in given:
-                given[parameter.name] = [parameter.null] * parameter.length if parameter.length > 0 else parameter.null
-        return given
+        return _filled(self.effect, self.model_extra or {})
+
+
+def _filled(effect: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    found = {name: value for name, value in given.items() if value is not None}
+    for parameter in CATALOGUE[effect].parameters:
+        if parameter.optional and parameter.name not in found:
+            found[parameter.name] = [parameter.null] * parameter.length if parameter.length > 0 else parameter.null
+    return found
 
 
 class Prior(Data):
@@ -491,8 +496,10 @@ class Robot(Data):
         """How far (n,) the axes are from where their encoders say, rad (m)."""
         zeros = np.zeros(len(self.axes))
         for entry in self.physics:
-            for axis, value in CATALOGUE[entry.effect].encoder_zero(entry.site, entry.values).items():
-                zeros[axis] += value
+            effect = CATALOGUE[entry.effect]
+            if type(effect).encoder_zero is not Effect.encoder_zero:
+                for axis, value in effect.encoder_zero(entry.site, entry.values).items():
+                    zeros[axis] += value
         return zeros
 
     @property
@@ -509,14 +516,16 @@ class Robot(Data):
         """Gravity (3,) in the frame of the base as it stands, m/s²."""
         gravity = np.array(self.gravity, float)
         for entry in self.physics:
-            gravity = CATALOGUE[entry.effect].gravity(gravity, entry.site, entry.values)
+            effect = CATALOGUE[entry.effect]
+            if type(effect).gravity is not Effect.gravity:
+                gravity = effect.gravity(gravity, entry.site, entry.values)
         return gravity
 
     def values(self, entry: Entry) -> dict[str, Any]:
         """The parameters of an entry: as given, completed from the rest of the description, null where left out."""
         given = {name: value for name, value in (entry.model_extra or {}).items() if value is not None}
         completed = CATALOGUE[entry.effect].complete(self, entry.site, given)
-        return Entry(effect=entry.effect, site=entry.site, **completed).values
+        return _filled(entry.effect, completed)
 
     def scatter(self, field: str) -> float:
         """Standard deviation of the logarithm of a number that was assumed, from its tolerance; zero of any other."""

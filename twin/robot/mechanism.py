@@ -152,7 +152,6 @@ class Mechanism:
     tendons: list[Tendon] = field(default_factory=list)
     passive_motors: list[PassiveMotor] = field(default_factory=list)
     passive_forces: list[PassiveForce] = field(default_factory=list)
-    points: list[Point] = field(default_factory=list)
     splits: dict[int, Split] = field(default_factory=dict)
     accelerometers: tuple[str, ...] = ()
     sensor_delay: dict[str, float] = field(default_factory=dict)
@@ -189,6 +188,16 @@ class Mechanism:
     def joints(self) -> list[Joint]:
         """All joints, body by body."""
         return [joint for body in self.bodies.values() for joint in body.joints]
+
+    @property
+    def points(self) -> list[Point]:
+        """The test points, each in the frame of the body that carries it."""
+        found = []
+        for point in self.robot.test_points:
+            position = np.array(point.position)
+            carrier = self.carrier(point.body, position)
+            found.append(Point(point.label, carrier, position - self.offset(carrier), np.array(point.direction)))
+        return found
 
     def carrier(self, body: str, position: np.ndarray) -> str:
         """The body that carries a point given in ``body``'s frame: the outboard half where a link is split."""
@@ -356,16 +365,6 @@ def assemble(
     for body in mechanism.bodies.values():
         # preloaded coincident hinges do not quite commute: their order must not be that of the entries
         body.joints.sort(key=lambda joint: (joint.elastic, "zxy".find(joint.name[-1])))
-    for point in robot.test_points:
-        carrier = mechanism.carrier(point.body, np.array(point.position))
-        mechanism.points.append(
-            Point(
-                point.label,
-                carrier,
-                np.array(point.position) - mechanism.offset(carrier),
-                np.array(point.direction),
-            )
-        )
     return mechanism
 
 
@@ -390,5 +389,12 @@ def assemble_all(
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Quaternion product, (w, x, y, z)."""
-    w, v = a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.concatenate([[w], v])
+    (w, x, y, z), (k, p, q, r) = a.tolist(), b.tolist()
+    return np.array(
+        [
+            w * k - x * p - y * q - z * r,
+            w * p + k * x + y * r - z * q,
+            w * q + k * y + z * p - x * r,
+            w * r + k * z + x * q - y * p,
+        ]
+    )
