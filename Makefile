@@ -18,7 +18,7 @@ lint: install
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --durations=10
+	$(BIN)/python -m pytest -n 2 --dist loadfile --durations=10
 
 # Whole diagnoses of rarer cases and the longest tutorial, a quarter of an hour.
 test-slow: install

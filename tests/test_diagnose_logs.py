@@ -23,36 +23,28 @@ from twin.diagnose.joint import followed
 from twin.diagnose.note import Note
 from twin.diagnose.sentences import sentence
 from twin.diagnose.torque import Log, _missed, diagnose_log, pooled, predicted_by, wide_enough, with_evidence
+from twin.diagnose.torque_base import APART, PRESLIDING, _apart
 from twin.diagnose.torque_design import Block, Design
-from twin.diagnose.torque_fit import (
-    APART,
-    PRESLIDING,
+from twin.diagnose.torque_fit import base_fit, evaluate, fitted, refine, settle, start
+from twin.diagnose.torque_judge import Judge
+from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
+from twin.diagnose.torque_noise import _correlation, prediction_filter
+from twin.diagnose.torque_revise import _as_suspected, _with_element, at_once, seen_at_rest_only
+from twin.diagnose.torque_robot import _rounded, robot_of
+from twin.diagnose.torque_signal import Run, bands_of, prepare, thinned
+from twin.diagnose.torque_step import too_narrow
+from twin.diagnose.torque_stops import _creeping, stop_columns
+from twin.diagnose.torque_system import (
     Columns,
     Trial,
-    _apart,
-    _correlation,
-    _creeping,
-    _rounded,
-    base_fit,
-    evaluate,
     extended,
-    fitted,
     own_prior,
     own_values,
-    prediction_filter,
-    refine,
     relinearised,
-    robot_of,
-    settle,
-    start,
-    stop_columns,
     system_of,
     unshrunk,
     with_doubts,
 )
-from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_torque
-from twin.diagnose.torque_search import Judge, _as_suspected, _with_element, at_once, seen_at_rest_only, too_narrow
-from twin.diagnose.torque_signal import Run, bands_of, prepare, thinned
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
 from twin.errors import InputError
 from twin.identify.rigid import Bands, in_joints

@@ -15,10 +15,15 @@ from tools.truth.wrong import record
 from twin.diagnose import torque_search
 from twin.diagnose.torque import _strained, diagnose_log
 from twin.diagnose.torque_faults import clock_note, on_time
-from twin.diagnose.torque_fit import System, base_fit, extended, refer, relinearised, settle, start, system_of
+from twin.diagnose.torque_fit import base_fit, settle, start
+from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_laws import Suspect, log_suspects
-from twin.diagnose.torque_search import Judge, Step, _borne_out, _look, _one_for_two, accepted, free_gains, vibration
+from twin.diagnose.torque_look import look
+from twin.diagnose.torque_revise import one_for_two
+from twin.diagnose.torque_search import _borne_out
 from twin.diagnose.torque_signal import Prepared, prepare
+from twin.diagnose.torque_step import Step, accepted
+from twin.diagnose.torque_system import System, extended, refer, relinearised, system_of
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.robot.description import Robot, load_robot
@@ -87,12 +92,12 @@ def test_one_thing_at_a_joint_replaces_two(tmp_path: Path, kr90: Robot) -> None:
     drift = next(s for s in suspects if s.name == "friction_drift@joint3")
     steps: list[Step] = []
     for suspect in (off, drift):
-        step = _look(system, [suspect], lambda count: None, 1)
+        step = look(system, [suspect], lambda count: None, 1)
         step.accepted = True
         steps.append(step)
         system = accepted(system, step)
     before = system
-    system = _one_for_two(steps, system, suspects, Judge(system, prepared.kept), 1)
+    system = one_for_two(steps, system, suspects, Judge(system, prepared.kept), 1)
     (one,) = (step for step in steps if step.accepted)
     assert one.key == "torque_constant@joint3"
     assert [s.name for s in system.found] == ["torque_constant@joint3"]
@@ -184,7 +189,7 @@ def test_a_ripple_is_named_where_no_vibration_does_most_of_it(
     suspects = log_suspects(kr90, prepared.used)
     system = system_of(prepared, suspects)
     ripple = [s for s in suspects if s.name == "torque_ripple@joint2"]
-    step, judge = _look(system, ripple, lambda count: None, 1), Judge(system, prepared.kept)
+    step, judge = look(system, ripple, lambda count: None, 1), Judge(system, prepared.kept)
     assert vibration(system, 1) < 0.3 * step.gain
     assert _borne_out(step, [], judge)
     monkeypatch.setattr(torque_search, "vibration", lambda system, joint: 0.7 * step.gain)

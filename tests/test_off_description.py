@@ -14,9 +14,10 @@ from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, descend
 from twin.diagnose.torque import _finding, base_system, diagnose_log, searched
-from twin.diagnose.torque_fit import base_fit, with_wider
+from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_off import numbers_of_answer, taken_back
 from twin.diagnose.torque_signal import prepare
+from twin.diagnose.torque_system import with_wider
 from twin.diagnose.verdict import Finding, far_off
 from twin.measure.motion_log import MotionLog
 from twin.robot.description import Robot, load_robot

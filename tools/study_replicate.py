@@ -21,9 +21,10 @@ import scipy.io
 
 from tools.study_payload import RECORDINGS, need, tx40
 from twin.diagnose.torque import base_system, predicted_torque, searched, wide_enough
-from twin.diagnose.torque_fit import base_of
-from twin.diagnose.torque_search import Search, left_out
+from twin.diagnose.torque_base import base_of
+from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_signal import Prepared, Run, prepare, run_of
+from twin.diagnose.torque_step import left_out
 from twin.identify.rigid import Bands, joint_run
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.robot.description import Robot, load_robot

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.records import LogRecord
-from twin.diagnose.torque_fit import Base, base_of
+from twin.diagnose.torque_base import Base, base_of
 from twin.diagnose.torque_laws import State, entry_torque
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_signal import Run, run_of

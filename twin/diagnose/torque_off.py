@@ -14,8 +14,13 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import System, base_fit, relinearised, robot_of, with_wider
-from twin.diagnose.torque_search import Search, Step, accepted, number_groups, possible, pruned, too_narrow
+from twin.diagnose.torque_fit import base_fit
+from twin.diagnose.torque_look import number_groups
+from twin.diagnose.torque_revise import pruned
+from twin.diagnose.torque_robot import robot_of
+from twin.diagnose.torque_search import Search
+from twin.diagnose.torque_step import Step, accepted, possible, too_narrow
+from twin.diagnose.torque_system import System, relinearised, with_wider
 from twin.diagnose.verdict import STRAINED, estimates
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray

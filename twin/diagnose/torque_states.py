@@ -9,10 +9,11 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
 from twin.diagnose.states import grouped
-from twin.diagnose.torque_fit import System, base_fit, system_of
+from twin.diagnose.torque_fit import base_fit
+from twin.diagnose.torque_judge import Judge
 from twin.diagnose.torque_laws import Suspect
-from twin.diagnose.torque_search import Judge
 from twin.diagnose.torque_signal import Prepared
+from twin.diagnose.torque_system import System, system_of
 
 NOISIER = 2.0  # times the scatter of runs about their own models that all about one have; by eye
 
@@ -22,7 +23,7 @@ class RunStates:
 
     Args:
         prepared: the runs used and kept aside; blocks of one run say nothing of states.
-        suspects: as for :func:`twin.diagnose.torque_fit.system_of`.
+        suspects: as for :func:`twin.diagnose.torque_system.system_of`.
     """
 
     def __init__(self, prepared: Prepared, suspects: Sequence[Suspect], processes: int = 1) -> None:

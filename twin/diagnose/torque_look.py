@@ -1,0 +1,188 @@
+"""One look at all suspects beside what was found: which promise most, and the decision over their fits."""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnose.calibration import calibration
+from twin.diagnose.decide import Decision, decide
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.refit import Fitted
+from twin.diagnose.torque_fit import base_fit, fitted, reach, settle, start
+from twin.diagnose.torque_laws import Suspect
+from twin.diagnose.torque_numbers import GAIN, effect_of_number
+from twin.diagnose.torque_step import Step
+from twin.diagnose.torque_system import Columns, System, Trial, with_wider
+from twin.measure.campaign import FloatArray
+from twin.parallel import spread
+from twin.physics import effect_named, effect_of
+from twin.physics.payload import Payload
+
+
+def look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None], processes: int) -> Step:
+    started, kept = [], set(system.screened)
+    _ = system.residual  # once, for all processes
+
+    def begin(number: int) -> tuple[Trial, Columns | None]:
+        """Of a suspect, and its columns where they are new: a process that keeps them keeps them for itself."""
+        trial = start(system, suspects[number])
+        name = trial.suspect.name
+        return trial, None if name in kept else system.screened.get(name)
+
+    for trial, columns in spread(begin, len(suspects), processes):
+        if columns is not None:
+            system.screened[trial.suspect.name] = columns
+        started.append(trial)
+        tick(1)
+    started = list(spread(lambda number: reach(system, started[number]), len(started), processes))
+    started.sort(key=lambda trial: -trial.gain)
+    trials: dict[str, Trial] = {}
+    best_of: dict[str, Fitted] = {}
+    promising = _varied(started)
+    for trial in spread(lambda number: settle(system, promising[number]), len(promising), processes):
+        fit = fitted(system, trial)
+        key = fit.hypothesis.key
+        if key not in best_of or fit.evidence() > best_of[key].evidence():
+            best_of[key], trials[key] = fit, trial
+    return decided(system, trials, [*best_of.values(), *widened_fits(system, suspects)], suspects)
+
+
+def decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], suspects: Sequence[Suspect]) -> Step:
+    """Probabilities of fits to one system, simpler ones preferred within reach."""
+    base = base_fit(system)
+    fits = _outermost(system, fits)
+    gains = np.array([fit.evidence() for fit in fits]) - base.evidence()
+    later = {k: first for k, first in [*_ladder(system, fits, gains), *_composed(fits, gains, trials)]}
+    best = max((gain for k, gain in enumerate(gains) if k not in later), default=0.0)
+    numbers = [_numbers(f.hypothesis) for f in fits]
+    simpler, further = calibration()["simpler"], calibration()["further"]
+    near = [
+        m for k, (m, gain) in enumerate(zip(numbers, gains, strict=True)) if gain > simpler * best and k not in later
+    ]
+    handicap = [(1 - simpler) * max(best, 0.0) * (m > min(near, default=0)) for m in numbers]
+    for k, first in later.items():
+        handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + further)
+    hypotheses, other = [[s.hypothesis] for s in suspects], calibration()["least_other"]
+    return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=other, scale=1.0), trials)
+
+
+def _outermost(system: System, fits: Sequence[Fitted]) -> list[Fitted]:
+    """The fits without masses that the rows cannot tell from the same mass further out: one site has one name."""
+    robot = system.base.regressor.robot
+
+    def outward(fit: Fitted) -> tuple[int, bool]:
+        site = fit.hypothesis.site
+        return Payload().carrier(robot, site), not site.startswith("link")
+
+    masses = [fit for fit in fits if effect_named(fit.hypothesis.effect).part == "mass"]
+    gone = {
+        id(inner) for inner in masses for outer in masses
+        if outward(outer) > outward(inner) and outer.evidence() > inner.evidence() - calibration()["tie"]
+    }  # fmt: skip
+    return [fit for fit in fits if id(fit) not in gone]
+
+
+def _numbers(hypothesis: Hypothesis) -> int:
+    """How many a hypothesis has to be fitted; that a law without a name was chosen counts as one."""
+    return max(len(hypothesis.own), len(hypothesis.scale)) + (effect_named(hypothesis.effect).part == "law")
+
+
+def _ladder(system: System, fits: Sequence[Fitted], gains: FloatArray) -> list[tuple[int, int]]:
+    """Laws that refine a plain one (dry friction) where the model has none, each with the plain one before it."""
+    refined = {effect_named(fit.hypothesis.effect).refines for fit in fits} - {""}
+    found = []
+    for part in sorted(refined):
+        name = effect_of(part).name
+        present = {entry.site for entry in system.base.regressor.robot.physics if entry.effect == name}
+        present |= {s.hypothesis.site for s in system.found if s.hypothesis.effect == name}
+        plain = {f.hypothesis.site: k for k, f in enumerate(fits) if f.hypothesis.effect == name}
+        for k, fit in enumerate(fits):
+            site = fit.hypothesis.site.partition(".")[0]
+            first = plain.get(site)
+            refines = effect_named(fit.hypothesis.effect).refines == part and site not in present
+            if refines and first is not None and gains[first] > calibration()["mostly"] * gains[k]:
+                found.append((k, first))
+    return found
+
+
+def _composed(fits: Sequence[Fitted], gains: FloatArray, trials: dict[str, Trial]) -> list[tuple[int, int]]:
+    """Entries that act on several joints where one law at each of several gains more, each with the first of those.
+
+    A delay of the whole log beats slip at any one joint, and loses to slip at all.
+    """
+    best: dict[str, dict[int, int]] = {}
+    further = calibration()["further"]
+    for k, fit in enumerate(fits):
+        trial = trials.get(fit.hypothesis.key)
+        if trial is not None and len(trial.column.joints) == 1 and gains[k] > further:
+            own = best.setdefault(fit.hypothesis.effect, {})
+            joint = trial.column.joints[0]
+            own[joint] = max(own.get(joint, k), k, key=lambda i: gains[i])
+    sums = {effect: sum(gains[k] for k in own.values()) for effect, own in best.items() if len(own) > 1}
+    if not sums:
+        return []
+    strongest = max(sums, key=lambda effect: sums[effect])
+    first = max(best[strongest].values(), key=lambda k: gains[k])
+    several = (k for k, f in enumerate(fits) if (t := trials.get(f.hypothesis.key)) and len(t.column.joints) > 1)
+    return [(k, first) for k in several if sums[strongest] > gains[k] + further]
+
+
+def _varied(started: Sequence[Trial]) -> list[Trial]:
+    """The most promising, at most half of them from one effect; and the three best that act on each joint alone."""
+    numbers = calibration()
+    least, most = max(numbers["race"] * started[0].gain, 1.0), int(numbers["finalists"])
+    kept: list[Trial] = []
+    for trial in started:
+        same = sum(other.suspect.hypothesis.effect == trial.suspect.hypothesis.effect for other in kept)
+        if same < most // 2 and trial.gain > least:
+            kept.append(trial)
+        if len(kept) == most:
+            break
+    for joint in {trial.column.joints[0] for trial in started if len(trial.column.joints) == 1}:
+        own = [trial for trial in started if trial.column.joints == (joint,) and trial.gain > numbers["further"]]
+        kept += [trial for trial in own[:3] if not any(trial is other for other in kept)]
+    return kept
+
+
+def nothing_of(decision: Decision) -> Decision:
+    """A decision that runs not used do not bear out."""
+    left = 1 - decision.none - decision.other
+    return replace(decision, probability=[0.1 * p for p in decision.probability], none=decision.none + 0.9 * left)
+
+
+def number_groups(system: System, turning: Collection[str] = ()) -> dict[tuple[str, str], list[int]]:
+    """Numbers of the description that are one answer each: effect and site → their indices.
+
+    Args:
+        turning: joints whose rotor's inertia is left to the effect of that name.
+    """
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, name in enumerate(system.parameters.names):
+        owner, _, quantity = name.partition(".")
+        link, rotor = owner.startswith("link"), owner.removeprefix("drive")
+        drive = owner.startswith("drive") and (rotor not in turning or quantity == "gear_ratio")
+        if (key := effect_of_number(name)) is not None:
+            groups.setdefault(key, []).append(k)
+        elif drive or owner.startswith("axis") or name == GAIN:
+            groups["parameter", name] = [k]
+        elif link:
+            groups.setdefault(("parameter", f"{owner}.{quantity.partition('.')[0]}"), []).append(k)
+        elif "@" in name and effect_named(name.partition("@")[0]).doubted:
+            groups.setdefault(("parameter", name.partition("[")[0]), []).append(k)
+    return groups
+
+
+def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
+    """Numbers of the base model that may be off beyond what the description allows, each in turn.
+
+    A rotor's inertia is one thing with two names: where its effect is a suspect, it is that.
+    """
+    names = system.parameters.names
+    turning = {s.hypothesis.site[5:] for s in suspects if s.effect.part == "inertia"}
+    found = []
+    for (effect, site), members in number_groups(system, turning).items():
+        if not any(k in system.widened for k in members):
+            hypothesis = Hypothesis(effect, site, scale=tuple((names[k], calibration()["far"]) for k in members))
+            found.append(base_fit(with_wider(system, hypothesis), hypothesis))
+    return found

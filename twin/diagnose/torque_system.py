@@ -1,0 +1,488 @@
+"""The whitened rows of a log with the base model and the entries found so far, linear about where it is."""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import lfilter
+
+from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.torque_base import DIFFERENCES, Base, base_of, with_sliding
+from twin.diagnose.torque_design import Block, Design
+from twin.diagnose.torque_laws import State, Suspect, entry_torque, model_torque, with_values
+from twin.diagnose.torque_noise import dry_friction, noise_order, plain_fit, whitening, whole_rows
+from twin.diagnose.torque_signal import Prepared, Run
+from twin.diagnose.torque_stops import Stop, stops_in
+from twin.measure.campaign import FloatArray
+from twin.model.parameters import Parameter, Parameters, independent, join
+from twin.physics import CATALOGUE
+from twin.robot.description import Entry
+
+FARTHEST_SHAPE = 3.0  # prior deviations of a shape (a speed, an order, a travel)
+CONVERGED = 0.02  # of ½ χ²: less is no gain
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Whitened columns (N_active, k), zero on every joint that is not in ``joints``."""
+
+    joints: tuple[int, ...]
+    rows: FloatArray
+
+
+@dataclass
+class System:
+    """Whitened rows of a log and the base model on them; N rows, joint by joint, run by run.
+
+    Attributes:
+        whitening: (n, order + 1) prediction-error filter per joint over the noise's deviation.
+        parameters: the base model's numbers; ``found`` entries that belong to it, beyond the description's.
+        design: whitened torque per prior deviation of the description's numbers, as (N, z).
+        A: the same and what was found, as the recording has it at the tolerances in force. ``data`` (N,): whitened
+            torque less the description's. ``y`` (N,): the same less what A is not linear in.
+        state: per run, what laws that act on other torques see.
+        level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
+        noise: (n,) RMS of the noise at the rows, N·m (N).
+        widened: number in z → factor on the prior deviation its description gives it.
+        slopes: of what was found, by name: numbers they depend on, and whitened slopes there.
+        screened: whitened columns of the suspects' starts, which stay the same when something is found.
+        recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any.
+            ``through``: the design as such a recording has it.
+        stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
+        turning: (n, n) speeds of the drives per speed of the axes, where drives were found to turn with other axes too.
+        late: s by which the stops are late, where the torque was found to be recorded late.
+    """
+
+    base: Base
+    whitening: FloatArray
+    parameters: Parameters
+    found: tuple[Suspect, ...] = ()
+    A: Design = field(default_factory=lambda: Design(0, 0, (), np.zeros(0)))
+    design: Design = field(default_factory=lambda: Design(0, 0, (), np.zeros(0)))
+    data: FloatArray = field(default_factory=lambda: np.zeros(0))
+    y: FloatArray = field(default_factory=lambda: np.zeros(0))
+    state: list[State] = field(default_factory=list)
+    level: FloatArray = field(default_factory=lambda: np.ones(0))
+    noise: FloatArray = field(default_factory=lambda: np.ones(0))
+    stops: list[list[Stop]] = field(default_factory=list)
+    screened: dict[str, Columns] = field(default_factory=dict)
+    widened: dict[int, float] = field(default_factory=dict)
+    slopes: dict[str, tuple[FloatArray, Columns]] = field(default_factory=dict)
+    recording: FloatArray = field(default_factory=lambda: np.zeros(0))
+    through: tuple[FloatArray, Design] | None = None
+    turning: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    late: float = 0.0
+
+    @property
+    def order(self) -> int:
+        """Of the autoregression."""
+        return self.whitening.shape[1] - 1
+
+    @cached_property
+    def masks(self) -> list[np.ndarray]:
+        """Rows (m,) of each run whose whitened residual rests on valid rows only."""
+        return [whole_rows(run.valid, self.order) for run in self.base.runs]
+
+    @property
+    def count(self) -> int:
+        """Rows per joint."""
+        return int(sum(mask.sum() for mask in self.masks))
+
+    def rows(self, joint: int) -> slice:
+        """Rows of a joint."""
+        return slice(joint * self.count, (joint + 1) * self.count)
+
+    def whiten(self, *columns: Sequence[FloatArray]) -> Columns:
+        """Columns, each the torque (m, n) of every run, whitened; joint by joint, for most act on one."""
+        acting = np.any([part.any(axis=0) for column in columns for part in column], axis=0)
+        joints, runs = tuple(np.flatnonzero(acting).tolist()), range(len(self.base.runs))
+        out = [self.whitened(j, [np.stack([c[k][:, j] for c in columns]).T for k in runs]) for j in joints]
+        return Columns(joints, np.concatenate(out) if out else np.zeros((0, len(columns))))
+
+    def whitened(self, joint: int, parts: Sequence[FloatArray]) -> FloatArray:
+        """Torque (m,) or (m, k) of a joint in every run, whitened (count, k)."""
+        filtered = [
+            lfilter(self.whitening[joint], [1.0], part, axis=0)[mask]
+            for part, mask in zip(parts, self.masks, strict=True)
+        ]
+        rows = np.concatenate(filtered)
+        rows = rows.reshape(len(rows), -1)
+        for stop in self.stops[joint] if self.stops else ():
+            part = rows[stop.span]
+            part -= stop.directions @ (stop.share[:, None] * (stop.directions.T @ part))
+        return rows
+
+    def full(self, columns: Columns) -> FloatArray:
+        """Columns on all rows (N, k)."""
+        out = np.zeros((len(self.whitening) * self.count, columns.rows.shape[1]))
+        for part, j in enumerate(columns.joints):
+            out[self.rows(j)] = columns.rows[part * self.count : (part + 1) * self.count]
+        return out
+
+    def on(self, rows: FloatArray, columns: Columns) -> FloatArray:
+        """Those of N rows where columns act (N_active, …)."""
+        joints = columns.joints
+        if joints and joints[-1] - joints[0] == len(joints) - 1:
+            return rows[joints[0] * self.count : (joints[-1] + 1) * self.count]
+        return np.concatenate([rows[self.rows(j)] for j in joints]) if joints else rows[:0]
+
+    def assemble(self) -> None:
+        """Whiten design and data."""
+        base = self.base
+        self.stops, self.through = stops_in(self), None
+        self.A = self.design = self._designed([None] * len(base.runs))
+        self.data = self.y = self.full(self.whiten(base.rest))[:, 0]
+
+    def _designed(self, states: Sequence[State | None]) -> Design:
+        """The base model's columns whitened, as the states' recordings have them."""
+        base, axes = self.base, range(len(self.whitening))
+        parts = ([base.design(k, j, state) for k, state in enumerate(states)] for j in axes)
+        blocks = tuple(Block(j, base.acting(j), self.whitened(j, part)) for j, part in zip(axes, parts, strict=True))
+        return Design(self.count, len(axes), blocks, np.ones(len(base.parameters)))
+
+    def recorded(self, alike: float = 0.01) -> Design:
+        """The base model's columns as the recording has them, at the tolerances in force.
+
+        Through a recording whose gains, and delay in rows, are so much ``alike``, they are what they were.
+        """
+        now = recording_of(self)
+        if not np.any(now[0]) and np.all(now[1:] == 1):
+            return self.design.scaled(self.widened)
+        if self.through is None or np.abs(self.through[0] - now).max() > alike:
+            self.through = now, self._designed(self.state)
+        return self.through[1].scaled(self.widened)
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """Gauss–Newton matrix (z, z), prior included."""
+        return self.A.gram + np.eye(self.A.width)
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Of the information."""
+        return np.asarray(np.linalg.inv(self.information))
+
+    @cached_property
+    def z(self) -> FloatArray:
+        """The base model's optimum."""
+        return np.asarray(np.linalg.solve(self.information, self.A.transposed(self.y)))
+
+    @cached_property
+    def residual(self) -> FloatArray:
+        """y − A z (N,)."""
+        return self.y - self.A.times(self.z)
+
+    def plain(self, z: FloatArray) -> FloatArray:
+        """z in the deviations of the description."""
+        out = z.copy()
+        for k, factor in self.widened.items():
+            out[k] *= factor
+        return out
+
+    def entries(self, z: FloatArray, without: Suspect | None = None) -> list[Entry]:
+        """What was found so far, at z."""
+        at, out = len(self.base.parameters), []
+        for suspect in self.found:
+            own = suspect.hypothesis.own
+            if suspect is not without:
+                out += with_values(suspect.hypothesis, own_values(own, z[at : at + len(own)]))
+            at += len(own)
+        return out
+
+    def own(self, suspect: Suspect) -> list[int]:
+        """Indices in z of the numbers of something found."""
+        at = len(self.base.parameters)
+        for found in self.found:
+            if found.name == suspect.name:
+                break
+            at += len(found.hypothesis.own)
+        return list(range(at, at + len(suspect.hypothesis.own)))
+
+    def torque(self, entries: Sequence[Entry]) -> list[FloatArray]:
+        """What entries add (m, n), run by run."""
+        out = []
+        for run, state in zip(self.base.runs, self.state, strict=True):
+            parts = [entry_torque(run, state, e, e.values) for e in entries]
+            out.append(parts[0] if len(parts) == 1 else sum(parts, np.zeros_like(run.torque)))
+        return out
+
+    def across(self, columns: Columns) -> FloatArray:
+        """CᵀA (k, z)."""
+        return self.A.across(columns.joints, columns.rows)
+
+    def projected(self, columns: Columns) -> tuple[FloatArray, FloatArray]:
+        """CᵀPC (k, k) and CᵀPy (k,), the base model's numbers eliminated."""
+        across = self.across(columns)
+        pull = columns.rows.T @ self.on(self.residual, columns)
+        return columns.rows.T @ columns.rows - across @ self.inverse @ across.T, pull
+
+
+def refer(system: System, z: FloatArray, alike: float = 1e-3) -> list[FloatArray]:
+    """Let laws that act on other torques see the model at z: what was found adds (m, n) to the recorded torque.
+
+    Through a recording whose gains, and delay in rows, are so much ``alike``, columns are what they were.
+    """
+    added = _refer(system, z, system.entries(z))
+    now = recording_of(system)
+    if len(system.recording) and np.abs(now - system.recording).max() > alike:
+        system.screened, system.slopes, system.recording = {}, {}, now
+    elif not len(system.recording):
+        system.recording = now
+    return added
+
+
+def recording_of(system: System) -> FloatArray:
+    """(1 + n,) delay in rows, and gains, through which a system's torque is recorded."""
+    state = system.state[0]
+    rows = (state.delay + state.lag) * system.base.runs[0].rate_hz
+    return np.array([rows, *np.atleast_2d(state.gain).mean(axis=0)])
+
+
+def _refer(system: System, z: FloatArray, entries: Sequence[Entry]) -> list[FloatArray]:
+    runs = system.base.runs
+    system.state = [system.base.state(k, system.plain(z)) for k in range(len(runs))]
+    return [model_torque(run, state, entries) for run, state in zip(runs, system.state, strict=True)]
+
+
+def unshrunk(trial: "Trial") -> "Trial":
+    """The trial with priors on its sizes as wide as these came out: what is not described may have any size.
+
+    How probable it is was decided before; the usual size would only draw the numbers towards it.
+    """
+    hypothesis = trial.suspect.hypothesis
+    scale = np.array([1.0 if p.log else max(1.0, abs(u)) for p, u in zip(hypothesis.own, trial.u, strict=True)])
+    own = tuple(replace(p, deviation=p.deviation * s) for p, s in zip(hypothesis.own, scale, strict=True))
+    slopes = replace(trial.slopes, rows=trial.slopes.rows * scale)
+    suspect = replace(trial.suspect, hypothesis=replace(hypothesis, own=own))
+    return replace(trial, suspect=suspect, u=trial.u / scale, slopes=slopes)
+
+
+def extended(system: System, trial: "Trial") -> System:
+    """The same rows with an entry in the base model: its numbers are nuisances from now on.
+
+    It is linear as the trial has it until it is :func:`relinearised`.
+    """
+    return replace(
+        system,
+        found=(*system.found, trial.suspect),
+        parameters=join(system.parameters, independent(trial.suspect.hypothesis.own)),
+        A=system.A.beside((trial.slopes.joints, trial.slopes.rows)),
+        y=system.y - system.full(trial.column)[:, 0] + system.full(trial.slopes) @ trial.u,
+        slopes={**system.slopes, trial.suspect.name: (trial.u, trial.slopes)},
+    )
+
+
+def without(system: System, suspect: Suspect) -> System:
+    """The same rows with something found left out, all else linear as it is until it is :func:`relinearised`."""
+    at = system.own(suspect)
+    column, slopes = whitened_entry(system, suspect, system.z[at])
+    return replace(
+        system,
+        found=tuple(s for s in system.found if s.name != suspect.name),
+        parameters=system.parameters.select(k for k in range(len(system.parameters)) if k not in at),
+        A=system.A.without(at),
+        y=system.y + system.full(column)[:, 0] - system.full(slopes) @ system.z[at],
+        slopes={name: kept for name, kept in system.slopes.items() if name != suspect.name},
+    )
+
+
+def relinearised(system: System, iterations: int = 8, exact: float = 1e-5) -> System:
+    """The same rows with all that was found linearised at its numbers as they are beside all else.
+
+    Gauss–Newton on all numbers at once: each was linearised where it was found, before the others were. It ends where a
+    step gains less than ``CONVERGED`` and ``exact`` times the cost.
+    """
+    z = _taken(system)
+    here, cost = linearised(system, z)
+    for _ in range(iterations):
+        step = _bounded(system, here.z) - z
+        for share in (1.0, 0.5, 0.2, 0.05):
+            ahead, reached = linearised(system, z + share * step)
+            if reached < cost:
+                break
+        gained = cost - reached
+        if gained <= 0:
+            break
+        z, here, cost = z + share * step, ahead, reached
+        if gained < CONVERGED + exact * cost:
+            break
+    return here
+
+
+def _taken(system: System) -> FloatArray:
+    """Where the slopes of what was found were taken (z,), all else as it is best there: the linear optimum may be far.
+
+    Of a law that steps, or along a valley, the first step from there must be worth it as any other must.
+    """
+    z, fixed = system.z.copy(), np.zeros(len(system.z), bool)
+    for suspect in system.found:
+        at = system.own(suspect)
+        u = system.slopes[suspect.name][0] if suspect.name in system.slopes else z[:0]
+        if not suspect.effect.refers and len(u) == len(at):
+            z[at], fixed[at] = u, True
+    if fixed.any():
+        pull = system.A.transposed(system.y) - system.information[:, fixed] @ z[fixed]
+        z[~fixed] = np.linalg.solve(system.information[np.ix_(~fixed, ~fixed)], pull[~fixed])
+    return z
+
+
+def with_doubts(system: System, mistimed: float = 0.02) -> System:
+    """The same with friction in doubt where and when what was found puts it, and refitted.
+
+    A drive may turn with other axes, too. Its dry friction then steps where the drive turns back, not where its axis
+    does. The encoder cannot time these steps; if they counted as exact, the ratio would seem known far too well. Torque
+    that is recorded late steps late. A doubt in the wrong place leaves a part of a reversal, which looks like low-speed
+    friction. A delay that changes by less than ``mistimed`` rows is left as it was.
+    """
+    turning, late = np.eye(len(system.whitening)), system.state[0].delay + system.state[0].lag
+    for entry in system.entries(system.z):
+        drive, axis, ratio = CATALOGUE[entry.effect].spins(entry.site, entry.values)
+        turning[drive, axis] += ratio
+    still = turning if np.any(turning != np.eye(len(turning))) else system.turning[:0]
+    if np.array_equal(still, system.turning) and abs(late - system.late) * system.base.runs[0].rate_hz < mistimed:
+        return system
+    here = replace(system, turning=still, late=late)
+    here.assemble()
+    slopes = (system.slopes[suspect.name][1] for suspect in system.found)
+    A = here.recorded().beside(*((columns.joints, columns.rows) for columns in slopes))
+    return relinearised(replace(here, A=A, y=system.y + here.data - system.data, slopes={}, screened={}))
+
+
+def linearised(
+    system: System, z: FloatArray, doubt: FloatArray | None = None, near: float = 0.01
+) -> tuple[System, float]:
+    """The system with what was found linearised at z, and ½ χ² + ½ zᵀz there; ``doubt`` (z,) deviations, as it has z.
+
+    They are those of the system's own fit by default. Slopes taken within ``near`` of their numbers are kept.
+    """
+    size = len(system.base.parameters)
+    doubt = np.sqrt(np.diag(system.inverse)) if doubt is None else doubt
+    plain = system.design.scaled(system.widened)
+    here = replace(system, A=plain, slopes=dict(system.slopes))
+    added = here.full(here.whiten(refer(here, z)))[:, 0]
+    rest = here.data - added - plain.times(z[:size])
+    here.A = here.recorded()
+    system.through = here.through
+    here.y = rest + here.A.times(z[:size])
+    beside = []
+    for suspect in here.found:
+        at = here.own(suspect)
+        now = z if suspect.effect.refers else z[at]  # it depends on all numbers, or on its own
+        u, slopes = here.slopes.get(suspect.name, (now, None))
+        if slopes is None or len(u) != len(now) or np.any(np.abs(now - u) > near * (1 + np.abs(u))):
+            slopes = _slopes(here, suspect, z, doubt[at])
+            here.slopes[suspect.name] = now, slopes
+        for part, j in enumerate(slopes.joints):
+            here.y[here.rows(j)] += slopes.rows[part * here.count : (part + 1) * here.count] @ z[at]
+        beside.append((slopes.joints, slopes.rows))
+    here = replace(here, A=here.A.beside(*beside))
+    return here, 0.5 * float(rest @ rest) + 0.5 * float(z @ z)
+
+
+def _slopes(system: System, suspect: Suspect, z: FloatArray, doubt: FloatArray) -> Columns:
+    """Of something found, beside all else at z."""
+    aside = system
+    if suspect.effect.refers:
+        aside = copy(system)
+        _refer(aside, z, system.entries(z, without=suspect))
+    return whitened_entry(aside, suspect, z[system.own(suspect)], doubt=doubt)[1]
+
+
+def _bounded(system: System, z: FloatArray) -> FloatArray:
+    """z with shapes where they are looked for."""
+    out = z.copy()
+    for suspect in system.found:
+        at = system.own(suspect)
+        log = np.array([p.log for p in suspect.hypothesis.own])
+        out[at] = np.where(log, np.clip(z[at], -FARTHEST_SHAPE, FARTHEST_SHAPE), z[at])
+    return out
+
+
+def with_wider(system: System, hypothesis: Hypothesis) -> System:
+    """The same rows with some numbers of the base model free beyond what the description allows."""
+    names = system.parameters.names
+    factors = {names.index(name): factor for name, factor in hypothesis.scale}
+    widened = {k: system.widened.get(k, 1.0) * factor for k, factor in factors.items()}
+    return replace(
+        system,
+        A=system.A.scaled(factors),
+        parameters=hypothesis.parameters(system.parameters),
+        widened={k: factor for k, factor in {**system.widened, **widened}.items() if abs(factor - 1) > 1e-9},
+    )
+
+
+def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | None = None, processes: int = 1) -> System:
+    """The used runs of a log, whitened by the residual of the richest model there is."""
+    base = base_of(prepared.regressor, prepared.used if runs is None else runs)
+    for _ in range(2 * bool(base.sliding.any())):  # the second time beside its own presliding, if none was described
+        base = with_sliding(base, dry_friction(base))
+    n = prepared.regressor.robot.axis_count
+    system = System(base, np.zeros((n, noise_order(base.runs) + 1)), base.parameters)
+    refer(system, np.zeros(len(base.parameters)))
+    for _ in range(2):  # the second time with friction, load and torque as fitted
+        z = plain_fit(system)
+        refer(system, z)
+    system.whitening, system.level, system.noise = whitening(system, rich, processes)
+    system.assemble()
+    refer(system, system.z)
+    return system
+
+
+def own_prior(own: Sequence[Parameter], values: FloatArray) -> FloatArray:
+    """Own values in prior deviations (m,)."""
+    return np.array(
+        [
+            (np.log(max(v, 1e-300) / p.mean) if p.log else v - p.mean) / p.deviation
+            for p, v in zip(own, values, strict=True)
+        ]
+    )
+
+
+def own_values(own: Sequence[Parameter], u: FloatArray) -> FloatArray:
+    """Values (m,) of own parameters in prior deviations."""
+    return np.array([p.value(p.deviation * x) for p, x in zip(own, u, strict=True)])
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A suspect somewhere: own numbers u in prior deviations, the fall of the cost, whitened torque and slopes."""
+
+    suspect: Suspect
+    u: FloatArray
+    gain: float
+    column: Columns
+    slopes: Columns
+
+
+def whitened_entry(
+    system: System, suspect: Suspect, u: FloatArray, slopes: bool = True, doubt: FloatArray | None = None
+) -> tuple[Columns, Columns]:
+    """The suspect's torque at own numbers u, and its slopes, over as much as the rows leave in doubt of each number.
+
+    Over more a wave turns round, or a step passes another; over much less a law that steps is jagged.
+    """
+    own = suspect.hypothesis.own
+    if slopes and doubt is None:
+        doubt = doubt_of(system, whitened_entry(system, suspect, u, doubt=np.full(len(u), DIFFERENCES[1]))[1])
+    steps = np.clip(np.zeros(len(u)) if doubt is None else doubt, *DIFFERENCES)
+
+    def torque(at: FloatArray) -> list[FloatArray]:
+        return system.torque(with_values(suspect.hypothesis, own_values(own, at)))
+
+    here = torque(u)
+    parts = [here]
+    for k in range(len(u) if slopes else 0):
+        moved = u.copy()
+        moved[k] += steps[k]
+        parts.append([(a - b) / steps[k] for a, b in zip(torque(moved), here, strict=True)])
+    together = system.whiten(*parts)
+    return Columns(together.joints, together.rows[:, :1]), Columns(together.joints, together.rows[:, 1:])
+
+
+def doubt_of(system: System, slopes: Columns) -> FloatArray:
+    """Deviations (m,) of numbers that have such slopes, in those of their priors."""
+    information, _ = system.projected(slopes)
+    held, vectors = np.linalg.eigh(information)  # of a record without noise rounding leaves some below zero
+    return np.asarray(np.sqrt(vectors**2 @ (1 / (1 + np.maximum(held, 0)))))
