@@ -5,6 +5,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is imported
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,6 +40,25 @@ def with_entry(kr90: Robot) -> Callable[..., Robot]:
         return parse_robot(data)
 
     return add
+
+
+@pytest.fixture(scope="session")
+def valid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A valid file of every format, made once: only to be read."""
+    from tools.fuzz import seeds
+
+    folder = tmp_path_factory.mktemp("valid")
+    seeds.make(folder)
+    return folder
+
+
+@pytest.fixture
+def copies(valid: Path, tmp_path: Path) -> Path:
+    """Copies of all valid files."""
+    for file in valid.iterdir():
+        if file.is_file():
+            shutil.copy(file, tmp_path / file.name)
+    return tmp_path
 
 
 @pytest.fixture

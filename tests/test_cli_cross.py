@@ -116,10 +116,11 @@ def test_a_command_answers_or_refuses_in_one_line(
         assert list(tmp_path.iterdir())
 
 
-def test_a_log_that_the_twin_simulated_without_noise_is_given_no_name(written: Path, tmp_path: Path) -> None:
+def test_nothing_is_missing_in_a_log_that_the_twin_simulated_without_noise(written: Path, tmp_path: Path) -> None:
     found = run("diagnose", written / "simulate" / "replay.h5", "-o", tmp_path / "out")
     assert found.code == 0, found.err
     told = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert told["verdict"] == "adequate"
     assert not told["effects"]
     assert told["error"]["before"]["train"] <= 1.05 * told["error"]["as_given"]["train"]
     assert not [note["text"] for note in told["triage"] if "standard deviations off" in note["text"]]

@@ -9,6 +9,7 @@ import pytest
 
 from twin.diagnose.verdict import parameter_rows
 from twin.measure.motion_log import MotionRun
+from twin.measure.signals import lowpass
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise, posture_state
 from twin.model.modes import modes
@@ -238,6 +239,20 @@ def test_replay_shows_the_torque_of_the_law(with_entry: Callable[..., Robot], ru
     error = np.sqrt(np.mean((stepped - law)[steady] ** 2))
     assert np.abs(law).max() > 10
     assert error < 0.03 * np.sqrt(np.mean(law[steady] ** 2)) + 0.5
+
+
+def test_a_replay_has_the_torque_of_its_own_motion(kr90: Robot) -> None:
+    """Reversals included: dry friction holds until an axis turns back, and torque belongs to the instant it is told at.
+
+    MuJoCo's own time constant of friction and a torque half a sample late left 0.9 to 1.6 %. What stays is of springs.
+    """
+    time = np.arange(0, 8, 0.004)
+    position = np.deg2rad([0, 80, -100]) + 0.3 * np.sin(np.outer(time, [1.3, 1.9, 1.6]))
+    moved = replay(kr90, MotionRun("sway", time, position, 250.0))
+    rigid = inverse_dynamics(kr90, motion_of(MotionRun("moved", time, moved.position, 250.0)))
+    low = [lowpass(torque, 250.0, 8.0, 10.0)[125:-125] for torque in (moved.torque, rigid)]
+    off = np.sqrt(np.mean((low[0] - low[1]) ** 2, axis=0) / np.mean(low[1] ** 2, axis=0))
+    assert (off < 0.006).all()
 
 
 def test_measurement_effects_act_on_the_recording(with_entry: Callable[..., Robot], milling: np.ndarray) -> None:

@@ -46,6 +46,7 @@ def test_a_gradient_needs_no_derivatives_of_frfs_and_a_matrix_not_all_lines(
     assert abs(ratio - 1).max() > 1e-3  # of some lines
 
 
+@pytest.mark.slow
 def test_many_postures_end_where_a_fit_that_starts_on_all_ends(
     recordings: list[Recorded], described: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -105,6 +105,7 @@ def test_a_coordinate_without_a_spring_leaks_nothing_more() -> None:
     np.testing.assert_allclose(found, softly, atol=1e-4 * np.abs(softly).max())
 
 
+@pytest.mark.slow
 def test_a_campaign_whose_records_leak_is_fitted_by_a_model_that_does(tmp_path: Path) -> None:
     """By the truth code blows are a 64th of the record late, and its filter against aliasing holds them up."""
     world, *_ = case("leakage", "hammer", "arm", 11, False)

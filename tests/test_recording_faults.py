@@ -26,10 +26,10 @@ from twin.robot.description import load_robot
     ("way", "recording", "seed", "kind"),
     [
         ("unit_g_channel", "hammer", 411, "unit"),
-        ("swapped_channels", "hammer", 441, "swapped_channels"),
+        pytest.param("swapped_channels", "hammer", 441, "swapped_channels", marks=pytest.mark.slow),
         ("clock", "log", 313, "clock"),
-        ("reversed_torque", "log", 314, "reversed_channel"),
-        ("degrees", "log", 315, "unit"),
+        pytest.param("reversed_torque", "log", 314, "reversed_channel", marks=pytest.mark.slow),
+        pytest.param("degrees", "log", 315, "unit", marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_is_told_and_put_right(way: str, recording: str, seed: int, kind: str, tmp_path: Path) -> None:

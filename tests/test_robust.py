@@ -459,8 +459,7 @@ def test_a_clock_set_back_is_of_no_consequence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["tdms", "wav", "mcap", "mat"])
-def test_foreign_files_cut_short_are_refused(tmp_path: Path, suffix: str, twin: Twin) -> None:
-    seeds.make(tmp_path)
+def test_foreign_files_cut_short_are_refused(copies: Path, tmp_path: Path, suffix: str, twin: Twin) -> None:
     file = tmp_path / f"cut.{suffix}"
     whole = (tmp_path / ("blows.wav" if suffix == "wav" else f"foreign.{suffix}")).read_bytes()
     for short in (8, len(whole) // 2):
@@ -707,8 +706,7 @@ def test_a_coupled_drive_without_inertia_is_named_in_a_replay(tmp_path: Path) ->
         replay(robot, run)
 
 
-def test_records_of_no_hammer_and_speeds_of_no_gear_are_refused(tmp_path: Path, twin: Twin) -> None:
-    seeds.make(tmp_path)
+def test_records_of_no_hammer_and_speeds_of_no_gear_are_refused(copies: Path, tmp_path: Path, twin: Twin) -> None:
     rate, record = scipy.io.wavfile.read(tmp_path / "blows.wav")
     for channel, unit in ((0, "N"), (1, "m/s²")):
         spoilt = record.copy()
@@ -725,9 +723,10 @@ def test_records_of_no_hammer_and_speeds_of_no_gear_are_refused(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("command", ["import", "view", "example"])
-def test_a_file_that_meets_a_full_disk_gets_one_line_and_leaves_nothing(tmp_path: Path, command: str) -> None:
+def test_a_file_that_meets_a_full_disk_gets_one_line_and_leaves_nothing(
+    copies: Path, tmp_path: Path, command: str
+) -> None:
     """The libraries of HDF5 and of recordings ended the process over it, or waited for ever."""
-    seeds.make(tmp_path)
     before = sorted(path.name for path in tmp_path.iterdir())
     line = {
         "import": ["import", "foreign.csv", "--map", "csv-map.yaml", "-o", "a.h5"],

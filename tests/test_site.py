@@ -38,7 +38,7 @@ def test_a_notebook_is_its_page(page: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page == "tutorial-hits")) for page in notebooks.PAGES]
+    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page != "tutorial-log")) for page in notebooks.PAGES]
 )
 def test_a_tutorial_runs_as_a_notebook_and_finds_what_was_concealed(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

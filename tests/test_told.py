@@ -1,6 +1,5 @@
 """What is taken but hardly meant is told; what contradicts itself, or is out of every range, is refused by its name."""
 
-import shutil
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +11,6 @@ import h5py
 import numpy as np
 import pytest
 
-from tools.fuzz import seeds
 from twin.errors import InputError, Told
 from twin.importing.plausible import check_log
 from twin.measure.campaign import read_campaign
@@ -28,21 +26,11 @@ COMPARE = ("compare", "modes.yaml")
 SIMULATE = ("simulate", "posture.yaml", "--robot", "two.yaml")
 
 
-@pytest.fixture(scope="module")
-def valid(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("valid")
-    seeds.make(folder)
-    return folder
-
-
 @pytest.fixture
-def folder(valid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(copies: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Copies of all valid files, in the working folder."""
-    for file in valid.iterdir():
-        if file.is_file():
-            shutil.copy(file, tmp_path / file.name)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+    monkeypatch.chdir(copies)
+    return copies
 
 
 def put(folder: Path, file: str, old: str, new: str) -> None:

@@ -608,6 +608,7 @@ def test_no_size_is_drawn_from_a_channel_that_tells_nothing(tmp_path: Path, monk
     assert [campaign.points[k] for k in np.flatnonzero(noise)] == [campaign.dead]
 
 
+@pytest.mark.slow
 def test_a_recording_keeps_less_of_a_load_than_its_description_betrays() -> None:
     """Mass, centre and inertia of a forearm make up for most of a load on it, if they may be as far off."""
     drawn = cases.case("single", "log", 101, 8, (2.0, 6.0))

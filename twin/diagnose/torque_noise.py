@@ -18,7 +18,7 @@ from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_laws import USUAL_SHARE, Suspect, smooth_columns, with_values
 from twin.diagnose.torque_signal import Run
 from twin.diagnose.torque_stops import stop_columns
-from twin.identify.rigid import MOST_TAKEN
+from twin.identify.rigid import MOST_TAKEN, ROUNDED
 from twin.measure.campaign import FloatArray
 from twin.parallel import spread
 from twin.physics import effect_of
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from twin.diagnose.torque_system import System
 
 MUCH_TAKEN = 0.2  # share of the rows of a log that the richest model fits by itself
-ROUNDED = 8 / 4096 / 12**0.5  # of a torque's RMS: noise of a 12-bit converter whose range is four times that RMS
 
 
 def noise_order(runs: Sequence[Run]) -> int:

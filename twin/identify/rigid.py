@@ -40,6 +40,7 @@ from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit is allowed to have explained away
+ROUNDED = 8 / 4096 / 12**0.5  # of a torque's RMS: noise of a 12-bit converter whose range is four times that RMS
 PASSED = 0.3  # share of a column's amplitude the low-pass must leave for its parameter to be called identifiable
 TOO_SHORT = "{:.2g} s are too short: the ends of the low-pass take up all of it"
 
@@ -608,7 +609,7 @@ def identify(
         parameters = consistent(regressor, estimate)
     except (ArithmeticError, np.linalg.LinAlgError):
         try:  # a recording without noise, or hardly longer than its parameters need
-            parameters = consistent(regressor, _blunted(estimate))
+            parameters = consistent(regressor, _rounded(estimate, parts.train))
         except (ArithmeticError, np.linalg.LinAlgError):
             message = "tell too little of the robot's parameters: record a longer motion of all axes (`twin excite`)"
             raise InputError(log.source, "runs", message) from None
@@ -649,13 +650,14 @@ def foretelling_best(
     return best
 
 
-def _blunted(estimate: Estimate, digits: float = 1e-6) -> Estimate:
-    """The estimate, no parameter and no combination of them known better than to so many ``digits`` of its scale."""
-    scale = np.maximum(estimate.deviation, digits * np.maximum(np.abs(estimate.value), 1e-9))
-    correlation = _symmetric(estimate.covariance / np.outer(scale, scale))
-    size, turn = np.linalg.eigh(correlation)
-    covariance = (turn * np.maximum(size, digits * max(float(size[-1]), 1.0))) @ turn.T * np.outer(scale, scale)
-    return replace(estimate, covariance=covariance)
+def _rounded(estimate: Estimate, rows: list[Rows]) -> Estimate:
+    """The estimate with the noise that a converter adds to torque, ``ROUNDED``, for a recording that has none."""
+    data, torque = (np.concatenate([getattr(r, name)[r.valid] for r in rows]) for name in ("matrix", "torque"))
+    noise = np.maximum(ROUNDED * np.sqrt(np.mean(torque**2, axis=0)), 1e-300)
+    weighted = (data[:, :, estimate.base.kept] / noise[:, None]).reshape(-1, len(estimate.value))
+    scale = np.linalg.norm(weighted, axis=0)
+    inverse = np.linalg.inv((weighted / scale).T @ (weighted / scale))
+    return replace(estimate, covariance=estimate.covariance + inverse / np.outer(scale, scale))
 
 
 def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list[str]) -> list[Rows]:

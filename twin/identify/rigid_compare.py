@@ -13,7 +13,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.identify.rigid import TOO_SHORT, Bands, Rows, in_joints, motion_of_run, rows_of
 from twin.measure.motion_log import NO_MOTION, MotionLog, MotionRun, moves, refuse_saturated
-from twin.measure.signals import advance, lowpass
+from twin.measure.signals import lowpass
 from twin.model.regressor import Regressor
 from twin.parallel import Progress
 from twin.physics import CATALOGUE
@@ -153,6 +153,5 @@ def _stepped(robot: Robot, run: MotionRun, bands: Bands, rows: Rows, progress: P
         run, position=motion.position, velocity=motion.velocity, acceleration=motion.acceleration, torque=None
     )
     torque = replay(ideal, smooth_run, progress=tick).torque @ robot.coupling
-    torque = advance(torque, run.sample_rate_hz, 0.5 / run.sample_rate_hz)  # a mean over the sample before is late
     smooth = lowpass(torque, run.sample_rate_hz, *bands.within(run.sample_rate_hz).fit)
     return smooth[:: round(run.sample_rate_hz / rows.rate_hz)]

@@ -35,7 +35,7 @@ class Replay:
         time: (nt,) s.
         position: (nt, n) axes before their springs, rad (m); where drives are coupled, motors turn by ``C q``.
         link_position: (nt, n) motor plus the deflection about z, rad (m).
-        torque: (nt, n) of the drives at the gear output, N·m (N), mean over the sample before each instant.
+        torque: (nt, n) of the drives at the gear output, N·m (N), mean over one sample about each instant.
         deflections: elastic joint → (nt,) deflection, rad (m).
     """
 
@@ -193,9 +193,10 @@ def _track(
     model: mujoco.MjModel, mechanism: Mechanism, motion: Motion, feedforward: np.ndarray, steps: int, inner: int,
     progress: Callable[[int], None] | None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Torque (nt, n) of the servos, mean over the sample before, and ``qpos`` (nt, nq); NaN if it diverges.
+    """Torque (nt, n) of the servos, mean over one sample about each instant, and ``qpos`` (nt, nq); NaN if it diverges.
 
-    Torques that MuJoCo does not have keep their value over ``inner`` steps.
+    Of the first and last instant it is that of the half sample there is. Torques that MuJoCo does not have keep their
+    value over ``inner`` steps.
     """
     data = mujoco.MjData(model)
     nt, n = motion.position.shape
@@ -215,15 +216,17 @@ def _track(
     data.time = motion.time[0]
     data.qpos[motor], data.qvel[motor_dof] = q[0], qd[0]
     _wind_up(model, data, mechanism.joints, motion.acceleration[0], motor_dof)
-    torque, qpos = np.empty((nt, n)), np.empty((nt, model.nq))
+    qpos = np.empty((nt, model.nq))
     resisted = bool(mechanism.passive_forces)
     if resisted:
         felt = CubicSpline(motion.time, np.hstack([motion.load, motion.friction]))(instants[::inner])
-    for k in range(nt):
-        mean = np.zeros(n)
-        for step in range(max(0, (k - 1) * substeps), k * substeps) if k else range(1):
+    qpos[0] = data.qpos
+    after = np.clip(np.arange(1, substeps + 1) - 0.5 * substeps, 0, 1)  # of each step, the share after mid-interval
+    halves = np.zeros((nt, 2, n))  # torque of the half interval before each instant, and after it
+    for k in range(1, nt):
+        for part, step in enumerate(range((k - 1) * substeps, k * substeps)):
             # implicitfast takes the velocity loop at the end of the step
-            data.ctrl[control] = q[step] + (kv * qd[min(step + 1, len(qd) - 1)] + torque_ff[step]) / kp
+            data.ctrl[control] = q[step] + (kv * qd[step + 1] + torque_ff[step]) / kp
             if resisted and step % inner == 0:
                 here = felt[step // inner][None]
                 state = Motion(
@@ -232,16 +235,15 @@ def _track(
                 )  # fmt: skip
                 data.qfrc_applied[motor_dof] = -passive_torque(mechanism.passive_forces, state)
             speed = data.qvel[motor_dof]
-            if k == 0:
-                mujoco.mj_forward(model, data)
-                mean = data.actuator_force[servo].copy()
-            else:
-                mujoco.mj_step(model, data)
-                mean += (data.actuator_force[servo] - kv * (data.qvel[motor_dof] - speed)) / substeps
-        torque[k] = mean
+            mujoco.mj_step(model, data)
+            drive = data.actuator_force[servo] - kv * (data.qvel[motor_dof] - speed)
+            halves[k - 1, 1] += (1 - after[part]) * drive
+            halves[k, 0] += after[part] * drive
         qpos[k] = data.qpos
         if progress:
             progress(1)
+    torque = halves.sum(axis=1) / substeps
+    torque[[0, -1]] *= 2
     if any(warning.number for warning in data.warning):
         torque[:] = np.nan
     return torque, qpos

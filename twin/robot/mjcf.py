@@ -25,6 +25,10 @@ FLAT = 1e-9  # of the largest moment: MuJoCo finds principal axes to less
 FOOT_INERTIA = (
     0.1  # kg·m²: without any, base yaw and the collinear torsion of joint 1 would share a singular mass matrix
 )
+STICKING = (
+    0.001,
+    1.0,
+)  # s, damping ratio of dry friction's constraint: by default it gives way 10 ms before an axis turns
 SERVO_HZ = 30.0  # bandwidth of the position servo where the description gives no gains
 SERVO_DAMPING = 0.7
 
@@ -88,6 +92,8 @@ def build_spec(
         fixed.stiffness, fixed.damping = [tendon.stiffness, 0, 0], tendon.damping
         fixed.springlength, fixed.springyield = tendon.springlength, tendon.springyield
         fixed.armature, fixed.frictionloss = tendon.armature, tendon.frictionloss
+        if tendon.frictionloss:
+            fixed.solref_friction = STICKING
     for joint in mechanism.joints:
         if joint.dead_zone:
             _add_dead_band(spec, joint)
@@ -246,6 +252,8 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
             frictionloss=joint.frictionloss,
             springref=joint.springref,
         )
+        if joint.frictionloss:
+            added.solref_friction = STICKING
         if joint.range is not None:
             added.range = joint.range
     if body.mesh and visual:
