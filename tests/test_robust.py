@@ -185,6 +185,7 @@ def test_arguments_that_make_no_sense_get_one_line(twin: Twin) -> None:
         (("modal", "frf.h5", "--max-order", "1"), "--max-order: 1: expected 2 to 500"),
         (("view", "gone.yaml", "--out", "gone.rrd"), "gone.yaml: no such file"),
         (("excite", "--robot", "."), ".: is a folder; expected a robot.yaml"),
+        (("fit", "frf.h5", "-o", "robot.yaml"), "--out: robot.yaml: is named like a file; expected a folder"),
     ],
 )
 def test_a_wrong_option_is_named_with_what_was_given(

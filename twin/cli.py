@@ -35,6 +35,13 @@ app = typer.Typer(
 )
 
 
+def _a_folder(out: Path | None) -> Path | None:
+    """A folder as asked for: ``-o robot.yaml`` means a file, of which a command writes several."""
+    if out is not None and out.suffix in (".yaml", ".yml", ".json", ".h5", ".xml", ".html") and not out.is_dir():
+        raise InputError("--out", str(out), "is named like a file; expected a folder, into which all files go")
+    return out
+
+
 def _within(low: float, high: float = math.inf) -> Callable[[Any], Any]:
     """A check that keeps the range out of the help's columns, where it would take the room of the words."""
 
@@ -71,7 +78,9 @@ Without = Annotated[
         "--without", metavar="EFFECT[@SITE]", help="Take physics entries out of the robot; may be given several times."
     ),
 ]
-Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder.", callback=_a_folder),
+]  # fmt: skip
 Json = Annotated[bool, _flag("--json", "Print the result as JSON, and nothing else on standard output.")]
 Seed = Annotated[int, _count("--seed", low=0, help="Seed of all random numbers.")]
 NoSeed = Annotated[int, _count("--seed", low=0, help="Without effect: this command draws no random numbers.")]
