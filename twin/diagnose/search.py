@@ -366,13 +366,18 @@ def _strain(fit: Fitted, sample: Sample) -> dict[str, float]:
 
 def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitted:
     """The hypothesis without what the others can do without: a bent valley may have been followed further beside it."""
-    for piece in best.hypothesis.pieces if len(best.hypothesis.pieces) > 1 else ():
-        rest, z = _taken_out(search, best, piece)
-        known, parameters = search.fits.get(rest.identity), rest.parameters(search.base.parameters)
-        near = best.cost + WITHIN
-        fit = descend(robot, rest, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=near)
+    pieces = best.hypothesis.pieces if len(best.hypothesis.pieces) > 1 else ()
+    near = best.cost + WITHIN
+
+    def left(number: int) -> Fitted:
+        rest, z = _taken_out(search, best, pieces[number])
+        parameters = rest.parameters(search.base.parameters)
+        return descend(robot, rest, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=near)
+
+    for fit in spread(left, len(pieces), search.processes):
+        known = search.fits.get(fit.hypothesis.identity)
         if known is None or fit.cost < known.cost:
-            search.fits[rest.identity] = known = fit
+            search.fits[fit.hypothesis.identity] = known = fit
         if not worth(known, best, search):
             return _needed(robot, search, known, sample)
     return best
