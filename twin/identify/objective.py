@@ -33,6 +33,7 @@ from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
 ROWS = 1 << 30  # bytes of derivatives that are kept for the bend of a valley; of more it is not known
+FACTORED = 1 << 14  # data that a thread factors at once: they stay in its cache
 Changes = dict[tuple[Any, ...], Any]
 """What entries and links change in a mechanism, kept while the values are the same."""
 _Sloping = tuple[Recorded, FloatArray, Callable[[], tuple[ComplexArray, ComplexArray]], NDArray[np.intp]]
@@ -333,10 +334,18 @@ def factors(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     1e8 times the least, which is one (Yamamoto, Nakatsukasa, Yanagisawa and Fukaya, ETNA 44, 306, 2015).
     """
     rows, R = np.hstack([columns, np.eye(len(columns))]), np.eye(len(columns))  # Qᵀ, as it lies in memory
+    parts = [rows[:, at : at + FACTORED] for at in range(0, rows.shape[1], FACTORED)]
+
+    def turn(part: FloatArray) -> None:
+        part[:] = inverse @ part
+
     try:
         for _ in range(2):
-            upper = np.linalg.cholesky(rows @ rows.T).T
-            rows, R = np.linalg.inv(upper).T @ rows, upper @ R
+            upper = np.linalg.cholesky(sum(side_by_side(lambda part: part @ part.T, parts), np.zeros(R.shape))).T
+            inverse = np.linalg.inv(upper).T
+            for _ in side_by_side(turn, parts):
+                pass
+            R = upper @ R
     except np.linalg.LinAlgError:
         return np.linalg.qr(np.vstack([columns.T, np.eye(len(columns))]))
     return rows.T, R
