@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from multiprocessing import active_children
@@ -13,7 +14,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from twin.errors import InputError
-from twin.parallel import cores, side_by_side, spread
+from twin.parallel import ahead, cores, side_by_side, spread
 
 forking = pytest.mark.skipif(sys.platform != "linux", reason="processes fork on Linux only")
 
@@ -128,3 +129,33 @@ def test_threads_give_results_in_order_and_hold_no_more_than_they_are() -> None:
 def test_an_error_in_a_thread_is_raised() -> None:
     with pytest.raises(ZeroDivisionError):
         list(side_by_side(lambda number: 1 // number, [1, 0, 2]))
+
+
+@forking
+def test_a_core_with_nothing_left_to_do_serves_the_other() -> None:
+    """Two threads meet in a process whose neighbour is done; more items than cores would leave one thread each."""
+
+    def threads(number: int) -> int:
+        if number == 0:
+            return 1
+        time.sleep(0.5)
+        both = threading.Barrier(2, timeout=10)
+
+        def meet(_: int) -> int:
+            both.wait()
+            return threading.get_ident()
+
+        return len(set(side_by_side(meet, range(2))))
+
+    assert list(spread(threads, 2, 2)) == [1, 2]
+
+
+@forking
+def test_what_is_computed_ahead_is_the_same_and_ends_with_its_block() -> None:
+    with ahead(os.getpid, 2) as elsewhere, ahead(os.getpid, 1) as here:
+        assert elsewhere() == elsewhere() != os.getpid() == here()
+    with ahead(lambda: 1 // 0, 2) as broken, pytest.raises(ZeroDivisionError):
+        broken()
+    with ahead(lambda: time.sleep(60), 2):
+        pass
+    assert not active_children()
