@@ -245,6 +245,18 @@ def test_a_recording_that_ends_or_hangs_its_reader_is_refused(
         read_recordings([file])
 
 
+def test_a_recording_read_in_a_thread_leaves_the_process_its_time(frf: Path) -> None:
+    """The process of the caller was given seconds to live: a server or a notebook that diagnosed ended."""
+    code = (
+        "import resource, sys, threading, twin\n"
+        "before = resource.getrlimit(resource.RLIMIT_CPU)\n"
+        "thread = threading.Thread(target=twin.read_campaign, args=(sys.argv[1],))\n"
+        "thread.start(); thread.join()\n"
+        "assert resource.getrlimit(resource.RLIMIT_CPU) == before\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(frf)], check=True, capture_output=True)
+
+
 def test_an_attribute_of_an_impossible_type_is_refused_by_name(tmp_path: Path) -> None:
     """Its datatype claims 3.6 GB for a character of 8 bits."""
     file = tmp_path / "a.h5"

@@ -119,15 +119,19 @@ def opened(path: Path, expected: str = "expected an HDF5 file") -> Iterator[h5py
 
 @cache
 def _readable(path: Path, size: int, changed_ns: int) -> bool:
-    """Whether the process that goes through a file of this size and date lives."""
+    """Whether the process that goes through a file of this size and date lives; true where none can be forked."""
+    caller = os.getpid()
     try:
-        return isolated(lambda: _gone_through(path))
+        return isolated(lambda: os.getpid() == caller or _gone_through(path))
     except EOFError:
         return False
 
 
 def _gone_through(path: Path) -> bool:
-    """What the library refuses is no matter here: whoever reads it is told then, with the name of the field."""
+    """What the library refuses is no matter here: whoever reads it is told then, with the name of the field.
+
+    The process ends if it takes too long: it must be one of its own.
+    """
     met: set[int] = set()
 
     def look(item: Any) -> None:
