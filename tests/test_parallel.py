@@ -133,7 +133,7 @@ def test_an_error_in_a_thread_is_raised() -> None:
 
 @forking
 def test_a_core_with_nothing_left_to_do_serves_the_other() -> None:
-    """Two threads meet in a process whose neighbour is done; more items than cores would leave one thread each."""
+    """Two threads meet in a process whose neighbour is done: one thread alone would wait for ever."""
 
     def threads(number: int) -> int:
         if number == 0:

@@ -220,11 +220,12 @@ def _track(
     resisted = bool(mechanism.passive_forces)
     if resisted:
         felt = CubicSpline(motion.time, np.hstack([motion.load, motion.friction]))(instants[::inner])
-    qpos[0] = data.qpos
     after = np.clip(np.arange(1, substeps + 1) - 0.5 * substeps, 0, 1)  # of each step, the share after mid-interval
     halves = np.zeros((nt, 2, n))  # torque of the half interval before each instant, and after it
-    for k in range(1, nt):
-        for part, step in enumerate(range((k - 1) * substeps, k * substeps)):
+    for k in range(nt):
+        if progress:
+            progress(1)
+        for part, step in enumerate(range((k - 1) * substeps, k * substeps) if k else ()):
             # implicitfast takes the velocity loop at the end of the step
             data.ctrl[control] = q[step] + (kv * qd[step + 1] + torque_ff[step]) / kp
             if resisted and step % inner == 0:
@@ -240,8 +241,6 @@ def _track(
             halves[k - 1, 1] += (1 - after[part]) * drive
             halves[k, 0] += after[part] * drive
         qpos[k] = data.qpos
-        if progress:
-            progress(1)
     torque = halves.sum(axis=1) / substeps
     torque[[0, -1]] *= 2
     if any(warning.number for warning in data.warning):

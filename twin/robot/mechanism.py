@@ -6,6 +6,7 @@ the ``write`` of its effect. Nothing here knows MuJoCo's API.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import inf
 from typing import Any, Literal
 
@@ -189,7 +190,7 @@ class Mechanism:
         """All joints, body by body."""
         return [joint for body in self.bodies.values() for joint in body.joints]
 
-    @property
+    @cached_property
     def points(self) -> list[Point]:
         """The test points, each in the frame of the body that carries it."""
         found = []

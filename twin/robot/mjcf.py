@@ -25,10 +25,9 @@ FLAT = 1e-9  # of the largest moment: MuJoCo finds principal axes to less
 FOOT_INERTIA = (
     0.1  # kg·m²: without any, base yaw and the collinear torsion of joint 1 would share a singular mass matrix
 )
-STICKING = (
-    0.001,
-    1.0,
-)  # s, damping ratio of dry friction's constraint: by default it gives way 10 ms before an axis turns
+STICKING = 0.001, 1.0
+"""Time constant (s) and damping ratio of dry friction's constraint. MuJoCo's own 20 ms let it give way 10 ms before an
+axis turns back."""
 SERVO_HZ = 30.0  # bandwidth of the position servo where the description gives no gains
 SERVO_DAMPING = 0.7
 
