@@ -1,4 +1,4 @@
-"""Where a joint stops: torque that no law of its state has there, as columns of their own."""
+"""Where an axis stops, starts or turns back: rows in which its friction is unknown, as directions of their own."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
