@@ -145,6 +145,8 @@ def explain(
         first = _all_at_once(robot, search, found, sample, suspects)
         everywhere = _everywhere(robot, search, [first, *found], sample, suspects)
         best = max([first, *everywhere], key=lambda fit: fit.evidence())
+        if _stand_ins(robot, search, best, sample):
+            break
         small = len(best.hypothesis.pieces) <= 2 * MISSING_AT_ONCE  # not a whole kind, found together
         again = number == 1 or best.hypothesis.pieces[-1] not in allowed(best, robot)
         if number and small and again:
@@ -155,6 +157,17 @@ def explain(
         _needed(robot, search, there, sample)
     _in_its_stead(robot, search, sample)
     return search
+
+
+def _stand_ins(robot: Robot, search: Search, best: Fitted, sample: Sample, several: int = 2) -> bool:
+    """Whether several things found stand for something without a name: a law that has none would explain more.
+
+    Beside them it would gain more than they have gained together. Each further thing would stand for it, too.
+    """
+    if len(best.hypothesis.pieces) - len(allowed(best, robot)) < several:
+        return False
+    nameless = max(search.lawless(best, sample).values(), default=0.0)
+    return nameless > best.evidence() - search.base.evidence()
 
 
 def one_more(

@@ -24,6 +24,7 @@ from twin.diagnose.torque_system import (
     own_prior,
     own_values,
     refer,
+    unshrunk,
     whitened_entry,
     without,
 )
@@ -39,6 +40,22 @@ def worth(system: System, suspect: Suspect) -> float:
 def base_fit(system: System, hypothesis: Hypothesis = NONE) -> Fitted:
     """The base model at its optimum; with numbers freed by a hypothesis, on the system that has them wider."""
     return _fitted(system, hypothesis, system.parameters, system.z, system.residual, system.information)
+
+
+def nearest(fit: Fitted, to: FloatArray, worse: float) -> FloatArray:
+    """The numbers (z,) of a fit, near others (z,): what they hardly differ by is taken over from those.
+
+    Of the principal axes of what the fit knows, with each number in its own deviations, those along which the others
+    cost least are taken over. All together they may cost ``worse`` in ½ χ² and prior.
+    """
+    least = 1 / np.diag(fit.information)  # beside the others it is no better known, whatever rounding says
+    deviation = np.sqrt(np.maximum(np.diag(np.linalg.inv(fit.information)), least))
+    curvature, axes = np.linalg.eigh(fit.information * np.outer(deviation, deviation))
+    off = axes.T @ ((to - fit.z) / deviation)
+    cost = 0.5 * np.maximum(curvature, 0.0) * off**2
+    order = np.argsort(cost)
+    taken = order[np.cumsum(cost[order]) <= worse]
+    return np.asarray(fit.z + deviation * (axes[:, taken] @ off[taken]))
 
 
 def _fitted(
@@ -138,12 +155,18 @@ def reach(system: System, trial: Trial, iterations: int = 2, usual: float = 0.3)
 
 
 def settle(system: System, trial: Trial) -> Trial:
-    """Refined; an entry that acts on other torques again, once these are what they are with it in the model."""
+    """Refined, at last under priors as wide as its own sizes came out: a usual size draws one that is not usual.
+
+    An entry that acts on other torques is refined again, once these are what they are with it in the model.
+    """
     trial = refine(system, evaluate(system, trial.suspect, trial.u))
     own = trial.suspect.hypothesis.own
     values = own_values(own, trial.u)
     if np.any((same := canonical(trial.suspect.hypothesis, values)) != values):
         trial = refine(system, evaluate(system, trial.suspect, own_prior(own, same)))
+    wide = unshrunk(trial)
+    if wide.suspect.hypothesis.own != trial.suspect.hypothesis.own:
+        trial = refine(system, evaluate(system, wide.suspect, wide.u))
     for _ in range(2 if trial.suspect.effect.refers else 0):
         again = copy(system)
         refer(again, eliminated(system, trial))

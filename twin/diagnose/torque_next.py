@@ -32,7 +32,9 @@ OFF: tuple[Test, ...] = ("mass", "sweep")  # what shows a number of the descript
 def next_log(missing: Missing) -> dict[str, Any]:
     """The next recording, with the two that it would tell apart; of a load and its link, what is to be done."""
     first, (rival, _) = missing.first, missing.rivals[0]
-    load = rival.effect in CATALOGUE and CATALOGUE[rival.effect].lever and first.site.startswith("link")
+    pair = (first, rival)
+    load = any(c.effect in CATALOGUE and CATALOGUE[c.effect].lever for c in pair)
+    load = load and any(c.effect not in CATALOGUE and c.site.startswith("link") for c in pair)
     return {
         "description": WEIGH if load else _advice({first.effect, rival.effect}),
         "separates": [first.key, rival.key],
