@@ -324,8 +324,8 @@ def _decided(
     word = judge(decision)
     answered = word in ("named", "ambiguous")
     if answered:
-        best, *others = decision.ranked
-        decision = replace(decision, ranked=[in_doubt_of_size(best), *others])
+        best, *rest = decision.ranked
+        decision = replace(decision, ranked=[in_doubt_of_size(best), *rest])
     missing = missing_of(decision, settled) if answered else []
     ends = [settled, decision.ranked[0]] if answered else [settled]
     number = None
