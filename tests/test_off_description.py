@@ -2,23 +2,28 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from test_diagnose_hammer import recorded as hammer_test
 from test_diagnose_logs import recorded as log_of
 
+from twin.diagnose import hammer
 from twin.diagnose.borne_out import falls
+from twin.diagnose.decide import Decision
 from twin.diagnose.frf_off import off_description
 from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.hypotheses import Hypothesis
+from twin.diagnose.next_test import WEIGH
 from twin.diagnose.refit import NONE, descend
 from twin.diagnose.torque import _finding, base_system, diagnose_log, searched
 from twin.diagnose.torque_fit import base_fit
+from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_off import numbers_of_answer, taken_back
 from twin.diagnose.torque_signal import prepare
 from twin.diagnose.torque_system import with_wider
-from twin.diagnose.verdict import Finding, far_off
+from twin.diagnose.verdict import Candidate, Finding, Missing, far_off
 from twin.measure.motion_log import MotionLog
 from twin.robot.description import Robot, load_robot
 
@@ -90,6 +95,43 @@ def test_a_load_that_makes_no_prediction_better_is_one_of_two(tmp_path: Path, kr
     assert finding.next_test is not None
     assert "weigh" in finding.next_test["description"]
     assert falls(finding)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_load_is_weighed_whichever_of_it_and_its_link_comes_first(kr90: Robot, turned: bool) -> None:
+    """Not where both are loads: weighing does not tell on which link one hangs."""
+    load, link, other = (
+        Candidate(effect, site, 1.0, kr90, {})
+        for effect, site in (("payload", "link2"), ("parameter", "link2.mass"), ("payload", "link3"))
+    )
+    first, rival = (link, load) if turned else (load, link)
+    assert next_log(Missing(first, 0.5, ((rival, 0.5),), ""))["description"] == WEIGH
+    assert next_log(Missing(load, 0.5, ((other, 0.5),), ""))["description"] != WEIGH
+
+
+def test_loads_that_show_nothing_else_are_asked_beside_an_answer(monkeypatch: pytest.MonkeyPatch, kr90: Robot) -> None:
+    """What only relieves the tension of a link is no answer, and stays the rival of that link's numbers."""
+    shows, relieves, bare = (SimpleNamespace(robot=kr90) for _ in range(3))
+    search = SimpleNamespace(base=bare, processes=1, lawless=lambda fit, sample: {})
+    asked: list[object] = []
+
+    def off_description(*arguments: object) -> None:
+        asked.append(arguments[4])
+        raise InterruptedError
+
+    for name, told in {
+        "settle": [shows, relieves, bare], "that_show": [shows], "missing_of": [], "in_doubt_of_size": shows,
+        "decide": Decision([shows], [0.98], 0.01, 0.01), "same_axes": {}, "judge": "named",  # type: ignore[list-item]
+    }.items():  # fmt: skip
+        monkeypatch.setattr(hammer, name, lambda *_, _told=told, **__: _told)
+    monkeypatch.setattr(hammer, "sifted", lambda decision, base: (decision, ()))
+    monkeypatch.setattr(hammer, "_or_its_link", lambda decision, settled, base: (decision, frozenset()))
+    monkeypatch.setattr(hammer, "off_description", off_description)
+    found, sample = SimpleNamespace(kept=[]), SimpleNamespace(recordings=[], repeat=1.0)
+    search.base.parameters = None
+    with pytest.raises(InterruptedError):
+        hammer._decided(kr90, search, sample, [], found, False, lambda: bare)  # type: ignore[arg-type]
+    assert asked == [[shows, relieves]]
 
 
 def test_hammer_tests_name_the_spring_that_is_wrong(tmp_path: Path) -> None:

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from twin.diagnose import decide
+from twin.diagnose import search as search_module
 from twin.diagnose.decide import Decision, at_noise, in_doubt_beside, sifted, that_show
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
 from twin.diagnose.physical import as_written
 from twin.diagnose.refit import NONE, Fitted
-from twin.diagnose.search import Search, inexact
+from twin.diagnose.search import Search, _stand_ins, inexact
 from twin.diagnose.within import allowed, members, taken_in, without
 from twin.identify.objective import Sample
 from twin.measure.campaign import Channels
@@ -213,3 +214,20 @@ def test_a_node_far_off_is_a_site(kr90: Robot) -> None:
     _, note = taken_in((group,), fitted(kr90, group, at + 0.008 * blow))
     assert "blow 7Y+ by 8.0 mm" in note
     assert note.sites == ("node:7.position",)
+
+
+@pytest.mark.parametrize(("nameless", "ends"), [(40.0, True), (20.0, False)])
+def test_things_that_gain_less_than_a_law_without_a_name_stand_for_it(
+    monkeypatch: pytest.MonkeyPatch, kr90: Robot, nameless: float, ends: bool
+) -> None:
+    """Two of them, that is: beside one the second may be what is missing. What is allowed does not count."""
+    monkeypatch.setattr(search_module, "allowed", lambda fit, robot: fit.hypothesis.pieces[2:])
+    base = SimpleNamespace(evidence=lambda: -100.0)
+    search = SimpleNamespace(base=base, lawless=lambda fit, sample: {"joint3.z": nameless, "joint1.z": 1.0})
+
+    def best(pieces: int) -> SimpleNamespace:
+        return SimpleNamespace(hypothesis=SimpleNamespace(pieces=tuple(range(pieces))), evidence=lambda: -70.0)
+
+    assert _stand_ins(kr90, search, best(2), None) is ends  # type: ignore[arg-type]
+    assert _stand_ins(kr90, search, best(3), None) is ends  # type: ignore[arg-type]
+    assert not _stand_ins(kr90, search, best(1), None)  # type: ignore[arg-type]
