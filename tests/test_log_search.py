@@ -15,7 +15,7 @@ from tools.truth.wrong import record
 from twin.diagnose import torque_search
 from twin.diagnose.torque import _strained, diagnose_log
 from twin.diagnose.torque_faults import clock_note, on_time
-from twin.diagnose.torque_fit import base_fit, evaluate, nearest, settle, start
+from twin.diagnose.torque_fit import base_fit, evaluate, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_laws import Suspect, log_suspects
 from twin.diagnose.torque_look import look
@@ -109,19 +109,6 @@ def test_a_mass_and_its_lever_are_followed_along_their_valley(tmp_path: Path, kr
     fit = base_fit(here)
     assert linearised(here, fit.z)[1] == pytest.approx(fit.cost, abs=0.1)
     assert fit.cost == pytest.approx(base_fit(relinearised(extended(system, settled))).cost, abs=0.1)
-
-
-def test_what_a_fit_does_not_hold_is_taken_over_from_another(slow: tuple[Prepared, list[Suspect], System]) -> None:
-    """A number that costs much stays, and of two that cost 1.5 each, one; together they cost what was allowed."""
-    fit = replace(base_fit(slow[2]), z=np.zeros(5), information=np.diag([1.0, 4.0, 100.0, 3.0, 3.1]))
-    far = np.array([0.1, -0.1, 5.0, 1.0, 1.0])
-    np.testing.assert_allclose(nearest(fit, far, 2.0), [0.1, -0.1, 0.0, 1.0, 0.0], atol=1e-12)
-    turned = np.linalg.qr(np.random.default_rng(3).normal(size=(5, 5)))[0]
-    known = replace(fit, information=np.eye(5) + 99 * np.outer(turned[0], turned[0]))
-    moved = nearest(known, 0.1 * turned[1] + 2.0 * turned[0], 2.0)
-    assert 0.5 * moved @ known.information @ moved < 2.0
-    assert abs(moved @ turned[0]) < 0.1
-    assert moved @ turned[1] == pytest.approx(0.1, abs=0.1)
 
 
 def test_one_thing_at_a_joint_replaces_two(tmp_path: Path, kr90: Robot) -> None:

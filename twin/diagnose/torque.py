@@ -564,7 +564,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
 
 def _after(search: Search) -> tuple[Fitted, list[Entry]]:
     """The fit with everything that was found, and what that is as entries."""
-    after = search.whole
+    after = search.law[2] if search.law else search.after
     return after, [*search.system.entries(after.z), *with_values(after.hypothesis, after.values[after.own])]
 
 

@@ -42,22 +42,6 @@ def base_fit(system: System, hypothesis: Hypothesis = NONE) -> Fitted:
     return _fitted(system, hypothesis, system.parameters, system.z, system.residual, system.information)
 
 
-def nearest(fit: Fitted, to: FloatArray, worse: float) -> FloatArray:
-    """The numbers (z,) of a fit, near others (z,): what they hardly differ by is taken over from those.
-
-    Of the principal axes of what the fit knows, with each number in its own deviations, those along which the others
-    cost least are taken over. All together they may cost ``worse`` in ½ χ² and prior.
-    """
-    least = 1 / np.diag(fit.information)  # beside the others it is no better known, whatever rounding says
-    deviation = np.sqrt(np.maximum(np.diag(np.linalg.inv(fit.information)), least))
-    curvature, axes = np.linalg.eigh(fit.information * np.outer(deviation, deviation))
-    off = axes.T @ ((to - fit.z) / deviation)
-    cost = 0.5 * np.maximum(curvature, 0.0) * off**2
-    order = np.argsort(cost)
-    taken = order[np.cumsum(cost[order]) <= worse]
-    return np.asarray(fit.z + deviation * (axes[:, taken] @ off[taken]))
-
-
 def _fitted(
     system: System, hypothesis: Hypothesis, parameters: Parameters, z: FloatArray, residual: FloatArray,
     information: FloatArray,

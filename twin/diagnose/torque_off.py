@@ -14,7 +14,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_fit import base_fit, nearest
+from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_look import number_groups
 from twin.diagnose.torque_revise import pruned
 from twin.diagnose.torque_robot import robot_of
@@ -48,22 +48,14 @@ def far_off(search: Search) -> list[tuple[int, float]]:
 
 
 def as_described(search: Search) -> Fitted:
-    """The base model as it would be without the answer: numbers that are answered are held as described.
-
-    Beside an answer it is, of all that fit as well, the one nearest to the model with the answer. What the log does not
-    hold is then alike in both, and its scatter on what was held out hides no effect.
-    """
+    """The base model as it would be without the answer: numbers that are answered are held as described."""
     base, plain = search.first.base, search.plain
     answers = [step.first.hypothesis for step in search.found if step.trial is None]
-    names = sorted({name for numbers in [*answers, *search.stand_ins] for name, _ in numbers.scale})
-    if not names and len(search.whole.z) == len(base.z):
+    names = {name for numbers in [*answers, *search.stand_ins] for name, _ in numbers.scale}
+    if not names:
         return base
-    held = _held(plain, names) if names else plain
-    fit = base_fit(held) if names else base
-    to = search.system.plain(search.whole.z)[: len(fit.z)] / held.plain(np.ones(len(fit.z)))
-    at = [held.parameters.names.index(name) for name in names]
-    to[at] = fit.z[at]
-    z = held.plain(nearest(fit, to, calibration()["tie"]))
+    held = _held(plain, sorted(names))
+    z = held.plain(base_fit(held).z)
     return replace(base, z=z, described=robot_of(plain, z))
 
 

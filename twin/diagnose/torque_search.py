@@ -74,11 +74,6 @@ class Search:
         return self.judge.base if self.judge else None
 
     @property
-    def whole(self) -> Fitted:
-        """The fit with everything that was found, a law without a name among it."""
-        return self.law[2] if self.law else self.after
-
-    @property
     def found(self) -> list[Step]:
         """Those whose first answer is in the model."""
         return [step for step in self.steps if step.accepted]
