@@ -40,8 +40,8 @@ def falls(finding: Finding) -> bool:
     """Whether a recording is predicted better with what was found than without.
 
     The error on what was held out must fall, as it is printed, or on what was used where nothing was held out. A hammer
-    test must gain ``seen`` in ln likelihood as well. A log's error must fall over the noise of each joint, too, for a
-    wrist's torque is mostly noise.
+    test must gain ``seen`` in ln likelihood as well. A log's ½ χ² over the noise of each joint must fall by more than
+    ``tie``, too, for a wrist's torque is mostly noise.
     """
     before, after = (finding.error[stage] for stage in ("before", "after"))
     part = "train" if before["held_out"] is None else "held_out"
@@ -51,7 +51,8 @@ def falls(finding: Finding) -> bool:
     if finding.missing and all(effect_named(m.first.effect).part == "play" for m in finding.missing):
         return True  # the second encoder shows a gap, which the torque does not feel
     records = [r for r in finding.records if isinstance(r, LogRecord) and r.held_out is (part == "held_out")]
-    if records and sum(r.energy("after") for r in records) >= sum(r.energy("before") for r in records):
+    fall = 0.5 * sum(r.energy("before") - r.energy("after") for r in records)
+    if records and fall <= calibration()["tie"]:
         return False
     return bool(after[part] < before[part])
 
