@@ -87,7 +87,7 @@ def diagnosed(case: Case, *effects: str) -> tuple[Decision, Fitted, Search]:
 def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> None:
     case = recorded(tmp_path, "--seed", "11", "--postures", "4")
     decision, base, search = diagnosed(case)
-    assert decision.none > 0.9
+    assert decision.none > 0.95  # a number that gains nothing by a wider tolerance is as described
     assert 0.8 < base.misfit < 1.1
     assert not search.others  # all starts reach one minimum
     assert not elsewhere(search.base, search.others)
@@ -235,7 +235,7 @@ def test_an_axis_that_is_likelier_comes_first_however_many_share_it() -> None:
     def fit(key: str, evidence: float) -> Any:
         piece = SimpleNamespace(effect="one", family="one", own=())
         hypothesis = SimpleNamespace(
-            pieces=(piece,), key=key, identity=frozenset({key}), under=lambda axes: (axes.get(key, key),)
+            pieces=(piece,), own=(), key=key, identity=frozenset({key}), under=lambda axes: (axes.get(key, key),)
         )
         return SimpleNamespace(hypothesis=hypothesis, misfit=1.0, data=1e4, evidence=lambda scale: evidence)
 

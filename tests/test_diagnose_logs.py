@@ -82,6 +82,7 @@ def test_a_complete_model_is_adequate_in_spite_of_ordinary_ripple_and_a_gas_law(
     """Wrong inertias, coloured noise, ripple of 1.5 N·m at every joint, a compensator that is no series: tolerance."""
     found = diagnose_log(recorded(tmp_path, "--ripple", "1.5", "--compensator", "gas"), kr90)
     assert found.word == "adequate"
+    assert found.none > 0.88  # 0.81 where numbers that gain nothing count as rivals
     assert not found.missing
     assert found.error["before"]["held_out"] < 1.3 * found.error["noise_floor"]
 

@@ -1,8 +1,8 @@
 """From evidence to probabilities: none, a name, a set of names, or something that has no name here.
 
 Prior: nothing is missing with probability ``none``. Otherwise every effect is equally likely, and every site of an
-effect. So the many channels of the measurement chain do not win by their number. Evidence is divided by a temperature
-found on development cases. What the best entry leaves of the misfit tells whether the truth is among the names at all.
+effect. So the many channels of the measurement chain do not win by their number. What evidence gains is divided by a
+temperature found on development cases. What the best entry leaves of the misfit tells whether the truth is among the names at all.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -89,9 +89,11 @@ def decide(
     unseen = _unseen([*fits, base], _near(gains), kept, processes) if kept else None
     later = _later(gains, scale, unseen) if unseen else np.zeros(len(fits))
     priors = np.array([_prior(fit.hypothesis, sites, numbers["none"]) for fit in fits])
+    as_described = [not fit.hypothesis.own and gain <= 0 for fit, gain in zip(fits, gains, strict=True)]
+    priors[as_described] = -np.inf
     beside = _beside(fits, base, scale) if handicap is None else np.asarray(handicap)
-    used = (gains - beside) / numbers["temperature"] + priors
-    logs = used + later / numbers["temperature"]
+    used = _counted(gains - beside, numbers) + priors
+    logs = _counted(gains - beside + later, numbers) + priors
     both, before = (np.logaddexp.reduce([*some, np.log(numbers["none"])]) for some in (logs, used))
     foretold = max(float(both - before), 0.0)
     lawless = _lawless(fits, base, scale, logs, foretold, unnamed, len(sites), numbers) if unnamed else -np.inf
@@ -165,6 +167,15 @@ def _prior(hypothesis: Hypothesis, sites: Mapping[str, int], none: float) -> flo
     """Logarithm of a prior: every effect alike, and every site of it."""
     pieces = hypothesis.pieces or (hypothesis,)
     return float(sum(np.log((1 - none) / (len(sites) + 1) / sites.get(p.family, 10)) for p in pieces))
+
+
+def _counted(gains: FloatArray, numbers: Mapping[str, float]) -> FloatArray:
+    """Differences in ln evidence from the base model as they count.
+
+    A fit is over-confident in what it gains, for no model is exact. What it loses is the volume that its numbers may
+    have and the data do not need (Occam's factor), which is as large where the model is wrong.
+    """
+    return np.where(gains > 0, gains / numbers["temperature"], gains)
 
 
 def _near(gains: FloatArray) -> list[int]:
@@ -260,7 +271,7 @@ def _lawless(
     for log, known, fit in models:
         gains = np.array(list(unnamed(fit).values())) - known
         if len(gains):
-            found.append(log + np.logaddexp.reduce(gains / numbers["temperature"]) - np.log(len(gains)))
+            found.append(log + np.logaddexp.reduce(_counted(gains, numbers)) - np.log(len(gains)))
     return float(np.logaddexp.reduce(found) + np.log((1 - numbers["none"]) / (effects + 1))) if found else -np.inf
 
 
