@@ -127,6 +127,12 @@ def _files(given: dict[str, Any]) -> list[str]:
     return [str(item) for values in lists for item in values if isinstance(item, Path)]
 
 
+def _beside(file: Path, command: str) -> Path:
+    """Where a command writes by default: out/FILE, out/FILE-COMMAND where the file's own folder is that."""
+    out = Path("out") / file.stem
+    return out.with_name(f"{out.name}-{command}") if out.resolve() == file.parent.resolve() else out
+
+
 _HOW: ContextVar[str] = ContextVar("how much is said", default="")
 
 
@@ -352,7 +358,7 @@ def fit(
     if objective not in ("posterior", "paper"):
         raise InputError("--objective", objective, "expected posterior or paper")
     if out is None and not json:
-        out = Path("out") / recordings[0].stem
+        out = _beside(recordings[0], "fit")
     with _bars() as progress:
         found = twin.fit(
             recordings, robot=robot, without=without, hold_out=hold_out, leave_one_out=leave_one_out,
@@ -443,7 +449,7 @@ def identify(
     if weighting not in ("joint", "none"):
         raise InputError("--weighting", weighting, "expected joint or none")
     if out is None and not json:
-        out = Path("out") / log.stem
+        out = _beside(log, "identify")
     with _bars() as progress:
         found = twin.identify(
             log, robot=robot, without=without, out=out, hold_out=hold_out, low_pass=low_pass, weighting=weighting,
@@ -538,7 +544,7 @@ def diagnose(
     To try it, take an entry out of the robot first: --without transverse_compliance@joint1.x conceals a soft bearing.
     """
     if out is None and not json:
-        out = Path("out") / recordings[0].stem
+        out = _beside(recordings[0], "diagnose")
     with _bars() as progress:
         found = twin.diagnose(
             recordings, robot=robot, without=without, hold_out=hold_out, out=out, seed=seed, progress=progress

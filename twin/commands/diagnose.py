@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.commands.outputs import Outputs, check_out
+from twin.commands.outputs import Outputs, check_out, check_spared
 from twin.diagnose.edit import check_xml, payload_edit
 from twin.diagnose.engine import diagnosed
 from twin.diagnose.evidence import Evidence
@@ -55,6 +55,7 @@ def diagnose(
     check_out(out)
     progress = progress or silent
     tests = read_recordings(recordings)
+    check_spared(out, tests)
     given = _described(tests, robot).without(without or [])
     verdict, evidence = diagnosed(tests, given, hold_out=hold_out, seed=seed, progress=progress)
     verdict.origin = provenance(

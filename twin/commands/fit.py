@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from twin.commands.outputs import Outputs, check_out
+from twin.commands.outputs import Outputs, check_out, check_spared
 from twin.errors import InputError
 from twin.identify.elastic_modal import ModalObjective
 from twin.identify.fitting import Fitting, correlated, fit_campaign, fit_table
@@ -182,6 +182,7 @@ def fit(
     check_out(out)
     progress = progress or silent
     given = read_one(recording, "frf-campaign", "modal-table")
+    check_spared(out, [given])
     if band_hz is not None:
         check_band("--band", band_hz)
     check_count("starts", starts)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.commands.outputs import Outputs, check_out
+from twin.commands.outputs import Outputs, check_out, check_spared
 from twin.identify.rigid import Bands, Identification, in_joints, relative_error
 from twin.identify.rigid import identify as estimate
 from twin.measure.motion_log import MotionLog
@@ -206,6 +206,7 @@ def identify(
     check_out(out)
     bands = Bands(fit=low_pass) if low_pass else None
     given = read_one(log, "motion-log")
+    check_spared(out, [given])
     described = given.described(robot, without)
     joints = in_joints(given.content, described)
     tick = (progress or silent)("identify", 1)

@@ -12,16 +12,20 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from twin.errors import InputError, tell
 from twin.parallel import Progress, cores, silent, spread
 from twin.result import Result
 from twin.robot.description import SHIPPED
 from twin.stopping import hold, holds, unfinished
+
+if TYPE_CHECKING:
+    from twin.measure.recordings import Recording
 
 STAGED = ".writing"  # ends the name of a stage
 LISTED = ".twin-"  # starts the name of the list of what a command wrote
@@ -49,6 +53,18 @@ def check_out(out: str | Path | None, *, alone: bool = True) -> None:
         raise InputError("--out", str(out), f"cannot be written: no permission in {parent}")
     if alone and not hold(str(out.resolve())):
         raise InputError("--out", str(out), "another run is writing there; expected a folder of its own, or to wait")
+
+
+def check_spared(out: str | Path | None, recordings: "Sequence[Recording]") -> None:
+    """Raise where the model that a command writes would replace the one that a recording names.
+
+    Raises:
+        InputError: the same command would start from another robot the next time.
+    """
+    for one in recordings if out is not None else ():
+        if one.named and (Path(one.source).parent / one.named).resolve() == (Path(str(out)) / "robot.yaml").resolve():
+            text = f"{one.source} names the robot.yaml there, which would be replaced; expected another folder"
+            raise InputError("--out", str(out), text)
 
 
 class Outputs:

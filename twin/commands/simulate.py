@@ -9,21 +9,25 @@ import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
 from twin.commands.posture_file import PostureFile, posture_in_memory, read_posture_file
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.measure.campaign import Campaign, write_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, require_axes, write_motion_log
 from twin.model.hammer import HammerTest, usual_duration
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import Modes, modes
 from twin.model.replay import Replay, inverse_dynamics, motion_of, recorded_torque, replay
-from twin.model.simulated_test import simulated_test
+from twin.model.simulated_test import beyond_linear, simulated_test
 from twin.parallel import Progress, silent
+from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json
 from twin.result import Result, written
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
 from twin.table import Table
+
+LARGE = 0.001  # of FRFs, a tenth of the noise of a careful test: more is told
+SMALL = 0.0005  # of FRFs, with the force that is proposed
 
 
 @dataclass
@@ -207,6 +211,7 @@ def simulate(
             mechanism, linear, test, case.hammer.force_n, name=case.name, q_deg=case.q_deg,
             raw_hits=case.hammer.raw_hits, progress=progress,
         )  # fmt: skip
+        _tell_large(found, test, max(case.hammer.force_n))
     for name, run in runs.runs.items() if runs else ():
         run = _of_axes(case.robot, run)
         tick = progress(f"replay {name}", len(run.time))
@@ -217,6 +222,21 @@ def simulate(
         with Outputs(out, "simulate") as outputs:
             _write(found, outputs, movie)
     return found
+
+
+def _tell_large(found: Simulation, test: HammerTest, force_n: float) -> None:
+    """Tell of blows that move a light robot so far that its FRFs are not those of small motion.
+
+    Of geometry alone: a description with a law of amplitude is meant to answer so.
+    """
+    if any(CATALOGUE[entry.effect].amplitude_law for entry in found.robot.physics):
+        return
+    if (off := beyond_linear(found.mechanism, found.linear, test, force_n)) > LARGE:
+        text = (
+            f"{force_n:g} N moves this robot so far that its FRFs differ by {off:.2%} from those of small motion. "
+            f"fit and diagnose compare with these; {float(f'{force_n * SMALL / off:.0e}'):g} N suits it"
+        )
+        tell(found.case.name, "hammer.force_n", text)
 
 
 def _of_axes(robot: Robot, run: MotionRun) -> MotionRun:

@@ -2,7 +2,8 @@
 
 Prior: nothing is missing with probability ``none``. Otherwise every effect is equally likely, and every site of an
 effect. So the many channels of the measurement chain do not win by their number. What evidence gains is divided by a
-temperature found on development cases. What the best entry leaves of the misfit tells whether the truth is among the names at all.
+temperature found on development cases. What the best entry leaves of the misfit tells whether the truth is among the
+names at all.
 """
 
 from collections.abc import Callable, Mapping, Sequence

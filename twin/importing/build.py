@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
+from twin.importing.guess import CLOCK
 from twin.importing.map import FunctionsMap, HitsMap, LogMap, Sensor, Stance, Struck, Taken, UniversalMap
 from twin.importing.tables import Table, chosen, joined
 from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, check_campaign
@@ -17,6 +18,7 @@ from twin.measure.units import factor, frf_factor, same
 from twin.ranges import check_array
 
 RECORD_DECAY = 5.0  # rate of the exponential window times the record: e⁻⁵ is left at its end, and hardly any leakage
+UNEVEN = 0.1  # of a step: stamps of a few digits are rounded by that much
 RATE_PER_LINE = 2.56  # samples per second over the highest line an analyser shows: room for its anti-alias filter
 MEASURES = {  # of a motion log: on a revolute, on a linear axis
     "position": ("angle", "length"),
@@ -172,17 +174,18 @@ def _struck(sources: Sequence[Source], map_: HitsMap, name: str, stance: Stance)
         here = [source for source in sources if source.matches(stance.files) and source.matches(point.files)]
         blows = []
         for source in here:
-            rate = source.table.sample_rate_hz or map_.sample_rate_hz
-            if rate is None:
-                raise InputError(source.path, "sample_rate_hz", "the file states no rate: expected one in the map")
+            rate = _rate(source, map_)
             rates.add(rate)
             blows += _blows(source, map_, rate)
         if not blows:
-            files = f"among {len(here)} records" if here else f"no record fits {point.files!r}"
-            raise InputError(
-                sources[0].path, f"postures.{name}: {point.label}",
-                f"no blow above {map_.trigger_n:g} N ({files}); expected one or more",
-            )  # fmt: skip
+            fit = [p for p in (stance.files, point.files) if not any(source.matches(p) for source in sources)]
+            text = f"no record fits {fit[0] if fit else (stance.files, point.files)!r}"
+            if here:
+                text = (
+                    f"no blow above {map_.trigger_n:g} N (trigger_n) among {len(here)} records that lies whole in one, "
+                    f"with {map_.pretrigger_s:g} s before it (pretrigger_s) and {map_.record_s:g} s in all (record_s)"
+                )
+            raise InputError(sources[0].path, f"postures.{name}: {point.label}", f"{text}; expected one or more")
         force.append([f for f, _ in blows])
         response.append([r for _, r in blows])
     if len(rates) > 1:
@@ -206,6 +209,27 @@ def _struck(sources: Sequence[Source], map_: HitsMap, name: str, stance: Stance)
     return replace(made, frequency=made.frequency[kept], frf=made.frf[kept], coherence=coherence)
 
 
+def _rate(source: Source, map_: HitsMap) -> float:
+    """Samples per second: as the file's clock has them, or the file states, or the map."""
+    clocks = {name: channel.unit for name, channel in source.table.channels.items() if CLOCK.match(name)}
+    taken = map_.time or next((Taken(channels=[name], unit=unit) for name, unit in clocks.items() if unit), None)
+    stated = map_.sample_rate_hz or source.table.sample_rate_hz
+    if taken is None:
+        if stated is None:
+            raise InputError(source.path, "sample_rate_hz", "the file states no rate; expected one, or `time`")
+        return stated
+    steps = np.diff(source.series("time", taken, "time")[:, 0])
+    if not (steps > 0).all() or np.ptp(steps) > UNEVEN * steps.mean():
+        raise InputError(source.path, f"time: {taken.channels[0]}", "expected instants at even steps")
+    rate = 1 / float(steps.mean())
+    if stated is None:
+        return float(f"{rate:.4g}")
+    if abs(rate / stated - 1) > 0.01:
+        text = f"found {stated:g} in the map, and {rate:.4g} by the file's clock {taken.channels[0]!r}; correct one"
+        raise InputError(source.path, "sample_rate_hz", text)
+    return stated
+
+
 def _blows(source: Source, map_: HitsMap, rate: float) -> list[tuple[FloatArray, FloatArray]]:
     """Force (nt,) and response (nr, nt) of each blow that lies whole in the record and is not run into by the next."""
     force = source.series("force", map_.force, "force")
@@ -220,6 +244,9 @@ def _blows(source: Source, map_: HitsMap, rate: float) -> list[tuple[FloatArray,
     if length < before + 2:
         expected = f"expected more than pretrigger_s and two samples at {rate:g} Hz, found {map_.record_s:g} s"
         raise InputError("map", "record_s", expected)
+    if length > len(signal):
+        text = f"found {map_.record_s:g} s; expected at most the {len(signal) / rate:.4g} s of {source.path.name}"
+        raise InputError("map", "record_s", text)
     above = np.abs(signal) > map_.trigger_n
     starts: list[int] = []
     for start in np.flatnonzero(above & ~np.concatenate([[False], above[:-1]])):
@@ -249,7 +276,10 @@ def build_universal(paths: Sequence[Path], map_: UniversalMap) -> Campaign:
             frf_factor(map_.unit)
         except ValueError as error:
             raise InputError(paths[0], "unit", str(error)) from error
-        read[name] = read_uff(here, q_deg=np.array(stance.q_deg, dtype=float), points=nodes, unit=map_.unit)
+        read[name] = read_uff(
+            here, q_deg=np.array(stance.q_deg, dtype=float), points=nodes, unit=map_.unit,
+            placed=map_.robot is not None,
+        )  # fmt: skip
     first = next(iter(read.values()))
     postures = {}
     for name, campaign in read.items():

@@ -10,7 +10,7 @@ from typing import Any
 
 from twin.errors import InputError
 from twin.importing.tables import Table, joined, natural
-from twin.measure.units import ASK
+from twin.measure.units import ASK, known
 
 CLOCK = re.compile(r"(?i)^(time(stamp)?|t|zeit|.*\.(time|t))$")
 HAMMER = re.compile(r"(?i)hammer|force|kraft|impact")
@@ -53,7 +53,7 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
     clock = next((name for name in names if CLOCK.match(name)), None)
     found: dict[str, Any] = {"makes": "motion-log", "robot": ASK, **together}
     if clock:
-        found["time"] = {"channels": [clock], "unit": first.channels[clock].unit or ASK}
+        found["time"] = {"channels": [clock], "unit": _stated(first, clock)}
     else:
         found["sample_rate_hz"] = first.sample_rate_hz or ASK
     for kind in ("position", "torque", "velocity", "acceleration"):
@@ -74,26 +74,34 @@ def _kinds(table: Table) -> set[str]:
 
 
 def _taken(table: Table, names: list[str]) -> dict[str, Any]:
-    units = {table.channels[name].unit for name in names if name in table.channels}
-    return {"channels": names, "unit": units.pop() if len(units) == 1 and all(units) else ASK, "factor": 1.0}
+    units = {_stated(table, name) for name in names if name in table.channels}
+    return {"channels": names, "unit": units.pop() if len(units) == 1 else ASK, "factor": 1.0}
+
+
+def _stated(table: Table, name: str) -> str:
+    """The unit of a channel as the file states it, if it is one."""
+    unit = table.channels[name].unit
+    return unit if known(unit) else ASK
 
 
 def _point(label: str) -> dict[str, Any]:
-    return {"label": label, "body": ASK, "position": [0.0, 0.0, 0.0]}
+    return {"label": label, "body": ASK, "position": ASK}
 
 
 def _hits(first: Table, tables: Sequence[Table], names: list[str], hammer: str) -> dict[str, Any]:
     heard = [name for name in names if name != hammer and not CLOCK.match(name)]
+    clock = next((name for name in names if CLOCK.match(name)), None)
+    timed = {"time": {"channels": [clock], "unit": _stated(first, clock)}} if clock else {}
     sensors = [
-        {"channel": name, "unit": first.channels[name].unit or ASK, "factor": 1.0, **_point(f"1{'XYZ'[i % 3]}+")}
+        {"channel": name, "unit": _stated(first, name), "factor": 1.0, **_point(f"1{'XYZ'[i % 3]}+")}
         for i, name in enumerate(heard)
     ]
     return {
         "makes": "frf-campaign",
         "robot": ASK,
         "postures": {"posture": {"q_deg": [], "files": "*"}},
-        "sample_rate_hz": first.sample_rate_hz or ASK,
-        "record_s": 2.0,
+        **(timed or {"sample_rate_hz": first.sample_rate_hz or ASK}),
+        "record_s": ASK,
         "force": _taken(first, [hammer]),
         "response": sensors,
         "excitation": [{**_point(f"{i + 2}Z+"), "files": table.name} for i, table in enumerate(tables)],
@@ -121,12 +129,13 @@ def guess_universal(paths: Sequence[Path]) -> dict[str, Any]:
     Raises:
         InputError: the files hold no FRFs.
     """
-    from twin.measure.uff import read_uff, stated_unit
+    from twin.measure.uff import placed_nodes, read_uff, stated_unit
 
     campaign = read_uff(paths[0], q_deg=None, unit=stated_unit(paths[0]))
-    sides = campaign.response, campaign.excitation
-    nodes = {int(label[:-2]): list(map(float, at)) for side in sides
-             for label, at in zip(side.label, side.position, strict=True)}  # fmt: skip
+    sides, there = (campaign.response, campaign.excitation), placed_nodes(paths[0])
+    places = {int(label[:-2]): list(map(float, at)) for side in sides
+              for label, at in zip(side.label, side.position, strict=True)}  # fmt: skip
+    nodes = {node: at if node in there else ASK for node, at in places.items()}
     return {
         "makes": "frf-campaign",
         "robot": ASK,

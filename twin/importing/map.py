@@ -89,7 +89,10 @@ class Stance(Data):
 
 
 class HitsMap(Data):
-    """A hammer test from time records: blows are found in the force, cut out and made FRFs of."""
+    """A hammer test from time records: blows are found in the force, cut out and made FRFs of.
+
+    ``time`` is the file's clock. One whose unit the file states is found without; ``sample_rate_hz`` must agree.
+    """
 
     makes: Literal["frf-campaign"]
     robot: str | None = None
@@ -97,6 +100,7 @@ class HitsMap(Data):
     force: Taken
     response: Annotated[list[Sensor], Field(min_length=1)]
     excitation: Annotated[list[Struck], Field(min_length=1)]
+    time: Taken | None = None
     sample_rate_hz: Rate | None = None
     trigger_n: Annotated[Number, Field(ge=LEAST_FORCE_N, le=LARGEST_FORCE_N)] = 20.0
     pretrigger_s: Annotated[Number, Field(ge=0, le=LONGEST_RECORD_S)] = 0.05

@@ -34,6 +34,7 @@ LOOKED_AT_S = 30.0  # of a log
 LOOKED_AT_HZ = 250.0  # samples of a log are averaged to about as many: a slip shows below 10 Hz
 LEAST_TRAVEL = 0.1  # rad, of the axis that moves most, below which degrees were perhaps not degrees
 UNLIKE = 0.5  # error of the described torque from which a slip is looked for; undone, it is less than half of that
+LIKE = 0.5  # correlation, -1 to 1: below its negative, lines of opposite sign outweigh the others three to one
 LIKE_A_SLIP = 1.8  # ratios within this factor of a slip, and farther than that from 1, are one
 
 
@@ -144,15 +145,18 @@ def check_campaign_units(campaign: Campaign, robot: Robot | None) -> None:
             )
     if robot is None or any(posture.q_deg.size == 0 for posture in campaign.postures.values()):
         return
-    low, ratio, high = _over_described(campaign, robot)
+    (low, ratio, high), alike = _over_described(campaign, robot)
     likely = min(SLIPS, key=lambda slip: abs(np.log(ratio / slip)))
     if likely / LIKE_A_SLIP < low and high < likely * LIKE_A_SLIP and not 1 / LIKE_A_SLIP < ratio < LIKE_A_SLIP:
         found = f"FRFs are {ratio:.3g} times those of {robot.name} as described"
         raise InputError(campaign.source, "unit", f"{found}: {SLIPS[likely]}")
+    if alike < -LIKE:
+        text = f"FRFs have the opposite sign of those of {robot.name} as described: is a factor -1 missing, or wrong?"
+        tell(campaign.source, "factor", text)
 
 
-def _over_described(campaign: Campaign, robot: Robot) -> tuple[float, float, float]:
-    """Quartiles over all lines of measured over described FRF matrix, in the Frobenius norm.
+def _over_described(campaign: Campaign, robot: Robot) -> tuple[tuple[float, float, float], float]:
+    """Quartiles over all lines of measured over described FRF matrix, in the Frobenius norm; and their correlation.
 
     On recordings of robots near their description the median is within 1.02 of 1. Few channels that hardly move scatter
     widely, over the quartiles too, and then tell nothing.
@@ -166,4 +170,8 @@ def _over_described(campaign: Campaign, robot: Robot) -> tuple[float, float, flo
         for r, p in zip(judged.recordings, judged.predicted, strict=True)
     ]
     low, middle, high = np.quantile(np.concatenate(ratios), [0.25, 0.5, 0.75])
-    return float(low), float(middle), float(high)
+    pairs = [(r.frf / size, p / np.linalg.norm(p, axis=(1, 2), keepdims=True))
+             for r, p in zip(judged.recordings, judged.predicted, strict=True)
+             for size in [np.linalg.norm(r.frf, axis=(1, 2), keepdims=True)]]  # fmt: skip
+    alike = np.concatenate([np.sum(np.conj(p) * H, axis=(1, 2)).real for H, p in pairs])
+    return (float(low), float(middle), float(high)), float(alike.mean())

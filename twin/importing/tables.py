@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import InputError
+from twin.measure.recordings import UFF
 
 EXTRA = 'pip install "twin[import]"'
 READERS = {
@@ -97,7 +98,8 @@ def read_tables(path: Path) -> list[Table]:
     elif (suffix := path.suffix.lower()) in READERS:
         module = READERS[suffix]
     else:
-        raise InputError(path, "", f"no reader for {suffix or 'a file without suffix'}; expected {', '.join(READERS)}")
+        text = f"no reader for {suffix or 'a file without suffix'}; expected {', '.join([*READERS, *UFF])}"
+        raise InputError(path, "", text)
     read: Callable[[Path], list[Table]] = import_module(f"twin.importing.{module}").read
     try:
         tables = [table for table in read(path) if table.channels]

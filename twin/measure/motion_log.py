@@ -27,6 +27,7 @@ VERSION = 1
 LONG = 1_500_000  # samples of a run, beyond which it is read in parts: 25 minutes at 1 kHz
 COARSE_HZ = 250.0  # rate it is then read at, at least: as the shipped recordings have
 LONGEST_GAP_S = 0.05  # longer ones are not bridged: a spline knows nothing of what a robot did in them
+LONGEST_PERIOD_S = 0.5  # a move from point to point takes a second or two: nothing of it shows in slower samples
 FLAT_S = 0.02  # torque that stays at its largest value for so long while the axis moves was cut off
 LEAVES = 0.1  # of an axis's range, by which a log may leave it
 LEAST_MOTION = 1e-3  # rad (m)
@@ -319,6 +320,9 @@ def _even(
         raise InputError(
             path, f"{where}/time", f"stamps are {period:g} s apart, but sample_rate_hz is {rate:g}; expected seconds"
         )
+    if period > LONGEST_PERIOD_S:
+        text = f"stamps are {period:g} apart; expected seconds, and at most {LONGEST_PERIOD_S:g} between two samples"
+        raise InputError(path, f"{where}/time", f"{text}: are these milliseconds?")
     held = _held(series)
     if held.any():
         where_held = time[np.argmax(held)]

@@ -75,6 +75,7 @@ def read_uff(
     points: dict[int, Point] | None = None,
     robot: str | None = None,
     unit: str | None = None,
+    placed: bool = False,
 ) -> Campaign:
     """Read FRFs, and coherence where there is one, from one universal file or many that belong together.
 
@@ -88,6 +89,7 @@ def read_uff(
             the body ``base`` and lies at the origin.
         robot: name for the campaign.
         unit: of the FRFs, as ``g/lbf``, where it is not SI; what the file states must agree.
+        placed: every node must have a place, as on a robot.
 
     Raises:
         InputError: for what is not SI and was not said to be, no FRF, incomplete, doubled, or breaks the contract of a
@@ -131,6 +133,9 @@ def read_uff(
         if points and one in points and points[one].body != body:
             text = f"expected one body, found {body} in the file and {points[one].body} in the map"
             raise InputError(source, f"node {one}", text)
+    if placed and (lost := sorted({int(label[:-2]) for label in (*response, *excitation)} - set(nodes))):
+        problem = "expected its body and place, in `nodes` of the map or in a data set 15 or 2411 of the file"
+        raise InputError(source, f"node {lost[0]}", problem)
     nodes |= {n: Point(bodies[n], nodes[n].position if n in nodes else np.zeros(3)) for n in bodies if points is None}
     campaign = Campaign(
         _channels(response, nodes),
@@ -210,6 +215,12 @@ def _points(file: Path, number: int, dataset: dict[str, Any]) -> dict[int, Point
     if len({len(column) for column in columns}) > 1:
         raise InputError(file, f"data set {number}", "expected x, y and z of every node, one is cut short")
     return {int(n): Point("base", np.array([x, y, z], dtype=np.float64)) for n, x, y, z in zip(*columns, strict=True)}
+
+
+def placed_nodes(path: str | Path) -> set[int]:
+    """Nodes of a universal file that have coordinates."""
+    some = [(number, d) for number, d in _datasets(Path(path)).items() if d.get("type") in (15, 2411)]
+    return {node for number, dataset in some for node in _points(Path(path), number, dataset)}
 
 
 def stated_unit(path: str | Path) -> str | None:

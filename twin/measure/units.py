@@ -61,24 +61,33 @@ def factor(unit: str, *expected: str) -> float:
     Raises:
         ValueError: the unit is not known, or measures none of the quantities ``expected``.
     """
-    measures, value = measure(unit)
+    measures, value = measure(unit, *expected)
     if measures not in expected:
         raise ValueError(f"expected a unit of {' or '.join(expected)}, found {unit!r}, which is one of {measures}")
     return value
 
 
-def measure(unit: str) -> tuple[str, float]:
+def measure(unit: str, *expected: str) -> tuple[str, float]:
     """What a unit measures, and its factor to SI.
 
     Raises:
-        ValueError: the unit is not known, or is still to be stated.
+        ValueError: the unit is not known, or is still to be stated; those that measure ``expected`` are listed.
     """
+    those = ", ".join(sorted(name for name, (measures, _) in UNITS.items() if not expected or measures in expected))
     if unit.strip().lower() in (ASK, ""):
-        raise ValueError(f"state the unit; it is never guessed (one of {', '.join(sorted(UNITS))})")
-    spelt = re.sub(r"(?i)^(lb)(?=in|ft|$)", "lbf", _spelt(unit))
-    if spelt not in UNITS:
-        raise ValueError(f"unknown unit {unit!r}; expected one of {', '.join(sorted(UNITS))}")
-    return UNITS[spelt]
+        raise ValueError(f"state the unit; it is never guessed (one of {those})")
+    if not known(unit):
+        raise ValueError(f"unknown unit {unit!r}; expected one of {those}")
+    return UNITS[_named(unit)]
+
+
+def known(unit: str) -> bool:
+    """Whether a spelling is that of a unit."""
+    return _named(unit) in UNITS
+
+
+def _named(unit: str) -> str:
+    return re.sub(r"(?i)^(lb)(?=in|ft|$)", "lbf", _spelt(unit))
 
 
 def frf_factor(unit: str) -> tuple[str, float]:

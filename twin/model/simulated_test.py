@@ -66,6 +66,27 @@ def simulated_test(
     return Campaign(*sides, postures, robot.name, comment, f"{name}, simulated")
 
 
+def beyond_linear(mechanism: Mechanism, linear: LinearModel, test: HammerTest, force_n: float) -> float:
+    """How far the FRFs of a blow are off those of small motion, because the robot moves so much: RMS over RMS.
+
+    Of a blow without noise, on the test point that yields most.
+    """
+    points, responses = [point.label for point in mechanism.robot.test_points], list(mechanism.robot.accelerometers)
+    yields = [float(np.linalg.norm(J @ np.linalg.solve(linear.K, J.T))) for J in (linear.points[p][1] for p in points)]
+    struck = [points[int(np.argmax(yields))]]
+    quiet = replace(test, hits=1, force_spread=0.0, force_noise_n=0.0, response_noise=0.0, off_axis_deg=0.0)
+    rate = window_rate(linear, test.duration_s)
+    hits = simulate_hits(mechanism, quiet, force_n, struck, responses)
+    posture, _ = posture_from_hits(
+        "blow", mechanism.q, mechanism.brakes, hits, exponential_window_rate=rate, fmax=FREQUENCY_SHARE / test.pulse_s,
+    )  # fmt: skip
+    small = frf(
+        linear.stepped, posture.frequency[1:], measurement_chain(linear, mechanism.robot, responses, struck),
+        posture.quantity, exponential_window_rate=rate,
+    )  # fmt: skip
+    return float(np.linalg.norm(posture.frf[1:] - small) / np.linalg.norm(small))
+
+
 def _unstepped(linear: LinearModel) -> bool:
     return bool(linear.loss.any() or linear.integral.any())
 
