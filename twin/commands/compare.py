@@ -11,6 +11,7 @@ from twin.identify.elastic_compare import Comparison, ModalComparison, compare_m
 from twin.identify.rigid import Bands
 from twin.identify.rigid_compare import LogComparison, compare_log
 from twin.measure.recordings import Given, Recording, read_recordings, traced
+from twin.model.parameters import require_springs
 from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.result import Result, written
@@ -151,6 +152,7 @@ def _compared(
 ) -> Comparison | ModalComparison | LogComparison:
     if recording.kind == "motion-log":
         return compare_log(recording.content, robot, as_is, bands, stepped, progress)
+    require_springs(robot)
     if recording.kind == "modal-table":
         return compare_modes(robot, recording.content, recording.source)
     return compare_hammer(robot, recording.content, recording.source, as_is)

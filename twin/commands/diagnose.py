@@ -1,6 +1,7 @@
 """``twin diagnose``: recordings in; what the model leaves out, how sure, and a new model out."""
 
 import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from twin.diagnose.engine import diagnosed
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.records import FrfRecord, LogRecord
 from twin.diagnose.verdict import Verdict
-from twin.errors import InputError
+from twin.errors import InputError, Told
 from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.identify.recorded import without_limits
 from twin.measure.recordings import Given, Recording, read_recordings, traced
@@ -132,7 +133,9 @@ def _posture(verdict: Verdict) -> tuple[np.ndarray, Any]:
 
 def _check(verdict: Verdict, evidence: Sequence[Evidence], folder: Path) -> None:
     """The edit test: the written model, read again, in MuJoCo."""
-    written = load_robot(folder / "robot.yaml")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Told)  # of a file that has no place of its own yet
+        written = load_robot(folder / "robot.yaml")
     alone = len({one.recording.kind for one in evidence}) == 1
     for finding, one in zip(verdict.findings, evidence, strict=True):
         verdict.checks += one.checks(written, finding, alone)

@@ -206,7 +206,13 @@ def make_map(
     progress = progress or (lambda description, total: lambda count: None)
     loaded = load_robot(robot or "kr90").without(without or [])
     if not any(axis.stiffness for axis in loaded.axes) and not any("stiffness" in e.values for e in loaded.physics):
-        raise InputError(loaded.name, "axes", "no axis has a stiffness, so nothing limits the depth of cut")
+        raise InputError(
+            loaded.name,
+            "axes",
+            "no axis has a stiffness, so nothing limits the depth of cut; `twin describe` fills it in",
+        )
+    if isinstance(cut, str | Path) and not Path(cut).is_file():
+        raise InputError(cut, "", "no such file; expected a cut.yaml (a robot is given as --robot)")
     asked = read_cut(cut) if cut else Cut()
     _check_finite(place_turn_deg, place, box, near_deg)
     _check_asked(loaded, random, grid, posture_grid, path, lobes, draws, spindle_rpm, spacing)

@@ -121,7 +121,8 @@ class Simulation(Result):
         if len(self.modes):
             lines.append("  mode   frequency   damping   deflections that dominate (share of strain energy)")
         else:
-            lines.append("  no modes: no axis has a stiffness")
+            skipped = ", and no hammer test" if case.hammer else ""
+            lines.append(f"  no modes{skipped}: no axis has a stiffness; `twin describe` fills it in, for a drawing")
         for k in range(len(self.modes)):
             shares = ", ".join(f"{site} {share:.0%}" for site, share in self.modes.dominant(k))
             lines.append(

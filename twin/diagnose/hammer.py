@@ -45,7 +45,6 @@ from twin.diagnose.verdict import (
     strained,
 )
 from twin.diagnose.within import base_with, taken_in, without
-from twin.errors import InputError
 from twin.identify.damping_transfer import misses_of_frf, transfer
 from twin.identify.elastic_compare import noise_floor
 from twin.identify.objective import Sample
@@ -53,7 +52,7 @@ from twin.identify.posterior import Posterior
 from twin.identify.recorded import Recorded, base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
 from twin.measure.recordings import Recording
-from twin.model.parameters import Parameters, free_parameters, written_names
+from twin.model.parameters import Parameters, free_parameters, require_springs, written_names
 from twin.parallel import Progress, ahead
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
@@ -117,8 +116,7 @@ def diagnose_campaign(
     Raises:
         InputError: the robot has no springs, or the campaign does not fit it.
     """
-    if not free_parameters(given, tolerances=False).items:
-        raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
+    require_springs(given)
     campaign, leaks = rewindowed(campaign)
     campaign, faults = put_right(campaign, without_limits(given), source)
     few, rest = apart(campaign, given, hold_out or ())

@@ -35,7 +35,7 @@ from twin.identify.recorded import without_limits
 from twin.measure.campaign import Channels, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.measure.recordings import Recording
-from twin.model.parameters import Parameters, free_parameters
+from twin.model.parameters import Parameters, free_parameters, require_springs
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
@@ -109,8 +109,7 @@ def diagnose_table(
     """
     base = without_limits(given)
     free = free_parameters(base).only("spring", "entry", "link")
-    if not free.items or not any(p.kind == "spring" for p in free):
-        raise InputError(given.name, "axes", "expected at least one axis with a stiffness: nothing can vibrate")
+    require_springs(given)
     postures = {name: p for name, p in modal_postures(table, given, source).items() if len(p.frequency_hz)}
     kept = {name: p for name, p in postures.items() if name in (hold_out or ())}
     used = {name: p for name, p in postures.items() if name not in kept}

@@ -38,7 +38,7 @@ from twin.measure.modal_table import ModalTable
 from twin.measure.shapes import mac
 from twin.model.linear import linearise
 from twin.model.modes import Modes, modes
-from twin.model.parameters import SATURATED, Parameters, free_parameters
+from twin.model.parameters import SATURATED, Parameters, free_parameters, require_springs
 from twin.model.sensitivity import Structure, structure
 from twin.parallel import Progress
 from twin.robot.description import Robot, parse_robot
@@ -100,7 +100,7 @@ def fit_campaign(
     profiled: bool,
 ) -> Fitting:
     """Fit a description to a hammer test; options as of :func:`twin.fit`, ``profiled``: with the weakest's profiles."""
-    _require_springs(described)
+    require_springs(described)
     recordings = list(prepare(campaign, described, source, band_hz).values())
     names = list(dict.fromkeys(r.setup.name for r in recordings))
     aliases = {group: base_name(campaign, group) for group in campaign.postures}
@@ -248,7 +248,7 @@ def fit_table(
     seed: int,
 ) -> Fitting:
     """Fit a description to a modal table; options as of :func:`twin.fit`."""
-    _require_springs(described)
+    require_springs(described)
     measured = modal_postures(table, described, source)
     held = _held_out(source, hold_out, list(measured), {name: name for name in measured})
     free = _modal_parameters(described, tolerances)
@@ -311,13 +311,6 @@ def _paired(robot: Robot, posture: ModalPosture, found: Sequence[PairedMode], he
         ],
         "measured_only": [float(m.measured_hz) for m in found if m.frequency_hz is None],
     }  # fmt: skip
-
-
-def _require_springs(robot: Robot) -> None:
-    if not free_parameters(robot, tolerances=False).items:
-        raise InputError(
-            robot.name, "axes", "expected at least one axis with a stiffness: a rigid robot has nothing to fit"
-        )
 
 
 def _held_out(source: str, asked: list[str] | None, names: list[str], aliases: dict[str, str]) -> list[str]:

@@ -670,7 +670,11 @@ def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list
     refuse_without_motion(log, log.source)
     for name, run in log.runs.items():
         if run.torque is None:
-            raise InputError(log.source, f"runs/{name}/torque", "missing: a trajectory cannot be identified from")
+            raise InputError(
+                log.source,
+                f"runs/{name}/torque",
+                "missing; expected a recording: of a trajectory alone nothing can be identified",
+            )
         if run.sample_rate_hz < 2.5 * bands.fit[1]:
             raise InputError(
                 log.source, f"runs/{name}/sample_rate_hz",

@@ -15,6 +15,7 @@ from twin.identify.rigid_compare import compare_log
 from twin.measure.campaign import Campaign
 from twin.measure.motion_log import MotionLog, MotionRun, check_against, torque_slip, weight_felt
 from twin.measure.units import INCH_M, POUND_FORCE_N, STANDARD_GRAVITY, measure
+from twin.model.parameters import can_vibrate
 from twin.robot.description import Robot
 
 FARTHEST_M = 20.0  # no point of a robot is farther from its body's frame
@@ -144,6 +145,8 @@ def check_campaign_units(campaign: Campaign, robot: Robot | None) -> None:
                 campaign.source, f"{side}: position", f"{farthest:.4g} m from its body; these look like mm"
             )
     if robot is None or any(posture.q_deg.size == 0 for posture in campaign.postures.values()):
+        return
+    if not can_vibrate(robot):
         return
     (low, ratio, high), alike = _over_described(campaign, robot)
     likely = min(SLIPS, key=lambda slip: abs(np.log(ratio / slip)))

@@ -324,6 +324,8 @@ def read_cut(content: Mapping[str, Any] | str | Path, source: str | Path = "cut"
         field = "cut" if content is not data else ""
         if "axes" in data and "links" in data:
             raise InputError(path, "", "is a robot, not a cut: give it as --robot")
+        if "posture" in data and content is data:
+            raise InputError(path, "cut", "missing: this is a posture file, and none is cut there")
     try:
         cut = Cut.model_validate(content)
     except ValidationError as error:

@@ -144,7 +144,11 @@ def tool_point(robot: Robot, q: np.ndarray, brakes: str, cut: Cut) -> ToolPoint:
     mechanism = assemble(equipped, q, brakes="off" if brakes == "off" else "on")
     linear = linearise(mechanism)
     if not linear.coordinates:
-        raise InputError(robot.name, "axes", "no axis has a stiffness, so nothing limits the depth of cut")
+        raise InputError(
+            robot.name,
+            "axes",
+            "no axis has a stiffness, so nothing limits the depth of cut; `twin describe` fills it in",
+        )
     turn, position = _link_pose(robot, q, cut)
     axis = turn @ cut.tool.axis(robot)
     require_above_table(robot, cut, position)

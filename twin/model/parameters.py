@@ -25,6 +25,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.measure.campaign import Channels, FloatArray
 from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
@@ -309,6 +310,22 @@ class Sprung(Parameters):
     def apply_one(self, robot: Robot, index: int, value: float) -> Robot:
         """The robot with one value changed."""
         return self.written.apply_one(robot, index, value)
+
+
+def can_vibrate(robot: Robot) -> bool:
+    """Whether something of a robot is soft: an axis with a stiffness, or an entry with one."""
+    return bool(free_parameters(robot, tolerances=False).items)
+
+
+def require_springs(robot: Robot) -> None:
+    """Raise for a robot that is rigid, as one from a drawing.
+
+    Raises:
+        InputError: what fills the stiffness in.
+    """
+    if not can_vibrate(robot):
+        text = "no axis has a stiffness, so nothing can vibrate; `twin describe` fills it in, for a drawing"
+        raise InputError(robot.name, "axes", text)
 
 
 def written_names(parameters: Parameters) -> Parameters:

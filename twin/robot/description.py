@@ -625,6 +625,8 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
         message = "missing"
     elif first["type"] in _SHAPES:
         message = f"expected {_SHAPES[first['type']]}, found {reprlib.repr(first['input'])}"
+    elif first["type"] == "string_pattern_mismatch":
+        message = f"found {reprlib.repr(first['input'])}, which has letters or signs that are not allowed there"
     elif first["type"] in ("too_long", "too_short"):
         few, many = (first["ctx"].get(f"{bound}_length") for bound in ("min", "max"))
         message = f"expected at {f'most {many}' if many else f'least {few}'}, found {len(first['input'])}"
@@ -664,7 +666,8 @@ def load_robot(name: "str | Path | Robot", relative_to: str | Path | None = None
         path = SHIPPED / f"{name}.yaml"
         if Path(name).suffix or len(Path(name).parts) > 1 or not path.is_file():
             shipped = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.yaml")))
-            raise InputError(name, "", f"no such robot; give a robot.yaml, a URDF or one of: {shipped}")
+            kind = "file" if Path(name).suffix not in ("", ".yaml", ".urdf", ".xml") else "robot"
+            raise InputError(name, "", f"no such {kind}; give a robot.yaml, a URDF or one of: {shipped}")
     if path.suffix.lower() in (".urdf", ".xml"):
         from twin.robot.urdf import import_urdf
 
