@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import shutil
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -114,6 +115,30 @@ def test_a_command_answers_or_refuses_in_one_line(
     else:
         assert found.out.strip()
         assert list(tmp_path.iterdir())
+
+
+def test_the_robot_that_a_recording_names_is_not_replaced(
+    written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second run of the same command would start from another robot."""
+    shutil.copytree(written / "simulate", tmp_path / "out" / "replay")
+    monkeypatch.chdir(tmp_path)
+    folder = Path("out") / "replay"
+    before = (folder / "robot.yaml").read_bytes()
+    refused = run("identify", folder / "replay.h5", "-o", folder)
+    assert refused.code == 2
+    assert "names the robot.yaml there" in refused.err
+    assert run("identify", folder / "replay.h5").code == 0
+    assert (folder / "robot.yaml").read_bytes() == before
+    assert (Path("out") / "replay-identify" / "robot.yaml").is_file()
+
+
+def test_what_is_rigid_is_told_what_makes_it_soft(written: Path, tmp_path: Path) -> None:
+    arm = Path(__file__).parent / "data" / "arm6.urdf"
+    for command in ("compare", "fit", "diagnose"):
+        found = run(command, written / "simulate" / "hammer.h5", "--robot", arm, "-o", tmp_path / "out")
+        assert found.code == 2
+        assert "no axis has a stiffness, so nothing can vibrate; `twin describe` fills it in" in found.err
 
 
 def test_nothing_is_missing_in_a_log_that_the_twin_simulated_without_noise(written: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """``twin simulate`` as a user runs it: what it prints and writes, and one clear line for every bad input."""
 
 import json
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 from test_kr90 import TABLE_7
 
+from twin.commands.simulate import simulate
+from twin.errors import Told
 from twin.measure.campaign import read_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log, write_motion_log
 from twin.robot.description import SHIPPED, Robot
@@ -39,6 +42,16 @@ def test_shipped_postures_print_table_7_as_json(twin, tmp_path: Path, name: str)
     np.testing.assert_allclose([m["damping_percent"] for m in found.json["modes"][:4]], TABLE_7[name][1], atol=0.02)
     assert found.json["modes"][0]["dominant"][0].keys() == {"site", "share"}
     assert found.json["files"] == []
+
+
+def test_a_blow_that_moves_a_light_arm_beyond_small_motion_is_told(tmp_path: Path) -> None:
+    """For the KR90 a blow of 300 N is small motion; one of 10 kN moves it as 300 N move a light arm."""
+    blow = {"hits": 1, "duration_s": 2}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Told)
+        simulate([0, 70, -100], robot="kr90", hammer=blow)
+    with pytest.warns(Told, match="10000 N moves this robot so far"):
+        simulate([0, 70, -100], robot="kr90", hammer={**blow, "force_n": 1e4})
 
 
 def test_hammer_and_replay_write_what_they_say(twin, posture, kr90: Robot, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

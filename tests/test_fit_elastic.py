@@ -14,7 +14,7 @@ from twin.commands.fit import fit
 from twin.diagnose.compare import compare_hammer
 from twin.errors import InputError
 from twin.identify.descent import Descended, minimise
-from twin.identify.elastic import fit_frf
+from twin.identify.elastic import Start, agreement, fit_frf
 from twin.identify.elastic_compare import judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
 from twin.identify.recorded import prepare
@@ -486,3 +486,13 @@ def test_no_interval_lies_beside_a_value_far_above_its_prior(x: float, deviation
     assert 0 < low < high
     assert spring.value(x) < high
     assert x <= 0 or low < spring.value(x)
+
+
+def test_starts_that_end_at_the_same_numbers_agree_however_exact_the_data_are() -> None:
+    """Of a test without noise a hundredth of a deviation is hundreds in cost, and no other minimum."""
+    information = 1e8 * np.eye(2)
+    ends = [
+        Start(cost, np.array(z), information, True)
+        for cost, z in ((1e4, [0, 0]), (1e4 + 50, [0.01, 0]), (2e4, [1.0, 0]))
+    ]
+    assert agreement(ends) == (2, 1e4)

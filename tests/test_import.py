@@ -449,6 +449,85 @@ def test_a_slip_of_units_in_a_log_is_named(
     refused(twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5"), named, tmp_path / "l.h5")
 
 
+def test_a_clock_in_milliseconds_is_not_taken_for_seconds(
+    cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    plan = tsv(tmp_path / "l.tsv", replace(cell, time=1e3 * cell.time))
+    path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
+    said = twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5")
+    refused(said, "are these milliseconds?", tmp_path / "l.h5")
+
+
+def blows_as_text(folder: Path, cell: Recorded, sign: float = 1.0) -> tuple[list[Path], dict[str, Any]]:
+    """A running record per hammer point, as CSV with a clock."""
+    files = []
+    for i in range(len(cell.nodes)):
+        record = one_record(cell, i) * [sign, 1, 1, 1]
+        rows = np.column_stack([np.arange(len(record)) / cell.rate, record])
+        files.append(folder / f"point{i}.csv")
+        header = "Zeit [s],Hammer [N],X [m/s²],Y [m/s²],Z [m/s²]"
+        np.savetxt(files[-1], rows, fmt="%.9g", delimiter=",", header=header, comments="", encoding="utf-8")
+    return files, {
+        "postures": stance(cell),
+        "force": {"channels": ["Hammer"], "unit": "N"},
+        "response": [{**s, "channel": n, "unit": "m/s²"} for s, n in zip(cell.sensors, "XYZ", strict=True)],
+        "excitation": [{**p, "files": f"point{i}*"} for i, p in enumerate(cell.nodes)],
+        "record_s": 3.9, "band_hz": [5, 45], "makes": "frf-campaign", "robot": "kr90",
+    }  # fmt: skip
+
+
+def test_blows_are_read_at_the_rate_of_the_clock_in_the_file(
+    cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    files, plan = blows_as_text(tmp_path, cell)
+    out = tmp_path / "c.h5"
+    wrong = mapped(tmp_path, **plan, sample_rate_hz=2 * cell.rate)
+    refused(twin("import", *files, "--map", wrong, "-o", out), "by the file's clock 'Zeit'", out)
+    longer = mapped(tmp_path, **plan | {"record_s": 1e3})
+    refused(twin("import", *files, "--map", longer, "-o", out), "record_s: found 1000 s; expected at most", out)
+    said = twin("import", *files, "--map", mapped(tmp_path, **plan), "-o", out)
+    assert said.code == 0, said.err
+    assert not said.err
+    with h5py.File(out) as file:
+        assert file["postures/upright/hits"].attrs["sample_rate_hz"] == cell.rate
+    guessed = twin("import", files[0], "--guess").out
+    assert "channels: [Zeit]" in guessed
+    assert "record_s: ask" in guessed
+    assert "position: ask" in guessed
+
+
+def test_a_hammer_of_the_other_sign_is_told(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
+    files, plan = blows_as_text(tmp_path, cell, sign=-1.0)
+    said = twin("import", *files, "--map", mapped(tmp_path, **plan), "-o", tmp_path / "c.h5")
+    assert "FRFs have the opposite sign" in said.err
+
+
+def test_a_node_without_a_place_is_not_put_at_the_foot(
+    cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    universal(tmp_path / "e.unv", cell, True)
+    lost, *others = nodes(cell)
+    plan = {"makes": "frf-campaign", "robot": "kr90", "postures": stance(cell), "unit": "(m/s²)/N"}
+    for some in ({n: nodes(cell)[n] for n in others}, {}):
+        path = mapped(tmp_path, **plan, nodes=some)
+        said = twin("import", tmp_path / "e.unv", "--map", path, "-o", tmp_path / "c.h5")
+        refused(said, "expected its body and place", tmp_path / "c.h5")
+    assert f"{lost}:\n    body: ask\n    position: ask" in twin("import", tmp_path / "e.unv", "--guess").out
+
+
+def test_an_unknown_unit_is_left_to_ask_and_those_that_fit_are_listed(
+    cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    plan = tsv(tmp_path / "l.tsv", cell) | {"position": {"channels": "q*", "unit": "Grad"}}
+    path = mapped(tmp_path, makes="motion-log", robot="kr90", **plan)
+    said = twin("import", tmp_path / "l.tsv", "--map", path, "-o", tmp_path / "l.h5")
+    refused(said, "unknown unit 'Grad'; expected one of deg, in, m, mm, rad, rev, um, °", tmp_path / "l.h5")
+    german(tmp_path / "g.csv", cell)
+    text = (tmp_path / "g.csv").read_text(encoding="cp1252").replace("[°]", "[Grad]")
+    (tmp_path / "g.csv").write_text(text, encoding="cp1252")
+    assert guess_map([tmp_path / "g.csv"])["position"]["unit"] == "ask"
+
+
 def test_torque_at_the_motor_is_told(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
     """It is less by the gear ratio, which no unit explains: a note, here and wherever the log is compared."""
     plan = tsv(tmp_path / "l.tsv", cell) | {"torque": {"channels": "tau*", "unit": "lbf·in", "factor": 1 / 40}}
