@@ -19,6 +19,7 @@ from twin.diagnose.torque_fit import base_fit, evaluate, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_laws import Suspect, log_suspects
 from twin.diagnose.torque_look import look
+from twin.diagnose.torque_nearest import nearest
 from twin.diagnose.torque_revise import one_for_two
 from twin.diagnose.torque_search import _borne_out
 from twin.diagnose.torque_signal import Prepared, prepare
@@ -87,6 +88,37 @@ def test_a_fit_beside_a_filter_ends_in_two_steps(slow: tuple[Prepared, list[Susp
     assert after_few == pytest.approx(after_many, abs=0.5)
     judge = Judge(system, prepared.kept)
     assert judge.misfit(many, base_fit(many)) < judge.misfit(system, base_fit(system))
+
+
+def test_what_was_found_moves_nothing_else_than_it_must(slow: tuple[Prepared, list[Suspect], System]) -> None:
+    """As likely as the best fit within ``tie``, its find as it was, and nearer to what the base model predicted."""
+    _, suspects, system = slow
+    (suspect,) = (s for s in suspects if s.name == "torque_filter@log")
+    here = relinearised(extended(system, settle(system, start(system, suspect))))
+    before, best = base_fit(system), base_fit(here)
+    fit, n = nearest(here, best, before), len(before.z)
+    np.testing.assert_array_equal(fit.z[n:], best.z[n:])
+    moved = fit.z[:n] - best.z[:n]
+    assert 0.5 * moved @ best.information[:n, :n] @ moved == pytest.approx(2.0, rel=1e-3)
+    assert fit.cost - best.cost == pytest.approx(2.0, abs=0.1)
+
+    def apart(z: FloatArray) -> float:
+        """Mean over joints of what torque differs by, over its own power."""
+        rows = here.A.first(n).times(z[:n] - before.z)
+        power = np.mean(np.concatenate([run.torque[run.valid] for run in here.base.runs]) ** 2, axis=0)
+        joints = [float(np.sum(rows[here.rows(j)] ** 2)) * here.noise[j] ** 2 / power[j] for j in range(3)]
+        return sum(joints)
+
+    assert apart(fit.z) < apart(best.z)
+    rng = np.random.default_rng(2)
+    root = np.linalg.cholesky(best.information[:n, :n])
+    for _ in range(50):  # no other step of this length comes nearer
+        step = np.linalg.solve(root.T, rng.normal(size=n))
+        other = best.z.copy()
+        other[:n] += moved + 0.2 * step
+        gone = other[:n] - best.z[:n]
+        other[:n] = best.z[:n] + gone * np.sqrt(4.0 / (gone @ best.information[:n, :n] @ gone))
+        assert apart(other) >= apart(fit.z)
 
 
 def test_a_mass_and_its_lever_are_followed_along_their_valley(tmp_path: Path, kr90: Robot) -> None:

@@ -23,6 +23,7 @@ from twin.diagnose.torque_fit import base_fit, profiled, worth
 from twin.diagnose.torque_following import Following
 from twin.diagnose.torque_laws import Suspect, log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_locate import disturbances, spots
+from twin.diagnose.torque_nearest import nearest
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_numbers import GAIN, number_columns, numbers_of
 from twin.diagnose.torque_off import as_described, bare, far_off, numbers_of_answer, taken_back, told
@@ -115,6 +116,11 @@ def diagnose_log(
     finding = _finding(log, robot, source, prepared, search, suspects, put, processes)
     if not finding.missing or falls(finding):
         return finding
+    if search.law is None:  # another number of the base model may have moved, within noise
+        as_likely = replace(search, after=nearest(search.system, search.after, as_described(search)))
+        near = _finding(log, robot, source, prepared, as_likely, suspects, put, processes)
+        if falls(near):
+            return near
     if back := taken_back(search):
         return _finding(log, robot, source, prepared, back, suspects, put, processes)
     refused = [missing for missing in finding.missing if effect_named(missing.first.effect).part != "play"]

@@ -42,6 +42,11 @@ def base_fit(system: System, hypothesis: Hypothesis = NONE) -> Fitted:
     return _fitted(system, hypothesis, system.parameters, system.z, system.residual, system.information)
 
 
+def fit_at(system: System, z: FloatArray) -> Fitted:
+    """The base model, and what was found, at other numbers than their best."""
+    return _fitted(system, NONE, system.parameters, z, system.y - system.A.times(z), system.information)
+
+
 def _fitted(
     system: System, hypothesis: Hypothesis, parameters: Parameters, z: FloatArray, residual: FloatArray,
     information: FloatArray,
