@@ -194,7 +194,8 @@ def test_every_command_writes_a_page_that_loads_nothing_and_names_its_pictures(w
 def test_a_written_robot_is_taken_as_robot(written: Path, folder: str, name: str) -> None:
     found = run("simulate", written / "given" / "bent.yaml", "--json", "--robot", written / folder / name)
     assert found.code == (0 if name.endswith(".yaml") else 2), found.err
-    assert found.err.count("\n") == (name.endswith(".xml"))
+    said = [line for line in found.err.splitlines() if "moves this robot so far" not in line]  # it is a light one
+    assert len(said) == name.endswith(".xml")
 
 
 def test_recordings_of_one_robot_go_together_wherever_they_lie(written: Path, tmp_path: Path) -> None:

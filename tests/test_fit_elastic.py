@@ -407,7 +407,7 @@ def test_refusals(measured: SimpleNamespace, tmp_path: Path, kr90: Robot) -> Non
     rigid = kr90.without(["transverse_compliance"])
     axes = [axis.model_copy(update={"stiffness": None}) for axis in rigid.axes]
     save_robot(tmp_path / "rigid.yaml", rigid.model_copy(update={"axes": axes}))
-    with pytest.raises(InputError, match="nothing to fit"):
+    with pytest.raises(InputError, match="nothing can vibrate"):
         fit([measured.path], robot=str(tmp_path / "rigid.yaml"))
     with pytest.raises(InputError, match="no lines"):
         fit([measured.path], band_hz=(200.0, 300.0))

@@ -307,7 +307,7 @@ def test_saturated_torque_is_left_out_or_refused(kr90: Robot, log: MotionLog, fo
 def test_a_trajectory_or_too_short_a_log_is_refused(kr90: Robot, log: MotionLog) -> None:
     """No torque, or fewer rows than parameters: one line that says so."""
     run = log.runs["run1"]
-    with pytest.raises(InputError, match="missing: a trajectory"):
+    with pytest.raises(InputError, match="of a trajectory alone nothing"):
         identify(MotionLog({"run1": replace(run, torque=None)}), kr90)
     short = MotionRun("run1", run.time[:500], run.position[:500], RATE, run.torque[:500])
     with pytest.raises(InputError, match="too few"):

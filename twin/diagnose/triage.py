@@ -65,12 +65,8 @@ class Triage:
 def _told(some: Sequence[Check]) -> str:
     """The worst of some failed checks of one subject, and of how many."""
     worst = min(some, key=lambda check: check.value if check.kind == "driving point" else -check.value)
-    told = str(worst).removeprefix("FAIL ")
-    if worst.kind == "reciprocity":
-        told = f"{worst.kind} {worst.subject}: the two differ by {worst.value:.0%} of their mean"
-    elif worst.kind == "driving point":
-        told = f"{worst.kind} {worst.subject}: {1 - worst.value:.0%} of its energy has the wrong sign"
-    elif worst.kind == "linearity":
+    told = worst.told
+    if worst.kind == "linearity":
         told = f"{worst.kind} {worst.subject}: the FRFs differ beyond noise, so they depend on the force"
     return told if len(some) == 1 else f"{told} in the worst of {len(some)} postures where this fails"
 

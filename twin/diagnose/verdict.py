@@ -368,7 +368,8 @@ def parameter_rows(parameters: dict[str, Any]) -> list[str]:
         for k, (value, (low, high)) in enumerate(zip(values, ranges, strict=True)):
             title, n = f"{name}[{k}]" if many else name, _digits(low, high)
             unit = units[min(k, len(units) - 1)]
-            rows.append(f"{title} {value:.{n}g} {unit}   90 %: {low:.{n}g} … {high:.{n}g}")
+            told = f"{value:.{n}g}" if unit == "1" else f"{value:.{n}g} {unit}"
+            rows.append(f"{title} {told}   90 %: {low:.{n}g} … {high:.{n}g}")
     return rows
 
 

@@ -314,8 +314,17 @@ class Check:
     value: float
     passed: bool
 
+    @property
+    def told(self) -> str:
+        """What was found, for people."""
+        found = {
+            "driving point": f"{1 - self.value:.0%} of its energy has the wrong sign",
+            "reciprocity": f"the two differ by {self.value:.0%} of their mean",
+        }
+        return f"{self.kind} {self.subject}: {found.get(self.kind, f'{self.value:.3g}')}"
+
     def __str__(self) -> str:
-        return f"{'ok  ' if self.passed else 'FAIL'} {self.kind} {self.subject}: {self.value:.3g}"
+        return f"{'ok  ' if self.passed else 'FAIL'} {self.told}"
 
 
 def _same(a: Channels, i: int, b: Channels, j: int) -> float:
