@@ -490,6 +490,13 @@ def test_blows_are_read_at_the_rate_of_the_clock_in_the_file(
     assert not said.err
     with h5py.File(out) as file:
         assert file["postures/upright/hits"].attrs["sample_rate_hz"] == cell.rate
+    lines = files[0].read_text(encoding="utf-8").splitlines()
+    again = [line if i < 200 else f"0,{line.partition(',')[2]}" for i, line in enumerate(lines)]
+    files[0].write_text("\n".join(again), encoding="utf-8")  # a clock that stands still: no rate, and no contradiction
+    refused(twin("import", *files, "--map", mapped(tmp_path, **plan), "-o", tmp_path / "d.h5"), "no even clock",
+            tmp_path / "d.h5")  # fmt: skip
+    right = mapped(tmp_path, **plan, sample_rate_hz=cell.rate)
+    assert twin("import", *files, "--map", right, "-o", tmp_path / "d.h5").code == 0
     guessed = twin("import", files[0], "--guess").out
     assert "channels: [Zeit]" in guessed
     assert "record_s: ask" in guessed

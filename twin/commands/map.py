@@ -20,6 +20,7 @@ from twin.milling.cut import Cut, read_cut
 from twin.milling.ensemble import ensemble
 from twin.milling.postures import tool_place
 from twin.milling.toolpath import Toolpath, read_toolpath
+from twin.model.parameters import can_vibrate
 from twin.parallel import Progress, cores
 from twin.provenance import provenance, write_json
 from twin.ranges import FARTHEST_M, FASTEST_RPM, FREE_TURNS, LONGEST_SPACING_M, SLOWEST_RPM, check_count, implausible
@@ -205,12 +206,9 @@ def make_map(
         check_count(name, value)
     progress = progress or (lambda description, total: lambda count: None)
     loaded = load_robot(robot or "kr90").without(without or [])
-    if not any(axis.stiffness for axis in loaded.axes) and not any("stiffness" in e.values for e in loaded.physics):
-        raise InputError(
-            loaded.name,
-            "axes",
-            "no axis has a stiffness, so nothing limits the depth of cut; `twin describe` fills it in",
-        )
+    if not can_vibrate(loaded):
+        text = "no axis has a stiffness, so nothing limits the depth of cut; `twin describe` fills it in"
+        raise InputError(loaded.name, "axes", text)
     if isinstance(cut, str | Path) and not Path(cut).is_file():
         raise InputError(cut, "", "no such file; expected a cut.yaml (a robot is given as --robot)")
     asked = read_cut(cut) if cut else Cut()

@@ -14,11 +14,11 @@ from twin.importing.tables import Table, chosen, joined
 from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, check_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, even_run
 from twin.measure.spectra import posture_from_hits
-from twin.measure.units import factor, frf_factor, same
+from twin.measure.units import factor, frf_factor, known, same
 from twin.ranges import check_array
 
 RECORD_DECAY = 5.0  # rate of the exponential window times the record: e⁻⁵ is left at its end, and hardly any leakage
-UNEVEN = 0.1  # of a step: stamps of a few digits are rounded by that much
+UNLIKE_CLOCK = 0.01  # share by which a stated rate may differ from the clock's, of rounded stamps
 RATE_PER_LINE = 2.56  # samples per second over the highest line an analyser shows: room for its anti-alias filter
 MEASURES = {  # of a motion log: on a revolute, on a linear axis
     "position": ("angle", "length"),
@@ -210,24 +210,27 @@ def _struck(sources: Sequence[Source], map_: HitsMap, name: str, stance: Stance)
 
 
 def _rate(source: Source, map_: HitsMap) -> float:
-    """Samples per second: as the file's clock has them, or the file states, or the map."""
+    """Samples per second: as the file's clock has them, or the file states, or the map.
+
+    A clock that starts again with every blow, or skips samples, tells no rate. Stamps may be rounded, to a sample.
+    """
     clocks = {name: channel.unit for name, channel in source.table.channels.items() if CLOCK.match(name)}
-    taken = map_.time or next((Taken(channels=[name], unit=unit) for name, unit in clocks.items() if unit), None)
-    stated = map_.sample_rate_hz or source.table.sample_rate_hz
-    if taken is None:
-        if stated is None:
-            raise InputError(source.path, "sample_rate_hz", "the file states no rate; expected one, or `time`")
-        return stated
-    steps = np.diff(source.series("time", taken, "time")[:, 0])
-    if not (steps > 0).all() or np.ptp(steps) > UNEVEN * steps.mean():
-        raise InputError(source.path, f"time: {taken.channels[0]}", "expected instants at even steps")
-    rate = 1 / float(steps.mean())
-    if stated is None:
-        return float(f"{rate:.4g}")
-    if abs(rate / stated - 1) > 0.01:
-        text = f"found {stated:g} in the map, and {rate:.4g} by the file's clock {taken.channels[0]!r}; correct one"
+    taken = map_.time or next((Taken(channels=[n], unit=unit) for n, unit in clocks.items() if known(unit)), None)
+    stated, rate = map_.sample_rate_hz or source.table.sample_rate_hz, None
+    if taken is not None:
+        time = source.series("time", taken, "time")[:, 0]
+        even = np.linspace(time[0], time[-1], len(time))
+        period = (even[-1] - even[0]) / max(len(time) - 1, 1)
+        if period > 0 and np.abs(time - even).max() <= period:
+            rate = float(f"{1 / period:.4g}")
+    if stated and rate and abs(rate / stated - 1) > UNLIKE_CLOCK:
+        clock = next(iter(clocks), "time")
+        text = f"found {stated:g} in the map, and {rate:g} by the file's clock {clock!r}; correct one"
         raise InputError(source.path, "sample_rate_hz", text)
-    return stated
+    if not (found := stated or rate):
+        text = "the file has no even clock" if clocks else "the file states no rate"
+        raise InputError(source.path, "sample_rate_hz", f"{text}; expected it in the map")
+    return found
 
 
 def _blows(source: Source, map_: HitsMap, rate: float) -> list[tuple[FloatArray, FloatArray]]:

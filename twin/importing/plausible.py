@@ -173,8 +173,8 @@ def _over_described(campaign: Campaign, robot: Robot) -> tuple[tuple[float, floa
         for r, p in zip(judged.recordings, judged.predicted, strict=True)
     ]
     low, middle, high = np.quantile(np.concatenate(ratios), [0.25, 0.5, 0.75])
-    pairs = [(r.frf / size, p / np.linalg.norm(p, axis=(1, 2), keepdims=True))
-             for r, p in zip(judged.recordings, judged.predicted, strict=True)
-             for size in [np.linalg.norm(r.frf, axis=(1, 2), keepdims=True)]]  # fmt: skip
-    alike = np.concatenate([np.sum(np.conj(p) * H, axis=(1, 2)).real for H, p in pairs])
-    return (float(low), float(middle), float(high)), float(alike.mean())
+    alike = []
+    for r, p in zip(judged.recordings, judged.predicted, strict=True):
+        sizes = np.linalg.norm(p, axis=(1, 2)) * np.linalg.norm(r.frf, axis=(1, 2))
+        alike.append(np.sum(np.conj(p) * r.frf, axis=(1, 2)).real / sizes)
+    return (float(low), float(middle), float(high)), float(np.mean(np.concatenate(alike)))
