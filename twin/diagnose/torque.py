@@ -116,13 +116,13 @@ def diagnose_log(
     finding = _finding(log, robot, source, prepared, search, suspects, put, processes)
     if not finding.missing or falls(finding):
         return finding
+    if back := taken_back(search):
+        return _finding(log, robot, source, prepared, back, suspects, put, processes)
     if search.law is None:  # another number of the base model may have moved, within noise
         as_likely = replace(search, after=nearest(search.system, search.after, as_described(search)))
         near = _finding(log, robot, source, prepared, as_likely, suspects, put, processes)
         if falls(near):
             return near
-    if back := taken_back(search):
-        return _finding(log, robot, source, prepared, back, suspects, put, processes)
     refused = [missing for missing in finding.missing if effect_named(missing.first.effect).part != "play"]
     if len(refused) < len(finding.missing):  # the second encoder shows the play without them
         put = [*put, tension(refused)]
