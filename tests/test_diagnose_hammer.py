@@ -14,6 +14,7 @@ from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, _of_sites, decide
 from twin.diagnose.described import described
 from twin.diagnose.engine import _one_test
+from twin.diagnose.frf_nearest import nearest
 from twin.diagnose.hammer import _or_its_link
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.locate import free_laws, mismatch
@@ -377,6 +378,34 @@ def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_p
     decision = decide([fit], base, looked_at(case), kept=kept)
     assert decision.none < 0.2
     assert judge(decision) == "ambiguous"
+
+
+def test_what_was_found_moves_nothing_else_than_it_must(tmp_path: Path) -> None:
+    """As likely as the best fit within ``tie``, its find as it was, and nearer to what was foretold without it."""
+    effect = "base_compliance@base.rx:stiffness=2.5e9,damping=1e6"
+    case = recorded(tmp_path, "--seed", "13", "--postures", "3", "--effect", effect)
+    kept = Sample(tuple(case.found.kept))
+    tilt = next(h for h, *_ in looked_at(case, "base_compliance") if h.site == "base.rx")
+    base = converge(case.base, case.free, case.sample).base
+    free = tilt.parameters(case.free)
+    fit = descend(case.base, tilt, free, case.sample, tilt.of_size(base.z, 0.01), tempered=0, tolerance=1e-3)
+    near = nearest(fit, base, case.sample, kept)
+    np.testing.assert_allclose(near.values[fit.own], fit.values[fit.own])
+    assert 1.0 < near.cost - fit.cost < 2.001  # of what it may lose, most
+    assert near.misfit == pytest.approx(fit.misfit, rel=0.01)
+
+    def foretold(fit: Fitted) -> list:
+        """FRFs of the posture kept, its angles as recorded."""
+        some = independent([])
+        return Objective(fit.robot, some, kept).predicted(np.zeros(0))
+
+    def apart(fit: Fitted) -> float:
+        return sum(
+            float(np.sum(np.abs(a - b) ** 2 / r.variance))
+            for a, b, r in zip(foretold(fit), foretold(base), kept.recordings, strict=True)
+        )
+
+    assert apart(near) < 0.9 * apart(fit)
 
 
 @pytest.mark.parametrize(("bare", "named", "told"), [(1.126, 1.122, False), (5.0, 4.0, True)])

@@ -14,8 +14,8 @@ from twin.model.linear import (
     posture_state,
     transition_matrices,
 )
-from twin.model.modes import modes
-from twin.robot.description import Robot, parse_robot
+from twin.model.modes import modes, same_modes
+from twin.robot.description import Entry, Robot, parse_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import compile_model
 
@@ -148,3 +148,15 @@ def test_differences_of_steps_are_those_of_mujoco(kr90: Robot) -> None:
     _stepped_differences(model, data, found)
     mujoco.mjd_transitionFD(model, data, FD_EPSILON, 1, expected, None, None, None)
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_modes_are_found_again_among_those_of_a_body_that_was_added(kr90: Robot, milling: np.ndarray) -> None:
+    """A resonator below the first mode puts a mode of its own first; the robot's are the ones after it."""
+    lowest = modes(linearise(assemble(kr90, milling)))
+    values = {"mass": 0.2, "frequency_hz": 0.7 * lowest.frequency_hz[0], "damping_ratio": 0.01, "axis": "x"}
+    entry = Entry(effect="attached_resonator", site="link3", position=[0.3, 0.0, 0.1], **values)
+    hung = kr90.model_copy(update={"physics": [*kr90.physics, entry]})
+    more = modes(linearise(assemble(hung, milling)))
+    assert more.frequency_hz[0] == pytest.approx(values["frequency_hz"], rel=0.02)
+    np.testing.assert_array_equal(same_modes(lowest, np.arange(4), more), np.arange(1, 5))
+    np.testing.assert_array_equal(same_modes(lowest, np.array([2, 0]), lowest), [2, 0])

@@ -5,13 +5,15 @@ again, compiled by MuJoCo, and predict the same: FRFs linearised, torque in time
 :mod:`twin.diagnose.levels_finding`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.diagnose.records import FrfRecord, Stage
 from twin.errors import InputError
@@ -22,7 +24,7 @@ from twin.measure.signals import lowpass
 from twin.model.expansion import with_channels
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
-from twin.model.modes import modes
+from twin.model.modes import Modes, modes, same_modes
 from twin.model.parameters import independent
 from twin.model.replay import STEP_S, inverse_dynamics, motion_of, recorded_torque, replay
 from twin.model.sensitivity import Setup, observe
@@ -132,30 +134,31 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
     """What a payload at the flange does to both models without refitting: an experiment that tells them apart.
 
     Returns:
-        Mass, posture and the frequencies of the lowest modes with it. In that posture the two models shift a mode most
-        differently; a shift to a frequency outside the recorded band counts a tenth. ``None`` for a robot without
-        modes.
+        Mass, posture and the frequencies of the lowest modes of the model before, and of the same modes of the model
+        after, each without the mass and with it. ``mode`` is the number in the model after. In that posture the two
+        models shift a mode most differently; a shift to a frequency outside the recorded band counts a tenth. ``None``
+        for a robot without modes.
     """
     total = sum(link.inertial[0] for link in after.links)
     mass = float(f"{EDIT_SHARE * total:.1g}")
+    hung = partial(_with_payload, mass=mass)
     found: list[tuple[float, dict[str, Any]]] = []
     for record in {r.posture: r for r in records}.values():
-        moved = []
-        for robot in (before, after):
-            loaded = _with_payload(robot, mass)
-            moved.append([_frequencies(each, record) for each in (robot, loaded)])
-        count = min(EDIT_MODES, *(len(f) for pair in moved for f in pair))
-        if not count:
+        number, *moved = _moved(before, after, hung, record)
+        if not len(number):
             continue
-        shift = np.array([pair[1][:count] / pair[0][:count] - 1 for pair in moved])
+        shift = np.array([pair[1] / pair[0] - 1 for pair in moved])
         k = int(np.argmax(np.abs(shift[1] - shift[0])))
         low, high = float(record.frequency[0]), float(record.frequency[-1])
         rows = [
-            {"mode": m + 1, "before_hz": [float(f[m]) for f in moved[0]], "after_hz": [float(f[m]) for f in moved[1]]}
-            for m in range(count)
+            {
+                "mode": int(number[m]) + 1, "before_hz": [float(f[m]) for f in moved[0]],
+                "after_hz": [float(f[m]) for f in moved[1]],
+            }
+            for m in range(len(number))
         ]  # fmt: skip
         text = (
-            f"{mass:g} kg more at the flange would move mode {k + 1} in '{record.posture}' from "
+            f"{mass:g} kg more at the flange would move mode {number[k] + 1} in '{record.posture}' from "
             f"{moved[1][0][k]:.2f} to {moved[1][1][k]:.2f} Hz ({100 * shift[1][k]:+.1f} %); "
             f"the model without what was found says {100 * shift[0][k]:+.1f} %, from "
             f"{moved[0][0][k]:.2f} to {moved[0][1][k]:.2f} Hz"
@@ -166,6 +169,19 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
     return max(found, key=lambda item: item[0])[1] if found else None
 
 
+def _moved(
+    before: Robot, after: Robot, change: Callable[[Robot], Robot], record: FrfRecord
+) -> tuple[NDArray[np.intp], *tuple[tuple[FloatArray, FloatArray], ...]]:
+    """Of a record's posture: which modes after are the lowest modes before; of both models these, alone and changed."""
+    alone = [_modes(robot, record) for robot in (before, after)]
+    changed = [_modes(change(robot), record) for robot in (before, after)]
+    first = np.arange(min(EDIT_MODES, *(len(m) for m in (*alone, *changed))))
+    own = same_modes(alone[0], first, alone[1])  # a resonator has a mode of its own among them
+    then = [same_modes(m, some, other) for m, some, other in zip(alone, (first, own), changed, strict=True)]
+    pairs = zip(alone, (first, own), changed, then, strict=True)
+    return own, *((a.frequency_hz[k], b.frequency_hz[m]) for a, k, b, m in pairs)
+
+
 def _with_payload(robot: Robot, mass: float) -> Robot:
     """With a point mass more at the flange's centre."""
     values: dict[str, Any] = {"mass": mass, "com": [float(v) for v in robot.flange.position]}
@@ -173,9 +189,8 @@ def _with_payload(robot: Robot, mass: float) -> Robot:
     return robot.model_copy(update={"physics": [*robot.physics, entry]})
 
 
-def _frequencies(robot: Robot, record: FrfRecord) -> FloatArray:
-    mechanism = assemble(without_limits(robot), record.q, brakes=record.brakes or "off")
-    return modes(linearise(mechanism)).frequency_hz
+def _modes(robot: Robot, record: FrfRecord) -> Modes:
+    return modes(linearise(assemble(without_limits(robot), record.q, brakes=record.brakes or "off")))
 
 
 def with_modes(records: Sequence[FrfRecord], before: Robot, after: Robot) -> list[FrfRecord]:
@@ -185,7 +200,7 @@ def with_modes(records: Sequence[FrfRecord], before: Robot, after: Robot) -> lis
     for record in records:
         if record.posture not in found:
             found[record.posture] = {
-                "before": _frequencies(before, record), "after": _frequencies(after, record)
+                "before": _modes(before, record).frequency_hz, "after": _modes(after, record).frequency_hz
             }  # fmt: skip
         out.append(replace(record, modes_hz=found[record.posture]))
     return out

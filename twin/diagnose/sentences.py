@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord, Record, pooled_floor
+from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, pooled_floor
 from twin.measure.campaign import FloatArray
 
 PROMINENCE = np.log(2.0)  # of a peak above the valleys beside it
@@ -215,18 +215,16 @@ def _residual_sentence(name: str, records: Sequence[FrfRecord]) -> str:
     for record in records:
         size = np.abs(record.measured)
         seen = (size > 5 * np.sqrt(record.variance)) & (size > LOUD_PEAK * size[np.isfinite(record.variance)].max())
+        weight = size**2 / record.variance
         fallen = np.where(seen, record.energy("before") - record.energy("after"), 0.0)
         edges = np.array_split(np.arange(len(record.frequency)), 6)
         total = np.array([fallen[lines].sum(axis=0).ravel() for lines in edges])
         b, c = np.unravel_index(int(np.argmax(total)), total.shape)
+        if total[b, c] <= 0:
+            continue
         lines, (_, i, j) = edges[b], record.channel(int(c))
-        ratio = [
-            np.sqrt(
-                np.sum(np.abs(record.measured - record.predicted[stage])[lines, i, j] ** 2)
-                / np.sum(np.abs(record.measured)[lines, i, j] ** 2)
-            )
-            for stage in ("before", "after")
-        ]
+        told = lines[seen[lines, i, j]]  # in their weights, as what falls was summed
+        ratio = [np.sqrt(record.energy(stage)[told, i, j].sum() / weight[told, i, j].sum()) for stage in STAGES[1:]]
         low, high = record.frequency[lines[0]], record.frequency[lines[-1]]
         without, with_it = percents(ratio[0], ratio[1], 1)
         text = (

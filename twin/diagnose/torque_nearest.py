@@ -1,20 +1,16 @@
 """Of all fits of a log with what was found, the one that changes least of what the base model says of everything else.
 
-A find changes numbers of the base model, also those that the log hardly holds. Where a wrist's torque is mostly noise,
-they scatter within that noise, and so does the error on runs kept aside: it may rise there by more than it falls at the
-joint where something was found. A fit that is as likely, and leaves them where they were, shows the find alone.
+Where a wrist's torque is mostly noise, numbers of the base model scatter within that noise. The error on runs kept
+aside may rise there by more than it falls at the joint where something was found.
 """
 
 import numpy as np
-from scipy.linalg import cholesky, eigh, solve_triangular
 
-from twin.diagnose.calibration import calibration
+from twin.diagnose.nearest import step_nearer
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import fit_at
 from twin.diagnose.torque_system import System
 from twin.measure.campaign import FloatArray
-
-HALVINGS = 60  # of the range in which the multiplier is looked for
 
 
 def nearest(system: System, best: Fitted, before: Fitted) -> Fitted:
@@ -30,11 +26,7 @@ def nearest(system: System, best: Fitted, before: Fitted) -> Fitted:
     """
     z, n = best.z.copy(), len(before.z)
     factor = np.array([system.widened.get(k, 1.0) for k in range(n)])
-    root = cholesky(best.information[:n, :n], lower=True)
-    shown = solve_triangular(root, solve_triangular(root, _as_shown(system, n), lower=True).T, lower=True)
-    size, axes = eigh(shown)
-    away = axes.T @ (root.T @ (before.z / factor - z[:n]))
-    z[:n] += solve_triangular(root.T, axes @ _within(np.maximum(size, 0.0), away, calibration()["tie"]))
+    z[:n] += step_nearer(best.information[:n, :n], _as_shown(system, n), before.z / factor - z[:n])
     return fit_at(system, z)
 
 
@@ -48,20 +40,3 @@ def _as_shown(system: System, n: int) -> FloatArray:
             if a.joint == b.joint and a.columns.max() < n and b.columns.max() < n:
                 out[np.ix_(a.columns, b.columns)] += share[a.joint] * (a.rows.T @ b.rows)
     return np.asarray(scale[:, None] * out * scale)
-
-
-def _within(size: FloatArray, away: FloatArray, most: float) -> FloatArray:
-    """The step (n,) of least Σ size (away − step)² with ½ Σ step² at most ``most``."""
-    shown = size > np.finfo(float).eps * size.max(initial=0.0)
-    if 0.5 * float(away[shown] @ away[shown]) <= most:
-        return np.where(shown, away, 0.0)
-    low, high = np.log(size[shown].min()) - 20.0, np.log(size.max()) + 20.0
-    step = np.zeros(len(away))
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        trial = size / (size + np.exp(middle)) * away
-        if 0.5 * float(trial @ trial) > most:
-            low = middle
-        else:
-            high, step = middle, trial
-    return step

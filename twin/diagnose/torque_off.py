@@ -63,7 +63,8 @@ def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
     """A search with the one number, or numbers of one body, that come out far from the description, as an answer.
 
     Where several come out far, and none of them brings the others back, which is wrong is not clear. They are warnings
-    then, as they are where other numbers make up for one that is held as described.
+    then, as they are where other numbers make up for one that is held as described, and where the log stays unexplained
+    with them: numbers make up for physics that is missing.
 
     Args:
         refused: effects that explain no more than these numbers do. A load is a rival, see :func:`_loads`.
@@ -84,7 +85,12 @@ def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
     steps = [*search.found, step, *(s for s in search.steps if not s.accepted)]
     after = accepted(system, step)
     first = search.first if search.found else step
-    return replace(search, first=first, steps=steps, system=after, after=base_fit(after))
+    found = replace(search, first=first, steps=steps, system=after, after=base_fit(after))
+    if search.judge is not None:
+        found.foretold = search.judge.misfit(after, found.after)
+    if found.foretold > calibration()["held_out_adequate"]:
+        return _wider(search)
+    return found
 
 
 def numbers_of_answer(system: System, fit: Fitted, hypothesis: Hypothesis) -> dict[str, Any]:

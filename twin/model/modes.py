@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from twin.model.linear import LinearModel, state_matrix
 
@@ -77,6 +78,23 @@ def modes(linear: LinearModel) -> Modes:
         shape = shape / shape[largest, np.arange(len(keep))]
     energy = linear.spring[:, None] * np.abs(shape) ** 2
     return Modes(pole, shape, energy / np.maximum(energy.sum(axis=0), np.finfo(float).tiny), linear, growth)
+
+
+def same_modes(modes: Modes, some: np.ndarray, others: Modes) -> np.ndarray:
+    """Of another model of the same robot, the modes (k,) that some modes (k,) of the first are, each one once.
+
+    Likeness is the modal assurance criterion over the mass matrix, in the coordinates that both models have. Of the
+    other's mode all the energy counts: one of a body that only the other model has is like none.
+    """
+    ours, theirs = modes.linear.coordinates, others.linear.coordinates
+    both = [name for name in ours if name in theirs]
+    a, b = (np.array([names.index(name) for name in both], int) for names in (ours, theirs))
+    M = modes.linear.M[np.ix_(a, a)]
+    one, other, whole = modes.shape[np.ix_(a, some)], others.shape[b], others.shape
+    energy = np.einsum("ik,ij,jk->k", one.conj(), M, one).real
+    total = np.einsum("ik,ij,jk->k", whole.conj(), others.linear.M, whole).real
+    like = np.abs(one.conj().T @ M @ other) ** 2 / (energy[:, None] * total)
+    return np.asarray(linear_sum_assignment(-like)[1])
 
 
 def residues(
