@@ -15,7 +15,7 @@ from tools.truth.wrong import record
 from twin.diagnose import torque_search
 from twin.diagnose.torque import _strained, diagnose_log
 from twin.diagnose.torque_faults import clock_note, on_time
-from twin.diagnose.torque_fit import base_fit, evaluate, settle, start
+from twin.diagnose.torque_fit import base_fit, evaluate, reach, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_laws import Suspect, log_suspects
 from twin.diagnose.torque_look import look
@@ -88,6 +88,17 @@ def test_a_fit_beside_a_filter_ends_in_two_steps(slow: tuple[Prepared, list[Susp
     assert after_few == pytest.approx(after_many, abs=0.5)
     judge = Judge(system, prepared.kept)
     assert judge.misfit(many, base_fit(many)) < judge.misfit(system, base_fit(system))
+
+
+@pytest.mark.parametrize("hz", [7.5, 15.0, 28.0])
+def test_a_filter_is_in_the_race_wherever_its_cutoff_is(tmp_path: Path, hz: float) -> None:
+    """What a search begins with promises most of what the filter gains at its best, between its starts, too."""
+    prepared = prepare(filtered(recorded(tmp_path), hz), load_robot("kr90"), "log.h5")
+    suspects = log_suspects(load_robot("kr90"), prepared.used)
+    system = system_of(prepared, suspects)
+    (suspect,) = (s for s in suspects if s.name == "torque_filter@log")
+    promised = reach(system, start(system, suspect))
+    assert promised.gain > 0.8 * settle(system, promised).gain > 100
 
 
 def test_what_was_found_moves_nothing_else_than_it_must(slow: tuple[Prepared, list[Suspect], System]) -> None:

@@ -74,7 +74,7 @@ def _gain(system: System, column: Columns, u: FloatArray) -> float:
 
 
 def start(system: System, suspect: Suspect, largest_kept: int = 20_000_000) -> Trial:
-    """The best of a suspect's starts, sizes solved for; without slopes, to be settled.
+    """The best of a suspect's starts, sizes solved for where it has any; without slopes, to be settled.
 
     Up to ``largest_kept`` numbers of its columns are kept from one search to the next.
     """
@@ -94,16 +94,13 @@ def start(system: System, suspect: Suspect, largest_kept: int = 20_000_000) -> T
         part = slice(number * width, (number + 1) * width)
         C = whitened.rows[:, part]
         information = C.T @ C - across[part] @ system.inverse @ across[part].T
-        u = own_prior(own, values)
+        u, weight = own_prior(own, values), np.ones(first)
         if sizes:
             pull = pulls[part][first:] - information[first:, :first].sum(axis=1) - u[sizes]
             before = u[sizes]
             u[sizes] += np.linalg.solve(information[first:, first:] + np.eye(len(sizes)), pull)
             u = _inside(suspect, u)
             weight = np.concatenate([np.ones(first), u[sizes] - before])
-        else:  # its numbers in proportion
-            weight = np.clip(pulls[part] / information[0], 0.01, 10.0)
-            u = own_prior(own, weight[0] * values)
         gain = float(weight @ pulls[part] - 0.5 * weight @ information @ weight - 0.5 * u @ u)
         promised.append((gain, number, u, weight))
     promised.sort(key=lambda item: -item[0])
@@ -134,7 +131,7 @@ def reach(system: System, trial: Trial, iterations: int = 2, usual: float = 0.3)
     other number can be told: a ``usual`` one, in prior deviations, is tried there.
     """
     suspect, u = trial.suspect, trial.u
-    if not suspect.sizes or len(suspect.sizes) == len(u):
+    if len(suspect.sizes) == len(u):
         return trial
     if not trial.column.rows.any():
         u = u.copy()
