@@ -184,3 +184,18 @@ def test_a_failed_check_is_told_once_for_all_postures() -> None:
         f"reciprocity {pair}: the two differ by 33% of their mean in the worst of 3 postures where this fails",
         "driving point 7Z+/7Z+: 60% of its energy has the wrong sign",
     ]
+
+
+def test_a_channel_in_g_is_told_and_put_right_before_it_is_compared_or_fitted(tmp_path: Path) -> None:
+    world, *_ = case("unit_g_channel", "hammer", "arm", 411, False)
+    record(world, tmp_path, np.random.default_rng(411))
+    write_description(machines()["arm"], tmp_path / "robot.yaml")
+    campaign, robot = read_campaign(tmp_path / "frf.h5"), load_robot(tmp_path / "robot.yaml")
+    with pytest.warns(UserWarning, match="looks recorded in g"):
+        right = twin.compare(campaign, robot=robot)
+    stated = twin.compare(campaign, robot=robot, as_is=True)
+    (one,), (other,) = right.errors.values(), stated.errors.values()
+    assert one < 0.9 * other
+    with pytest.warns(UserWarning, match="looks recorded in g"):
+        fitted = twin.fit(campaign, robot=robot, starts=1)
+    assert fitted.error["train"] < 0.05

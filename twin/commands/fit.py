@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.commands.outputs import Outputs, check_out, check_spared
+from twin.diagnose.frf_faults import sound
 from twin.errors import InputError
 from twin.identify.elastic_modal import ModalObjective
 from twin.identify.fitting import Fitting, correlated, fit_campaign, fit_table
@@ -200,8 +201,9 @@ def fit(
         if objective == "paper":
             raise InputError("--objective", "paper", "Eq. 23 needs modes: give a modal table (twin modal writes one)")
         fitting = fit_campaign(
-            given.content, given.source, described, hold_out=hold_out, leave_one_out=leave_one_out, band_hz=band_hz,
-            tolerances=tolerances, starts=starts, seed=seed, progress=progress, profiled=out is not None,
+            sound(given.content, described, given.source), given.source, described, hold_out=hold_out,
+            leave_one_out=leave_one_out, band_hz=band_hz, tolerances=tolerances, starts=starts, seed=seed,
+            progress=progress, profiled=out is not None,
         )  # fmt: skip
     found = FitResult(**vars(fitting))
     found.origin = provenance(traced([given], robot), options)

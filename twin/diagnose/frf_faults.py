@@ -14,10 +14,11 @@ from scipy.optimize import linear_sum_assignment
 
 from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted
+from twin.errors import tell
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded, prepare
+from twin.identify.recorded import Recorded, prepare, without_limits
 from twin.measure.campaign import Campaign, FloatArray
-from twin.model.parameters import independent
+from twin.model.parameters import independent, require_springs
 from twin.robot.description import Robot
 
 UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}
@@ -70,6 +71,15 @@ def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, 
         coherence = None if posture.coherence is None else posture.coherence[:, order]
         postures[name] = replace(posture, frf=frf, coherence=coherence, hits=None)
     return replace(campaign, postures=postures), notes
+
+
+def sound(campaign: Campaign, robot: Robot, source: str) -> Campaign:
+    """A campaign without the faults that are found in it; each is told as a warning. Arguments of :func:`put_right`."""
+    require_springs(robot)
+    campaign, notes = put_right(campaign, without_limits(robot), source)
+    for note in notes:
+        tell(source, "channels", note)
+    return campaign
 
 
 def _alike(campaign: Campaign, robot: Robot, source: str) -> tuple[FloatArray, FloatArray]:
