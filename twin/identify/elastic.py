@@ -25,7 +25,7 @@ EVERY_LINE = 8  # starts see every eighth line, and at least COARSE_LINES
 COARSE_LINES = 25
 LINES = 300  # drawn of every recording for the Gauss–Newton matrix of many: of 800 its eigenvalues are right to a half
 FIT_TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
-ALIKE = 0.1  # prior deviations: starts that end nearer than that in every number agree, however exact the data are
+SAME_END = 0.1  # prior deviations: starts that end nearer than that in every number agree, however exact the data are
 AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8), by themselves and in the best one's quadratic model
 
 
@@ -187,7 +187,7 @@ def agreement(starts: Sequence[Start]) -> tuple[int, float | None]:
     for start in starts:
         away = start.z - best.z
         apart = max(start.cost - best.cost, 0.5 * float(away @ best.information @ away))
-        if apart < AGREEMENT or np.abs(away).max(initial=0.0) < ALIKE:
+        if apart < AGREEMENT or np.abs(away).max(initial=0.0) < SAME_END:
             count += 1
         elif rival is None:
             rival = start.cost - best.cost
