@@ -13,6 +13,7 @@ from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
 from twin.diagnose import torque_search
+from twin.diagnose.nearest import step_nearer
 from twin.diagnose.torque import _strained, diagnose_log
 from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, reach, settle, start
@@ -268,3 +269,12 @@ def test_a_ripple_is_named_where_no_vibration_does_most_of_it(
     assert _borne_out(step, [], judge)
     monkeypatch.setattr(torque_search, "vibration", lambda system, joint: 0.7 * step.gain)
     assert not _borne_out(step, [], judge)
+
+
+def test_a_nearer_fit_is_found_where_rounding_leaves_no_information() -> None:
+    """Of three numbers one is held 1e16 times as well as another, and a third repeats it."""
+    a = np.array([1e8, 1.0, 1e8])
+    information = np.outer(a, a) + np.diag([0.0, 1.0, 0.0])
+    step = step_nearer(information, np.eye(3), np.array([0.0, 5.0, 0.0]))
+    assert np.isfinite(step).all()
+    assert 0.5 * step @ information @ step < 2.01

@@ -469,7 +469,10 @@ def compare(
     robot: Robot = None,
     without: Without = None,
     as_is: Annotated[
-        bool, _flag("--as-is", "Estimate nothing again, not even posture angles, gains and offsets.")
+        bool,
+        _flag(
+            "--as-is", "Estimate nothing again, not even posture angles, gains and offsets, and put no channel right."
+        ),
     ] = False,
     low_pass: Annotated[
         tuple[float, float], typer.Option(metavar="PASS STOP", help="Low-pass filter of torques, Hz.")

@@ -117,7 +117,7 @@ def compare(
         recordings: one or several of :class:`Campaign`, :class:`MotionLog`, :class:`ModalTable` or their files.
         robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; wins over the recordings'.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
-        as_is: re-estimate nothing.
+        as_is: re-estimate nothing, and put no channel right.
         low_pass: pass and stop frequency for torque, Hz.
         stepped: also replay motion logs in MuJoCo's time stepping under servo drives.
         out: folder for compare.json and figures; ``None`` writes nothing.

@@ -13,8 +13,8 @@ def compare_hammer(robot: Robot, campaign: Campaign, source: str, as_is: bool = 
     """The error of a robot on a hammer test, none of its physics fitted.
 
     Channels without coherence are left out. Channels in another unit, reversed or exchanged are put right and told,
-    unless ``as_is``. Blows are stepped in time where the robot has one law that depends on
-    amplitude and the recording says how hard they were; otherwise the robot is linearised.
+    unless ``as_is``. Blows are stepped in time where the robot has one law that depends on amplitude and the recording
+    says how hard they were; otherwise the robot is linearised.
 
     Args:
         robot: description.

@@ -5,7 +5,6 @@ does the error on what was kept aside. A fit that is as likely, and leaves them 
 """
 
 import numpy as np
-from scipy.linalg import cholesky, eigh, solve_triangular
 
 from twin.diagnose.calibration import calibration
 from twin.measure.campaign import FloatArray
@@ -21,10 +20,13 @@ def step_nearer(information: FloatArray, shown: FloatArray, away: FloatArray) ->
         shown: (n, n) the square of a change as it shows in predictions.
         away: (n,) where predictions would be those aimed at, from the optimum.
     """
-    root = cholesky(information, lower=True)
-    size, axes = eigh(solve_triangular(root, solve_triangular(root, shown, lower=True).T, lower=True))
-    step = _within(np.maximum(size, 0.0), axes.T @ (root.T @ away), calibration()["tie"])
-    return np.asarray(solve_triangular(root.T, axes @ step))
+    scale = 1 / np.sqrt(np.diag(information))
+    held, axes = np.linalg.eigh(scale[:, None] * information * scale)
+    held = np.sqrt(np.maximum(held, np.finfo(float).eps * held.max(initial=0.0)))  # rounding takes it below
+    turn = scale[:, None] * axes / held
+    size, along = np.linalg.eigh(turn.T @ shown @ turn)
+    step = _within(np.maximum(size, 0.0), along.T @ (held * (axes.T @ (away / scale))), calibration()["tie"])
+    return np.asarray(turn @ along @ step)
 
 
 def _within(size: FloatArray, away: FloatArray, most: float) -> FloatArray:
