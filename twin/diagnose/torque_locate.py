@@ -70,10 +70,11 @@ def disturbances(
         wide_hz: up to which a disturbance is looked for.
         excess: times the power of the quietest run and of encoder noise in a band is restless.
     """
-    longest_s, count, places = 60.0, 8, []  # of every run; bands
+    all_s, longest_s, count, places = 240.0, 60.0, 8, []  # looked at, of a run at most; bands
     runs = [run for run in log.runs.values() if run.torque is not None and run.sample_rate_hz >= 2.5 * wide_hz]
     if len(runs) < 2:
         return []
+    longest_s = min(longest_s, all_s / len(runs))  # a disturbance lasts
     system = search.system
     regressor = system.base.regressor
     below = system.base.runs[0].bands.fit[1]

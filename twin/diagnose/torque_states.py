@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from twin.diagnose.torque_signal import Prepared
 from twin.diagnose.torque_system import System, system_of
 
 NOISIER = 2.0  # times the scatter of runs about their own models that all about one have; by eye
+ASKED = 4  # runs, spread over all, whose own scatter is asked for: a median of so many tells
 
 
 class RunStates:
@@ -30,17 +30,20 @@ class RunStates:
         self.prepared, self.suspects, self.processes = prepared, suspects, processes
         self.runs = sorted([*prepared.used, *prepared.kept], key=lambda run: run.name)
         self.several = len({run.name for run in self.runs}) == len(self.runs) > 1
+        self.known: dict[int, System] = {}
 
-    @cached_property
-    def alone(self) -> list[System]:
-        """Each run's own system."""
-        return [self._system([k]) for k in range(len(self.runs))]
+    def alone(self, number: int) -> System:
+        """A run's own system, computed once."""
+        if number not in self.known:
+            self.known[number] = self._system([number])
+        return self.known[number]
 
     def mixed(self, system: System) -> bool:
         """Whether runs scatter far more about the one model of a system than each about its own."""
         if not self.several:
             return False
-        own = np.median([one.noise for one in self.alone], axis=0)
+        some = np.unique(np.linspace(0, len(self.runs) - 1, ASKED).round().astype(int))
+        own = np.median([self.alone(int(number)).noise for number in some], axis=0)
         return bool(np.any(system.noise > NOISIER * own))
 
     def largest(self) -> tuple[list[str], list[Note]]:
@@ -57,7 +60,7 @@ class RunStates:
         if not self.several:
             return [], []
         names = [run.name for run in self.runs]
-        groups, notes = grouped(names, "runs", lambda number: explained(self.alone[number]), beside)
+        groups, notes = grouped(names, "runs", lambda number: explained(self.alone(number)), beside)
         largest = max(groups, key=len, default=[])
         if 2 * len(largest) <= len(names):
             return [], notes
