@@ -6,7 +6,7 @@ again, compiled by MuJoCo, and predict the same: FRFs linearised, torque in time
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ REPLAYED_S, LOW_PASS = 20.0, (3.0, 4.0)  # how much of a run is stepped; Hz
 CHECKED_LINES = 60  # per posture are compared
 EDIT_SHARE = 0.05  # of the robot's mass is the payload of the edit test
 EDIT_MODES = 4
+ALIKE = 0.5  # modal assurance criterion: modes of both models that are less alike are not compared
 
 
 def check_linear(robot: Robot, records: Sequence[FrfRecord]) -> dict[str, Any]:
@@ -144,42 +145,53 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
     hung = partial(_with_payload, mass=mass)
     found: list[tuple[float, dict[str, Any]]] = []
     for record in {r.posture: r for r in records}.values():
-        number, *moved = _moved(before, after, hung, record)
-        if not len(number):
+        moved = _moved(before, after, hung, record)
+        if not len(moved.number):
             continue
-        shift = np.array([pair[1] / pair[0] - 1 for pair in moved])
+        shift = moved.changed_hz / moved.alone_hz - 1
         k = int(np.argmax(np.abs(shift[1] - shift[0])))
-        low, high = float(record.frequency[0]), float(record.frequency[-1])
+        (was, now), (was_changed, now_changed) = moved.alone_hz[:, k], moved.changed_hz[:, k]
         rows = [
-            {
-                "mode": int(number[m]) + 1, "before_hz": [float(f[m]) for f in moved[0]],
-                "after_hz": [float(f[m]) for f in moved[1]],
-            }
-            for m in range(len(number))
-        ]  # fmt: skip
+            {"mode": int(number) + 1, "before_hz": list(map(float, alone)), "after_hz": list(map(float, changed))}
+            for number, alone, changed in zip(moved.number, moved.alone_hz.T, moved.changed_hz.T, strict=True)
+        ]
         text = (
-            f"{mass:g} kg more at the flange would move mode {number[k] + 1} in '{record.posture}' from "
-            f"{moved[1][0][k]:.2f} to {moved[1][1][k]:.2f} Hz ({100 * shift[1][k]:+.1f} %); "
-            f"the model without what was found says {100 * shift[0][k]:+.1f} %, from "
-            f"{moved[0][0][k]:.2f} to {moved[0][1][k]:.2f} Hz"
+            f"{mass:g} kg more at the flange would move mode {moved.number[k] + 1} in '{record.posture}' from "
+            f"{now:.2f} to {now_changed:.2f} Hz ({100 * shift[1][k]:+.1f} %); "
+            f"the model without what was found says {100 * shift[0][k]:+.1f} %, from {was:.2f} to {was_changed:.2f} Hz"
         )
         told = {"mass_kg": mass, "posture": record.posture, "modes": rows, "description": text}
-        inside = low <= moved[1][0][k] <= high
+        inside = record.frequency[0] <= now_changed <= record.frequency[-1]
         found.append((float(np.abs(shift[1] - shift[0])[k]) * (1.0 if inside else 0.1), told))
     return max(found, key=lambda item: item[0])[1] if found else None
 
 
-def _moved(
-    before: Robot, after: Robot, change: Callable[[Robot], Robot], record: FrfRecord
-) -> tuple[NDArray[np.intp], *tuple[tuple[FloatArray, FloatArray], ...]]:
-    """Of a record's posture: which modes after are the lowest modes before; of both models these, alone and changed."""
+@dataclass(frozen=True)
+class _Moved:
+    """What a change does to the modes that two models have in common.
+
+    Attributes:
+        number: (k,) of the modes in the second model, zero-based.
+        alone_hz, changed_hz: (2, k) natural frequencies of both models, without the change and with it.
+    """
+
+    number: NDArray[np.intp]
+    alone_hz: FloatArray
+    changed_hz: FloatArray
+
+
+def _moved(before: Robot, after: Robot, change: Callable[[Robot], Robot], record: FrfRecord) -> _Moved:
+    """The lowest modes of the model before in a record's posture, as far as the model after has them too."""
     alone = [_modes(robot, record) for robot in (before, after)]
     changed = [_modes(change(robot), record) for robot in (before, after)]
     first = np.arange(min(EDIT_MODES, *(len(m) for m in (*alone, *changed))))
-    own = same_modes(alone[0], first, alone[1])  # a resonator has a mode of its own among them
-    then = [same_modes(m, some, other) for m, some, other in zip(alone, (first, own), changed, strict=True)]
-    pairs = zip(alone, (first, own), changed, then, strict=True)
-    return own, *((a.frequency_hz[k], b.frequency_hz[m]) for a, k, b, m in pairs)
+    own, alike = same_modes(alone[0], first, alone[1])  # a resonator has a mode of its own among them
+    first, own = first[alike > ALIKE], own[alike > ALIKE]
+    then = [same_modes(m, some, other)[0] for m, some, other in zip(alone, (first, own), changed, strict=True)]
+    return _Moved(
+        own, np.array([m.frequency_hz[some] for m, some in zip(alone, (first, own), strict=True)]),
+        np.array([m.frequency_hz[some] for m, some in zip(changed, then, strict=True)]),
+    )  # fmt: skip
 
 
 def _with_payload(robot: Robot, mass: float) -> Robot:

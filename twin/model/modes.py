@@ -80,11 +80,12 @@ def modes(linear: LinearModel) -> Modes:
     return Modes(pole, shape, energy / np.maximum(energy.sum(axis=0), np.finfo(float).tiny), linear, growth)
 
 
-def same_modes(modes: Modes, some: np.ndarray, others: Modes) -> np.ndarray:
-    """Of another model of the same robot, the modes (k,) that some modes (k,) of the first are, each one once.
+def same_modes(modes: Modes, some: np.ndarray, others: Modes) -> tuple[np.ndarray, np.ndarray]:
+    """Of another model of the same robot, the modes (k,) that some modes (k,) of the first are, and how alike (k,).
 
-    Likeness is the modal assurance criterion over the mass matrix, in the coordinates that both models have. Of the
-    other's mode all the energy counts: one of a body that only the other model has is like none.
+    Each of the other's is taken once. Likeness is the modal assurance criterion over the mass matrix, zero to one, in
+    the coordinates that both models have. Of the other's mode all the energy counts: one of a body that only the other
+    model has is like none.
     """
     ours, theirs = modes.linear.coordinates, others.linear.coordinates
     both = [name for name in ours if name in theirs]
@@ -94,7 +95,8 @@ def same_modes(modes: Modes, some: np.ndarray, others: Modes) -> np.ndarray:
     energy = np.einsum("ik,ij,jk->k", one.conj(), M, one).real
     total = np.einsum("ik,ij,jk->k", whole.conj(), others.linear.M, whole).real
     like = np.abs(one.conj().T @ M @ other) ** 2 / (energy[:, None] * total)
-    return np.asarray(linear_sum_assignment(-like)[1])
+    own, theirs_of = linear_sum_assignment(-like)
+    return np.asarray(theirs_of), np.asarray(like[own, theirs_of])
 
 
 def residues(
