@@ -150,6 +150,17 @@ def test_differences_of_steps_are_those_of_mujoco(kr90: Robot) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
+def test_modes_are_found_again_where_a_bearing_was_added(kr90: Robot, milling: np.ndarray) -> None:
+    """The model without it has the same low modes, by other coordinates and up to a tenth away."""
+    bearing = ("transverse_compliance", "joint1.x")
+    rest = [entry for entry in kr90.physics if (entry.effect, entry.site) != bearing]
+    assert len(rest) == len(kr90.physics) - 1
+    stiff, soft = (modes(linearise(assemble(r, milling))) for r in (kr90.model_copy(update={"physics": rest}), kr90))
+    own, alike = same_modes(stiff, np.arange(4), soft)
+    np.testing.assert_array_equal(np.sort(own), np.arange(4))  # two pairs change places
+    assert alike.min() > 0.5
+
+
 def test_modes_are_found_again_among_those_of_a_body_that_was_added(kr90: Robot, milling: np.ndarray) -> None:
     """A resonator below the first mode puts a mode of its own first; the robot's are the ones after it."""
     lowest = modes(linearise(assemble(kr90, milling)))

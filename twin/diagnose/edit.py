@@ -152,8 +152,8 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
         k = int(np.argmax(np.abs(shift[1] - shift[0])))
         (was, now), (was_changed, now_changed) = moved.alone_hz[:, k], moved.changed_hz[:, k]
         rows = [
-            {"mode": int(number) + 1, "before_hz": list(map(float, alone)), "after_hz": list(map(float, changed))}
-            for number, alone, changed in zip(moved.number, moved.alone_hz.T, moved.changed_hz.T, strict=True)
+            {"mode": int(number) + 1, "before_hz": list(map(float, before)), "after_hz": list(map(float, after))}
+            for number, before, after in zip(moved.number, *moved.pairs(), strict=True)
         ]
         text = (
             f"{mass:g} kg more at the flange would move mode {moved.number[k] + 1} in '{record.posture}' from "
@@ -179,6 +179,10 @@ class _Moved:
     alone_hz: FloatArray
     changed_hz: FloatArray
 
+    def pairs(self) -> FloatArray:
+        """Of either model the frequency of every mode without the change and with it, (2, k, 2)."""
+        return np.stack([self.alone_hz, self.changed_hz], axis=-1)
+
 
 def _moved(before: Robot, after: Robot, change: Callable[[Robot], Robot], record: FrfRecord) -> _Moved:
     """The lowest modes of the model before in a record's posture, as far as the model after has them too."""
@@ -202,7 +206,8 @@ def _with_payload(robot: Robot, mass: float) -> Robot:
 
 
 def _modes(robot: Robot, record: FrfRecord) -> Modes:
-    return modes(linearise(assemble(without_limits(robot), record.q, brakes=record.brakes or "off")))
+    tested = with_channels(without_limits(robot), record.excitation, record.response)
+    return modes(linearise(assemble(tested, record.q, brakes=record.brakes or "off")))
 
 
 def with_modes(records: Sequence[FrfRecord], before: Robot, after: Robot) -> list[FrfRecord]:

@@ -83,20 +83,21 @@ def modes(linear: LinearModel) -> Modes:
 def same_modes(modes: Modes, some: np.ndarray, others: Modes) -> tuple[np.ndarray, np.ndarray]:
     """Of another model of the same robot, the modes (k,) that some modes (k,) of the first are, and how alike (k,).
 
-    Each of the other's is taken once. Likeness is the modal assurance criterion over the mass matrix, zero to one, in
-    the coordinates that both models have. Of the other's mode all the energy counts: one of a body that only the other
-    model has is like none.
+    Each of the other's is taken once. Likeness, zero to one, is the modal assurance criterion of the motion of the test
+    points that both models have, in all three directions, times the ratio of the lower natural frequency to the higher
+    one: a resonator moves the robot as a mode near it does.
     """
-    ours, theirs = modes.linear.coordinates, others.linear.coordinates
-    both = [name for name in ours if name in theirs]
-    a, b = (np.array([names.index(name) for name in both], int) for names in (ours, theirs))
-    M = modes.linear.M[np.ix_(a, a)]
-    one, other, whole = modes.shape[np.ix_(a, some)], others.shape[b], others.shape
-    energy = np.einsum("ik,ij,jk->k", one.conj(), M, one).real
-    total = np.einsum("ik,ij,jk->k", whole.conj(), others.linear.M, whole).real
-    like = np.abs(one.conj().T @ M @ other) ** 2 / (energy[:, None] * total)
-    own, theirs_of = linear_sum_assignment(-like)
-    return np.asarray(theirs_of), np.asarray(like[own, theirs_of])
+    labels = [label for label in modes.linear.points if label in others.linear.points]
+    one, other = (
+        np.concatenate([m.linear.points[label][1] for label in labels]) @ m.shape if labels else m.shape[:0]
+        for m in (modes, others)
+    )
+    one = one[:, some]
+    size = np.linalg.norm(one, axis=0)[:, None] * np.linalg.norm(other, axis=0)
+    ratio = modes.frequency_hz[some][:, None] / others.frequency_hz
+    like = (np.abs(one.conj().T @ other) / np.maximum(size, np.finfo(float).tiny)) ** 2 * np.minimum(ratio, 1 / ratio)
+    own, theirs = linear_sum_assignment(-like)
+    return np.asarray(theirs), np.asarray(like[own, theirs])
 
 
 def residues(
