@@ -56,15 +56,26 @@ def decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], su
     later = {k: first for k, first in [*_ladder(system, fits, gains), *_composed(fits, gains, trials)]}
     best = max((gain for k, gain in enumerate(gains) if k not in later), default=0.0)
     numbers = [_numbers(f.hypothesis) for f in fits]
-    simpler, further = calibration()["simpler"], calibration()["further"]
-    near = [
-        m for k, (m, gain) in enumerate(zip(numbers, gains, strict=True)) if gain > simpler * best and k not in later
-    ]
-    handicap = [(1 - simpler) * max(best, 0.0) * (m > min(near, default=0)) for m in numbers]
+    near = [k for k, gain in enumerate(gains) if gain > calibration()["simpler"] * best and k not in later]
+    handicap = [_richer(k, fits, numbers, near) * max(best, 0.0) for k in range(len(fits))]
+    further = calibration()["further"]
     for k, first in later.items():
         handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + further)
     hypotheses, other = [[s.hypothesis] for s in suspects], calibration()["least_other"]
     return Step(system, base, decide(fits, base, hypotheses, handicap=handicap, other=other, scale=1.0), trials)
+
+
+def _richer(k: int, fits: Sequence[Fitted], numbers: Sequence[int], near: Sequence[int]) -> float:
+    """The share of the best gain that a fit must have more than those with fewer numbers near the best.
+
+    Laws of the robot are not exact, and one more number fits what they are off by. How torque is recorded, late or
+    low-passed, is exact: there a share that laws in the model may be off by is enough.
+    """
+    fewer = [i for i in near if numbers[i] < numbers[k]]
+    if not fewer:
+        return 0.0
+    recorders = all(effect_named(fits[i].hypothesis.effect).records_torque for i in (k, *fewer))
+    return calibration()["inexact"] if recorders else 1 - calibration()["simpler"]
 
 
 def _outermost(system: System, fits: Sequence[Fitted]) -> list[Fitted]:
