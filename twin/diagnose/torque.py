@@ -40,6 +40,7 @@ from twin.diagnose.torque_visible import smallest_visible
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of, off_descriptions
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.rigid import Bands, in_joints
+from twin.identify.torque_unit import unit_note
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
@@ -198,11 +199,13 @@ def _sound(
     log, faults = put_right(log, _runs(prepared), described())
     if faults:
         prepared = prepare(log, robot, source, hold_out, bands)
-    rates = clock_rates(_runs(prepared), described())
+    needed, runs = described(), _runs(prepared)
+    told = unit_note(*(np.concatenate(some) for some in (needed, [run.torque for run in runs])))
+    rates = clock_rates(runs, needed)
     if rates:
         log = on_time(log, rates)
         prepared = prepare(log, robot, source, hold_out, bands)
-    return log, prepared, [*faults], rates
+    return log, prepared, [*faults, *filter(None, [told])], rates
 
 
 def searched(

@@ -15,6 +15,7 @@ from scipy.special import ndtri
 
 from twin.errors import InputError
 from twin.identify.base_parameters import BaseParameters, base_parameters, structural_base
+from twin.identify.torque_unit import unit_note
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import (
     MotionLog,
@@ -613,6 +614,7 @@ def identify(
         except (ArithmeticError, np.linalg.LinAlgError):
             message = "tell too little of the robot's parameters: record a longer motion of all axes (`twin excite`)"
             raise InputError(log.source, "runs", message) from None
+    notes += filter(None, [other_unit(regressor, rows)])
     notes += _lost_terms(robot, log.runs[rows[0].name], bands)
     notes += _without_friction(robot, parts, parameters)
     return Identification(
@@ -694,6 +696,15 @@ def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list
     if not rows:
         raise InputError(log.source, "runs", TOO_SHORT.format(max(np.ptp(run.time) for run in log.runs.values())))
     return rows
+
+
+def other_unit(regressor: Regressor, rows: list[Rows]) -> str | None:
+    """Of rows a note where their torque is of another size than the robot as described needs; ``None`` where not."""
+    described, recorded = (
+        np.concatenate([torque[r.valid] for torque, r in zip(some, rows, strict=True)])
+        for some in ([r.matrix @ regressor.described + r.known for r in rows], [r.torque + r.known for r in rows])
+    )
+    return unit_note(described, recorded)
 
 
 def _without_friction(robot: Robot, parts: Split, parameters: FloatArray, most: float = 0.5) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.identify.rigid import TOO_SHORT, Bands, Rows, in_joints, motion_of_run, rows_of
+from twin.identify.rigid import TOO_SHORT, Bands, Rows, in_joints, motion_of_run, other_unit, rows_of
 from twin.measure.motion_log import NO_MOTION, MotionLog, MotionRun, moves, refuse_saturated
 from twin.measure.signals import lowpass
 from twin.model.regressor import Regressor
@@ -20,7 +20,6 @@ from twin.physics import CATALOGUE
 from twin.physics.effect import Effect
 from twin.robot.description import Robot
 
-OTHER_UNIT = 8.0  # times the described torque, most axes, from which a log is hardly the robot's in these units
 OFFSET_TOLERANCE = 0.1  # a recording's constant torque may be this share of a joint's RMS torque
 
 
@@ -121,24 +120,10 @@ def compare_log(
         rows.append(r)
         predictions.append(predicted + offset)
     pooled = float(np.sqrt(np.mean(squares[0] / squares[1])))
-    size = np.concatenate([p[r.valid] for p, r in zip(predictions, rows, strict=True)])
-    told = scale_note(np.sqrt(np.mean(size**2, axis=0)) / np.sqrt(squares[1] / len(size)))
+    told = other_unit(regressor, rows)
     notes = log.notes if moves(log) else (*log.notes, f"{NO_MOTION}: only weight and friction at rest are compared")
     notes = (*notes, told) if told else notes
     return LogComparison(robot.name, pooled, parts, offsets, rows, predictions, replays, notes)
-
-
-def scale_note(ratio: np.ndarray) -> str | None:
-    """What to say where described over recorded torque (n,), RMS, is far from 1 at most axes; ``None`` where not."""
-    middle = float(np.median(ratio))
-    if 1 / OTHER_UNIT < middle < OTHER_UNIT:
-        return None
-    if middle > 1:
-        return (
-            f"the robot as described needs {middle:.3g} times the recorded torque: is it the torque at the motor "
-            "(factor: the gear ratio), or in another unit?"
-        )
-    return f"the recorded torque is {1 / middle:.3g} times what the robot as described needs: is it in another unit?"
 
 
 def _stepped(robot: Robot, run: MotionRun, bands: Bands, rows: Rows, progress: Progress | None) -> np.ndarray:
