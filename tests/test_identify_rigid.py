@@ -511,3 +511,10 @@ def test_rows_of_parts_are_those_of_the_whole(kr90: Robot, log: MotionLog) -> No
         one, other = (getattr(rows, key)[whole.valid] for rows in (whole, parts))
         assert np.abs(one - other).max() < 2e-3 * np.abs(one).max()
     np.testing.assert_array_equal(parts.valid, whole.valid)
+
+
+def test_torque_of_the_motors_is_asked_about(kr90: Robot, log: MotionLog) -> None:
+    runs = {name: replace(run, torque=run.torque / 100) for name, run in log.runs.items() if run.torque is not None}
+    (note,) = [n for n in identify(replace(log, runs=runs), kr90).notes if "is it the torque at the motor" in n]
+    assert "needs 100 times" in note
+    assert not [n for n in identify(log, kr90).notes if "unit" in n]

@@ -23,6 +23,8 @@ from ruamel.yaml import YAML
 
 from twin.commands.example import EXAMPLES
 from twin.commands.foreign import guess_map, import_files
+from twin.errors import Told
+from twin.measure.campaign import read_campaign
 
 CELL = EXAMPLES / "cell"
 G, LBF = 9.80665, 4.4482216152605
@@ -315,6 +317,17 @@ def test_universal_files_without_any_words(
     plan = mapped(tmp_path, makes="frf-campaign", robot="kr90", postures=stance(cell), nodes=nodes(cell), unit=unit)
     import_files([tmp_path / "export.unv"], plan, tmp_path / "campaign.h5")
     check_campaign_file(tmp_path / "campaign.h5", cell)
+
+
+def test_blows_of_a_coherence_that_universal_files_do_not_count(cell: Recorded, tmp_path: Path) -> None:
+    universal(tmp_path / "export.unv", cell, binary=False)
+    said = {"makes": "frf-campaign", "robot": "kr90", "postures": stance(cell), "nodes": nodes(cell), "unit": "m/s²/N"}
+    with pytest.warns(Told, match=r"postures.upright: averages: are not stated, .* give them as averages in the map"):
+        import_files([tmp_path / "export.unv"], mapped(tmp_path, **said), tmp_path / "campaign.h5")
+    import_files([tmp_path / "export.unv"], mapped(tmp_path, **said, averages=5), tmp_path / "campaign.h5")
+    (posture,) = read_campaign(tmp_path / "campaign.h5").postures.values()
+    assert posture.averages == 5
+    assert posture.coherence is not None
 
 
 def check_campaign_file(path: Path, cell: Recorded, rtol: float = 1e-5) -> None:

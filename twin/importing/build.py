@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.importing.guess import CLOCK
 from twin.importing.map import FunctionsMap, HitsMap, LogMap, Sensor, Stance, Struck, Taken, UniversalMap
 from twin.importing.tables import Table, chosen, joined
@@ -291,7 +291,11 @@ def build_universal(paths: Sequence[Path], map_: UniversalMap) -> Campaign:
         if len(campaign.postures) > 1:
             raise InputError(campaign.source, f"postures.{name}", "its files name several postures themselves")
         (only,) = campaign.postures.values()
-        postures[name] = replace(only, name=name, brakes=map_.postures[name].brakes)
+        averages = map_.averages if only.averages is None else only.averages
+        if only.coherence is not None and averages is None:
+            told = "are not stated, so the coherence tells no noise; give them as averages in the map"
+            tell(campaign.source, f"postures.{name}: averages", told)
+        postures[name] = replace(only, name=name, brakes=map_.postures[name].brakes, averages=averages)
     return replace(first, postures=postures, robot=map_.robot)
 
 

@@ -134,13 +134,17 @@ class FunctionsMap(Data):
 
 
 class UniversalMap(Data):
-    """A hammer test from universal files: what data set 58 has no field for."""
+    """A hammer test from universal files: what data set 58 has no field for.
+
+    ``averages`` serves where the files do not say how many blows their coherence is of.
+    """
 
     makes: Literal["frf-campaign"]
     robot: str | None = None
     postures: dict[str, Stance]
     nodes: Annotated[dict[int, Point], Field(default_factory=dict)]
     unit: str = ASK
+    averages: Annotated[int, Field(ge=1, le=MOST_AVERAGES)] | None = None
 
     @model_validator(mode="after")
     def _one(self) -> Self:
