@@ -38,7 +38,7 @@ from twin.measure.signals import advance, differentiate
 from twin.model.regressor import Regressor, pseudo_inertia
 from twin.model.replay import inverse_dynamics
 from twin.physics.motion import Motion
-from twin.robot.description import Robot, load_robot, parse_robot, save_robot
+from twin.robot.description import Assumed, Robot, load_robot, parse_robot, save_robot
 
 RATE = 250.0
 
@@ -518,3 +518,15 @@ def test_torque_of_the_motors_is_asked_about(kr90: Robot, log: MotionLog) -> Non
     (note,) = [n for n in identify(replace(log, runs=runs), kr90).notes if "is it the torque at the motor" in n]
     assert "needs 100 times" in note
     assert not [n for n in identify(log, kr90).notes if "unit" in n]
+
+
+def test_an_assumed_rotor_is_as_uncertain_as_the_law_it_is_from(kr90: Robot, fourier: list[Fourier]) -> None:
+    """The robot that is written has the rotor that the log shows, not the assumption."""
+    log = recorded(kr90, fourier, 1000.0)
+    rotor = kr90.drives[2].rotor_inertia
+    drives = [*kr90.drives[:2], kr90.drives[2].model_copy(update={"rotor_inertia": 4 * rotor})]
+    wrong = kr90.model_copy(update={"drives": drives})
+    item = Assumed(field="drives[2].rotor_inertia", value=4 * rotor, tolerance=4.0, source="assumed: a law")
+    assumed = wrong.model_copy(update={"assumed": [item]})
+    off = [abs(identify(log, robot).robot.drives[2].rotor_inertia / rotor - 1) for robot in (wrong, assumed)]
+    assert off[1] < 0.5 * off[0], off

@@ -321,8 +321,7 @@ def _deviation(robot: Robot, columns: Sequence[Column], k: int) -> float:
     if column.group == "rotor":
         number = k - 10 * robot.axis_count
         described = effect_of("inertia").described_deviation(robot.drives[number].rotor_inertia, 0.0)
-        drive = f"drives[{number}]"  # torque holds the inertia times the square of the ratio
-        assumed = np.hypot(robot.scatter(f"{drive}.rotor_inertia"), 2 * robot.scatter(f"{drive}.gear_ratio"))
+        assumed = robot.rotor_scatter(number)
     else:
         key = column.name.rpartition(".")[0]
         largest = max(abs(c.value) for c in columns if c.name.startswith(key))

@@ -485,9 +485,10 @@ def _prior_steps(regressor: Regressor, estimate: Estimate) -> FloatArray:
     largest = {k: abs(v) + d for k, v, d in zip(estimate.base.kept, estimate.value, estimate.deviation, strict=True)}
     for k, column in enumerate(columns):
         if column.group == "rotor":
-            drive = robot.drives[k - 10 * robot.axis_count]
+            number = k - 10 * robot.axis_count
+            drive, assumed = robot.drives[number], float(np.expm1(robot.rotor_scatter(number)))
             unknown = max(link.inertial[2].max() for link in robot.links) / drive.gear_ratio**2
-            step[k, k] = tolerance.inertia * drive.rotor_inertia or unknown
+            step[k, k] = max(tolerance.inertia, assumed) * drive.rotor_inertia or unknown
         elif column.group != "link":
             step[k, k] = max(abs(column.value), largest.get(k, 0.0), 1e-3)
     return step

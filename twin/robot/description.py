@@ -531,6 +531,11 @@ class Robot(Data):
         """Standard deviation of the logarithm of a number that was assumed, from its tolerance; zero of any other."""
         return max((float(np.log(item.tolerance or 1.0)) for item in self.assumed if item.field == field), default=0.0)
 
+    def rotor_scatter(self, number: int) -> float:
+        """:meth:`scatter` of a zero-based drive's inertia as its joint feels it: times the square of the gear ratio."""
+        drive = f"drives[{number}]"
+        return float(np.hypot(self.scatter(f"{drive}.rotor_inertia"), 2 * self.scatter(f"{drive}.gear_ratio")))
+
     def without(self, removals: Iterable[str]) -> "Robot":
         """A copy without the entries named ``EFFECT`` or ``EFFECT@SITE``.
 
