@@ -33,6 +33,7 @@ LEAVES = 0.1  # of an axis's range, by which a log may leave it
 LEAST_MOTION = 1e-3  # rad (m)
 NO_MOTION = f"no axis moves by {LEAST_MOTION:g} rad (m)"
 LONE = 20.0  # times the 99 % quantile of the steps between samples: friction that turns steps, and does not come back
+HEADER = "time,q1..qn,tau1..taun (`twin import` reads other names, separators and units)"
 WIND_UP = 0.2  # rad (m): more than a gear twists
 SERIES = {  # units, where a file states them: revolute or linear axis
     "position": ("rad", "m"),
@@ -225,9 +226,9 @@ def even_run(
             expected = f"({len(time)}, {shape[1] if len(shape) == 2 else 'n'})"
             raise InputError(path, f"{where}/{key}", f"expected shape {expected}, found {values.shape}")
         if not np.isfinite(values).all():
-            raise InputError(
-                path, f"{where}/{key}", f"not finite at sample {int(np.argwhere(~np.isfinite(values))[0, 0])}"
-            )
+            sample, axis = np.argwhere(~np.isfinite(values))[0]
+            text = f"is no number at sample {sample} (from 0) of axis {axis + 1}; leave such samples out"
+            raise InputError(path, f"{where}/{key}", text)
         check_array(path, f"{where}/{key}", values, SERIES[key][0])
     if "torque" in series and (problem := implausible(float(np.abs(series["torque"]).max()), "N·m", scale=True)):
         raise InputError(path, f"{where}/torque", problem)
@@ -529,7 +530,7 @@ def _read_csv(path: Path) -> MotionLog:
     torque = [f"tau{i + 1}" for i in range(n)]
     expected = ["time", *(f"q{i + 1}" for i in range(n))]
     if header not in (expected, expected + torque) or n == 0:
-        raise InputError(path, "header", f"expected time,q1..qn,tau1..taun, found {','.join(header)[:60]!r}")
+        raise InputError(path, "header", f"expected {HEADER}, found {','.join(header)[:60]!r}")
     try:
         table = np.loadtxt(lines[1:], delimiter=",", ndmin=2) if any(map(str.strip, lines[1:])) else np.empty((0, 1))
     except ValueError as error:
