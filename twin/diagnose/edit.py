@@ -40,7 +40,7 @@ REPLAYED_S, LOW_PASS = 20.0, (3.0, 4.0)  # how much of a run is stepped; Hz
 CHECKED_LINES = 60  # per posture are compared
 EDIT_SHARE = 0.05  # of the robot's mass is the payload of the edit test
 EDIT_MODES = 4
-ALIKE = 0.5  # modal assurance criterion: modes of both models that are less alike are not compared
+SAME_SHAPE = 0.5  # modal assurance criterion: modes of both models that are less alike are not compared
 
 
 def check_linear(robot: Robot, records: Sequence[FrfRecord]) -> dict[str, Any]:
@@ -190,7 +190,7 @@ def _moved(before: Robot, after: Robot, change: Callable[[Robot], Robot], record
     changed = [_modes(change(robot), record) for robot in (before, after)]
     first = np.arange(min(EDIT_MODES, *(len(m) for m in (*alone, *changed))))
     own, alike = same_modes(alone[0], first, alone[1])  # a resonator has a mode of its own among them
-    first, own = first[alike > ALIKE], own[alike > ALIKE]
+    first, own = first[alike > SAME_SHAPE], own[alike > SAME_SHAPE]
     then = [same_modes(m, some, other)[0] for m, some, other in zip(alone, (first, own), changed, strict=True)]
     return _Moved(
         own, np.array([m.frequency_hz[some] for m, some in zip(alone, (first, own), strict=True)]),

@@ -20,6 +20,7 @@ from twin.parallel import spread
 from twin.physics import CATALOGUE
 
 FLAT = 8  # a motion of 5 Hz sampled at 250 Hz leaves 1e-7 of itself
+LONGEST_S, ALL_S = 60.0, 240.0  # of a run, and of all together, in which disturbances are looked for: they last
 RESTLESS = 0.5  # of the power beyond noise that is left of a joint above the fit's band, all runs together
 
 
@@ -70,11 +71,10 @@ def disturbances(
         wide_hz: up to which a disturbance is looked for.
         excess: times the power of the quietest run and of encoder noise in a band is restless.
     """
-    all_s, longest_s, count, places = 240.0, 60.0, 8, []  # looked at, of a run at most; bands
+    count, places = 8, []  # bands
     runs = [run for run in log.runs.values() if run.torque is not None and run.sample_rate_hz >= 2.5 * wide_hz]
     if len(runs) < 2:
         return []
-    longest_s = min(longest_s, all_s / len(runs))  # a disturbance lasts
     system = search.system
     regressor = system.base.regressor
     below = system.base.runs[0].bands.fit[1]
@@ -100,7 +100,7 @@ def disturbances(
     def power(number: int) -> FloatArray:
         """Of what the model leaves of a run, and of what encoder noise makes of its torque: (2, bands, joints)."""
         run = runs[number]
-        end = int(min(len(run.time), longest_s * run.sample_rate_hz))
+        end = int(min(len(run.time), min(LONGEST_S, ALL_S / len(runs)) * run.sample_rate_hz))
         short = replace(
             run, time=run.time[:end], position=run.position[:end], torque=run.torque[:end],  # type: ignore[index]
             velocity=None, acceleration=None, link_position=None,
