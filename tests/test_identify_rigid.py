@@ -25,6 +25,7 @@ from twin.identify.rigid import (
     rows_of,
 )
 from twin.identify.rigid_compare import compare_log
+from twin.identify.torque_unit import unit_note
 from twin.measure import motion_log
 from twin.measure.motion_log import (
     MotionLog,
@@ -530,3 +531,11 @@ def test_an_assumed_rotor_is_as_uncertain_as_the_law_it_is_from(kr90: Robot, fou
     assumed = wrong.model_copy(update={"assumed": [item]})
     off = [abs(identify(log, robot).robot.drives[2].rotor_inertia / rotor - 1) for robot in (wrong, assumed)]
     assert off[1] < 0.5 * off[0], off
+
+
+def test_axes_that_need_no_torque_tell_no_unit() -> None:
+    """Two of three axes stand still, and the sensor has noise there."""
+    recorded, described = np.tile([50.0, 0.1, 0.1], (20, 1)), np.tile([50.0, 0.0, 0.0], (20, 1))
+    assert unit_note(described, recorded) is None
+    assert unit_note(0 * described, recorded) is None
+    assert "is 20 times what the robot" in str(unit_note(described, 20 * recorded))
