@@ -101,6 +101,24 @@ def test_without_noise_the_parameters_come_back(kr90: Robot, fourier: list[Fouri
     assert relative_error(result.split.held_out, result.parameters)[0].max() < 1e-3
 
 
+@pytest.mark.parametrize("width", [0.003, 0.01, 0.04])
+def test_intervals_tell_that_friction_may_turn_gradually(kr90: Robot, fourier: list[Fourier], width: float) -> None:
+    """Dry friction tanh(q̇ / width rad/s): its 90 % intervals hold it all the same."""
+    runs = {}
+    rng = np.random.default_rng(2)
+    time = np.arange(round(20 * RATE)) / RATE
+    for k, f in enumerate(fourier[:2]):
+        motion = replace(f.motion(time), sign=lambda v: np.tanh(v / width))
+        torque = inverse_dynamics(kr90, motion) + 10.0 * rng.normal(size=motion.position.shape)
+        runs[f"run{k}"] = MotionRun(f"run{k}", time, motion.position, RATE, torque)
+    log = MotionLog(runs, kr90.name)
+    result = identify(log, kr90, hold_out=["run1"], bands=Bands())
+    estimate, true = result.estimate, result.estimate.base.combine @ result.regressor.described
+    friction = np.array(["friction" in name for name in estimate.base.names])
+    off = np.abs(estimate.value - true)[friction] / estimate.deviation[friction]
+    assert np.mean(off < 1.645) >= 0.9
+
+
 def test_intervals_hold_the_truth_of_independent_robots(tmp_path: Path) -> None:
     """Robots, encoders, noise and trajectories of the truth code: of 26 parameters in 6 logs about nine in ten.
 

@@ -19,6 +19,7 @@ from twin.identify.rigid import in_joints
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.model.regressor import Regressor
+from twin.physics.motion import gradual_sign
 from twin.robot.description import Robot
 
 ALIKE = 0.9  # correlation of a recorded torque with a described one that is taken for the same
@@ -26,7 +27,6 @@ UNLIKE = 0.5  # less is not
 EXCHANGED = (
     1.0  # fall of ln variance per channel from which channels are exchanged; of 107 logs none came to 0 by chance
 )
-TURNING = 0.02  # of its largest speed, over which a joint's dry friction turns round
 BLOCKS = 8  # of a run, in which its lateness is measured
 DRIFTING = 6.0  # deviations of a slope of lateness over time
 REPEATED = 3  # measurements of lateness
@@ -150,8 +150,7 @@ def _left(runs: Sequence[Run], described: Sequence[FloatArray], recorded: FloatA
         rows = []
         for run, torque in zip(runs, described, strict=True):
             speed = run.motion.velocity[:, j]
-            turned = np.tanh(speed / max(TURNING * float(np.abs(speed).max()), 1e-300))
-            columns = [torque[:, j], turned, speed, run.motion.acceleration[:, j]]
+            columns = [torque[:, j], gradual_sign(speed), speed, run.motion.acceleration[:, j]]
             rows.append(np.stack(columns, axis=1)[run.valid])
         X = np.concatenate(rows)
         X = X - X.mean(axis=0)

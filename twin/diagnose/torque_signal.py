@@ -267,7 +267,7 @@ def prepare(
         runs.append(run_of(regressor, joint_run(robot, run), bands))
     none = np.zeros((0, 0))
     rows = [
-        _Rows(r.name, r.time, none, none, none, r.torque, none, none, r.valid, none, r.rate_hz) for r in runs
+        _Rows(r.name, r.time, none, none, none, r.torque, none, none, none, r.valid, none, r.rate_hz) for r in runs
     ]  # fmt: skip
     parts = split(rows, hold_out, bands, source)
     by_name = {r.name: r for r in runs}

@@ -35,12 +35,13 @@ from twin.model.regressor import (
 )
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
-from twin.physics.motion import Motion
+from twin.physics.motion import TURNING, Motion, gradual_sign
 from twin.ranges import check_band, implausible
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
 MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit is allowed to have explained away
+TURNINGS = (TURNING, TURNING / 10)  # of the largest speed: one alone leaves tanh(q̇ / 0.2 %) 1 to 2 % off
 ROUNDED = 8 / 4096 / 12**0.5  # of a torque's RMS: noise of a 12-bit converter whose range is four times that RMS
 PASSED = 0.3  # share of a column's amplitude the low-pass must leave for its parameter to be called identifiable
 TOO_SHORT = "{:.2g} s are too short: the ends of the low-pass take up all of it"
@@ -78,6 +79,7 @@ class Rows:
         torque: (m, n) of the joints, N·m (N), less what has no column.
         known: (m, n) of what has no column.
         matrix: (m, n, p) torque per unit of every column.
+        turning: (m, n, w) signum of the velocity less :func:`gradual_sign` of it, over each of ``TURNINGS``.
         valid: (m,) rows that count; those near the ends or a saturated torque do not.
         passed: (p,) amplitude of each column after the low-pass over that before.
         rate_hz: rows per second.
@@ -91,6 +93,7 @@ class Rows:
     torque: FloatArray
     known: FloatArray
     matrix: FloatArray
+    turning: FloatArray
     valid: np.ndarray
     passed: FloatArray
     rate_hz: float
@@ -178,7 +181,7 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
         some = {key: x[low:high] if isinstance(x, np.ndarray) else x for key, x in some.items()}
         here = _rows_of(regressor, MotionRun(**some), bands, step, cut)
         keep = slice((first - low) // step, (min(first + block, count) - low - 1) // step + 1)
-        series = ("time", "position", "velocity", "acceleration", "torque", "known", "matrix", "valid")
+        series = ("time", "position", "velocity", "acceleration", "torque", "known", "matrix", "turning", "valid")
         rows.append(replace(here, **{key: getattr(here, key)[keep].copy() for key in series}))
     together: dict[str, Any] = {key: np.concatenate([getattr(r, key) for r in rows]) for key in series}
     return replace(rows[0], **together, passed=np.mean([r.passed for r in rows], axis=0))
@@ -212,6 +215,8 @@ def _rows_of(regressor: Regressor, run: MotionRun, bands: Bands, step: int, cut:
         before[column] = np.hypot(before[column], np.sqrt(np.mean(law**2) / n))
     after = np.sqrt(np.mean(matrix**2, axis=(0, 1)))
     known = thinned(regressor.known_torque(dense), fine)
+    turned = np.stack([gradual_sign(dense.velocity, over) for over in TURNINGS], axis=2)
+    turning = thinned(dense.sign(dense.velocity)[:, :, None] - turned, fine)
     torque = thinned(run.torque, 1)
     at = slice(None, None, coarse * step)
     time = motion.time[at]
@@ -221,7 +226,7 @@ def _rows_of(regressor: Regressor, run: MotionRun, bands: Bands, step: int, cut:
         valid &= np.abs(time - instant) > 1 / (bands.fit[1] - bands.fit[0])
     return Rows(
         run.name, time, motion.position[at], motion.velocity[at], motion.acceleration[at], torque - known, known,
-        matrix, valid, after / np.where(before > 0, before, 1), rate / step,
+        matrix, turning, valid, after / np.where(before > 0, before, 1), rate / step,
     )  # fmt: skip
 
 
@@ -253,7 +258,7 @@ class Estimate:
     Attributes:
         base: what they are combinations of.
         value: (b,).
-        covariance: (b, b), with the residuals' correlation in time.
+        covariance: (b, b), with the residuals' correlation in time, and the doubt how friction changes its sign.
         noise: (n,) standard deviation of the residual per joint, N·m (N).
         samples, effective: (n,) rows used, and as many independent ones as they are worth.
         identifiable: (b,) whether the low-pass lets the parameter through and the data holds it.
@@ -288,7 +293,8 @@ def least_squares(
         rows: runs to fit.
         weighting: ``"joint"`` divides every joint's rows by its noise (found by iteration); ``"none"`` is ordinary
             least squares. Deviations are right for either: they come from the residual's own correlation in time
-            (sandwich estimate), not from the number of rows.
+            (sandwich estimate), not from the number of rows. How dry friction changes its sign is not known. Estimates
+            differ between a step and any gradual change; the difference counts as one standard deviation.
         source: the file named in errors.
 
     Raises:
@@ -306,13 +312,13 @@ def least_squares(
     A = data[:, :, base.kept]
     noise = np.ones(n)
     for _ in range(1 if weighting == "none" else 4):
-        weighted = (A / noise[None, :, None]).reshape(m * n, -1)
-        scale = np.linalg.norm(weighted, axis=0)
-        value = np.linalg.lstsq(weighted / scale, (torque / noise).ravel(), rcond=None)[0] / scale
+        value = _weighted(A, torque, noise)
         residual = torque - A @ value
         if weighting != "none":
             noise = np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-9 * np.abs(torque).max(axis=0) + 1e-300)
     covariance, effective = _sandwich(rows, base, value, noise)
+    turned = _weighted(*without_turning(rows, base.kept), noise) - value
+    covariance = covariance + np.outer(turned, turned)
     deviation = np.sqrt(np.diag(covariance))
     passed = np.max([r.passed[base.kept] for r in rows], axis=0)
     strength = np.sqrt(np.mean(np.square(A), axis=0)).max(axis=0)  # torque per unit, on the joint that shows it most
@@ -320,6 +326,28 @@ def least_squares(
     identifiable = (passed > PASSED) & (deviation < scale_of)
     rms = np.sqrt(np.mean(residual**2, axis=0))
     return Estimate(base, value, covariance, rms, np.full(n, m), effective, identifiable)
+
+
+def _weighted(A: FloatArray, torque: FloatArray, noise: FloatArray) -> FloatArray:
+    """Least squares (b,) of A (m, n, b) on torque (m, n), every joint's rows divided by its noise (n,)."""
+    weighted = (A / noise[None, :, None]).reshape(torque.size, -1)
+    scale = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
+    return np.linalg.lstsq(weighted / scale, (torque / noise).ravel(), rcond=None)[0] / scale
+
+
+def without_turning(rows: list[Rows], kept: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """Valid rows of the columns ``kept`` (m, n, b) and of torque (m, n), less what follows each joint's ``turning``.
+
+    Least squares of them is that with the columns ``turning`` more (Frisch and Waugh, Econometrica 1, 1933): friction
+    may then change its sign over any speed or travel, to first order.
+    """
+    turning = np.concatenate([r.turning[r.valid] for r in rows])
+    there = np.concatenate(
+        [np.concatenate([r.matrix[:, :, kept], r.torque[:, :, None]], axis=2)[r.valid] for r in rows]
+    )
+    for j in range(there.shape[1]):
+        there[:, j] -= turning[:, j] @ (np.linalg.pinv(turning[:, j], rcond=1e-9) @ there[:, j])
+    return there[:, :, :-1], there[:, :, -1]
 
 
 def _merge(structural: BaseParameters, excited: BaseParameters) -> BaseParameters:
@@ -716,7 +744,7 @@ def _without_friction(robot: Robot, parts: Split, parameters: FloatArray, most: 
         columns, rest = [], []
         for rows in (parts.train, parts.held_out):
             speed = np.concatenate([r.velocity[r.valid, j] for r in rows])
-            columns.append(np.column_stack([np.tanh(speed / max(0.02 * np.abs(speed).max(), 1e-300)), speed]))
+            columns.append(np.column_stack([gradual_sign(speed), speed]))
             rest.append(np.concatenate([(r.torque - r.matrix @ parameters)[r.valid, j] for r in rows]))
         left = rest[1] - columns[1] @ np.linalg.lstsq(columns[0], rest[0], rcond=None)[0]
         share = 1 - float(left @ left) / max(float(rest[1] @ rest[1]), 1e-300)

@@ -11,6 +11,15 @@ if TYPE_CHECKING:
     from twin.robot.description import Robot
 
 
+TURNING = 0.02
+"""Share of its largest speed over which a joint's dry friction changes its sign, where no law says how."""
+
+
+def gradual_sign(velocity: np.ndarray, over: float = TURNING) -> np.ndarray:
+    """Signum of velocities (nt, ...) that changes gradually, over the share ``over`` of the largest of each."""
+    return np.tanh(velocity / np.maximum(over * np.abs(velocity).max(axis=0, initial=0.0), 1e-300))
+
+
 @dataclass
 class Motion:
     """States of n axes at nt instants; laws are added one after the other.
