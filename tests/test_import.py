@@ -330,6 +330,21 @@ def test_blows_of_a_coherence_that_universal_files_do_not_count(cell: Recorded, 
     assert posture.coherence is not None
 
 
+def test_what_frfs_do_not_say_of_their_blows(cell: Recorded, tmp_path: Path) -> None:
+    """One posture struck at two forces: a file each, and the map says forces, pulse, record and window."""
+    forces = {"soft": 100.0, "hard": 600.0}
+    for name in forces:
+        universal(tmp_path / f"{name}.unv", cell, binary=False)
+    levels = {n: {**stance(cell)["upright"], "files": f"{n}.unv", "peak_force_n": f} for n, f in forces.items()}
+    blows = {"averages": 3, "pulse_s": 0.004, "record_s": 2.0, "exponential_window_rate": 1.5}
+    said = {"makes": "frf-campaign", "robot": "kr90", "nodes": nodes(cell), "unit": "m/s²/N", **blows}
+    files = [tmp_path / f"{name}.unv" for name in forces]
+    import_files(files, mapped(tmp_path, **said, postures=levels), tmp_path / "campaign.h5")
+    read = read_campaign(tmp_path / "campaign.h5").postures
+    assert {name: posture.peak_force_n for name, posture in read.items()} == forces
+    assert all(getattr(posture, field) == value for posture in read.values() for field, value in blows.items())
+
+
 def check_campaign_file(path: Path, cell: Recorded, rtol: float = 1e-5) -> None:
     with h5py.File(path) as file:
         assert file["response/label"].asstr()[()].tolist() == [s["label"] for s in cell.sensors]
@@ -359,7 +374,7 @@ def matlab5_frfs(path: Path, cell: Recorded) -> dict[str, Any]:
 def arrays(cell: Recorded, unit: str) -> dict[str, Any]:
     return {
         "postures": stance(cell), "excitation": cell.nodes, "response": cell.sensors, "coherence": "coh",
-        "averages": 3, "frequency": {"channels": "f", "unit": "Hz"}, "frf": {"channels": "H", "unit": unit},
+        "averages": 3, "record_s": 4.0, "frequency": {"channels": "f", "unit": "Hz"}, "frf": {"channels": "H", "unit": unit},
     }  # fmt: skip
 
 
@@ -369,6 +384,7 @@ def test_matlab_holds_frfs(write: Callable[..., dict[str, Any]], cell: Recorded,
     assert guess_map([tmp_path / "frf.mat"])["frf"]["unit"] == "ask"
     import_files([tmp_path / "frf.mat"], plan, tmp_path / "campaign.h5")
     check_campaign_file(tmp_path / "campaign.h5", cell)
+    assert [p.record_s for p in read_campaign(tmp_path / "campaign.h5").postures.values()] == [4.0]
 
 
 def one_record(cell: Recorded, point: int) -> np.ndarray:

@@ -291,11 +291,10 @@ def build_universal(paths: Sequence[Path], map_: UniversalMap) -> Campaign:
         if len(campaign.postures) > 1:
             raise InputError(campaign.source, f"postures.{name}", "its files name several postures themselves")
         (only,) = campaign.postures.values()
-        averages = map_.averages if only.averages is None else only.averages
-        if only.coherence is not None and averages is None:
+        postures[name] = map_.said_of(name, only)
+        if only.coherence is not None and postures[name].averages is None:
             told = "are not stated, so the coherence tells no noise; give them as averages in the map"
             tell(campaign.source, f"postures.{name}: averages", told)
-        postures[name] = replace(only, name=name, brakes=map_.postures[name].brakes, averages=averages)
     return replace(first, postures=postures, robot=map_.robot)
 
 
@@ -333,12 +332,12 @@ def _functions(source: Source, map_: FunctionsMap, name: str, stance: Stance) ->
             )
         return values.reshape(shape)
 
-    return PostureFRF(
+    made = PostureFRF(
         name, np.array(stance.q_deg, dtype=float), stance.brakes, frequency,
         array("frf", map_.frf.channels).astype(complex) * scale * np.asarray(map_.frf.factor), quantity,  # type: ignore[arg-type]
         coherence=None if map_.coherence is None else array("coherence", map_.coherence).astype(float),
-        averages=map_.averages, exponential_window_rate=map_.exponential_window_rate,
     )  # fmt: skip
+    return map_.said_of(name, made)
 
 
 def _campaign(path: Path, map_: HitsMap | FunctionsMap, postures: dict[str, PostureFRF]) -> Campaign:

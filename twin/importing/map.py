@@ -1,12 +1,21 @@
 """``map.yaml``: which channel of a foreign file becomes what, in which unit. Its fields, checked."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
 
 from twin.errors import InputError
-from twin.measure.campaign import FASTEST_SAMPLES_HZ, LABEL, LONGEST_RECORD_S, MOST_AVERAGES, Brakes
+from twin.measure.campaign import (
+    FASTEST_SAMPLES_HZ,
+    LABEL,
+    LONGEST_PULSE_S,
+    LONGEST_RECORD_S,
+    MOST_AVERAGES,
+    Brakes,
+    PostureFRF,
+)
 from twin.measure.units import ASK
 from twin.ranges import FASTEST_HZ, FREE_TURNS, LARGEST_FORCE_N, LEAST_FORCE_N, RANGES
 from twin.robot.description import Data, Number, Position, first_problem
@@ -109,17 +118,45 @@ class HitsMap(Data):
     band_hz: tuple[Frequency, Frequency] | None = None
 
 
-class FunctionsMap(Data):
-    """A hammer test from FRFs as arrays (nf, nr, ne): one file or table per posture."""
+class Level(Stance):
+    """A posture and the peak force (N) of its blows. One posture at two forces is two entries of the same ``q_deg``."""
+
+    peak_force_n: Annotated[Number, Field(ge=LEAST_FORCE_N, le=LARGEST_FORCE_N)] | None = None
+
+
+class Averaged(Data):
+    """What FRFs do not say of the blows they are of, where the file does not.
+
+    Blows of a coherence, the exponential window that is still in the FRFs (1/s), length of pulse and record (s).
+    """
 
     makes: Literal["frf-campaign"]
     robot: str | None = None
-    postures: dict[str, Stance]
+    postures: dict[str, Level]
+    averages: Annotated[int, Field(ge=1, le=MOST_AVERAGES)] | None = None
+    exponential_window_rate: WindowRate | None = None
+    pulse_s: Annotated[Number, Field(gt=0, le=LONGEST_PULSE_S)] | None = None
+    record_s: Annotated[Number, Field(gt=0, le=LONGEST_RECORD_S)] | None = None
+
+    def said_of(self, name: str, read: PostureFRF) -> PostureFRF:
+        """A posture as read, and what the map says where the file does not."""
+        level = self.postures[name]
+        return replace(
+            read, name=name, brakes=level.brakes,
+            averages=self.averages if read.averages is None else read.averages,
+            exponential_window_rate=read.exponential_window_rate or self.exponential_window_rate or 0.0,
+            pulse_s=self.pulse_s if read.pulse_s is None else read.pulse_s,
+            record_s=self.record_s if read.record_s is None else read.record_s,
+            peak_force_n=level.peak_force_n if read.peak_force_n is None else read.peak_force_n,
+        )  # fmt: skip
+
+
+class FunctionsMap(Averaged):
+    """A hammer test from FRFs as arrays (nf, nr, ne): one file or table per posture."""
+
     frequency: Taken
     frf: Taken
     coherence: str | None = None
-    averages: Annotated[int, Field(ge=1, le=MOST_AVERAGES)] | None = None
-    exponential_window_rate: WindowRate = 0.0
     response: Annotated[list[Sensor], Field(min_length=1)]
     excitation: Annotated[list[Struck], Field(min_length=1)]
 
@@ -133,18 +170,11 @@ class FunctionsMap(Data):
         return data
 
 
-class UniversalMap(Data):
-    """A hammer test from universal files: what data set 58 has no field for.
+class UniversalMap(Averaged):
+    """A hammer test from universal files: what data set 58 has no field for."""
 
-    ``averages`` serves where the files do not say how many blows their coherence is of.
-    """
-
-    makes: Literal["frf-campaign"]
-    robot: str | None = None
-    postures: dict[str, Stance]
     nodes: Annotated[dict[int, Point], Field(default_factory=dict)]
     unit: str = ASK
-    averages: Annotated[int, Field(ge=1, le=MOST_AVERAGES)] | None = None
 
     @model_validator(mode="after")
     def _one(self) -> Self:
