@@ -374,7 +374,8 @@ def matlab5_frfs(path: Path, cell: Recorded) -> dict[str, Any]:
 def arrays(cell: Recorded, unit: str) -> dict[str, Any]:
     return {
         "postures": stance(cell), "excitation": cell.nodes, "response": cell.sensors, "coherence": "coh",
-        "averages": 3, "record_s": 4.0, "frequency": {"channels": "f", "unit": "Hz"}, "frf": {"channels": "H", "unit": unit},
+        "averages": 3, "record_s": 4.0, "frf": {"channels": "H", "unit": unit},
+        "frequency": {"channels": "f", "unit": "Hz"},
     }  # fmt: skip
 
 
