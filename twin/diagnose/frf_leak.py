@@ -1,6 +1,6 @@
 """Records that end while the robot still rings: FRFs made again from raw hits, or models that leak as they do."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -27,7 +27,7 @@ LEFT = 0.1  # of a mode's swing at the end of a record without a window: 10 % of
 MISSED = 1.2  # misfit of a fit that misses something
 SLIGHT = ANALYSER  # of its swing: no FRF shows that so much of a mode is cut off
 LEAST = 0.75  # of a record is after the blow, at least
-TRIED_RAD = 0.5  # of the fastest line, by which records are tried longer
+TRIED_RAD = 0.5  # of the fastest mode that rings at the end, by which records are tried longer
 SETTLED_SHARE = 0.01  # of the steps by which lengths of records and blows are found
 LEAK_STEPS, SHORTENED = 6, 3  # of these, and trials of one, each a quarter of the last
 INEXACT = 0.005  # of what records lack: blows differ in length by a tenth, and the mean of some by less
@@ -102,9 +102,12 @@ class CutOff(Recorded):
 
     def respond(self, seen: Observed, model: Structure) -> ComplexArray:
         """FRFs (nf, nr, ne) of a model as they leak."""
-        how = self.power, self.record_s, self.spread_s
-        earlier = self.earlier_s * self.later(seen) if self.earlier_s.any() else 0.0
-        return np.asarray(super().respond(seen, model) - leakage(seen, self.s, *how) - earlier)
+        return np.asarray(super().respond(seen, model) - self.lacks(seen))
+
+    def lacks(self, seen: Observed) -> ComplexArray:
+        """What records lack of the FRFs of a model, (nf, nr, ne)."""
+        lost = leakage(seen, self.s, self.power, self.record_s, self.spread_s)
+        return np.asarray(lost + self.earlier_s * self.later(seen) if self.earlier_s.any() else lost)
 
     def later(self, seen: Observed) -> ComplexArray:
         """What records lack more per second by which blows come earlier, (nf, nr, ne)."""
@@ -115,7 +118,8 @@ class CutOff(Recorded):
         H, dH = super().respond_slopes(seen, model, rate)
         L, dL = leakage_slopes(seen, rate, self.s, self.power, self.record_s, self.spread_s)
         earlier = self.earlier_s * self.later(seen) if self.earlier_s.any() else 0.0
-        return np.asarray(H - L - earlier), dH - dL
+        dH -= dL
+        return np.asarray(H - L - earlier), dH
 
     def probed(self, count: int) -> Recorded:
         """What receptance is asked for with ``count`` more excitations: the structure's own, which leaks nothing."""
@@ -136,12 +140,18 @@ def cut_off(
     if fit.misfit < MISSED or _worst(fit.robot, sample.recordings, campaign)[0] < max(SLIGHT, error):
         return None, []  # what is left of a mode explains no larger error
     thin = sample.thin(REFIT_LINES)
-    longest, fastest = _longest(campaign), _fastest(thin)
+    ringing = [rate for left, _, rate in _ringing(fit.robot, sample.recordings, campaign) if left > SLIGHT]
+    longest, fastest = _longest(campaign), max(ringing, default=_fastest(thin))
     usual = SPREAD * max([p.pulse_s for p in campaign.postures.values() if p.pulse_s] or [PULSE_S])
     leaks = [Leak(x, usual) for x in np.linspace(LEAST, 1.0, int((1 - LEAST) * longest * fastest / TRIED_RAD) + 2)]
+    objective = Objective(fit.robot, fit.parameters, thin, logarithmic=True)
+    whole = objective.predicted(fit.z)
+    seen = observe_all(fit.robot, [r.setup for r in thin.recordings], fit.parameters, fit.values)
 
     def cost(leak: Leak) -> float:
-        return Objective(fit.robot, fit.parameters, leaking(thin, campaign, leak), logarithmic=True).cost(fit.z)
+        leaky = (CutOff.of(r, campaign.postures[r.group], leak) for r in thin.recordings)
+        lacks = (r.lacks(one) for r, (one, _) in zip(leaky, seen, strict=True))
+        return objective.loss([H - lack for H, lack in zip(whole, lacks, strict=True)])
 
     first = min(leaks, key=cost)
     leaky = leaking(thin, campaign, first)
@@ -276,17 +286,21 @@ def _record_s(posture: PostureFRF) -> float:
     return posture.record_s or 1 / float(np.median(np.diff(posture.frequency)))
 
 
-def _worst(robot: Robot, recordings: Sequence[Recorded], campaign: Campaign) -> tuple[float, str, float]:
-    """The largest share of its swing that a mode of the band has at the end of a record, whose, and its Hz."""
-    worst = (0.0, "", 0.0)
+def _ringing(robot: Robot, recordings: Sequence[Recorded], campaign: Campaign) -> Iterator[tuple[float, str, float]]:
+    """Of every mode of the band the share of its swing at the end of a record, whose record, and rad/s."""
     for r in recordings:
         record_s, window = _record_s(campaign.postures[r.group]), float(r.s[0].real)
         ((seen, _),) = observe_all(robot, [r.setup], independent([]), np.zeros(0))
         pole, _ = poles(seen)
         for one in pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]:
             decay = max(-float(one.real), LIGHTEST * abs(one)) + window
-            worst = max(worst, (float(np.exp(-decay * record_s)), r.group, abs(one) / 2 / np.pi))
-    return worst
+            yield float(np.exp(-decay * record_s)), r.group, abs(one)
+
+
+def _worst(robot: Robot, recordings: Sequence[Recorded], campaign: Campaign) -> tuple[float, str, float]:
+    """The largest share of its swing that a mode of the band has at the end of a record, whose, and its Hz."""
+    left, group, rate = max(_ringing(robot, recordings, campaign), default=(0.0, "", 0.0))
+    return left, group, rate / 2 / np.pi
 
 
 def cut_short(robot: Robot, campaign: Campaign, recordings: Sequence[Recorded]) -> list[Note]:

@@ -19,6 +19,7 @@ from twin.model.linear import state_matrix
 from twin.model.sensitivity import ComplexArray, FloatArray, Observed
 
 LARGEST = 0.0  # exponent: what an unstable model leaks does not grow
+FADED = -20.0  # real part of a pole times the record: of a mode e^−20 is left, which no FRF shows
 EQUAL = 1e-9  # of their size: poles that are closer have one function
 MASSLESS = 1e-9  # of the largest inertia: what a coordinate without one is given, so that its pole is a number
 
@@ -54,26 +55,34 @@ def leakage_slopes(
     pole, V, inverse = _vectors(A)
     inverse = inverse[:, nv : 2 * nv]  # of velocities
     struck = np.linalg.solve(M, seen.J_e.T)
-    C, B = seen.J_r @ V[:nv], inverse @ struck
-    g, steeper = _left(pole, s, power, record_s, spread_s)
+    own = pole.real * record_s > FADED
+    C, B = seen.J_r @ V[:nv, own], inverse[own] @ struck
+    g, steeper = _left(pole[own], s, power, record_s, spread_s)
     gain = _gain(seen, s)
-    L = gain * np.einsum("rk,fk,ke->fre", C, g, B, optimize=True)
+    mode = C.T[:, :, None] * B[:, None]  # (k, nr, ne)
+    L = gain * (g @ mode.reshape(len(mode), C.shape[0] * B.shape[1])).reshape(len(s), *mode.shape[1:])
     if rate is None:
         return L, np.zeros((0, *L.shape), complex)
     kept = np.flatnonzero(seen.integral.any(axis=0))
     forces = np.concatenate([rate.K + 1j * rate.loss, rate.C, rate.integral[:, :, kept]], axis=2)
     pull = np.linalg.solve(M, rate.M @ A[nv : 2 * nv] + forces)
-    change = -inverse @ pull @ V
+    change = -inverse @ (pull @ V)
     between = pole[:, None] - pole
     alone = np.abs(between) <= EQUAL * (np.abs(pole[:, None]) + np.abs(pole))
-    tied = np.where(alone, 0.0, change / np.where(alone, 1.0, between))
-    own = np.diagonal(change, axis1=1, axis2=2)
-    kick = inverse @ np.linalg.solve(M, rate.J_e.swapaxes(1, 2) - rate.M @ struck)
-    dL = np.einsum("rk,fk,pke->pfre", C, g, tied @ B + kick, optimize=True)
-    dL += np.einsum("prk,fk,ke->pfre", rate.J_r @ V[:nv] - C @ tied, g, B, optimize=True)
-    dL += np.einsum("rk,pk,fk,ke->pfre", C, own, steeper, B, optimize=True)
+    tied = change * np.where(alone, 0.0, 1 / np.where(alone, 1.0, between))
+    moved = np.diagonal(change, axis1=1, axis2=2)[:, own, None, None]  # poles
+    kick = inverse[own] @ np.linalg.solve(M, rate.J_e.swapaxes(1, 2) - rate.M @ struck)
+    dB = tied[:, own] @ (inverse @ struck) + kick
+    dC = rate.J_r @ V[:nv, own] - seen.J_r @ V[:nv] @ tied[:, :, own]
+    dmode = C.T[:, :, None] * dB[:, :, None] + dC.swapaxes(1, 2)[:, :, :, None] * B[:, None]
+    parts = np.concatenate([dmode, moved * mode], axis=1)
+    shape = len(parts), parts.shape[1], mode[0].size
+    dL = (np.concatenate([g, steeper], axis=1) @ parts.reshape(shape)).reshape(len(parts), *L.shape)
+    dL *= gain
     louder = rate.gain[:, None] / seen.gain - s[:, None] * rate.delay[:, None]
-    return L, gain * dL + L * louder[:, :, :, None]
+    some = louder.any(axis=(1, 2))
+    dL[some] += L * louder[some][:, :, :, None]
+    return L, dL
 
 
 def _left(
