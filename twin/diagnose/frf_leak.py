@@ -157,8 +157,9 @@ def cut_off(
     leaky = leaking(thin, campaign, first)
     starts = fit.z, np.zeros(len(fit.z))  # a model that does not leak may have come to rest far away
     plain = descend(base, fit.hypothesis, fit.parameters, thin, fit.z, tempered=0)
+    enough = 0.5 * plain.data * (1 + (1 - EXPLAINED) * (plain.misfit - 1)) + 0.5 * float(plain.z @ plain.z)
     near = min(
-        (descend(base, fit.hypothesis, fit.parameters, leaky, z, logarithmic=25) for z in starts),
+        (descend(base, fit.hypothesis, fit.parameters, leaky, z, logarithmic=25, hopeless=enough) for z in starts),
         key=lambda one: one.cost,
     )
     if not _explains(near, plain):

@@ -16,6 +16,7 @@ from twin.model.parameters import Kind, Parameter, Parameters, Sprung, independe
 from twin.physics import CATALOGUE
 from twin.physics.chain import node_of
 from twin.physics.effect import Companion, Effect
+from twin.physics.effect import Parameter as Quantity
 from twin.robot.description import Entry, Robot
 from twin.robot.frames import axis_placement, matrix_of
 
@@ -139,27 +140,31 @@ def entry_hypothesis(base: Robot, effect: str, site: str, values: dict[str, Any]
 
 
 def _variants(base: Robot, effect: str, site: str, some: Sequence[dict[str, Any]]) -> list[Hypothesis]:
-    """The hypotheses of one entry, the prior of each centred on values of its own; all have the same ones."""
+    """The hypotheses of one entry, the prior of each centred on values of its own."""
     same = sum(other.effect == effect and other.site == site for other in base.physics)
     key = f"{effect}@{site}" + (f"#{same + 1}" if same else "")
     law = CATALOGUE[effect]
     kind: Kind = "spring" if law.hinge else "entry"
-    free = [p for p in law.parameters if not p.word and p.spread and p.name in some[0]]
-    own: list[tuple[str, str, bool, float]] = []
-    for quantity in free:
-        for k in range(len(some[0][quantity.name]) if quantity.length else 1):
-            at = f"[{k}]" if quantity.length else ""
-            name = f"{site if law.hinge else key}.{quantity.name}" + ("" if law.hinge else at)
-            width = law.deviation(base, site, quantity, k)
-            own.append((name, law.unit(quantity.name + at, site, base), quantity.log, width))
+    known: dict[tuple[tuple[str, int], ...], list[tuple[str, str, bool, float]]] = {}
 
     def one(values: dict[str, Any]) -> Hypothesis:
-        means = [x for p in free for x in (values[p.name] if p.length else [values[p.name]])]
+        free = [p for p in law.parameters if not p.word and p.spread and p.name in values]
+        means = [list(values[p.name]) if p.length else [values[p.name]] for p in free]
+        shape = tuple((p.name, len(mean)) for p, mean in zip(free, means, strict=True))
+        if shape not in known:
+            known[shape] = [own(p, k) for p, mean in zip(free, means, strict=True) for k in range(len(mean))]
+        flat = [float(x) for mean in means for x in mean]
         parameters = [
-            Parameter(name, unit, kind, log, float(mean), width, "usual size")
-            for (name, unit, log, width), mean in zip(own, means, strict=True)
+            Parameter(name, unit, kind, log, mean, width, "usual size")
+            for (name, unit, log, width), mean in zip(known[shape], flat, strict=True)
         ]
         return Hypothesis(effect, site, (Entry(effect=effect, site=site, **values),), tuple(parameters))
+
+    def own(quantity: Quantity, k: int) -> tuple[str, str, bool, float]:
+        """Name, unit, whether the logarithm is sought, and prior deviation."""
+        at = f"[{k}]" if quantity.length else ""
+        name = f"{site if law.hinge else key}.{quantity.name}" + ("" if law.hinge else at)
+        return name, law.unit(quantity.name + at, site, base), quantity.log, law.deviation(base, site, quantity, k)
 
     return [one(values) for values in some]
 

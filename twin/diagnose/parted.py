@@ -15,6 +15,7 @@ from twin.robot.frames import inertia_six
 
 PARTED_FROM = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
 LEAST_LEFT = 0.1  # of the whole is the link's, at least
+LEAST_MOMENT = 0.01  # of the usual one
 INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
 
 
@@ -75,9 +76,11 @@ def _body(values: Iterable[float]) -> Inertial:
 
 def _rest_of(whole: Inertial, link: Inertial, part: Parameters) -> list[FloatArray]:
     """Own coordinates with which the link is as described, where what is left has a mass."""
-    mass, com, _ = fuse(whole, (-link[0], link[1], -link[2]))
+    mass, com, inertia = fuse(whole, (-link[0], link[1], -link[2]))
     if mass <= 0:
         return []
     values = part.values(np.zeros(len(part)))
     values[:4] = [mass, *com]
+    moments = len(part) - 4
+    values[4:] = np.maximum(np.diag(inertia)[:moments], LEAST_MOMENT * values[4:])
     return [part.coordinates(values)]

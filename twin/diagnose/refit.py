@@ -153,6 +153,8 @@ def _of_widths(size: float, held: float) -> list[float]:
 def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> Fitted:
     """A fit again under the width of the priors on its sizes that it makes likeliest: the usual one draws them to it.
 
+    What is usual for a thing of that size is the centre of the priors of its other numbers.
+
     Args:
         free: the base model's parameters.
     """
@@ -162,14 +164,16 @@ def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> F
         if own and any(p.log for p in own):
             held = 1 / float(variance[at]) - 1
             width = WIDTHS[int(np.argmax(_of_widths(float(fit.z[at]), held)))] if held > 1e-9 else 1.0
+            usual = piece.law.given_size(base, piece.site, float(fit.values[at])) if piece.law else {}
             own = (replace(own[0], deviation=own[0].deviation * width), *own[1:])
+            own = tuple(replace(p, mean=usual.get(p.quantity, p.mean)) for p in own)
         pieces.append(replace(piece, own=own))
         at += len(own)
     hypothesis = together(*pieces)
     if hypothesis == fit.hypothesis:
         return fit
     parameters = hypothesis.parameters(free)
-    z = np.asarray(np.linalg.solve(parameters.root, fit.parameters.root @ fit.z))
+    z = parameters.coordinates(fit.values)
     return descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
 
 

@@ -263,6 +263,10 @@ class Effect:
         """Prior deviation of a number, or of an ``item`` of a list, at a site; what is usual anywhere by default."""
         return parameter.spread
 
+    def given_size(self, robot: "Robot", site: str, size: float) -> dict[str, float]:
+        """Usual values of other numbers of an entry whose first parameter is ``size``; of those that depend on it."""
+        return {}
+
     def tolerances(self, robot: "Robot") -> dict[str, float]:
         """By how much its parameters may be off null without a finding, one standard deviation; none by default."""
         return {}

@@ -117,6 +117,11 @@ class Payload(Effect):
         cube = mass * (mass / DENSITY) ** (2 / 3) / 6
         return cube, bool(cube > robot.tolerances.inertia * own)
 
+    def given_size(self, robot: "Robot", site: str, size: float) -> dict[str, float]:
+        """Moments of inertia of a cube of that mass."""
+        cube, _ = self._cube(robot, site, size)
+        return {f"inertia[{k}]": cube for k in range(3)}
+
     def typical(self, robot: "Robot", site: str) -> dict[str, Any]:
         """2 % of the links' mass, at the flange or in the middle of the link."""
         mass, end = 0.02 * sum(link.inertial[0] for link in robot.links), link_end(robot, self.carrier(robot, site))
