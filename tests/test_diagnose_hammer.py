@@ -93,7 +93,7 @@ def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> N
     assert not search.others  # all starts reach one minimum
     assert not elsewhere(search.base, search.others)
     (said,) = elsewhere(search.base, [replace(search.base, misfit=3.0)])
-    assert "another at 3 times" in said
+    assert "another start at 3 times. Their springs agree" in said
 
 
 @pytest.mark.slow

@@ -42,6 +42,7 @@ from twin.diagnose.verdict import (
     estimates_of,
     judge,
     missing_of,
+    moved_most,
     rival_of,
     strained,
 )
@@ -415,7 +416,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
         [{"recording": source, "site": site, **spot} for spot in where.spots()], where.sites,
         warnings=[
             *found.warnings, *elsewhere(search.base, search.others), *strained(best),
-            *taken_in(answer.doubts, answer.best),
+            *moved_most(best), *taken_in(answer.doubts, answer.best),
         ],
         finalists=finalists(search.base, answer.fits), gain=gained(free),
         fits=(before, best), damping=transfer(misses),

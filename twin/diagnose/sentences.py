@@ -65,12 +65,13 @@ def _spots(record: FrfRecord, pair: int, loudest: float) -> list[Spot]:
     if not peaks:
         return []
     models = [_peaks(record.frequency, H) for H in (before, after)]
+    places = [frequency for _, _, frequency in peaks]
     found = []
     for line, height, frequency in peaks:
         noise = np.sqrt(2 * record.variance[flat][line])
         if height < LOUD_PEAK * loudest or height < 5 * noise:
             continue
-        (f0, h0), (f1, h1) = (_nearest(model, frequency) for model in models)
+        (f0, h0), (f1, h1) = (_own(model, frequency, places) for model in models)
         if not np.isfinite(f1):
             continue
         weight = np.log1p(10 * height / loudest)
@@ -115,10 +116,13 @@ def _summits(level: Sequence[float]) -> list[int]:
     return found
 
 
-def _nearest(peaks: Sequence[tuple[int, float, float]], frequency: float) -> tuple[float, float]:
-    near = [(abs(np.log(f / frequency)), f, height) for _, height, f in peaks]
+def _own(model: Sequence[tuple[int, float, float]], frequency: float, places: Sequence[float]) -> tuple[float, float]:
+    """Frequency and height of the model's peak nearest to a measured one; NaN where it is another measured peak's."""
+    near = [(abs(np.log(f / frequency)), f, height) for _, height, f in model]
     distance, f, height = min(near, default=(np.inf, np.nan, np.nan))
-    return (f, height) if distance < SAME_PEAK else (float("nan"), float("nan"))
+    if distance < SAME_PEAK and all(distance <= abs(np.log(f / place)) for place in places):
+        return f, height
+    return float("nan"), float("nan")
 
 
 def sentence(

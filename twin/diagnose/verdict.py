@@ -32,6 +32,8 @@ Source = Literal["frf-campaign", "modal-table", "motion-log"]
 
 PARTS = ("train", "held_out")
 STRAINED = 3.5  # prior deviations
+MOVED = 2.0  # of them: what is told though the description allows it
+SAME_SPRING = 0.01  # of the logarithm of a stiffness
 NEGLIGIBLE = 1e-12  # probability below which an alternative is not listed
 ONE_BY_ONE = 5  # numbers of the description that have a sentence each, the farthest off
 MEANING: dict[Word, str] = {
@@ -470,9 +472,15 @@ def _off(fit: Fitted, piece: Hypothesis, indices: Iterable[int]) -> dict[str, An
     return {parameter.name: {**many, "unit": parameter.unit}}
 
 
-def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]:
-    """The same of numbers of the description at a site: coordinates of one point or link in one list."""
+def _described(fit: Fitted, site: str, indices: Sequence[int]) -> dict[str, Any]:
+    """The same of numbers of the description at a site: coordinates of one point or link in one list.
+
+    Of angles of postures, which are errors, those that are off by more than ``STRAINED`` tolerances, or the one that is
+    off most.
+    """
     found: dict[str, Any] = {}
+    if any(fit.parameters[k].kind == "posture" for k in indices):
+        return _angles(fit, indices)
     for k in indices:
         parameter = fit.parameters[k]
         (one,) = estimates_of(fit, [k]).values()
@@ -481,12 +489,27 @@ def _described(fit: Fitted, site: str, indices: Iterable[int]) -> dict[str, Any]
             continue
         same = "*" not in site  # of one node, its sensor or a blow
         key = site.rpartition(".")[2] if same else parameter.site
-        key = parameter.site.removeprefix("posture.") if parameter.kind == "posture" else key
         if same and parameter.kind == "link":  # beside a wrong mass the rest of its link is free
             key = parameter.name.split(".")[1]
         many = found.setdefault(key, {"value": [], "unit": one["unit"], "interval90": []})
         many["value"].append(one["value"])
         many["interval90"].append(one["interval90"])
+    return found
+
+
+def _angles(fit: Fitted, indices: Sequence[int]) -> dict[str, Any]:
+    """Errors of angles that are off most, by posture and axis (``p4.q5``), degrees (m)."""
+    factor = dict(fit.hypothesis.scale)
+    off = {k: abs(fit.values[k]) / p.deviation * factor.get(p.name, 1.0) for k in indices if (p := fit.parameters[k])}
+    ranked = sorted(off, key=lambda k: -off[k])
+    found: dict[str, Any] = {}
+    for k in [k for k in ranked if off[k] > STRAINED] or ranked[:1]:
+        (one,) = estimates_of(fit, [k]).values()
+        scale = 180 / np.pi if one["unit"] == "rad" else 1.0
+        found[fit.parameters[k].name.removeprefix("posture.")] = {
+            "value": one["value"] * scale, "unit": "°" if one["unit"] == "rad" else one["unit"],
+            "interval90": [end * scale for end in one["interval90"]],
+        }  # fmt: skip
     return found
 
 
@@ -510,12 +533,37 @@ def estimates_of(fit: Fitted, indices: Iterable[int]) -> dict[str, Any]:
 
 
 def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
-    """Optima of the base model beside the best, a sentence each."""
+    """Optima of the base model beside the best, in one sentence, with the springs that differ most."""
+    if not others:
+        return []
+    springs = [k for k, p in enumerate(base.parameters) if p.kind == "spring" and p.quantity == "stiffness"]
+    apart = {k: max(abs(np.log(fit.values[k] / base.values[k])) for fit in others) for k in springs}
+    most = sorted((k for k in springs if apart[k] > SAME_SPRING), key=lambda k: -apart[k])[:3]
+    names = ", ".join(f"{base.parameters[k].name} (by {np.expm1(apart[k]):.0%})" for k in most)
+    ends = " and ".join(f"{fit.misfit:.3g}" for fit in others)
+    differ = f"Most apart are {names}" if names else "Their springs agree within 1 %"
     return [
         f"the fit of the base model depends on its start: the best ends at {base.misfit:.3g} times the variance of the "
-        f"noise, another at {fit.misfit:.3g} times. Its stiffness and damping depend on the start, too"
-        for fit in others
+        f"noise, another start at {ends} times. {differ}"
     ]
+
+
+def moved_most(fit: Fitted, most: int = 3) -> list[Note]:
+    """The springs and links that a fit has farthest from the description, within what that allows, in one sentence."""
+    moved: list[tuple[float, int]] = []
+    for k, p in enumerate(list(fit.parameters)[: len(fit.z) - len(fit.hypothesis.own)]):
+        if p.kind in ("spring", "link") and p.name not in dict(fit.hypothesis.scale):
+            change = np.log(fit.values[k] / p.mean) if p.log else fit.values[k] - p.mean
+            moved.append((abs(float(change)) / p.deviation, k))
+    told = [(off, k) for off, k in sorted(moved, reverse=True)[:most] if MOVED < off <= STRAINED]
+    if not told or fit.misfit > ASTRAY:
+        return []
+    names = [
+        f"{p.name} is {fit.values[k]:.4g} {p.unit} (described {p.mean:.4g}, {off:.1f} standard deviations off)"
+        for off, k in told
+        if (p := fit.parameters[k])
+    ]
+    return [Note(f"the fit moved most, within what the description allows: {'; '.join(names)}", "note", "note")]
 
 
 def strained(fit: Fitted) -> list[Note]:

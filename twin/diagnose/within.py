@@ -96,7 +96,7 @@ def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
         return []
     values = dict(zip(fit.parameters.names, fit.values, strict=True))
     names = ", ".join(piece.site if piece.law is None else piece.key for piece in pieces)
-    text = f"{names}: off by what the description's tolerances allow, which every fit took into account; no finding"
+    text = f"{names}: a little off, within the description's tolerances. Every fit took that into account: no finding"
     places = [piece for piece in pieces if piece.law is None and piece.site.endswith(".position")]
     return [Note(text, "description", "note"), *filter(None, (_farthest(piece, values) for piece in places))]
 
