@@ -35,11 +35,11 @@ from twin.diagnose.screen import (
 )
 from twin.diagnose.search import Search, _best_of_each, _in_its_stead, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
-from twin.diagnose.verdict import elsewhere, estimates, estimates_of, judge, missing_of, rival_of, strained
+from twin.diagnose.verdict import elsewhere, estimates, estimates_of, judge, missing_of, moved_most, rival_of, strained
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
 from twin.identify.recorded import prepare, without_limits
-from twin.measure.campaign import Campaign, FloatArray, PostureFRF, Quantity, read_campaign
+from twin.measure.campaign import Campaign, Channels, FloatArray, PostureFRF, Quantity, read_campaign
 from twin.measure.recordings import Recording
 from twin.model.linear import linearise
 from twin.model.modes import modes
@@ -829,6 +829,40 @@ def test_a_stiffness_far_off_its_description_is_pointed_out() -> None:
         assert [text.partition(":")[0] for text in found] == ["joint1.z"] * said
 
 
+def test_a_wrong_angle_is_told_by_posture_and_axis_in_degrees() -> None:
+    """Of the angles of all postures the one that is off; the answer of one that says no more is the largest."""
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p", "r"], ["21X+"])
+    angles = [p.name for p in free if p.kind == "posture"]
+    found = Hypothesis("parameter", "posture", scale=tuple((name, 30.0) for name in angles))
+    parameters = found.parameters(free)
+    for off in (0.02, 1e-4):
+        values = parameters.values(np.zeros(len(parameters)))
+        values[parameters.names.index("posture.r.q2")] = off
+        z = parameters.coordinates(values)
+        fit = Fitted(found, parameters, z, values, robot, 0, 1, 1e6 * np.eye(len(z)), 1, True)
+        ((name, one),) = estimates(fit, ("parameter", "posture")).items()
+        assert (name, one["unit"]) == ("r.q2", "°")
+        assert one["value"] == pytest.approx(np.rad2deg(off))
+        low, high = one["interval90"]
+        assert low < one["value"] < high
+
+
+def test_what_a_fit_moved_most_within_the_description_is_told() -> None:
+    """A spring at 2.8 deviations; not one at 1, nor one that is far off and has a sentence of its own."""
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    z = np.zeros(len(free))
+    for name, off in (("joint3.z.stiffness", -2.8), ("joint2.z.stiffness", 1.0), ("joint1.z.stiffness", 5.0)):
+        z[free.names.index(name)] = off
+    fit = Fitted(NONE, free, z, free.values(z), robot, 0, 1, 100 * np.eye(len(z)), 1, True)
+    (told,) = moved_most(fit)
+    assert "joint3.z.stiffness is" in told
+    assert "2.8 standard deviations off" in told
+    assert "joint2" not in told
+    assert not moved_most(replace(fit, z=0 * z, values=free.values(0 * z)))
+
+
 def test_what_is_far_off_is_told_with_its_interval_farthest_first() -> None:
     """A spring, a damper and an angle; of the angle it is asked whether that posture was hit."""
     robot = without_limits(load_robot("kr90"))
@@ -906,6 +940,9 @@ def test_a_payload_on_a_light_wrist_may_have_an_inertia_that_a_body_can_have(kr9
     assert {**cube, "inertia": []} == {**point, "inertia": []}
     assert cube["inertia"][0] > light.tolerances.inertia * 0.5
     own = entry_hypothesis(light, "payload", "flange", cube).own
+    one = Channels(("21X+",), ("link3",), np.zeros((1, 3)), np.eye(3)[:1])
+    both = next(v for v in suspects(light, one, one, ["on"], (5.0, 30.0)) if v[0].key == "payload@flange")
+    assert [len(variant.own) for variant in both] == [4, 7]  # of a body, its moments are looked for
     assert [p.log for p in own] == [True, False, False, False, True, True, True]
     # a fit may leave moments that break the triangle inequality: they are written as the nearest that do not
     fitted = Entry(effect="payload", site="flange", **{**point, "inertia": [1.0, 0.1, 0.1]})
