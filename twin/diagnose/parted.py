@@ -15,7 +15,7 @@ from twin.robot.frames import inertia_six
 
 PARTED_FROM = (-2.0, -0.5, 0.5)  # prior deviations of a mass from which a part of a link is sought
 LEAST_LEFT = 0.1  # of the whole is the link's, at least
-LEAST_MOMENT = 0.01  # of the usual one
+MOMENT_LEFT = 0.01  # of the usual one
 INERTIAL = ("mass", "com.x", "com.y", "com.z", *(f"inertia.{pair}" for pair in SIX))
 
 
@@ -82,5 +82,5 @@ def _rest_of(whole: Inertial, link: Inertial, part: Parameters) -> list[FloatArr
     values = part.values(np.zeros(len(part)))
     values[:4] = [mass, *com]
     moments = len(part) - 4
-    values[4:] = np.maximum(np.diag(inertia)[:moments], LEAST_MOMENT * values[4:])
+    values[4:] = np.maximum(np.diag(inertia)[:moments], MOMENT_LEFT * values[4:])
     return [part.coordinates(values)]
