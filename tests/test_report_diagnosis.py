@@ -62,14 +62,14 @@ def test_a_peak_of_the_right_place_and_wrong_height_is_told_by_its_height() -> N
 def test_a_peak_the_model_does_not_have_is_said_to_be_missing() -> None:
     absent = record(oscillators(20.0), oscillators(11.0, 20.0), oscillators(11.0, 20.0))
     text = sentence("attached_resonator at link3", [absent], ERRORS, [])
-    assert "no peak in the measured band near mode 1 at 11.00 Hz" in text
+    assert "no peak of its own for mode 1 at 11.00 Hz" in text
 
 
 def test_a_peak_of_the_model_belongs_to_the_nearest_measured_one() -> None:
     """Without what was found the second peak is not there, and the first is not told in its place."""
     hidden = record(oscillators(10.0), oscillators(10.1, 13.0), oscillators(10.1, 13.0))
     text = sentence("base_compliance at base.ry", [hidden], ERRORS, [])
-    assert "no peak in the measured band near the peak of 21Z+/4Y+ at 13.01 Hz" in text
+    assert "no peak of its own for the peak of 21Z+/4Y+ at 13.01 Hz" in text
 
 
 def test_a_fall_is_told_with_the_digits_that_show_it() -> None:

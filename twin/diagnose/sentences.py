@@ -10,8 +10,9 @@ from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Rec
 from twin.measure.campaign import FloatArray
 
 PROMINENCE = np.log(2.0)  # of a peak above the valleys beside it
+SHOULDER = np.log(1.25)  # of a measured peak that a model's may belong to, though it is not one to be told
 SAME_PEAK = np.log(1.4)  # between a measured peak and the model's
-NOWHERE = 0.15  # what a peak counts that the model does not have near
+NOWHERE = 0.1  # what a peak counts that the model does not have near: as if it were off by 10 %
 SHIFT = 0.004  # of a peak's frequency: less is told by its height
 BETWEEN = 0.25  # lines, to which a peak between them is interpolated
 LOUD_PEAK = 0.005  # of the loudest line: less is hard to see
@@ -65,7 +66,7 @@ def _spots(record: FrfRecord, pair: int, loudest: float) -> list[Spot]:
     if not peaks:
         return []
     models = [_peaks(record.frequency, H) for H in (before, after)]
-    places = [frequency for _, _, frequency in peaks]
+    places = [frequency for _, _, frequency in _peaks(record.frequency, measured, SHOULDER)]
     found = []
     for line, height, frequency in peaks:
         noise = np.sqrt(2 * record.variance[flat][line])
@@ -87,11 +88,11 @@ def _spots(record: FrfRecord, pair: int, loudest: float) -> list[Spot]:
     return found
 
 
-def _peaks(frequency: FloatArray, H: FloatArray) -> list[tuple[int, float, float]]:
+def _peaks(frequency: FloatArray, H: FloatArray, prominence: float = PROMINENCE) -> list[tuple[int, float, float]]:
     """Line, height and interpolated frequency of the prominent peaks of |H|."""
     level = np.log(np.maximum(H, 1e-300))
     found = []
-    for k in _summits(level.tolist()):
+    for k in _summits(level.tolist(), prominence):
         left, middle, right = level[k - 1 : k + 2]
         bend = left - 2 * middle + right
         shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
@@ -100,8 +101,8 @@ def _peaks(frequency: FloatArray, H: FloatArray) -> list[tuple[int, float, float
     return found
 
 
-def _summits(level: Sequence[float]) -> list[int]:
-    """Where a curve is highest between two valleys of which both lie ``PROMINENCE`` lower.
+def _summits(level: Sequence[float], prominence: float = PROMINENCE) -> list[int]:
+    """Where a curve is highest between two valleys of which both lie ``prominence`` lower.
 
     One pass; ``scipy.signal.find_peaks`` says the same, but importing it takes a third of a second.
     """
@@ -109,7 +110,7 @@ def _summits(level: Sequence[float]) -> list[int]:
     for k, value in enumerate(level):
         if (value > extreme) if rising else (value < extreme):
             at, extreme = k, value
-        elif abs(value - extreme) >= PROMINENCE:
+        elif abs(value - extreme) >= prominence:
             if rising:
                 found.append(at)
             rising, at, extreme = not rising, k, value
@@ -190,7 +191,7 @@ def _frf_sentence(name: str, records: Sequence[FrfRecord]) -> str:
     peak = f"{what} in '{record.name}'{', not used,' if record.held_out else ''}"
     if not np.isfinite(spot.before[0]):
         return (
-            f"Without {name} the refitted model has no peak in the measured band near {peak.rstrip(',')}; "
+            f"Without {name} the refitted model has no peak of its own for {peak.rstrip(',')}; "
             f"with it, at {spot.after[0]:.2f} Hz."
         )
     if spot.by_height:
