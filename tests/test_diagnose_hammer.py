@@ -849,16 +849,18 @@ def test_a_wrong_angle_is_told_by_posture_and_axis_in_degrees() -> None:
 
 
 def test_what_a_fit_moved_most_within_the_description_is_told() -> None:
-    """A spring at 2.8 deviations; not one at 1, nor one that is far off and has a sentence of its own."""
+    """A spring at 2.8 deviations; not one at 1, nor four that are far off and have sentences of their own."""
     robot = without_limits(load_robot("kr90"))
     free = free_parameters(robot, ["p"], ["21X+"])
     z = np.zeros(len(free))
-    for name, off in (("joint3.z.stiffness", -2.8), ("joint2.z.stiffness", 1.0), ("joint1.z.stiffness", 5.0)):
+    far = [(f"joint{j}.{axis}.stiffness", 5.0) for j in (1, 2) for axis in "xy"]
+    for name, off in (("joint3.z.stiffness", -2.8), ("joint2.z.stiffness", 1.0), *far):
         z[free.names.index(name)] = off
     fit = Fitted(NONE, free, z, free.values(z), robot, 0, 1, 100 * np.eye(len(z)), 1, True)
     (told,) = moved_most(fit)
     assert "joint3.z.stiffness is" in told
     assert "2.8 standard deviations off" in told
+    assert "joint1" not in told
     assert "joint2" not in told
     assert not moved_most(replace(fit, z=0 * z, values=free.values(0 * z)))
 
@@ -943,6 +945,8 @@ def test_a_payload_on_a_light_wrist_may_have_an_inertia_that_a_body_can_have(kr9
     one = Channels(("21X+",), ("link3",), np.zeros((1, 3)), np.eye(3)[:1])
     both = next(v for v in suspects(light, one, one, ["on"], (5.0, 30.0)) if v[0].key == "payload@flange")
     assert [len(variant.own) for variant in both] == [4, 7]  # of a body, its moments are looked for
+    twice = CATALOGUE["payload"].given_size(light, "flange", 2 * point["mass"])
+    assert twice == pytest.approx({f"inertia[{k}]": 2 ** (5 / 3) * cube["inertia"][0] for k in range(3)})
     assert [p.log for p in own] == [True, False, False, False, True, True, True]
     # a fit may leave moments that break the triangle inequality: they are written as the nearest that do not
     fitted = Entry(effect="payload", site="flange", **{**point, "inertia": [1.0, 0.1, 0.1]})

@@ -157,6 +157,7 @@ def cut_off(
     leaky = leaking(thin, campaign, first)
     starts = fit.z, np.zeros(len(fit.z))  # a model that does not leak may have come to rest far away
     plain = descend(base, fit.hypothesis, fit.parameters, thin, fit.z, tempered=0)
+    # the cost of a model that explains enough, as tense as the plain one
     enough = 0.5 * plain.data * (1 + (1 - EXPLAINED) * (plain.misfit - 1)) + 0.5 * float(plain.z @ plain.z)
     near = min(
         (descend(base, fit.hypothesis, fit.parameters, leaky, z, logarithmic=25, hopeless=enough) for z in starts),

@@ -499,11 +499,9 @@ def _described(fit: Fitted, site: str, indices: Sequence[int]) -> dict[str, Any]
 
 def _angles(fit: Fitted, indices: Sequence[int]) -> dict[str, Any]:
     """Errors of angles that are off most, by posture and axis (``p4.q5``), degrees (m)."""
-    factor = dict(fit.hypothesis.scale)
-    off = {k: abs(fit.values[k]) / p.deviation * factor.get(p.name, 1.0) for k in indices if (p := fit.parameters[k])}
-    ranked = sorted(off, key=lambda k: -off[k])
+    ranked = [(k, off) for k, _, off in departures(fit) if k in indices]
     found: dict[str, Any] = {}
-    for k in [k for k in ranked if off[k] > STRAINED] or ranked[:1]:
+    for k, _ in [one for one in ranked if one[1] > STRAINED] or ranked[:1]:
         (one,) = estimates_of(fit, [k]).values()
         scale = 180 / np.pi if one["unit"] == "rad" else 1.0
         found[fit.parameters[k].name.removeprefix("posture.")] = {
@@ -550,20 +548,17 @@ def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
 
 def moved_most(fit: Fitted, most: int = 3) -> list[Note]:
     """The springs and links that a fit has farthest from the description, within what that allows, in one sentence."""
-    moved: list[tuple[float, int]] = []
-    for k, p in enumerate(list(fit.parameters)[: len(fit.z) - len(fit.hypothesis.own)]):
-        if p.kind in ("spring", "link") and p.name not in dict(fit.hypothesis.scale):
-            change = np.log(fit.values[k] / p.mean) if p.log else fit.values[k] - p.mean
-            moved.append((abs(float(change)) / p.deviation, k))
-    told = [(off, k) for off, k in sorted(moved, reverse=True)[:most] if MOVED < off <= STRAINED]
-    if not told or fit.misfit > ASTRAY:
+    if fit.misfit > ASTRAY:
         return []
-    names = [
-        f"{p.name} is {fit.values[k]:.4g} {p.unit} (described {p.mean:.4g}, {off:.1f} standard deviations off)"
-        for off, k in told
-        if (p := fit.parameters[k])
-    ]
-    return [Note(f"the fit moved most, within what the description allows: {'; '.join(names)}", "note", "note")]
+    names = []
+    for k, _, off in departures(fit):
+        p = fit.parameters[k]
+        if p.kind in ("spring", "link") and MOVED < off <= STRAINED:
+            value = f"{fit.values[k]:.4g} {p.unit}"
+            names.append(f"{p.name} is {value} (described {p.mean:.4g}, {off:.1f} standard deviations off)")
+    if not names:
+        return []
+    return [Note(f"the fit moved most, within what the description allows: {'; '.join(names[:most])}", "note", "note")]
 
 
 def strained(fit: Fitted) -> list[Note]:
@@ -606,7 +601,12 @@ def off_descriptions(fit: Fitted, numbers: Sequence[tuple[int, float]]) -> list[
 
 
 def far_off(fit: Fitted) -> list[tuple[int, float, float]]:
-    """Described numbers that a fit takes much further than their description allows, farthest first.
+    """Described numbers that a fit takes much further than their description allows, as :func:`departures`."""
+    return [one for one in departures(fit) if one[2] > STRAINED]
+
+
+def departures(fit: Fitted) -> list[tuple[int, float, float]]:
+    """How far a fit takes every number of the description, farthest first.
 
     Index, change (of a logarithm where the number has one) and standard deviations. Answers are left out, all but
     angles of postures.
@@ -618,9 +618,7 @@ def far_off(fit: Fitted) -> list[tuple[int, float, float]]:
         if p.kind == "sag" or (p.name in answered and p.kind != "posture"):
             continue
         change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
-        off = abs(change) / p.deviation * answered.get(p.name, 1.0)
-        if off > STRAINED:
-            found.append((k, change, off))
+        found.append((k, change, abs(change) / p.deviation * answered.get(p.name, 1.0)))
     return sorted(found, key=lambda one: -one[2])
 
 
