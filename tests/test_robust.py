@@ -522,6 +522,13 @@ def test_a_long_wait_is_told_beforehand(
     assert effort.expected_s("identify", [tmp_path / "none.h5", Path(__file__)]) == 0
     test = [EXAMPLES / "cell" / "campaign.h5"]
     assert 0 < effort.expected_s("compare --as-is", test) < effort.expected_s("compare", test)
+    six, three = tmp_path / "six.h5", tmp_path / "three.h5"
+    for path, axes in ((six, 6), (three, 3)):
+        with h5py.File(path, "w") as file:
+            file.attrs["format"] = "frf-campaign"
+            file.create_dataset("postures/p1/frf", (100, 3, 4), complex)
+            file["postures/p1"].attrs["q_deg"] = np.zeros(axes)
+    assert effort.expected_s("diagnose", [six]) == pytest.approx(4 * effort.expected_s("diagnose", [three]))
 
 
 @pytest.mark.parametrize("option", [("--place-turn-deg", "-1e300"), ("--place", "0", "1e7", "0")])

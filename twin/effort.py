@@ -15,6 +15,10 @@ SECONDS = {  # per sample and axis, or per line and channel, on one core: `pytho
     ("fit", "frf-campaign"): 3.6e-4,  # of 12 postures, one start, a model that lacks something
     ("diagnose", "frf-campaign"): 3.4e-4,  # of 8 postures
 }
+AXES = 6  # of the robot that these hammer tests were of
+POWER = {"fit": 1, "diagnose": 2}
+"""The power of the number of axes that the time of FRFs grows with: so many numbers have slopes, and a diagnosis tries
+so many effects, too. Of `make demo`'s three axes, a fit takes half and a diagnosis a fifth."""
 MANY = {  # of more than SEARCHED values: how many take so long, and seconds per value of the others; of 200 postures
     ("fit", "frf-campaign"): (0, 1.05e-4),  # one start, a model that lacks something
     ("diagnose", "frf-campaign"): (SEARCHED, 7e-5),
@@ -27,10 +31,11 @@ def expected_s(command: str, recordings: Iterable[str | Path]) -> float:
     What cannot be read counts nothing: it is refused later.
     """
     plain, total = command.partition(" ")[0], 0.0
-    for kind, values in map(_size, recordings):
+    for kind, values, axes in map(_size, recordings):
         work = (command, kind) if (command, kind) in SECONDS else (plain, kind)
         first, other = MANY.get(work, (values, 0.0)) if values > SEARCHED else (values, 0.0)
-        total += SECONDS.get(work, 0.0) * first + other * (values - first)
+        known = SECONDS.get(work, 0.0) * first + other * (values - first)
+        total += known * (axes / AXES) ** POWER.get(plain, 0) if axes else known
     return total
 
 
@@ -44,9 +49,10 @@ def told(seconds: float) -> str:
     return f"about {minutes:.0f} minutes" if minutes < 90 else f"about {minutes / 60:.0f} hours"
 
 
-def _size(path: str | Path) -> tuple[str, int]:
-    """Kind of a recording, and how many values it holds."""
+def _size(path: str | Path) -> tuple[str, int, int]:
+    """Kind of a recording, how many values it holds, and of FRFs the axes of the robot (0: not known)."""
     import h5py  # --version and --help need none
+    import numpy as np
 
     from twin.measure.hdf5 import opened
 
@@ -56,6 +62,7 @@ def _size(path: str | Path) -> tuple[str, int]:
             group, name = ("runs", "position") if kind == "motion-log" else ("postures", "frf")
             sets = [part[name] for part in file.get(group, {}).values() if name in part]
             sizes = [int(item.size) for item in sets if isinstance(item, h5py.Dataset) and item.shape]
-            return kind, sum(size for size in sizes if size <= MOST_VALUES)  # others are refused
+            axes = max((np.size(part.attrs.get("q_deg", ())) for part in file.get("postures", {}).values()), default=0)
+            return kind, sum(size for size in sizes if size <= MOST_VALUES), int(axes)  # others are refused
     except (OSError, AttributeError, TypeError, KeyError, ValueError, RuntimeError):
-        return "", 0
+        return "", 0, 0
