@@ -13,7 +13,6 @@ from tools.large import hammer_test
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, _of_sites, decide
 from twin.diagnose.described import described
-from twin.diagnose.engine import _one_test
 from twin.diagnose.frf_nearest import nearest
 from twin.diagnose.hammer import _or_its_link
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
@@ -36,11 +35,12 @@ from twin.diagnose.screen import (
 from twin.diagnose.search import Search, _best_of_each, _in_its_stead, _taken_over, converge, explain, settle
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, estimates, estimates_of, judge, missing_of, moved_most, rival_of, strained
+from twin.errors import InputError
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
 from twin.identify.recorded import prepare, without_limits
-from twin.measure.campaign import Campaign, Channels, FloatArray, PostureFRF, Quantity, read_campaign
-from twin.measure.recordings import Recording
+from twin.measure.campaign import Campaign, Channels, FloatArray, PostureFRF, Quantity, read_campaign, write_campaign
+from twin.measure.recordings import Recording, one_test_each, read_one
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import Parameter as Free
@@ -1015,9 +1015,26 @@ def test_hammer_tests_of_the_same_points_are_one_test(tmp_path: Path) -> None:
 
     few, rest = test("few.h5", first), test("next.h5", second)
     again = test("next.h5", replace(first, frf=2 * first.frf))
-    (whole,) = _one_test([few, rest, again, again])
+    (whole,) = one_test_each([few, rest, again, again])
     assert whole.names == (first.name, second.name, f"{first.name} (next)", f"{first.name} (next 2)")
     assert whole.inputs == ("few.h5", *["next.h5"] * 3)
     response = replace(campaign.response, position=campaign.response.position + 0.01)
     elsewhere = test("next.h5", second, response=response)
-    assert _one_test([few, elsewhere]) == [few, elsewhere]
+    assert one_test_each([few, elsewhere]) == [few, elsewhere]
+
+
+def test_what_takes_one_test_takes_several_of_the_same_points(tmp_path: Path) -> None:
+    """`make demo` writes one file a posture: the next thing is to fit them all."""
+    campaign = recorded(tmp_path, "--postures", "2").campaign
+    files = []
+    for posture in campaign.postures.values():
+        files.append(tmp_path / f"{posture.name}.h5")
+        write_campaign(files[-1], replace(campaign, postures={posture.name: posture}))
+    one = read_one(files, "frf-campaign")
+    assert one.names == tuple(campaign.postures)
+    assert one.inputs == tuple(files)
+    other = replace(campaign, robot="kr90_six", postures={"p9": replace(posture, name="p9")})
+    write_campaign(tmp_path / "other.h5", other)
+    with pytest.raises(InputError, match=r"other.h5.*kr90_six.*say which with --robot"):
+        read_one([*files, tmp_path / "other.h5"], "frf-campaign")
+    assert len(read_one([*files, tmp_path / "other.h5"], "frf-campaign", robot="kr90").names) == 3

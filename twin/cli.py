@@ -252,7 +252,7 @@ def simulate(
 @command()
 def modal(
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING", help="A hammer test (.h5), or universal files (.uff, .unv).")
+        list[Path], typer.Argument(metavar="RECORDING", help="Hammer tests of the same points (.h5, .uff, .unv).")
     ],
     robot: Robot = None,
     without: Without = None,

@@ -14,10 +14,10 @@ from twin.diagnose.engine import diagnosed
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.records import FrfRecord, LogRecord
 from twin.diagnose.verdict import Verdict
-from twin.errors import InputError, Told
+from twin.errors import Told
 from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.identify.recorded import without_limits
-from twin.measure.recordings import Given, Recording, read_recordings, traced
+from twin.measure.recordings import Given, read_recordings, robot_of_all, traced
 from twin.memory import uncollected
 from twin.model.linear import linearise
 from twin.model.modes import modes
@@ -57,32 +57,13 @@ def diagnose(
     progress = progress or silent
     tests = read_recordings(recordings)
     check_spared(out, tests)
-    given = _described(tests, robot).without(without or [])
+    given = robot_of_all(tests, robot).without(without or [])
     verdict, evidence = diagnosed(tests, given, hold_out=hold_out, seed=seed, progress=progress)
     verdict.origin = provenance(
         traced(tests, robot), {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
     )
     _finish(verdict, evidence, out)
     return verdict
-
-
-def _described(tests: Sequence[Recording], robot: Robot | str | Path | None) -> Robot:
-    """The one robot of all recordings.
-
-    Raises:
-        InputError: the recordings name different robots.
-    """
-    if robot:
-        return load_robot(robot)
-    first, *others = [test for test in tests if test.named] or tests[:1]
-    described = first.described()
-    for other in others:
-        if other.described().model_dump() != described.model_dump():
-            raise InputError(
-                other.source, "robot",
-                f"{other.named!r} is not the same as {first.named!r} of {first.source}; say which with --robot",
-            )  # fmt: skip
-    return described
 
 
 # --- what is written --------------------------------------------------------------------------------------------------

@@ -164,7 +164,7 @@ def fit(
     """Fit a robot to a hammer test or a modal table.
 
     Args:
-        recording: a :class:`Campaign` or :class:`ModalTable`, or its file, or universal files that belong together.
+        recording: a :class:`Campaign` or :class:`ModalTable`, or its file, or several hammer tests of the same points.
         robot: a :class:`Robot`, shipped name, ``robot.yaml`` or URDF; wins over the recording's.
         without: entries to remove, ``EFFECT`` or ``EFFECT@SITE``.
         hold_out: postures not used, by name; by default the last of three or more, an empty list for none.
@@ -182,7 +182,7 @@ def fit(
     """
     check_out(out)
     progress = progress or silent
-    given = read_one(recording, "frf-campaign", "modal-table")
+    given = read_one(recording, "frf-campaign", "modal-table", robot=robot)
     check_spared(out, [given])
     if band_hz is not None:
         check_band("--band", band_hz)
@@ -206,6 +206,7 @@ def fit(
             progress=progress, profiled=out is not None,
         )  # fmt: skip
     found = FitResult(**vars(fitting))
+    found.source = ", ".join(str(getattr(one, "source", one)) for one in given.inputs)
     found.origin = provenance(traced([given], robot), options)
     if out is not None:
         with Outputs(out, "fit") as outputs:

@@ -121,7 +121,7 @@ def modal(
     """Identify the modes of every posture of a hammer test, or of a structure that runs.
 
     Args:
-        recording: a :class:`Campaign`, ``measured_frf.h5``, or universal files that belong together.
+        recording: a :class:`Campaign`, its file, or several hammer tests of the same points.
         robot: the robot shapes are drawn on; by default the recording's, else kr90 where the recording has axis
             positions. What is no robot is drawn as a wire frame.
         without: entries removed from it, ``EFFECT`` or ``EFFECT@SITE``.

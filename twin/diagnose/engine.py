@@ -1,20 +1,15 @@
 """The engine: recordings are a list of evidence about one set of numbers; each explains what those before left."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-
-import numpy as np
 
 from twin.diagnose.borne_out import borne_out
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.joint import together
 from twin.diagnose.verdict import Finding, Verdict
 from twin.errors import InputError
-from twin.measure.recordings import Recording
+from twin.measure.recordings import Recording, one_test_each
 from twin.parallel import Progress, cores
 from twin.robot.description import Robot
-
-SAME = 1e-6  # m, and of unit vectors: points of two tests are the same
 
 
 def evidence_of(recording: Recording) -> Evidence:
@@ -53,41 +48,13 @@ def diagnosed(
         InputError: a name to hold out that no recording has, or a recording that does not fit the robot.
     """
     order = ("motion-log", "frf-campaign", "modal-table")
-    some = [evidence_of(r) for r in sorted(_one_test(recordings), key=lambda r: order.index(r.kind))]
+    some = [evidence_of(r) for r in sorted(one_test_each(recordings), key=lambda r: order.index(r.kind))]
     chosen = _shared_out(hold_out, some)
     findings: list[Finding] = []
     for one, held in zip(some, chosen, strict=True):
         told_by = findings[-1] if findings else None
         findings.append(one.explain(given, told_by, hold_out=held, seed=seed, progress=progress, processes=cores()))
     return borne_out(_settled(findings, some, chosen)), some
-
-
-def _one_test(recordings: Sequence[Recording]) -> list[Recording]:
-    """Hammer tests of the same points are one: postures of the one tell apart what those of the other cannot."""
-    found: list[Recording] = []
-    for one in recordings:
-        same = next((k for k, r in enumerate(found) if r.kind == one.kind == "frf-campaign" and _alike(r, one)), None)
-        if same is None:
-            found.append(one)
-            continue
-        first = found[same]
-        postures = dict(first.content.postures)
-        for name, posture in one.content.postures.items():
-            told = (name, f"{name} ({one.stem})", *(f"{name} ({one.stem} {k})" for k in range(2, len(recordings) + 2)))
-            free = next(n for n in told if n not in postures)  # files of several folders may have one name
-            postures[free] = replace(posture, name=free)
-        content = replace(first.content, postures=postures)
-        found[same] = replace(first, content=content, inputs=(*first.inputs, *one.inputs))
-    return found
-
-
-def _alike(one: Recording, other: Recording) -> bool:
-    """Whether sensors and hammer points are the same, on the same bodies."""
-    return all(
-        a.label == b.label and a.body == b.body
-        and np.allclose(a.position, b.position, atol=SAME) and np.allclose(a.direction, b.direction, atol=SAME)
-        for a, b in ((getattr(r.content, side) for r in (one, other)) for side in ("response", "excitation"))
-    )  # fmt: skip
 
 
 def _settled(findings: list[Finding], some: Sequence[Evidence], chosen: Sequence[list[str] | None]) -> Verdict:

@@ -2,9 +2,11 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from twin.errors import InputError
 from twin.measure.campaign import Campaign
@@ -30,6 +32,7 @@ TITLES: dict[Kind, str] = {
 }
 UFF = (".uff", ".unv", ".bunv", ".ufb", ".58")
 TABLES = (".yaml", ".yml")
+SAME = 1e-6  # m, and of unit vectors: points of two tests are the same
 
 
 @dataclass(frozen=True)
@@ -82,12 +85,12 @@ class Recording:
 
 
 def read_campaign(paths: str | Path | Sequence[str | Path]) -> Campaign:
-    """Read a hammer test: one ``frf-campaign`` file (HDF5), or universal files (58, 58b) that belong together.
+    """Read a hammer test: ``frf-campaign`` files (HDF5) of the same points, or universal files (58, 58b).
 
     FRFs are computed where the file holds time records of blows alone.
 
     Args:
-        paths: one file, or several universal files.
+        paths: one file, or several that belong together.
 
     Raises:
         InputError: a file is missing or breaks the contract, or kinds are mixed.
@@ -96,15 +99,24 @@ def read_campaign(paths: str | Path | Sequence[str | Path]) -> Campaign:
     return found
 
 
-def read_one(given: Given, *kinds: Kind) -> Recording:
-    """The one recording that was given.
+def read_one(given: Given, *kinds: Kind, robot: Robot | str | Path | None = None) -> Recording:
+    """The one recording that was given; hammer tests of the same points are one, see :func:`one_test_each`.
+
+    Args:
+        given: files, or what was read from them.
+        kinds: that are taken.
+        robot: as for :func:`robot_of_all`.
 
     Raises:
-        InputError: it is of another kind, or there are several.
+        InputError: it is of another kind, there are several, or those of one test name different robots.
     """
-    found = read_recordings(given)
+    several = read_recordings(given)
+    found = one_test_each(several)
     if len(found) > 1:
-        raise InputError(found[1].source, "", "several files are taken only when all are universal files (.uff, .unv)")
+        expected = "is a recording of its own; only hammer tests of the same sensors and hammer points are taken as one"
+        raise InputError(found[1].source, "", expected)
+    if len(several) > 1:
+        robot_of_all(several, robot)
     if found[0].kind not in kinds:
         expected = " or ".join(TITLES[kind] for kind in kinds)
         raise InputError(found[0].source, "", f"expected {expected}, found {TITLES[found[0].kind].partition(' (')[0]}")
@@ -141,6 +153,35 @@ def read_recordings(given: Given) -> list[Recording]:
     return found
 
 
+def one_test_each(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings; hammer tests of the same points are one of all their postures."""
+    found: list[Recording] = []
+    for one in recordings:
+        same = next((k for k, r in enumerate(found) if r.kind == one.kind == "frf-campaign" and _alike(r, one)), None)
+        if same is None:
+            found.append(one)
+            continue
+        first = found[same]
+        postures, hits = dict(first.content.postures), dict(first.hits)
+        for name, posture in one.content.postures.items():
+            told = (name, f"{name} ({one.stem})", *(f"{name} ({one.stem} {k})" for k in range(2, len(recordings) + 2)))
+            free = next(n for n in told if n not in postures)  # files of several folders may have one name
+            postures[free] = replace(posture, name=free)
+            hits |= {free: one.hits[name]} if name in one.hits else {}
+        content = replace(first.content, postures=postures)
+        found[same] = replace(first, content=content, inputs=(*first.inputs, *one.inputs), hits=hits)
+    return found
+
+
+def _alike(one: Recording, other: Recording) -> bool:
+    """Whether sensors and hammer points are the same, on the same bodies."""
+    return all(
+        a.label == b.label and a.body == b.body
+        and np.allclose(a.position, b.position, atol=SAME) and np.allclose(a.direction, b.direction, atol=SAME)
+        for a, b in ((getattr(r.content, side) for r in (one, other)) for side in ("response", "excitation"))
+    )  # fmt: skip
+
+
 def robot_of(source: str | Path, named: str | None, robot: Robot | str | Path | None = None) -> Robot:
     """The robot given, else the one that a file names (looked up beside it), else kr90.
 
@@ -155,6 +196,25 @@ def robot_of(source: str | Path, named: str | None, robot: Robot | str | Path | 
         if error.source != named:  # the file is there, and has a fault of its own
             raise
         raise InputError(source, "robot", f"{named}: {error.expected}; say which with --robot") from error
+
+
+def robot_of_all(recordings: Sequence[Recording], robot: Robot | str | Path | None) -> Robot:
+    """The one robot of all recordings: the one given, else the one that they name.
+
+    Raises:
+        InputError: the recordings name different robots.
+    """
+    if robot:
+        return load_robot(robot)
+    first, *others = [one for one in recordings if one.named] or recordings[:1]
+    described = first.described()
+    for other in others:
+        if other.described().model_dump() != described.model_dump():
+            raise InputError(
+                other.source, "robot",
+                f"{other.named!r} is not the same as {first.named!r} of {first.source}; say which with --robot",
+            )  # fmt: skip
+    return described
 
 
 def traced(recordings: Sequence[Recording], robot: Robot | str | Path | None) -> list[Any]:
