@@ -137,7 +137,7 @@ def modal(
     Raises:
         InputError: bad input; nothing is written.
     """
-    given, running = _read_running(recording) if operational else (read_one(recording, "frf-campaign"), {})
+    given, running = _read_running(recording) if operational else (read_one(recording, "frf-campaign", robot=robot), {})
     campaign: Campaign = given.content
     check_out(out)
     for option, end in (("--fmin", fmin), ("--fmax", fmax)):
