@@ -1004,6 +1004,22 @@ def test_what_is_free_beside_a_described_foundation_is_written_under_its_own_nam
     assert (base.model_extra or {})["stiffness"] == pytest.approx(values[both.names.index("base.rx.stiffness")])
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_evidence_bears_numbers_that_are_held_beyond_rounding(seed: int) -> None:
+    """Two directions held ever closer, the third not at all: ln evidence falls by ln of each. It was a LinAlgError."""
+    rng = np.random.default_rng(seed)
+    own = tuple(Free(f"node:1.position[{k}]", "m", "point", False, 0.0, 1.0, "assumed") for k in range(3))
+    node = together(Hypothesis("parameter", "node:1.position", own=own))
+    held = rng.normal(size=(2, 3))
+
+    def evidence(square: float) -> float:
+        information, z = square * held.T @ held + np.eye(3), np.zeros(3)
+        return Fitted(node, independent(own), z, z, load_robot("kr90"), 1.0, 1.0, information, 100.0, True).evidence()
+
+    found = np.array([evidence(10.0**k) for k in (8, 12, 16, 20)])
+    assert np.diff(found) == pytest.approx([-4 * np.log(10)] * 3, abs=1e-3)
+
+
 def test_hammer_tests_of_the_same_points_are_one_test(tmp_path: Path) -> None:
     """A posture of one tells apart what those of the other cannot; other points stay a test of their own."""
     campaign = recorded(tmp_path, "--postures", "2").campaign

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
 
 from twin.diagnose.hypotheses import Hypothesis, Sprung, together
 from twin.identify.descent import minimise
@@ -29,6 +28,7 @@ ASTRAY = 100.0  # times the variance of noise: how badly such a fit foretells ne
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
 LEVELS = 5  # widths over which a tolerance may be too narrow
 WIDTHS = (1.0, 2.0, 4.0)
+SILENT = 1e-9  # of a prior's variance: data that take less of it say nothing
 REFIT_TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
 
 
@@ -76,9 +76,15 @@ class Fitted:
         By factors: what recordings hold to a millionth of a deviation would else round to less than nothing. The widest
         prior gives every direction some information at least. Rounding may take it away beside a very large one.
         """
-        size, axes = np.linalg.eigh(self.information)
+        size, axes = self._spectrum
         factor = self.parameters.root @ (axes / np.sqrt(np.maximum(size, WIDTHS[-1] ** -2)))
         return np.asarray(factor @ factor.T) * max(1.0, self.misfit)
+
+    @cached_property
+    def _spectrum(self) -> tuple[FloatArray, FloatArray]:
+        """Eigenvalues (n,) and eigenvectors (n, n) of the information: they bear what no factor of it would."""
+        size, axes = np.linalg.eigh(self.information)
+        return size, axes
 
     def evidence(self, scale: float = 1.0) -> float:
         """Logarithm of the evidence with the data's variance multiplied by ``scale`` (Birge's ratio)."""
@@ -97,26 +103,25 @@ class Fitted:
     def _evidence_at(self, scale: float) -> float:
         if self.too_heavy:
             return -np.inf
-        chi2 = self.misfit * self.data
-        eye = np.eye(len(self.z))
-        information = (self.information - eye) / scale + eye
-        factor = lu_factor(information)
-        determinant = float(np.sum(np.log(np.abs(np.diag(factor[0])))))
-        laplace = float(-0.5 * (chi2 / scale + self.z @ self.z) - 0.5 * determinant)
-        return laplace + self._of_any_size(factor)
+        chi2, (information, axes) = self.misfit * self.data, self._spectrum
+        rounding = len(information) * np.finfo(float).eps * information[-1]
+        size = np.where(information > rounding, np.maximum((information - 1) / scale + 1, 1.0), 1.0)  # the prior's
+        laplace = float(-0.5 * (chi2 / scale + self.z @ self.z) - 0.5 * np.sum(np.log(size)))
+        return laplace + self._of_any_size(axes / np.sqrt(size))
 
-    def _of_any_size(self, factor: tuple[FloatArray, FloatArray]) -> float:
+    def _of_any_size(self, root: FloatArray) -> float:
         """What the evidence gains when sizes may be far from the usual one: prior widths averaged over their scale.
 
         The prior of an angle, gain or delay of either sign may be as narrow as ``SMALLER`` of its usual width; all
         these scales are alike. The same holds for a number of the description, down to its tolerance. The logarithm of
         a size may be ``WIDTHS`` times as far off, but it stays where it is. A wider prior would move it along a bent
         valley, and no Gaussian tells how far. The likelihood is Gaussian in the own parameters, the others integrated
-        out. ``factor``: of the information, as ``lu_factor`` gives it.
+        out. ``root`` (n, n): of the posterior's covariance.
         """
         gained, at = 0.0, len(self.z) - len(self.hypothesis.own)
         if self.hypothesis is NONE:
             return gained
+        silent = max(SILENT, float(np.finfo(float).eps * self._spectrum[0][-1]))  # more than that is rounding
         for piece in self.hypothesis.pieces:
             block = list(range(at, at + len(piece.own)))
             at += len(piece.own)
@@ -125,16 +130,15 @@ class Fitted:
                 block = [self.parameters.names.index(name) for name, _ in piece.scale]
                 smaller = tuple(np.geomspace(1 / piece.scale[0][1], 1.0, LEVELS))
             block = block if signed else block[:1]
-            precision = np.linalg.inv(lu_solve(factor, np.eye(len(self.z))[:, block])[block])
-            likelihood = precision - np.eye(len(block))
-            if np.linalg.eigvalsh(likelihood)[0] <= 1e-9:
+            size, axes = np.linalg.eigh(root[block] @ root[block].T)
+            if size[-1] > 1 - silent:
                 continue  # the recording says nothing of it
+            held = 1 / np.maximum(size, np.finfo(float).tiny) - 1  # what the data add to a precision of one
             if signed:
-                spread = np.linalg.inv(likelihood)
-                estimate = spread @ precision @ self.z[block]
-                logs = [_normal(estimate, spread + s**2 * np.eye(len(block))) for s in (*smaller, 1.0)]
+                estimate, spread = axes.T @ self.z[block] * (1 + 1 / held), 1 / held
+                logs = [_normal(estimate, spread + s**2) for s in (*smaller, 1.0)]
             else:
-                logs = [*_of_widths(float(self.z[block[0]]), float(likelihood[0, 0])), 0.0]
+                logs = [*_of_widths(float(self.z[block[0]]), float(held[0])), 0.0]
             *logs, usual = logs
             gained += float(np.logaddexp.reduce(logs) - np.log(len(logs)) - usual)
         return gained
@@ -198,9 +202,9 @@ def in_doubt_of_size(fit: Fitted) -> Fitted:
     return replace(fit, information=information)
 
 
-def _normal(x: FloatArray, covariance: FloatArray) -> float:
-    """Logarithm of a normal density at x about zero, without 2π."""
-    return float(-0.5 * x @ np.linalg.solve(covariance, x) - 0.5 * np.linalg.slogdet(covariance)[1])
+def _normal(x: FloatArray, variance: FloatArray) -> float:
+    """Logarithm of a normal density at x (n,) about zero, its numbers independent, without 2π."""
+    return float(-0.5 * np.sum(x**2 / variance) - 0.5 * np.sum(np.log(variance)))
 
 
 def descend(
