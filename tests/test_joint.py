@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.joint import _moment_slopes, _moments, _numbers, about
-from twin.model.parameters import SIX, Parameter, Parameters
+from twin.model.parameters import SIX, Parameter, Parameters, independent
 
 BODY = np.array([34.0, 0.01, 0.02, 0.21, 0.42, 0.39, 0.30, 0.01, -0.02, 0.005])
 
@@ -51,3 +51,19 @@ def test_all_ten_numbers_of_a_link_keep_their_moments() -> None:
     again = about(prior, there)
     was, now = _moment_slopes(BODY), _moment_slopes(there)
     np.testing.assert_allclose(now @ again.covariance @ now.T, was @ prior.covariance @ was.T, rtol=1e-4, atol=1e-12)
+
+
+def test_moments_that_a_line_would_put_elsewhere_keep_what_was_known_of_them() -> None:
+    """At a mass that a hammer test has found elsewhere, the moment about the payload's centre came out infinite."""
+    names = ["mass", *(f"com[{k}]" for k in range(3)), *(f"inertia[{k}]" for k in range(3))]
+    numbers, deviation = (2.5, 0.02, 0.02, 0.05, *[3.6e-3] * 3), (0.5, *[0.02] * 3, *[0.4] * 3)
+    items = [
+        Parameter(f"payload@flange.{name}", "", "entry", "com" not in name, value, spread, "assumed")
+        for name, value, spread in zip(names, numbers, deviation, strict=True)
+    ]
+    prior = independent(items)
+    far = np.array([3.1, 0.20, 0.05, 0.11, 4e-6, 4e-6, 4e-6])
+    again = about(prior, far)
+    assert np.isfinite([(item.mean, item.deviation) for item in again]).all()
+    assert np.isfinite(again.coordinates(far)).all()
+    np.testing.assert_array_equal(again.covariance, prior.covariance)

@@ -29,6 +29,8 @@ from twin.physics import CATALOGUE, effect_named
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix, inertia_six
 
+ELSEWHERE = 1.0  # of the logarithm of a mass or moment: a line that moves one by a factor of e holds nowhere near
+
 
 def shared(effect: str) -> bool:
     """Whether both kinds of recording can show an effect."""
@@ -122,14 +124,17 @@ def about(parameters: Parameters, values: FloatArray) -> Parameters:
 
     A log knows moments, m c and J + m (cᵀc E − c cᵀ), which are linear in its torque. Its knowledge of moments is
     normal. Its knowledge of masses and places is normal only near the values at which it was made linear. Far from
-    them, a payload that changes by a kilogram would change the log's torque.
+    them, a payload that changes by a kilogram would change the log's torque. A body whose mass or moments the
+    new line would have elsewhere altogether keeps what was known of it.
     """
     turn, items = np.eye(len(parameters)), list(parameters.items)
     for at in _bodies(parameters, range(len(parameters))):
         there, mean = values[at], np.array([items[k].mean for k in at])
         was, now = (_slopes_of(parameters, at, numbers) for numbers in (mean, there))
-        turn[np.ix_(at, at)] = np.linalg.solve(now, was)
         off = np.linalg.solve(now, _moments(mean) - _moments(there))
+        if any(items[k].log and abs(x) > ELSEWHERE for k, x in zip(at, off, strict=True)):
+            continue
+        turn[np.ix_(at, at)] = np.linalg.solve(now, was)
         for k, value, x in zip(at, there, off, strict=True):
             items[k] = replace(items[k], mean=float(value * np.exp(x) if items[k].log else value + x))
     covariance = turn @ parameters.covariance @ turn.T
