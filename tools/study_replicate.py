@@ -25,6 +25,7 @@ from twin.diagnose.torque_base import base_of
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_signal import Prepared, Run, prepare, run_of
 from twin.diagnose.torque_step import left_out
+from twin.errors import InputError
 from twin.identify.rigid import Bands, joint_run
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.robot.description import Robot, load_robot
@@ -56,10 +57,18 @@ def replicated(robot: Robot, used: MotionLog, unseen: MotionLog, title: str, ban
         where = ", ".join(f"joint{j + 1}" for j in joints)
         told = ""
         if after >= before:
-            named = named if named is not None else {s.key for s in _searched(robot, unseen, bands)[1].found}
+            named = named if named is not None else _named(robot, unseen, bands)
             told = ": named there, too, with another size" if step.key in named else ": DOES NOT REPLICATE"
         p = step.decision.probability[0]
         print(f"  {step.key:32} p {p:.2f}: {before:.2%} without, {after:.2%} with it at {where}{told}")
+
+
+def _named(robot: Robot, log: MotionLog, bands: Bands | None) -> set[str]:
+    """What a log gets named by itself; nothing where it is too short for that."""
+    try:
+        return {step.key for step in _searched(robot, log, bands)[1].found}
+    except InputError:
+        return set()
 
 
 def _searched(robot: Robot, log: MotionLog, bands: Bands | None) -> tuple[Prepared, Search]:
