@@ -1049,6 +1049,11 @@ def test_what_takes_one_test_takes_several_of_the_same_points(tmp_path: Path) ->
     one = read_one(files, "frf-campaign")
     assert one.names == tuple(campaign.postures)
     assert one.inputs == tuple(files)
+    silent = replace(campaign, robot=None, postures={"p8": replace(posture, name="p8")})
+    write_campaign(tmp_path / "silent.h5", silent)
+    write_campaign(files[1], replace(campaign, robot="kr90_identified", postures={posture.name: posture}))
+    assert read_one([tmp_path / "silent.h5", files[1]], "frf-campaign").described().name == "kr90_identified"
+    write_campaign(files[1], replace(campaign, postures={posture.name: posture}))
     other = replace(campaign, robot="kr90_six", postures={"p9": replace(posture, name="p9")})
     write_campaign(tmp_path / "other.h5", other)
     with pytest.raises(InputError, match=r"other.h5.*kr90_six.*say which with --robot"):

@@ -110,7 +110,7 @@ def read_one(given: Given, *kinds: Kind, robot: Robot | str | Path | None = None
     Raises:
         InputError: it is of another kind, there are several, or those of one test name different robots.
     """
-    several = read_recordings(given)
+    several = sorted(read_recordings(given), key=lambda one: not one.named)  # who names the robot speaks for all
     found = one_test_each(several)
     if len(found) > 1:
         expected = "is a recording of its own; only hammer tests of the same sensors and hammer points are taken as one"
