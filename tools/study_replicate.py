@@ -3,18 +3,21 @@
 Two thirds of a recording are diagnosed, hold-out of its own included. Then every name is taken out of the model in turn
 and all the rest refitted to the same two thirds. Both models predict the torque of the last third, which neither the
 search nor its hold-out had seen. Printed is RMS of the error over RMS of the torque, where the name acts: a name that
-replicates lowers it. One that does not may still be there with another size: then the unseen part by itself gets that
-name, too, which is said.
+replicates lowers it. Where one does not, the unseen part is diagnosed by itself: if it gets that name, too, its numbers
+on both parts are printed, with their 90 % intervals.
 
 The arm is the TX40 (nine seconds at 5 kHz, its URDF alone). Of EMPS (one axis, viscous friction alone described) and of
 the KR300 (10 Hz) one record is diagnosed and another foretold. ``TWIN_RECORDINGS`` is the folder of real
 recordings.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported
 
 import numpy as np
 import scipy.io
@@ -24,9 +27,10 @@ from twin.diagnose.torque import base_system, predicted_torque, searched, wide_e
 from twin.diagnose.torque_base import base_of
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_signal import Prepared, Run, prepare, run_of
-from twin.diagnose.torque_step import left_out
+from twin.diagnose.torque_step import Step, left_out, own_rows
 from twin.errors import InputError
 from twin.identify.rigid import Bands, joint_run
+from twin.identify.uncertainty import NINETY
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.robot.description import Robot, load_robot
 
@@ -48,7 +52,7 @@ def replicated(robot: Robot, used: MotionLog, unseen: MotionLog, title: str, ban
     prepared, search = _searched(robot, used, bands)
     other = [run_of(prepared.regressor, joint_run(robot, run), prepared.bands) for run in unseen.runs.values()]
     whole = _missed(prepared, other, search, ())
-    named: set[str] | None = None
+    named: dict[str, str] | None = None
     print(f"{title}: below {prepared.bands.fit[1]:g} Hz, unseen part {_told(whole)}")
     for step in search.found:
         without = _missed(prepared, other, search, (step.key,))
@@ -58,17 +62,29 @@ def replicated(robot: Robot, used: MotionLog, unseen: MotionLog, title: str, ban
         told = ""
         if after >= before:
             named = named if named is not None else _named(robot, unseen, bands)
-            told = ": named there, too, with another size" if step.key in named else ": DOES NOT REPLICATE"
+            there = named.get(step.key)
+            told = f": named there, too, {there} for {_size(search, step)} here" if there else ": DOES NOT REPLICATE"
         p = step.decision.probability[0]
         print(f"  {step.key:32} p {p:.2f}: {before:.2%} without, {after:.2%} with it at {where}{told}")
 
 
-def _named(robot: Robot, log: MotionLog, bands: Bands | None) -> set[str]:
-    """What a log gets named by itself; nothing where it is too short for that."""
+def _named(robot: Robot, log: MotionLog, bands: Bands | None) -> dict[str, str]:
+    """What a log gets named by itself, with its numbers; nothing where it is too short for that."""
     try:
-        return {step.key for step in _searched(robot, log, bands)[1].found}
+        search = _searched(robot, log, bands)[1]
     except InputError:
-        return set()
+        return {}
+    return {step.key: _size(search, step) for step in search.found}
+
+
+def _size(search: Search, step: Step) -> str:
+    """The numbers of a name and their 90 % intervals, beside all else in the model; of a shape no interval."""
+    if step.trial is None:
+        return "another number of the description"
+    values, doubt = own_rows(search.system, step.trial.suspect)
+    names = [p.name.rpartition(".")[2] for p in step.trial.suspect.hypothesis.own]
+    parts = zip(names, values, NINETY * doubt, strict=True)
+    return ", ".join(f"{name} {v:.3g}" + (f" ± {d:.2g}" if d else "") for name, v, d in parts)
 
 
 def _searched(robot: Robot, log: MotionLog, bands: Bands | None) -> tuple[Prepared, Search]:

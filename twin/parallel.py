@@ -48,7 +48,7 @@ def spread(function: Callable[[int], T], count: int, processes: int) -> Iterator
     if min(processes, count) < 2 or current_process().daemon:
         yield from map(function, range(count))
         return
-    with _one_thread_each():
+    with one_thread_each():
         yield from _spread(function, count, processes)
 
 
@@ -61,7 +61,7 @@ def side_by_side(function: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
         if threads < 2:
             yield from map(function, items)
             return
-        with _one_thread_each(), ThreadPoolExecutor(threads) as pool:
+        with one_thread_each(), ThreadPoolExecutor(threads) as pool:
             waiting: deque[Future[T]] = deque()
             for item in items:
                 waiting.append(pool.submit(function, item))
@@ -143,7 +143,7 @@ def _spread(function: Callable[[int], T], count: int, most: int) -> Iterator[T]:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """BLAS of one thread here and in what is forked: on a busy machine its threads wait for each other."""
     with _libraries().limit(limits=1, user_api="blas"):
         yield
@@ -169,7 +169,7 @@ def ahead(function: Callable[[], T], processes: int) -> Iterator[Callable[[], T]
     context = get_context("fork")
     reader, writer = context.Pipe(duplex=False)
     child = context.Process(target=_send, args=(function, writer), daemon=True)
-    with _one_thread_each(), forking():
+    with one_thread_each(), forking():
         child.start()
     writer.close()
 

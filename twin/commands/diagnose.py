@@ -21,13 +21,14 @@ from twin.measure.recordings import Given, read_recordings, robot_of_all, traced
 from twin.memory import uncollected
 from twin.model.linear import linearise
 from twin.model.modes import modes
-from twin.parallel import Progress, silent
+from twin.parallel import Progress, one_thread_each, silent
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
 
 
+@one_thread_each()
 def diagnose(
     recordings: Given,
     *,

@@ -13,7 +13,7 @@ from twin.identify.posterior import FILE, Posterior, save_posterior
 from twin.identify.recorded import within_limits
 from twin.identify.uncertainty import Estimate
 from twin.measure.recordings import Given, read_one, traced
-from twin.parallel import Progress, silent
+from twin.parallel import Progress, one_thread_each, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import check_band, check_count
 from twin.result import Result, no_model, written
@@ -146,6 +146,7 @@ class FitResult(Fitting, Result):
         return "\n".join(lines)
 
 
+@one_thread_each()
 def fit(
     recording: Given,
     *,

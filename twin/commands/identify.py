@@ -11,7 +11,7 @@ from twin.identify.rigid import Bands, Identification, in_joints, relative_error
 from twin.identify.rigid import identify as estimate
 from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Given, read_one, traced
-from twin.parallel import Progress, silent
+from twin.parallel import Progress, one_thread_each, silent
 from twin.provenance import provenance, write_json
 from twin.result import Result, no_model, written
 from twin.robot.description import Robot, save_robot
@@ -176,6 +176,7 @@ def _as_sure(interval: np.ndarray, value: float, *others: float) -> tuple[str, .
     return shown(value), " … ".join(map(shown, interval)), *map(shown, others)
 
 
+@one_thread_each()
 def identify(
     log: Given,
     *,

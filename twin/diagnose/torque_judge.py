@@ -185,7 +185,9 @@ class Judge:
         numbers = calibration()
         if trained < numbers["mostly"] * (fit.evidence() - base.evidence()):
             return rise / scale, bool(rise > -numbers["tie"] * scale - 0.01 * power)
-        return rise / scale, bool(rise > max(numbers["foretold"] * expected, numbers["least_foretold"] * power))
+        falls = before @ before > after @ after  # the error itself: doubt of other numbers excuses no larger one
+        enough = max(numbers["foretold"] * expected, numbers["least_foretold"] * power)
+        return rise / scale, bool(falls and rise > enough)
 
     def moves(self, system: System, fit: Fitted, trial: Trial, joint: int) -> bool:
         """Whether a joint's residual on the rows kept aside falls as anybody can see, with a law fitted beside all."""
