@@ -257,6 +257,20 @@ def test_runs_not_used_judge_a_gain_on_the_torques_that_it_settles_on(tmp_path: 
     assert early == pytest.approx(late, rel=0.1)
 
 
+def test_doubt_of_other_numbers_excuses_no_larger_error(
+    tmp_path: Path, kr90: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A TX40 had a payload by the predictive density of rows kept aside, whose squares it made a fifth larger."""
+    prepared = prepare(recorded(tmp_path, "--effect", "torque_constant@joint1:gain=0.6"), kr90, "log")
+    system = system_of(prepared, [])
+    suspect = next(s for s in log_suspects(kr90, prepared.used) if s.name == "torque_constant@joint1")
+    trial, judge = settle(system, start(system, suspect)), Judge(system, prepared.kept)
+    assert judge.gain(system, fitted(system, trial), trial)[1]  # it keeps the base model's residual from now on
+    (rest, _), foretold = judge.rest(system, base_fit(system)), judge.rest
+    monkeypatch.setattr(judge, "rest", lambda *fit: (1.1 * rest, foretold(*fit)[1]))
+    assert not judge.gain(system, fitted(system, trial), trial)[1]
+
+
 @pytest.mark.slow
 def test_presliding_is_in_proportion_to_friction_where_none_was_described(tmp_path: Path, kr90: Robot) -> None:
     """Bristles carry dry friction alone: viscous friction left out makes no joint turn round unlike the others."""
