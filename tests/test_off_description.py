@@ -170,3 +170,11 @@ def test_a_rotor_is_told_as_its_joint_feels_it(log: MotionLog, kr90: Robot) -> N
     numbers = numbers_of_answer(wide, base_fit(wide), hypothesis)["inertia"]
     assert numbers["value"] == pytest.approx(0.5 * true * kr90.drives[0].gear_ratio ** 2, rel=0.2)
     assert numbers["interval90"][0] < numbers["value"] < numbers["interval90"][1]
+
+
+def test_a_filter_and_a_delay_differ_in_fast_torque(kr90: Robot) -> None:
+    """Slow reversals, which tell memory from a delay, show both alike."""
+    sites = (("torque_filter", "log"), ("time_delay", "log"), ("hysteresis", "joint1.z"))
+    first, rival, slip = (Candidate(effect, site, 1.0, kr90, {}) for effect, site in sites)
+    assert "jerk" in next_log(Missing(first, 0.7, ((rival, 0.3),), ""))["description"]
+    assert "jerk" not in next_log(Missing(slip, 0.7, ((rival, 0.3),), ""))["description"]

@@ -13,6 +13,8 @@ from twin.physics.statements import Test
 ADVICE: dict[Test, str] = {
     "clock": "the same motion from cold and again after an hour's work: only warm-up changes with the clock",
     "load": "the same motion with and without a known payload at the flange: friction that follows the load changes",
+    "jerk": "short moves at the largest jerk, recorded as fast as the controller can: a low-pass takes amplitude off "
+    "fast torque, a delay only shifts it",
     "reversals": "slow motion with short reversals (10⁻⁴ to 10⁻² rad) and standstills of a second: friction with "
     "memory keeps its torque through a standstill, sliding friction and a delay do not",
     "speeds": "constant speeds from 1 % to 90 % of the limit, both ways: each friction law has its own curve over "
@@ -47,7 +49,7 @@ def _advice(names: set[str]) -> str:
     shown = [CATALOGUE[name].log_tests if name in CATALOGUE else OFF for name in names]
     some = {test for tests in shown for test in tests}
     both = {test for test in some if all(test in tests for tests in shown)}
-    useful = (some - {"reversals", "speeds", "mass"}) | both
+    useful = (some - {"jerk", "reversals", "speeds", "mass"}) | both
     if "speeds" in both and "reversals" in some:
         useful.add("reversals")
     return next((ADVICE[test] for test in ADVICE if test in useful), OTHERWISE)

@@ -13,9 +13,10 @@ Part = Literal["", "dry", "viscous", "inertia", "slip", "play", "mass", "law", "
 """What an effect is to a drive: dry or viscous friction, the rotor's inertia, how dry friction turns round, play in
 the gear, mass on a link, a law without a name, a bearing that gives way."""
 
-Test = Literal["clock", "load", "reversals", "speeds", "mass", "acceleration", "sweep"]
-"""A recording that shows an effect: the same motion later; with another load; short reversals and standstills; constant
-speeds; a known mass at the flange; one axis at a time at its largest acceleration; one slow sweep."""
+Test = Literal["clock", "load", "jerk", "reversals", "speeds", "mass", "acceleration", "sweep"]
+"""A recording that shows an effect: the same motion later; with another load; short moves at the largest jerk; short
+reversals and standstills; constant speeds; a known mass at the flange; one axis at a time at its largest acceleration;
+one slow sweep."""
 
 DESCRIBED = 0.1 * (1 / np.sqrt(3))  # relative standard deviation of a number that is described to ±10 %
 

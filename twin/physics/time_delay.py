@@ -20,7 +20,7 @@ class TimeDelay(Effect):
     seen_in = frozenset({"hammer", "log"})
     steps = linear = False
     refers = True
-    log_tests = ("reversals", "speeds")
+    log_tests = ("jerk", "reversals", "speeds")
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
         if site != "log" and values["delay"] > 0:

@@ -25,7 +25,7 @@ class TorqueFilter(Effect):
     seen_in = frozenset({"log"})
     steps = linear = False
     refers = True
-    log_tests = ("reversals", "speeds")
+    log_tests = ("jerk", "reversals", "speeds")
 
     def record(self, chain: "MeasurementChain", site: str, values: Values) -> None:
         chain.torque_lag += 1 / (2 * np.pi * values["cutoff_hz"])
