@@ -56,6 +56,19 @@ def test_every_name_is_there_and_is_the_one_that_type_checkers_see() -> None:
         assert getattr(twin, name) is getattr(sys.modules[module], inner)
 
 
+def test_objects_print_as_a_few_lines(tmp_path: Path) -> None:
+    """Arrays of a recording filled screens where a notebook showed it."""
+    planned = twin.simulate([0, 70, -100], robot="kr90", hammer={"duration_s": 1}).campaign
+    assert planned is not None
+    assert "of kr90: 3 responses × 23 excitations\n  posture: q = 0, 70, -100; brakes on; accelerance;" in repr(planned)
+    time = np.arange(5) / 100
+    log = twin.MotionLog({"run1": twin.MotionRun("run1", time, np.zeros((5, 3)), 100.0)}, notes=("repaired",))
+    assert repr(log) == "motion log motion log: 1 run\n  run1: 3 axes; 0.04 s at 100 Hz; position\n  repaired"
+    head, *entries = str(twin.load_robot("kr90")).split("\n")
+    assert head == "robot kr90: 3 axes; links of 984 kg in all"
+    assert "  gravity_compensator at joint2" in entries
+
+
 def test_rooms_of_a_command_s_name_do_not_hide_it() -> None:
     import twin.diagnose.verdict
     import twin.identify.rigid

@@ -125,6 +125,16 @@ class PostureFRF:
     pulse_s: float | None = None
     record_s: float | None = None
 
+    def __repr__(self) -> str:
+        """One line: the arrays are long."""
+        parts = [f"q = {', '.join(f'{q:.4g}' for q in self.q_deg)}"] if len(self.q_deg) else []
+        parts += [f"brakes {self.brakes}"] if self.brakes else []
+        parts += [self.quantity, f"{len(self.frequency)} lines"]
+        parts[-1] += f" from {self.frequency[0]:.4g} to {self.frequency[-1]:.4g} Hz" if len(self.frequency) else ""
+        parts += [f"{self.averages} averages"] if self.averages else []
+        parts += [f"{self.peak_force_n:.3g} N"] if self.peak_force_n else []
+        return f"{self.name}: {'; '.join([*parts, *(['raw hits'] if self.hits else [])])}"
+
 
 @dataclass(frozen=True)
 class Campaign:
@@ -141,6 +151,12 @@ class Campaign:
     comment: str = ""
     source: str = "hammer test"
     lines: tuple[tuple[int, ...], ...] = ()
+
+    def __repr__(self) -> str:
+        """One line per posture."""
+        channels = f"{len(self.response.label)} responses × {len(self.excitation.label)} excitations"
+        head = f"hammer test {self.source}{f' of {self.robot}' if self.robot else ''}: {channels}"
+        return "\n  ".join([head, *map(repr, self.postures.values())])
 
     def pair(self, response: int, excitation: int) -> str:
         """Name of a channel pair, as in ``21Z+/4Y+``."""

@@ -51,6 +51,14 @@ class ModalTable:
     robot: str | None = None
     source: str = "modal table"
 
+    def __repr__(self) -> str:
+        """One line per posture."""
+        head = f"modal table {self.source}{f' of {self.robot}' if self.robot else ''}: {len(self.postures)} postures"
+        told = (
+            f"{name}: {', '.join(f'{m.frequency_hz:.4g}' for m in p.modes)} Hz" for name, p in self.postures.items()
+        )
+        return "\n  ".join([head, *told])
+
     @classmethod
     def of(cls, results: Mapping[str, ModalResult], robot: str | None = None, shapes: bool = True) -> "ModalTable":
         """The table of identified modes."""

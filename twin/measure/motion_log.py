@@ -67,6 +67,12 @@ class MotionRun:
     acceleration: FloatArray | None = None
     link_position: FloatArray | None = None
 
+    def __repr__(self) -> str:
+        """One line: the arrays are long."""
+        series = [name for name in SERIES if getattr(self, name) is not None]
+        seconds = f"{self.time[-1] - self.time[0]:.4g} s at {self.sample_rate_hz:.4g} Hz" if len(self.time) else "empty"
+        return f"{self.name}: {self.position.shape[1]} axes; {seconds}; {', '.join(series)}"
+
 
 @dataclass(frozen=True)
 class MotionLog:
@@ -76,6 +82,12 @@ class MotionLog:
     robot: str | None = None
     source: str = "motion log"
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """One line per run, and what was repaired."""
+        count = f"{len(self.runs)} run{'s' * (len(self.runs) != 1)}"
+        head = f"motion log {self.source}{f' of {self.robot}' if self.robot else ''}: {count}"
+        return "\n  ".join([head, *map(repr, self.runs.values()), *self.notes])
 
 
 def read_motion_log(path: str | Path) -> MotionLog:

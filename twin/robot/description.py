@@ -383,6 +383,17 @@ class Robot(Data):
         """The file it was loaded from."""
         return self._path
 
+    def __repr__(self) -> str:
+        """Its axes, mass and entries; all numbers are in ``model_dump()`` and in the file."""
+        mass = sum(link.mass or 0.0 for link in self.links)
+        sites: dict[str, list[str]] = {}
+        for entry in self.physics:
+            sites.setdefault(entry.effect, []).append(entry.site)
+        lines = [f"robot {self.name}: {len(self.axes)} axes; links of {mass:.4g} kg in all"]
+        return "\n  ".join([*lines, *(f"{effect} at {', '.join(where)}" for effect, where in sites.items())])
+
+    __str__ = __repr__
+
     def __eq__(self, other: object) -> bool:
         """Whether both say the same, wherever they were read from."""
         return isinstance(other, Robot) and self.__dict__ == other.__dict__
