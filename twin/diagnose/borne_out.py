@@ -62,7 +62,7 @@ def rises(finding: Finding, alone: bool = True) -> bool:
 
     One of several may lose some of what its own fit had: not so much that its model would no longer be adequate.
     """
-    before, after = (finding.error[stage] for stage in ("before", "after"))
+    before, after = finding.alone or finding.error["before"], finding.error["after"]
     numbers = calibration()
     least = 0.0 if alone else numbers["held_out_adequate"] ** 0.5 * (finding.error.get("noise_floor") or 0.0)
     return any(

@@ -768,7 +768,7 @@ class Log:
         finding.records = predicted_by(robot, finding.content, finding, hold_out)
         if finding.bare and finding.missing and not any(shared(m.first.effect) for m in finding.missing):
             # the links that all recordings agree on, in both models: they cost the log more than a name may gain
-            bare = finding.bare(last.robot)
+            bare, finding.alone = finding.bare(last.robot), finding.error["after"]
             finding.records = predicted_by(bare, finding.content, finding, hold_out, "before")
         finding.error = {**finding.error, **{stage: pooled(finding.records, stage) for stage in ("before", "after")}}
         finding.missing = [followed(m, finding.model, robot) for m in finding.missing]

@@ -142,6 +142,7 @@ class Finding:
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
         damping: how well the answer foretells damping in postures that were held out.
         bands: low-passes through which a motion log was fitted; ``content`` the log without its faults.
+        alone: ``train``, ``held_out`` of a log's own answer, where ``before`` and ``after`` have the links of all.
     """
 
     recording: str
@@ -173,6 +174,7 @@ class Finding:
     bare: "Following | None" = None
     bands: "Bands | None" = None
     content: Any = None
+    alone: dict[str, Any] | None = None
 
     @property
     def model(self) -> Robot:
