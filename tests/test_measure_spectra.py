@@ -198,6 +198,31 @@ def test_reciprocity_fails_for_a_turned_channel_and_holds_for_signed_blows() -> 
     assert not all(c.passed for c in reciprocity(campaign(turned), turned))
 
 
+def test_reciprocity_forgives_a_quiet_pair_its_noise_and_a_little_of_the_loud_direction() -> None:
+    """A plate that moves along z: the sensor X is turned by an angle, so x under z is all z."""
+    lines = np.linspace(5.0, 35.0, 301)
+    loud = 1 / (1 - (lines / 20) ** 2 + 0.02j * lines / 20)
+    truth = np.zeros((301, 3, 3), complex)
+    for a, b, size in ((0, 0, 1e-2), (1, 1, 1e-2), (2, 2, 1.0), (0, 2, 5e-3), (1, 2, 2e-2)):
+        truth[:, a, b] = truth[:, b, a] = size * loud
+    rng = np.random.default_rng(1)
+
+    def failed(angle: float, noise: float) -> list[str]:
+        frf = truth.copy()
+        frf[:, 0] += np.sin(angle) * truth[:, 2]
+        size = noise * np.abs(loud)[:, None, None] * np.ones((3, 3))
+        frf = frf + size * (rng.normal(size=frf.shape) + 1j * rng.normal(size=frf.shape))
+        power = 2 * 5 * size**2  # of the noise, five averages
+        coherence = np.abs(frf) ** 2 / (np.abs(frf) ** 2 + power)
+        posture = PostureFRF("p", np.zeros(3), "on", lines, frf, "accelerance", coherence=coherence, averages=5)
+        return [c.subject for c in reciprocity(campaign(posture), posture) if not c.passed]
+
+    assert failed(0.0, 1e-4) == []
+    assert failed(np.deg2rad(1), 1e-4) == []
+    assert failed(0.0, 2e-3) == []
+    assert failed(np.deg2rad(5), 1e-4) == ["21X+/21Z+ and 21Z+/21X+"]
+
+
 def test_linearity_over_force_levels_is_one_for_a_linear_structure() -> None:
     def level(name: str, seed: int, peak: float) -> PostureFRF:
         posture, _ = posture_from_hits(
