@@ -350,7 +350,7 @@ def test_what_is_left_at_size_nought_has_no_smallest_size() -> None:
     assert left / 2 == pytest.approx(SEEN, rel=0.1)
 
 
-def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_path: Path) -> None:
+def test_what_a_model_predicts_counts_as_much_as_if_it_had_been_fitted_to(tmp_path: Path) -> None:
     """ln p(used) + ln p(held out | used) = ln p(all): of a tilt that two postures hardly show, the third tells."""
     found = {}
     for stiffness in ("2.5e9", "1.8e10"):
@@ -381,7 +381,7 @@ def test_what_a_model_foretells_counts_as_much_as_if_it_had_been_fitted_to(tmp_p
 
 
 def test_what_was_found_moves_nothing_else_than_it_must(tmp_path: Path) -> None:
-    """As likely as the best fit within ``tie``, its find as it was, and nearer to what was foretold without it."""
+    """As likely as the best fit within ``tie``, its find as it was, and nearer to what was predicted without it."""
     effect = "base_compliance@base.rx:stiffness=2.5e9,damping=1e6"
     case = recorded(tmp_path, "--seed", "13", "--postures", "3", "--effect", effect)
     kept = Sample(tuple(case.found.kept))
@@ -394,7 +394,7 @@ def test_what_was_found_moves_nothing_else_than_it_must(tmp_path: Path) -> None:
     assert 1.0 < near.cost - fit.cost < 2.001  # of what it may lose, most
     assert near.misfit == pytest.approx(fit.misfit, rel=0.01)
 
-    def foretold(fit: Fitted) -> list:
+    def predicted(fit: Fitted) -> list:
         """FRFs of the posture kept, its angles as recorded."""
         some = independent([])
         return Objective(fit.robot, some, kept).predicted(np.zeros(0))
@@ -402,7 +402,7 @@ def test_what_was_found_moves_nothing_else_than_it_must(tmp_path: Path) -> None:
     def apart(fit: Fitted) -> float:
         return sum(
             float(np.sum(np.abs(a - b) ** 2 / r.variance))
-            for a, b, r in zip(foretold(fit), foretold(base), kept.recordings, strict=True)
+            for a, b, r in zip(predicted(fit), predicted(base), kept.recordings, strict=True)
         )
 
     assert apart(near) < 0.9 * apart(fit)

@@ -148,7 +148,7 @@ def test_dry_friction_left_out_is_named_and_its_level_found(tmp_path: Path, kr90
     assert missing.first.key == "coulomb_friction@joint2"
     assert missing.first.parameters["torque"]["value"] == pytest.approx(373.24, rel=0.03)
     assert found.error["after"]["held_out"] < 0.1 * found.error["before"]["held_out"]
-    assert found.foretold > calibration()["held_out_adequate"]  # by the base model: it is left if the name goes
+    assert found.held_out_misfit > calibration()["held_out_adequate"]  # by the base model: it is left if the name goes
 
 
 @pytest.mark.slow
@@ -266,8 +266,8 @@ def test_doubt_of_other_numbers_excuses_no_larger_error(
     suspect = next(s for s in log_suspects(kr90, prepared.used) if s.name == "torque_constant@joint1")
     trial, judge = settle(system, start(system, suspect)), Judge(system, prepared.kept)
     assert judge.gain(system, fitted(system, trial), trial)[1]  # it keeps the base model's residual from now on
-    (rest, _), foretold = judge.rest(system, base_fit(system)), judge.rest
-    monkeypatch.setattr(judge, "rest", lambda *fit: (1.1 * rest, foretold(*fit)[1]))
+    (rest, _), density = judge.rest(system, base_fit(system)), judge.rest
+    monkeypatch.setattr(judge, "rest", lambda *fit: (1.1 * rest, density(*fit)[1]))
     assert not judge.gain(system, fitted(system, trial), trial)[1]
 
 
@@ -456,7 +456,7 @@ def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> N
 
 
 @pytest.mark.parametrize(("seconds", "wider"), [(5.0, True), (45.0, False)])
-def test_a_short_log_is_fitted_through_the_low_pass_that_foretells_best(
+def test_a_short_log_is_fitted_through_the_low_pass_that_predicts_best(
     seconds: float, wider: bool, tmp_path: Path
 ) -> None:
     """Some seconds below 10 Hz have fewer rows of a joint than a robot has numbers; 45 s have enough."""

@@ -415,7 +415,7 @@ def test_a_run_without_a_usable_row_is_left_out(kr90: Robot, log: MotionLog) -> 
 
 
 @pytest.mark.parametrize(("seconds", "wider"), [(4.0, True), (12.0, False)])
-def test_a_short_log_is_identified_through_the_low_pass_that_foretells_best(
+def test_a_short_log_is_identified_through_the_low_pass_that_predicts_best(
     seconds: float, wider: bool, kr90: Robot, fourier: list[Fourier]
 ) -> None:
     """Four runs of 4 s below 4 Hz have 160 rows of a joint; four of 12 s are not short."""

@@ -242,7 +242,7 @@ def test_a_log_tells_which_described_numbers_come_out_far(tmp_path: Path, kr90: 
     assert [note.sites for note in _strained(search)] == [("axis2.a",), ("axis3.a",)]
 
 
-def test_what_a_free_function_fits_counts_where_it_foretells(tmp_path: Path, kr90: Robot) -> None:
+def test_what_a_free_function_fits_counts_where_it_predicts(tmp_path: Path, kr90: Robot) -> None:
     """Friction in proportion to the angle of joint 2 in all runs, and in those alone that are fitted."""
     log = recorded(tmp_path)
     aside = prepare(log, kr90, "log.h5").held_out

@@ -85,7 +85,7 @@ def test_an_angle_that_is_written_down_wrongly_is_put_right(step_deg: float, tmp
 
 @pytest.mark.slow
 def test_a_wrong_angle_is_found_where_it_was_kept_aside(tmp_path: Path) -> None:
-    """Its own angle is estimated again before a posture is foretold: that must not hide that it is 8° elsewhere."""
+    """Its own angle is estimated again before a posture is predicted: that must not hide that it is 8° elsewhere."""
     world, *_ = case("nothing", "hammer", "arm", 942, False)
     record(world, tmp_path, np.random.default_rng(942))
     write_description(machines()["arm"], tmp_path / "robot.yaml")

@@ -95,14 +95,14 @@ def test_a_law_that_leaves_no_misfit_is_off_by_next_to_nothing(kr90: Robot) -> N
 
 
 def test_a_prediction_that_breaks_down_speaks_against_its_fit(kr90: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Foretelling a kept posture met a singular matrix, and the whole diagnosis ended with it."""
+    """Predicting a kept posture met a singular matrix, and the whole diagnosis ended with it."""
 
     def broken(*_: object) -> Fitted:
         raise np.linalg.LinAlgError("Singular matrix")
 
     monkeypatch.setattr(decide, "foreseen", broken)
     fit = fitted(kr90, NONE, np.zeros(0))
-    assert decide._foretold(fit, Sample(())).evidence() < -1e20
+    assert decide._on_kept(fit, Sample(())).evidence() < -1e20
 
 
 def test_a_blow_off_its_axis_is_a_finding_beyond_its_tolerance_alone(kr90: Robot) -> None:

@@ -7,7 +7,7 @@ replicates lowers it. Where one does not, the unseen part is diagnosed by itself
 on both parts are printed, with their 90 % intervals.
 
 The arm is the TX40 (nine seconds at 5 kHz, its URDF alone). Of EMPS (one axis, viscous friction alone described) and of
-the KR300 (10 Hz) one record is diagnosed and another foretold. ``TWIN_RECORDINGS`` is the folder of real
+the KR300 (10 Hz) one record is diagnosed and another predicted. ``TWIN_RECORDINGS`` is the folder of real
 recordings.
 """
 

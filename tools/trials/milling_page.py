@@ -223,5 +223,5 @@ def _damping(cuts: Sequence[Stated]) -> list[str]:
             held = Rate(int(inside.sum()), len(table))
             rows.append([NAMES[stage], len(table), f"{np.median(off):.1%}", f"{np.quantile(off, 0.9):.0%}", held])
     head = ["model", "modes", "error, median", "nine of ten below", "inside the 90 % interval"]
-    title = f"Modes below {BAND_HZ:g} Hz whose frequency is foretold within {PAIRED:.0%}."
+    title = f"Modes below {BAND_HZ:g} Hz whose frequency is predicted within {PAIRED:.0%}."
     return ["## Damping in postures that were not struck", "", title, "", *_lines(head, rows), ""]

@@ -128,8 +128,8 @@ def _without(finding: Finding) -> Finding:
     floor, error = finding.error["noise_floor"], before["train"]
     numbers = calibration()
     missed = floor is not None and error > numbers["held_out_misfit"] * floor
-    if finding.foretold:  # a log's error counts what its model does not know exactly as missed
-        missed = finding.foretold > numbers["held_out_adequate"]
+    if finding.held_out_misfit:  # a log's error counts what its model does not know exactly as missed
+        missed = finding.held_out_misfit > numbers["held_out_adequate"]
     records: list[Any] = [*finding.records]
     records = [replace(r, predicted={**r.predicted, "after": r.predicted["before"]}) for r in records]
     return replace(

@@ -74,11 +74,11 @@ def decide(
             off by (:func:`twin.diagnose.search.inexact`).
         other: probability that something unnamed is missing, where the engine has a better measure than the misfit.
         scale: factor on the data's variance (Birge's ratio); what the best fit leaves, by default.
-        kept: hammer tests that were not fitted to; how well each fit foretells them counts in its evidence, and a name
+        kept: hammer tests that were not fitted to; how well each fit predicts them counts in its evidence, and a name
             must hold there.
         unnamed: what a law without a name would gain beside a fit, site by site, in ln evidence.
         axes: what turns the robot about one axis (:func:`twin.diagnose.hypotheses.same_axes`).
-        processes: what was not fitted to is foretold in so many.
+        processes: what was not fitted to is predicted in so many.
     """
     numbers = calibration()
     sites: dict[str, int] = {}
@@ -96,8 +96,8 @@ def decide(
     used = _counted(gains - beside, numbers) + priors
     logs = _counted(gains - beside + later, numbers) + priors
     both, before = (np.logaddexp.reduce([*some, np.log(numbers["none"])]) for some in (logs, used))
-    foretold = max(float(both - before), 0.0)
-    lawless = _lawless(fits, base, scale, logs, foretold, unnamed, len(sites), numbers) if unnamed else -np.inf
+    gained = max(float(both - before), 0.0)
+    lawless = _lawless(fits, base, scale, logs, gained, unnamed, len(sites), numbers) if unnamed else -np.inf
     weights = np.array([*logs, np.log(numbers["none"]), lawless])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
@@ -188,21 +188,21 @@ def _near(gains: FloatArray) -> list[int]:
 
 
 def _unseen(some: Sequence[Fitted], near: Sequence[int], kept: Sample, processes: int) -> Callable[[int], Fitted]:
-    """Of a fit's index how it foretells recordings that none was fitted to; the near ones and the last side by side."""
+    """Of a fit's index how it predicts recordings that none was fitted to; the near ones and the last side by side."""
     first = [*near, len(some) - 1]
-    told = spread(lambda k: _foretold(some[first[k]], kept), len(first), processes)
+    told = spread(lambda k: _on_kept(some[first[k]], kept), len(first), processes)
     known = dict(zip(first, told, strict=True))
 
     def of(k: int) -> Fitted:
         if k not in known:
-            known[k] = _foretold(some[k], kept)
+            known[k] = _on_kept(some[k], kept)
         return known[k]
 
     return of
 
 
-def _foretold(fit: Fitted, kept: Sample) -> Fitted:
-    """:func:`foreseen`; a fit that breaks down there (a body at its limits) foretells nothing."""
+def _on_kept(fit: Fitted, kept: Sample) -> Fitted:
+    """:func:`foreseen`; a fit that breaks down there (a body at its limits) predicts nothing."""
     try:
         return foreseen(fit, kept)
     except np.linalg.LinAlgError:
@@ -252,7 +252,7 @@ def _lawless(
     base: Fitted,
     scale: float,
     logs: FloatArray,
-    foretold: float,
+    gained: float,
     unnamed: Callable[[Fitted], Mapping[str, float]],
     effects: int,
     numbers: Mapping[str, float],
@@ -260,10 +260,10 @@ def _lawless(
     """Logarithm of the weight of a law without a name, alone or beside the best answer: one effect more, at any site.
 
     Alone it is known to first order only, which holds near the truth. Recordings that were not fitted to it is taken to
-    foretell as well as nothing and the names together: ``foretold``, over the base model. Beside a name it must gain a
+    predict as well as nothing and the names together: ``gained``, over the base model. Beside a name it must gain a
     share ``inexact`` of what that did: no test is exactly as stated, and what it leaves takes no name back.
     """
-    models = [(foretold, 0.0, base)] if base.misfit < FIRST_ORDER else []
+    models = [(gained, 0.0, base)] if base.misfit < FIRST_ORDER else []
     if len(logs):
         best = int(np.argmax(logs))
         allowance = numbers["inexact"] * max(fits[best].evidence(scale) - base.evidence(scale), 0.0)

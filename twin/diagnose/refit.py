@@ -24,7 +24,7 @@ from twin.robot.description import Robot
 
 NONE = Hypothesis("none", "")
 ENOUGH = 3.0  # in ln evidence: nearer the optimum on a few lines is no nearer that on all
-ASTRAY = 100.0  # times the variance of noise: how badly such a fit foretells needs no last digit
+ASTRAY = 100.0  # times the variance of noise: how badly such a fit predicts needs no last digit
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
 LEVELS = 5  # widths over which a tolerance may be too narrow
 WIDTHS = (1.0, 2.0, 4.0)

@@ -109,7 +109,9 @@ def diagnose_log(
         log = on_time(log, late)
         prepared = prepare(log, robot, source, hold_out, prepared.bands)
         search, suspects = searched(base_system(prepared, processes), prepared, progress, processes)
-    if not notes and (_answer(search)[0] == "unexplained" or search.foretold > calibration()["held_out_adequate"]):
+    if not notes and (
+        _answer(search)[0] == "unexplained" or search.held_out_misfit > calibration()["held_out_adequate"]
+    ):
         of_one, notes = RunStates(prepared, suspects, processes).largest()
     if of_one:
         return again(of_one, notes)
@@ -160,7 +162,7 @@ def _finding(
             *_still_off(records), *prepared.notes, *notes, *not_sought(robot), *map(_restless, restless),
             *_told_apart(search), *_narrow(search), *_strained(search), *_bodies(prepared, search, errors),
         ],
-        fit=after, finalists=_finalists(search, found_plays), foretold=search.bare,
+        fit=after, finalists=_finalists(search, found_plays), held_out_misfit=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
         following=Following(search.system, after, gaps), bare=Following(search.plain, base),
         bands=prepared.bands, content=log,
@@ -423,7 +425,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         return "located", [*missing, _with_formula(found, fit)], 0.0, other
     if other > 0.5:
         return "unexplained", missing, 0.0, other
-    if not missing and max(search.foretold, search.after.misfit) > calibration()["held_out_adequate"]:
+    if not missing and max(search.held_out_misfit, search.after.misfit) > calibration()["held_out_adequate"]:
         return "unexplained", [], 0.0, 1.0
     if not missing and word_of(first) not in ("adequate", "unexplained"):
         return "adequate", [], 1 - first.other, first.other  # what was named first was taken back, and nothing lacks
@@ -603,7 +605,7 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any], worse: f
 
 
 def wide_enough(prepared: Prepared, log: MotionLog, source: str, hold_out: list[str] | None) -> Prepared:
-    """A short log through the low-pass whose base model foretells the runs kept aside best.
+    """A short log through the low-pass whose base model predicts the runs kept aside best.
 
     A few seconds below 10 Hz have fewer rows than a robot has numbers. A wider band has more, if the robot is rigid in
     it; of a longer log it would only have more noise.

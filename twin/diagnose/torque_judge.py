@@ -25,7 +25,7 @@ UNSEEN = 0.01  # of the squares of an error: a rise that nobody sees in an overl
 def free_gains(system: System, processes: int = 1, judge: "Judge | None" = None) -> FloatArray:
     """Evidence (n,) gained by a free smooth function of each joint's position and velocity.
 
-    It counts for nothing where it does not foretell the rows kept aside: it has fitted the noise.
+    It counts for nothing where it does not predict the rows kept aside: it has fitted the noise.
     """
     _ = system.residual  # once, for all processes
     free = list(spread(lambda j: free_function(system, j), len(system.whitening), processes))
@@ -111,7 +111,7 @@ class Judge:
 
         Without what is common to all models.
         """
-        residual, _, density = self._foretold(system, fit)
+        residual, _, density = self._on_kept(system, fit)
         return residual, density
 
     def bears_out(self, system: System, free: FreeFunction) -> bool:
@@ -120,15 +120,15 @@ class Judge:
         torque = [smooth_columns(run, joint, *free.span) @ free.coefficients[:, None] for run in self.base.runs]
         beside = self.system.full(Columns((joint,), self.system.whitened(joint, torque)))[:, 0]
         before = self.rest(system, fit)[0]
-        after = self._foretold(system, replace(fit, z=fit.z + free.moved), beside)[0]
+        after = self._on_kept(system, replace(fit, z=fit.z + free.moved), beside)[0]
         fall = 0.5 * float(before @ before - after @ after)
-        return fall > calibration()["foretold"] * free.gain * self.system.count / max(system.count, 1)
+        return fall > calibration()["held_out_share"] * free.gain * self.system.count / max(system.count, 1)
 
     def misfit(self, system: System, fit: Fitted) -> float:
         """χ² per datum of the rows kept aside, what the fit does not know of its numbers beside their noise."""
-        return self._foretold(system, fit)[1] / (self.system.count * float(self.system.level.sum()))
+        return self._on_kept(system, fit)[1] / (self.system.count * float(self.system.level.sum()))
 
-    def _foretold(
+    def _on_kept(
         self, system: System, fit: Fitted, beside: FloatArray | float = 0.0
     ) -> tuple[FloatArray, float, float]:
         """Residual as in :meth:`rest`, χ² under the posterior predictive, and its ln density.
@@ -189,7 +189,9 @@ class Judge:
             return rise / scale, bool(rise > -numbers["tie"] * scale - UNSEEN * power)
         if after @ after > (1 + UNSEEN) * (before @ before):  # doubt of other numbers excuses no larger error
             return rise / scale, False
-        return rise / scale, bool(rise > max(numbers["foretold"] * expected, numbers["least_foretold"] * power))
+        return rise / scale, bool(
+            rise > max(numbers["held_out_share"] * expected, numbers["least_held_out_fall"] * power)
+        )
 
     def moves(self, system: System, fit: Fitted, trial: Trial, joint: int) -> bool:
         """Whether a joint's residual on the rows kept aside falls as anybody can see, with a law fitted beside all."""

@@ -87,8 +87,8 @@ def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
     first = search.first if search.found else step
     found = replace(search, first=first, steps=steps, system=after, after=base_fit(after))
     if search.judge is not None:
-        found.foretold = search.judge.misfit(after, found.after)
-    if found.foretold > calibration()["held_out_adequate"]:
+        found.held_out_misfit = search.judge.misfit(after, found.after)
+    if found.held_out_misfit > calibration()["held_out_adequate"]:
         return _wider(search)
     return found
 
@@ -175,7 +175,7 @@ def bare(search: Search) -> Search:
     """The search without anything that it found."""
     return replace(
         search, steps=[], system=search.plain, after=base_fit(search.plain), left=search.free, narrow=1.0,
-        foretold=search.bare,
+        held_out_misfit=search.bare,
     )  # fmt: skip
 
 

@@ -126,7 +126,7 @@ def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: 
         expected = 0.5 * gap * pull * len(white2) / max(len(white), 1)
         seen = float(gap * (column2 @ data2) - 0.5 * gap**2 * (column2 @ column2))
         if 0.5 * gap**2 * float(column2 @ column2) > 1.0:  # a load that keeps its sign there says nothing
-            held = seen - numbers["foretold"] * min(expected, 0.5 * gap**2 * float(column2 @ column2))
+            held = seen - numbers["held_out_share"] * min(expected, 0.5 * gap**2 * float(column2 @ column2))
     deviation = 1 / np.sqrt(information + 1 / USUAL_GAP**2)
     needed = max(numbers["first"], numbers["temperature"] * np.log(60.0)) + occam
     return Play(

@@ -42,8 +42,8 @@ class Search:
         other: the joint where something without a name is likeliest, and the probability that it is there.
         law: what was discovered there, with the joint it is at.
         judge: the rows kept aside, where there are any.
-        foretold: χ² per datum of the rows kept aside under all that was found, doubt of its numbers beside their noise;
-            ``bare`` the same under the base model.
+        held_out_misfit: χ² per datum of the rows kept aside under all that was found, doubt of its numbers beside their
+            noise; ``bare`` the same under the base model.
         narrow: times as wide as described the tolerances of the description were taken in the end.
         stand_ins: numbers of the description that explain as much as what was found, if they are far off.
     """
@@ -58,7 +58,7 @@ class Search:
     other: tuple[int, float] = (0, 0.0)
     law: tuple[int, Trial, Fitted] | None = None
     judge: Judge | None = None
-    foretold: float = 0.0
+    held_out_misfit: float = 0.0
     bare: float = 0.0
     narrow: float = 1.0
     stand_ins: tuple[Hypothesis, ...] = ()
@@ -137,7 +137,7 @@ def explain(
     left = free_gains(system, processes, judge)
     search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)
     if judge:
-        search.foretold, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
+        search.held_out_misfit, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:
@@ -148,7 +148,7 @@ def explain(
 def _whole_kinds(system: System, suspects: Sequence[Suspect], judge: Judge | None) -> tuple[list[Step], System]:
     """Friction of all joints at once where the description has none of a kind at several, and the model with it.
 
-    While most of it is missing no joint's friction alone foretells a run: what the other joints lack goes into links
+    While most of it is missing no joint's friction alone predicts a run: what the other joints lack goes into links
     and rotors. What turns out needless is taken out again.
     """
     lacking: list[Suspect] = []
@@ -169,8 +169,8 @@ def _whole_kinds(system: System, suspects: Sequence[Suspect], judge: Judge | Non
         return [], system
     here = relinearised(here)
     before, after = base_fit(system), base_fit(here)
-    foretold = judge is None or judge.density(here, after) > judge.density(system, before)
-    if not foretold or after.evidence() - before.evidence() < calibration()["further"] * len(steps):
+    predicted = judge is None or judge.density(here, after) > judge.density(system, before)
+    if not predicted or after.evidence() - before.evidence() < calibration()["further"] * len(steps):
         return [], system
     return steps, with_doubts(pruned(steps, here))
 

@@ -54,8 +54,8 @@ class RunStates:
             return system if base_fit(system).misfit <= most else None
 
         def beside(members: Sequence[int], known: System, number: int) -> System | None:
-            foretold = Judge(known, [self.runs[number]]).misfit(known, base_fit(known)) <= most
-            return explained(self._system([*members, number])) if foretold else None
+            predicted = Judge(known, [self.runs[number]]).misfit(known, base_fit(known)) <= most
+            return explained(self._system([*members, number])) if predicted else None
 
         if not self.several:
             return [], []

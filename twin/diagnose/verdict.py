@@ -137,10 +137,10 @@ class Finding:
         finalists: what the answer was chosen from, as :func:`twin.diagnose.decide.finalists` has it.
         gain: ln likelihood that the answer of a hammer test gains over the base model, all angles of postures free;
             ``None``: as the records have it.
-        foretold: χ² per datum of what was held out, doubt of the base model's numbers beside its noise; 0 where not
-            known.
+        held_out_misfit: χ² per datum of what was held out, doubt of the base model's numbers beside its noise; 0 where
+            not known.
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
-        damping: how well the answer foretells damping in postures that were held out.
+        damping: how well the answer predicts damping in postures that were held out.
         bands: low-passes through which a motion log was fitted; ``content`` the log without its faults.
         alone: ``train``, ``held_out`` of a log's own answer, where ``before`` and ``after`` have the links of all.
     """
@@ -165,7 +165,7 @@ class Finding:
     fit: Fitted | None = None
     finalists: tuple[dict[str, Any], ...] = ()
     gain: float | None = None
-    foretold: float = 0.0
+    held_out_misfit: float = 0.0
     fits: tuple[Fitted, ...] = ()
     damping: Transfer | None = None
     apart: dict[str, list[str]] = field(default_factory=dict)

@@ -32,7 +32,7 @@ GAIN = 0.1  # deviation of a channel's gain, beyond what was estimated with the 
 EXACT = 1e-9  # added to χ², which may be nought
 STEPS = 40  # of least squares, at most
 UNKNOWN = 0.46, 12
-"""τ and m where no posture tells: of the KR90's Table 7 (Huynh et al. 2020), each posture foretold from the two others
+"""τ and m where no posture tells: of the KR90's Table 7 (Huynh et al. 2020), each posture predicted from the two others
 (tools/study_damping_transfer.py)."""
 
 
@@ -60,7 +60,7 @@ class Miss:
 
 @dataclass(frozen=True)
 class Transfer:
-    """How well damping is foretold: τ, degrees of freedom, and the misses that say so (none: ``UNKNOWN``)."""
+    """How well damping is predicted: τ, degrees of freedom, and the misses that say so (none: ``UNKNOWN``)."""
 
     scatter: float
     freedom: int
@@ -92,7 +92,7 @@ class Transfer:
         postures = ", ".join(dict.fromkeys(miss.posture for miss in self.misses))
         ratios = [miss.predicted / miss.measured for miss in self.misses]
         return (
-            f"damping elsewhere: foretold at {min(ratios):.2g} to {max(ratios):.2g} of what was measured in "
+            f"damping elsewhere: predicted at {min(ratios):.2g} to {max(ratios):.2g} of what was measured in "
             f"{postures}; within a factor of {self.factor90:.2g} (90 %)"
         )
 
@@ -113,7 +113,7 @@ def transfer(misses: Sequence[Miss] = ()) -> Transfer:
 
 
 def misses_of_frf(robot: Robot, posterior: Posterior, recordings: Sequence[Recorded]) -> list[Miss]:
-    """Damping of the modes in recordings that were not fitted to, beside what a fitted robot foretells there.
+    """Damping of the modes in recordings that were not fitted to, beside what a fitted robot predicts there.
 
     First, angles and gains of a recording are estimated. Then every mode of the model may have another damping and
     another frequency, and gains may change once more. Dampers may couple any two modes (C and K change by M φᵢ φⱼᵀ M).
@@ -135,7 +135,7 @@ def misses_of_frf(robot: Robot, posterior: Posterior, recordings: Sequence[Recor
         if not len(rows):
             continue
         frequency = w[rows] / (2 * np.pi)
-        spread = foretold(posterior, robot, r.setup.q, r.setup.brakes or "off", frequency)
+        spread = damping_doubt(posterior, robot, r.setup.q, r.setup.brakes or "off", frequency)
         found += [
             Miss(r.setup.name, float(f), float(ratio[k] * np.exp(off[k])), float(ratio[k]), float(doubt[k]), float(own))
             for k, f, own in zip(rows, frequency, spread, strict=True)
@@ -210,7 +210,9 @@ def _modal_misses(seen: Observed, r: Recorded) -> tuple[np.ndarray, np.ndarray, 
     return w, ratio, found.x[:nm], deviation[:nm]
 
 
-def foretold(posterior: Posterior, robot: Robot, q: np.ndarray, brakes: str, frequency_hz: np.ndarray) -> np.ndarray:
+def damping_doubt(
+    posterior: Posterior, robot: Robot, q: np.ndarray, brakes: str, frequency_hz: np.ndarray
+) -> np.ndarray:
     """Deviation (nm,) of ln damping ratio of modes at given frequencies, as far as the posterior knows it.
 
     Args:

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import gammaincinv
 
 from twin.errors import InputError
-from twin.identify.damping_transfer import Miss, Transfer, foretold, misses_of_frf, transfer
+from twin.identify.damping_transfer import Miss, Transfer, damping_doubt, misses_of_frf, transfer
 from twin.identify.elastic import Fit, fit_frf
 from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
@@ -63,7 +63,7 @@ class Fitting:
         expected: the held-out error that noise and tolerances explain, and the noise floor alone.
         postures: per posture role, model's modes and, where there are any, measured ones.
         left_out: posture → error when only that posture was not used.
-        damping: how well damping is foretold in postures that were not fitted to.
+        damping: how well damping is predicted in postures that were not fitted to.
     """
 
     source: str
@@ -280,11 +280,11 @@ def fit_table(
 
 
 def misses_left_out(fitted: Fit, robot: Robot, posture: ModalPosture) -> list[Miss]:
-    """Damping of the measured modes of a posture, beside what a fit to the others foretells."""
+    """Damping of the measured modes of a posture, beside what a fit to the others predicts."""
     paired = predict_modes(robot, {posture.setup.name: posture})
     rows = [k for k, m in enumerate(paired) if m.damping and m.measured_damping > 0]
     frequency = np.array([float(paired[k].frequency_hz or 0) for k in rows])
-    spread = foretold(Posterior.of(fitted), without_limits(robot), posture.setup.q, "off", frequency)
+    spread = damping_doubt(Posterior.of(fitted), without_limits(robot), posture.setup.q, "off", frequency)
     return [
         Miss(posture.setup.name, paired[k].measured_hz, paired[k].measured_damping, float(paired[k].damping or 0),
              float(posture.damping_spread[k]), float(own))

@@ -620,7 +620,7 @@ def identify(
         log: runs as recorded (motor coordinates), with torque.
         robot: prior inertias, and the physics entries whose parameters are wanted.
         bands: low-passes; by default the paper's 3–4 Hz for torque and columns, of a log shorter than ``SHORT_S`` what
-            :func:`foretelling_best` says.
+            :func:`predicting_best` says.
         hold_out: names of runs not to fit; chosen when ``None``.
         weighting: ``"joint"`` or ``"none"``.
         offsets: estimate a constant torque per joint, which belongs to the recording.
@@ -628,7 +628,7 @@ def identify(
     Raises:
         InputError: no torque, too little of it, or torque that is cut off for more than 5 % of a run.
     """
-    if bands is None and (found := foretelling_best(log, robot, hold_out, weighting, offsets)):
+    if bands is None and (found := predicting_best(log, robot, hold_out, weighting, offsets)):
         return found
     bands = bands or Bands()
     regressor, notes = Regressor(robot, offsets), list(log.notes)
@@ -651,7 +651,7 @@ def identify(
     )  # fmt: skip
 
 
-def foretelling_best(
+def predicting_best(
     log: MotionLog, robot: Robot, hold_out: list[str] | None = None, weighting: str = "joint", offsets: bool = True
 ) -> Identification | None:
     """What a log shorter than ``SHORT_S`` says, through the low-pass that serves it best.
@@ -676,7 +676,7 @@ def foretelling_best(
             best, least = found, missed
     if best is not None and best.bands != usual:
         low, high = best.bands.fit
-        told = f"{seconds:.2g} s are short: the low-pass of {low:g}–{high:g} Hz foretells what was held out best"
+        told = f"{seconds:.2g} s are short: the low-pass of {low:g}–{high:g} Hz predicts what was held out best"
         best.notes.insert(0, told)
     return best
 
