@@ -12,7 +12,6 @@ from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
 from twin.diagnose.search import REFIT_LINES
 from twin.errors import InputError
-from twin.identify.elastic_compare import noise_floor
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded, fields_of
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
@@ -33,6 +32,7 @@ LEAK_STEPS, SHORTENED = 6, 3  # of these, and trials of one, each a quarter of t
 INEXACT = 0.005  # of what records lack: blows differ in length by a tenth, and the mean of some by less
 JITTER_S = 3e-4  # by which the middles of blows differ, whose lengths differ by a tenth
 PULSE_S, SPREAD = 8e-3, 0.218  # of a usual blow; root of the second moment of a half-sine over its length
+RESCANNED = 3  # times at most that the length of a record is looked for again beside a better model
 EXPLAINED = 0.5  # of the misfit beyond noise that leakage has to explain: a model that is far off gains some by chance
 
 
@@ -128,53 +128,52 @@ class CutOff(Recorded):
 
 def cut_off(
     campaign: Campaign, base: Robot, fit: Fitted, sample: Sample, every: Sequence[Recorded]
-) -> tuple[Leak | None, list[Note]]:
-    """How records leak that ended while modes rang, where that explains most of what a fit misses, and a note.
+) -> tuple[Leak, Fitted, list[Note]] | None:
+    """How records leak that ended while modes rang, the model as fitted beside that, and a note.
+
+    ``None`` where it does not explain most of what a fit misses.
 
     ``every`` recording leaks, those beside the sample too.
 
     A whole record is taken to be as long as stated, or as the spacing of its lines says. Where in it the blows are, and
     how long they are, is fitted: a mode's phase at the end tells the former to less than a millisecond.
     """
-    error = np.sqrt(max(fit.misfit - 1, 0.0)) * noise_floor(sample.recordings)
-    if fit.misfit < MISSED or _worst(fit.robot, sample.recordings, campaign)[0] < max(SLIGHT, error):
-        return None, []  # what is left of a mode explains no larger error
+    described, fitted = (_worst(robot, sample.recordings, campaign)[0] for robot in (base, fit.robot))
+    if fit.misfit < MISSED or max(described, fitted) < SLIGHT:
+        return None
     thin = sample.thin(REFIT_LINES)
-    ringing = [rate for left, _, rate in _ringing(fit.robot, sample.recordings, campaign) if left > SLIGHT]
-    longest, fastest = _longest(campaign), max(ringing, default=_fastest(thin))
-    usual = SPREAD * max([p.pulse_s for p in campaign.postures.values() if p.pulse_s] or [PULSE_S])
-    leaks = [Leak(x, usual) for x in np.linspace(LEAST, 1.0, int((1 - LEAST) * longest * fastest / TRIED_RAD) + 2)]
-    objective = Objective(fit.robot, fit.parameters, thin, logarithmic=True)
-    whole = objective.predicted(fit.z)
-    seen = observe_all(fit.robot, [r.setup for r in thin.recordings], fit.parameters, fit.values)
-
-    def cost(leak: Leak) -> float:
-        leaky = (CutOff.of(r, campaign.postures[r.group], leak) for r in thin.recordings)
-        lacks = (r.lacks(one) for r, (one, _) in zip(leaky, seen, strict=True))
-        return objective.loss([H - lack for H, lack in zip(whole, lacks, strict=True)])
-
-    first = min(leaks, key=cost)
-    leaky = leaking(thin, campaign, first)
+    leaks = _lengths(fit, thin, campaign)
     starts = fit.z, np.zeros(len(fit.z))  # a model that does not leak may have come to rest far away
+    tried = [(z, _likeliest(leaks, fit, z, thin, campaign)) for z in starts]
+    missed = np.linalg.norm(Objective(fit.robot, fit.parameters, thin).residual(fit.z))
+    if max(_size(fit, leaking(thin, campaign, leak), z) for z, leak in tried) < (1 - np.sqrt(1 - EXPLAINED)) * missed:
+        return None  # however it leaks, too much would be left
     plain = descend(base, fit.hypothesis, fit.parameters, thin, fit.z, tempered=0)
     # the cost of a model that explains enough, as tense as the plain one
     enough = 0.5 * plain.data * (1 + (1 - EXPLAINED) * (plain.misfit - 1)) + 0.5 * float(plain.z @ plain.z)
-    near = min(
-        (descend(base, fit.hypothesis, fit.parameters, leaky, z, logarithmic=25, hopeless=enough) for z in starts),
-        key=lambda one: one.cost,
-    )
+
+    def at(z: FloatArray, leak: Leak) -> tuple[Fitted, Leak]:
+        leaky = leaking(thin, campaign, leak)
+        return descend(base, fit.hypothesis, fit.parameters, leaky, z, logarithmic=25, hopeless=enough), leak
+
+    near, leak = min((at(*one) for one in tried), key=lambda one: one[0].cost)
+    for _ in range(RESCANNED):  # the phase at the end was judged by a model that is better known now
+        again, other = at(near.z, _likeliest(leaks, fit, near.z, thin, campaign))
+        if again.cost >= near.cost or other == leak:
+            break
+        near, leak = again, other
     if not _explains(near, plain):
-        return None, []
-    leak, better = refined(first, campaign, base, near, sample, every)
+        return None
+    leak, better = refined(leak, campaign, base, near, sample, every)
     if plain.cost - better.cost < calibration()["seen"]:
-        return None, []
+        return None
     left, group, frequency_hz = _worst(better.robot, sample.recordings, campaign)
     text = (
         f"{group}: the mode near {frequency_hz:.3g} Hz still has {left:.0%} of its amplitude at the end of a record of "
         f"{_record_s(campaign.postures[group]):.3g} s. The FRFs contain leakage, and the model was given the same "
         "leakage. Put an exponential window on the records and state it, or record longer"
     )
-    return leak, [Note(text, "leakage", "fail")]
+    return leak, better, [Note(text, "leakage", "fail")]
 
 
 def refined(
@@ -205,6 +204,41 @@ def refined(
         better = fitted(leak, better.z)
     known = replace(leak, variance={})  # of the recordings themselves
     return replace(leak, variance=_doubted(leaking(Sample(tuple(every)), campaign, known), better)), better
+
+
+def _lengths(fit: Fitted, thin: Sample, campaign: Campaign) -> list[Leak]:
+    """Leaks of records cut off at many instants, closer to each other than the fastest ringing mode turns."""
+    ringing = [rate for left, _, rate in _ringing(fit.robot, thin.recordings, campaign) if left > SLIGHT]
+    longest, fastest = _longest(campaign), max(ringing, default=_fastest(thin))
+    usual = SPREAD * max([p.pulse_s for p in campaign.postures.values() if p.pulse_s] or [PULSE_S])
+    return [Leak(x, usual) for x in np.linspace(LEAST, 1.0, int((1 - LEAST) * longest * fastest / TRIED_RAD) + 2)]
+
+
+def _likeliest(leaks: Sequence[Leak], fit: Fitted, z: FloatArray, thin: Sample, campaign: Campaign) -> Leak:
+    """Of some leaks the one under which the model at z fits best."""
+    objective, values = Objective(fit.robot, fit.parameters, thin, logarithmic=True), fit.parameters.values(z)
+    whole, robot = objective.predicted(z), fit.parameters.apply(fit.robot, values)
+    seen = observe_all(robot, [r.setup for r in thin.recordings], fit.parameters, values)
+
+    def cost(leak: Leak) -> float:
+        leaky = (CutOff.of(r, campaign.postures[r.group], leak) for r in thin.recordings)
+        lacks = (r.lacks(one) for r, (one, _) in zip(leaky, seen, strict=True))
+        return objective.loss([H - lack for H, lack in zip(whole, lacks, strict=True)])
+
+    return min(leaks, key=cost)
+
+
+def _size(fit: Fitted, leaky: Sample, z: FloatArray) -> float:
+    """Root of the sum of the squares of what records lack of the model at z, in deviations of noise."""
+    objective, values = Objective(fit.robot, fit.parameters, leaky), fit.parameters.values(z)
+    robot = fit.parameters.apply(fit.robot, values)
+    seen = observe_all(robot, [r.setup for r in leaky.recordings], fit.parameters, values)
+    parts = [
+        w * r.lacks(one)
+        for r, w, (one, _) in zip(leaky.recordings, objective.weight, seen, strict=True)
+        if isinstance(r, CutOff)
+    ]
+    return float(np.sqrt(sum(np.sum(np.abs(part) ** 2) for part in parts)))
 
 
 def _earlier(some: Sample, fit: Fitted) -> dict[str, FloatArray]:

@@ -52,7 +52,7 @@ from twin.identify.elastic_compare import noise_floor
 from twin.identify.objective import Sample
 from twin.identify.posterior import Posterior
 from twin.identify.recorded import Recorded, base_name, prepare, without_limits
-from twin.measure.campaign import Campaign
+from twin.measure.campaign import Campaign, FloatArray
 from twin.measure.recordings import Recording
 from twin.model.parameters import Parameters, free_parameters, require_springs, written_names
 from twin.parallel import Progress, ahead
@@ -133,7 +133,8 @@ class _Ask:
     """What is asked, see :func:`diagnose_campaign`.
 
     ``sorted``: the postures are known to be of one robot. ``leak``: how records leak that end
-    while modes ring, ``leak_settled``: that was found beside an answer.
+    while modes ring, ``leak_settled``: that was found beside an answer. ``start``: where the model that
+    found it came to rest, its first coordinates those of the base model.
     """
 
     given: Robot
@@ -146,6 +147,7 @@ class _Ask:
     sorted: bool = False
     leak: Leak | None = None
     leak_settled: bool = False
+    start: FloatArray | None = None
 
 
 def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
@@ -165,11 +167,11 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     law = found.nonlinear and not told_by
     plain = without_laws(base) if law else base  # a law that is described is found again, or another
     known = free if plain is base else _free(plain, found.used)
-    search = converge(plain, known, sample, seed=seed, processes=processes)
+    search = converge(plain, known, sample, seed=seed, processes=processes, near=ask.start)
     if law and (told := levels_finding(campaign, given, plain, source, found, search, ask.progress, seed)):
         return told
     if plain is not base:
-        search = converge(base, free, sample, seed=seed, processes=processes)
+        search = converge(base, free, sample, seed=seed, processes=processes, near=ask.start)
     far = _misses(search, found)
     if again := _leaking(campaign, base, search.base, sample, every, ask):
         return again
@@ -234,14 +236,15 @@ def _leaking(
     How they leak is found again beside the best that is known: the base model alone has it wrong by what it lacks.
     """
     if ask.leak is None:
-        leak, notes = cut_off(campaign, base, fit, sample, every)
+        found = cut_off(campaign, base, fit, sample, every)
     elif fit.hypothesis.pieces and not ask.leak_settled:
-        leak, notes = refined(ask.leak, campaign, base, fit, sample, every)[0], []
+        found = *refined(ask.leak, campaign, base, fit, sample, every), []
     else:
         return None
-    if leak is None:
+    if found is None:
         return None
-    finding = _diagnosed(campaign, replace(ask, leak=leak, leak_settled=ask.leak is not None))
+    leak, near, notes = found
+    finding = _diagnosed(campaign, replace(ask, leak=leak, leak_settled=ask.leak is not None, start=near.z))
     finding.warnings = [*notes, *finding.warnings]
     return finding
 

@@ -75,17 +75,25 @@ class Search:
 
 
 def converge(
-    robot: Robot, parameters: Parameters, sample: Sample, starts: int = 4, seed: int = 0, processes: int = 1
+    robot: Robot,
+    parameters: Parameters,
+    sample: Sample,
+    starts: int = 4,
+    seed: int = 0,
+    processes: int = 1,
+    near: FloatArray | None = None,
 ) -> Search:
     """The base model from the description and from springs and dampers drawn from their prior.
 
-    Starts that springs and dampers alone bring to one robust cost are at one optimum.
+    One more start is at ``near``. Starts that springs and dampers alone bring to one robust cost are at one optimum.
     """
     rng = np.random.default_rng(seed)
     elastic = NONE.coarse(parameters)
     few, more = sample.thin(SCREEN_LINES), sample.thin(REFIT_LINES)
     places = np.zeros((starts, len(parameters)))
     places[1:, elastic] = rng.normal(size=(starts - 1, len(elastic)))
+    if near is not None:
+        places = np.vstack([places, near[: len(parameters)]])
     robustly = Objective(robot, parameters, few, logarithmic=True, sagging=False)
 
     def roughly(number: int) -> tuple[FloatArray, float]:
@@ -104,7 +112,7 @@ def converge(
         return descend(robot, NONE, parameters, sample, fit.z, tempered=0, linear=steps, tolerance=0.02)
 
     apart: list[tuple[FloatArray, float]] = []
-    for z, cost in sorted(spread(roughly, starts, processes), key=lambda start: start[1]):
+    for z, cost in sorted(spread(roughly, len(places), processes), key=lambda start: start[1]):
         if not apart or cost - apart[-1][1] > AGREEMENT:
             apart.append((z, cost))
     found = sorted(spread(closely, len(apart), processes), key=lambda start: start[1])
