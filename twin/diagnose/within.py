@@ -21,6 +21,7 @@ from twin.physics.chain import node_of
 from twin.robot.description import Robot
 
 WORDS = {"response": "sensor", "excitation": "blow", "position": "node"}
+EVERY_NODE = {f"node:*.{what}": f"{what}s of sensors and blows" for what in ("position", "direction")}
 LISTED = 3  # points that a note lists
 RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
 
@@ -95,7 +96,8 @@ def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
     if not pieces:
         return []
     values = dict(zip(fit.parameters.names, fit.values, strict=True))
-    names = ", ".join(piece.site if piece.law is None else piece.key for piece in pieces)
+    sites = [piece.site if piece.law is None else piece.key for piece in pieces]
+    names = ", ".join(f"{EVERY_NODE[site]} ({site})" if site in EVERY_NODE else site for site in sites)
     text = f"{names}: a little off, within the description's tolerances. Every fit took that into account: no finding"
     places = [piece for piece in pieces if piece.law is None and piece.site.endswith(".position")]
     return [Note(text, "description", "note"), *filter(None, (_farthest(piece, values) for piece in places))]
