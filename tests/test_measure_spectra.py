@@ -196,6 +196,8 @@ def test_reciprocity_fails_for_a_turned_channel_and_holds_for_signed_blows() -> 
     assert all(c.passed for c in reciprocity(campaign(signed, blows=("21X+", "21Y-", "21Z+")), signed))
     turned = replace(posture, frf=posture.frf[:, [0, 2, 1]])
     assert not all(c.passed for c in reciprocity(campaign(turned), turned))
+    dead = replace(posture, frf=0 * posture.frf, coherence=None)
+    assert all(c.passed for c in reciprocity(campaign(dead), dead))
 
 
 def test_reciprocity_forgives_a_quiet_pair_its_noise_and_a_little_of_the_loud_direction() -> None:

@@ -158,8 +158,8 @@ def cut_off(
 
     near, leak = min((at(*one) for one in tried), key=lambda one: one[0].cost)
     for _ in range(RESCANNED):  # the phase at the end was judged by a model that is better known now
-        again, other = at(near.z, _likeliest(leaks, fit, near.z, thin, campaign))
-        if again.cost >= near.cost or other == leak:
+        other = _likeliest(leaks, fit, near.z, thin, campaign)
+        if other == leak or (again := at(near.z, other)[0]).cost >= near.cost:
             break
         near, leak = again, other
     if not _explains(near, plain):
@@ -216,28 +216,29 @@ def _lengths(fit: Fitted, thin: Sample, campaign: Campaign) -> list[Leak]:
 
 def _likeliest(leaks: Sequence[Leak], fit: Fitted, z: FloatArray, thin: Sample, campaign: Campaign) -> Leak:
     """Of some leaks the one under which the model at z fits best."""
-    objective, values = Objective(fit.robot, fit.parameters, thin, logarithmic=True), fit.parameters.values(z)
-    whole, robot = objective.predicted(z), fit.parameters.apply(fit.robot, values)
-    seen = observe_all(robot, [r.setup for r in thin.recordings], fit.parameters, values)
+    objective = Objective(fit.robot, fit.parameters, thin, logarithmic=True)
+    whole, seen = objective.predicted(z), _seen(fit, z, thin)
 
     def cost(leak: Leak) -> float:
         leaky = (CutOff.of(r, campaign.postures[r.group], leak) for r in thin.recordings)
-        lacks = (r.lacks(one) for r, (one, _) in zip(leaky, seen, strict=True))
+        lacks = (r.lacks(one) for r, one in zip(leaky, seen, strict=True))
         return objective.loss([H - lack for H, lack in zip(whole, lacks, strict=True)])
 
     return min(leaks, key=cost)
 
 
+def _seen(fit: Fitted, z: FloatArray, sample: Sample) -> list[Observed]:
+    """The models of recordings at z."""
+    values = fit.parameters.values(z)
+    robot = fit.parameters.apply(fit.robot, values)
+    return [one for one, _ in observe_all(robot, [r.setup for r in sample.recordings], fit.parameters, values)]
+
+
 def _size(fit: Fitted, leaky: Sample, z: FloatArray) -> float:
     """Root of the sum of the squares of what records lack of the model at z, in deviations of noise."""
-    objective, values = Objective(fit.robot, fit.parameters, leaky), fit.parameters.values(z)
-    robot = fit.parameters.apply(fit.robot, values)
-    seen = observe_all(robot, [r.setup for r in leaky.recordings], fit.parameters, values)
-    parts = [
-        w * r.lacks(one)
-        for r, w, (one, _) in zip(leaky.recordings, objective.weight, seen, strict=True)
-        if isinstance(r, CutOff)
-    ]
+    weight = Objective(fit.robot, fit.parameters, leaky).weight
+    lacking = zip(leaky.recordings, weight, _seen(fit, z, leaky), strict=True)
+    parts = [w * r.lacks(one) for r, w, one in lacking if isinstance(r, CutOff)]
     return float(np.sqrt(sum(np.sum(np.abs(part) ** 2) for part in parts)))
 
 

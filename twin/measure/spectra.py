@@ -380,7 +380,7 @@ def reciprocity(campaign: Campaign, posture: PostureFRF) -> list[Check]:
             if variance is not None:
                 allowed += 2 * float(np.sum(variance[:, r, e2] + variance[:, r2, e]))
             value = apart / size if size > 0 else 0.0
-            passed = apart**2 < (0.1 * size) ** 2 + allowed
+            passed = apart**2 <= (0.1 * size) ** 2 + allowed  # of channels that are dead both are zero
             checks.append(Check("reciprocity", f"{campaign.pair(r, e2)} and {campaign.pair(r2, e)}", value, passed))
     return checks
 
