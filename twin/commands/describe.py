@@ -18,6 +18,7 @@ from twin.robot.datasheet import assumed_of, fit_tools, read_sheet, read_tools, 
 from twin.robot.description import Assumed, Robot, load_robot, parse_robot, save_robot
 from twin.robot.doubts import doubts
 from twin.robot.mechanism import Mechanism, assemble
+from twin.robot.mesh import thinned
 from twin.robot.mjcf import build_spec, save_mjcf
 from twin.robot.reduce import reduce_tree
 from twin.robot.tree import Chain, Shape, Tree, robot_data
@@ -254,5 +255,5 @@ def _write_shapes(target: Path, into: np.ndarray, shapes: list[tuple[np.ndarray,
 
     target.parent.mkdir(exist_ok=True)
     meshes = [shape.load().copy().apply_transform(into @ place @ shape.placement) for place, shape in shapes]
-    whole = trimesh.util.concatenate(meshes)
+    whole = thinned(trimesh.util.concatenate(meshes))
     target.write_bytes(trimesh.exchange.stl.export_stl(whole))

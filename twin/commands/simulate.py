@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.commands.posture_file import PostureFile, posture_in_memory, read_posture_file
+from twin.commands.posture_file import Hammer, PostureFile, posture_in_memory, read_posture_file
 from twin.errors import InputError, tell
 from twin.measure.campaign import Campaign, write_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, require_axes, write_motion_log
@@ -16,7 +16,7 @@ from twin.model.hammer import HammerTest, usual_duration
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import Modes, modes
 from twin.model.replay import Replay, inverse_dynamics, motion_of, recorded_torque, replay
-from twin.model.simulated_test import beyond_linear, simulated_test
+from twin.model.simulated_test import LARGE, beyond_linear, simulated_test, suited_force
 from twin.parallel import Progress, silent
 from twin.physics import CATALOGUE
 from twin.provenance import provenance, write_json
@@ -25,9 +25,6 @@ from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import Mechanism, assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
 from twin.table import Table
-
-LARGE = 0.001  # of FRFs, a tenth of the noise of a careful test: more is told
-SMALL = 0.0005  # of FRFs, with the force that is proposed
 
 
 @dataclass
@@ -209,10 +206,9 @@ def simulate(
         if case.hammer.duration_s is None:
             test = replace(test, duration_s=usual_duration(linear, test))
         found.campaign = simulated_test(
-            mechanism, linear, test, case.hammer.force_n, name=case.name, q_deg=case.q_deg,
+            mechanism, linear, test, _forces(found, test, case.hammer), name=case.name, q_deg=case.q_deg,
             raw_hits=case.hammer.raw_hits, progress=progress,
         )  # fmt: skip
-        _tell_large(found, test, max(case.hammer.force_n))
     for name, run in runs.runs.items() if runs else ():
         run = _of_axes(case.robot, run)
         tick = progress(f"replay {name}", len(run.time))
@@ -225,19 +221,24 @@ def simulate(
     return found
 
 
-def _tell_large(found: Simulation, test: HammerTest, force_n: float) -> None:
-    """Tell of blows that move a light robot so far that its FRFs are not those of small motion.
+def _forces(found: Simulation, test: HammerTest, hammer: Hammer) -> list[float]:
+    """Peak forces (N), told where they move a light robot so far that its FRFs are not those of small motion.
 
-    Of geometry alone: a description with a law of amplitude is meant to answer so.
+    Where the file states no force, one that suits the robot is taken instead. Of geometry alone: a description with a
+    law of amplitude is meant to answer so.
     """
     if any(CATALOGUE[entry.effect].amplitude_law for entry in found.robot.physics):
-        return
-    if (off := beyond_linear(found.mechanism, found.linear, test, force_n)) > LARGE:
-        text = (
-            f"{force_n:g} N moves this robot so far that its FRFs differ by {off:.2%} from those of small motion. "
-            f"fit and diagnose compare with these; {float(f'{force_n * SMALL / off:.0e}'):g} N suits it"
-        )
-        tell(found.case.name, "hammer.force_n", text)
+        return hammer.force_n
+    largest = max(hammer.force_n)
+    if (off := beyond_linear(found.mechanism, found.linear, test, largest)) <= LARGE:
+        return hammer.force_n
+    suited = suited_force(largest, off)
+    text = f"{largest:g} N moves this robot so far that its FRFs differ by {off:.2%} from those of small motion"
+    if "force_n" in hammer.model_fields_set:
+        tell(found.case.name, "hammer.force_n", f"{text}. fit and diagnose compare with these; {suited:g} N suits it")
+        return hammer.force_n
+    tell(found.case.name, "hammer.force_n", f"{text}. The file states no force, so it is hit with {suited:g} N")
+    return [suited]
 
 
 def _of_axes(robot: Robot, run: MotionRun) -> MotionRun:

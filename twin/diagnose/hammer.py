@@ -30,7 +30,7 @@ from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
 from twin.diagnose.sentences import sentence
 from twin.diagnose.states import sorted_out
-from twin.diagnose.struck import without_laws
+from twin.diagnose.struck import moved_far, without_laws
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import (
     STRAINED,
@@ -201,7 +201,8 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
         if not far and (again := _sorted_out(campaign, found, ask)):
             return again
         short = [] if ask.leak else cut_short(without_limits(given), campaign, found.used)
-        finding.warnings = [*short, *finding.warnings]
+        large = [] if found.nonlinear else moved_far(without_limits(given), campaign, found.used)
+        finding.warnings = [*short, *large, *finding.warnings]
     return finding
 
 

@@ -6,17 +6,23 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from twin.diagnose.joint_reaction import PULSE_SPREAD, Blow, Stepped
+from twin.diagnose.joint_reaction import PULSE_SPREAD, Blow, Stepped, blows
+from twin.diagnose.note import Note
 from twin.identify.descent import minimise
 from twin.identify.elastic_compare import Judged, recording_set, relative_error
 from twin.identify.objective import Sample
 from twin.identify.recorded import Recorded, without_limits
-from twin.measure.campaign import FloatArray
+from twin.measure.campaign import Campaign, FloatArray
 from twin.model.blow import COARSE_HZ
+from twin.model.expansion import with_channels
+from twin.model.hammer import HammerTest, usual_duration
+from twin.model.linear import linearise
 from twin.model.parameters import independent
+from twin.model.simulated_test import LARGE, beyond_linear, suited_force
 from twin.physics import CATALOGUE
 from twin.physics.joint_law import Law
 from twin.robot.description import Entry, Robot
+from twin.robot.mechanism import assemble
 
 SETTLED_LINES, AGAIN = 25, 8  # lines and iterations of what belongs to the recordings themselves
 LONGEST = 3.0  # prior deviations of the logarithm of a blow's length within which it is sought
@@ -43,6 +49,26 @@ def law_of(robot: Robot) -> tuple[Law, FloatArray, str, Robot]:
     law, sizes = stated.described(entry.values)
     robot = robot.model_copy(update={"physics": [other for other in robot.physics if other is not entry]})
     return law, sizes, entry.site, robot
+
+
+def moved_far(robot: Robot, campaign: Campaign, recordings: Sequence[Recorded]) -> list[Note]:
+    """A note where the hardest blow moves the robot so far that its FRFs are not those of small motion."""
+    blow = blows(campaign) or {}
+    if not blow:
+        return []
+    hardest = max(recordings, key=lambda r: blow[r.group].peak_n)
+    name, hit, setup = hardest.group, blow[hardest.group], hardest.setup
+    struck = with_channels(robot, campaign.excitation, campaign.response)
+    mechanism = assemble(struck, setup.q, brakes=setup.brakes or "off")
+    linear, test = linearise(mechanism), HammerTest(pulse_s=hit.pulse_s, duration_s=hit.length_s)
+    test = replace(test, duration_s=usual_duration(linear, test))
+    if (off := beyond_linear(mechanism, linear, test, hit.peak_n)) <= LARGE:
+        return []
+    text = (
+        f"{name}: {hit.peak_n:.0f} N move this robot so far that its FRFs differ by {off:.1%} from those of small "
+        f"motion, which every model here predicts. Hit it with {suited_force(hit.peak_n, off):g} N"
+    )
+    return [Note(text, "linearity")]
 
 
 def settle(judged: Stepped) -> FloatArray:

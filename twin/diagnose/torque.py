@@ -51,6 +51,7 @@ from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
 
 SHORT_S = 40.0  # of motion in all: 10 Hz of it have 800 rows of a joint, some ten for each number of a robot
+LISTED = 3  # keys that a sentence lists; more are counted
 TIMES_WIDER = (2.0, 4.0)  # times the low-pass, tried on what is shorter
 
 
@@ -289,12 +290,16 @@ def _told_apart(search: Search) -> list[str]:
     for key, gain in alone.items():
         beside = {f.hypothesis.key: f.evidence() - last.base.evidence() for f in last.decision.ranked}.get(key, 0.0)
         if found and gain > calibration()["further"] and not last.accepted:
-            clear = beside < calibration()["further"] and gain < together - calibration()["further"]
-            names = ", ".join(sorted(found))
+            names = ", ".join(sorted(found)) if len(found) <= LISTED else f"the {len(found)} effects found"
+            if beside >= calibration()["further"]:
+                verdict = f"{key} still gains {beside:.0f}, and was not taken in: a part of the error may be its"
+            else:
+                clear = gain < together - calibration()["further"]
+                tells = "tells" if clear else "does not tell"
+                verdict = f"{key} gains {max(beside, 0.0):.0f}: the log {tells} them apart"
             notes.append(
-                f"{key} alone would gain {gain:.0f} in ln evidence; {names} together gain {together:.0f}. With {names} "
-                f"in the model, {key} gains {max(beside, 0.0):.0f}: the log {'tells' if clear else 'does not tell'} "
-                "them apart"
+                f"{key} alone would gain {gain:.0f} in ln evidence; {names} together gain {together:.0f}. "
+                f"With {names} in the model, {verdict}"
             )
     return notes
 

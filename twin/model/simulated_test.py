@@ -14,6 +14,8 @@ from twin.parallel import Progress, silent
 from twin.robot.mechanism import Mechanism
 
 FREQUENCY_SHARE = 0.8  # FRFs are kept up to this share of 1/pulse, where a half sine still excites
+LARGE = 0.001  # of FRFs, a tenth of the noise of a careful test: more is told
+SMALL = 0.0005  # of FRFs, with the force that is proposed
 
 
 def simulated_test(
@@ -69,9 +71,10 @@ def simulated_test(
 def beyond_linear(mechanism: Mechanism, linear: LinearModel, test: HammerTest, force_n: float) -> float:
     """How far the FRFs of a blow are off those of small motion, because the robot moves so much: RMS over RMS.
 
-    Of a blow without noise, on the test point that yields most.
+    Of a blow without noise, on the test point that yields most; felt where the robot has accelerometers, or everywhere.
     """
-    points, responses = [point.label for point in mechanism.robot.test_points], list(mechanism.robot.accelerometers)
+    points = [point.label for point in mechanism.robot.test_points]
+    responses = list(mechanism.robot.accelerometers) or points
     soft = np.linalg.pinv(linear.K)  # what only a damper holds does not count
     yields = [float(np.linalg.norm(J @ soft @ J.T)) for J in (linear.points[p][1] for p in points)]
     struck = [points[int(np.argmax(yields))]]
@@ -86,6 +89,11 @@ def beyond_linear(mechanism: Mechanism, linear: LinearModel, test: HammerTest, f
         posture.quantity, exponential_window_rate=rate,
     )  # fmt: skip
     return float(np.linalg.norm(posture.frf[1:] - small) / np.linalg.norm(small))
+
+
+def suited_force(force_n: float, off: float) -> float:
+    """Peak force (N), one digit, that suits a robot whose FRFs of ``force_n`` are off by ``off``."""
+    return float(f"{force_n * SMALL / off:.0e}")
 
 
 def _unstepped(linear: LinearModel) -> bool:

@@ -6,6 +6,7 @@ from typing import Any
 from twin.errors import InputError
 from twin.robot.description import Link, Robot, check_inertia
 from twin.robot.frames import inertia_six
+from twin.robot.mesh import read_mesh
 
 
 def complete_inertias(robot: Robot, source: str | Path) -> None:
@@ -61,18 +62,7 @@ def closed_mesh(path: str, source: str | Path, field: str) -> Any:
     Raises:
         InputError: naming source and field: not readable, empty, or not closed.
     """
-    import trimesh
-    from trimesh.units import unit_conversion
-
-    name = Path(path).name
-    try:
-        shape = trimesh.load_mesh(path)
-    except Exception as error:  # the readers raise whatever a broken file provokes in them
-        raise InputError(source, field, f"{name} cannot be read as a mesh ({error})") from error
-    if shape.is_empty:
-        raise InputError(source, field, f"{name} holds no triangles")
-    if shape.units is not None:  # Collada states its unit
-        shape.apply_scale(unit_conversion(shape.units, "meters"))
+    name, shape = Path(path).name, read_mesh(path, source, field)
     shape.merge_vertices(merge_tex=True, merge_norm=True)  # files split vertices where a texture or normal jumps
     if not shape.is_watertight:
         raise InputError(source, field, f"{name} is not closed (watertight), so that it encloses no volume")

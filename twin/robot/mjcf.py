@@ -15,6 +15,7 @@ import numpy as np
 from twin.files import writing
 from twin.robot.frames import inertia_six, quaternion_of
 from twin.robot.mechanism import Body, Joint, Mechanism, Tendon
+from twin.robot.mesh import drawn_by_mujoco, read_mesh, thinned
 
 TIMESTEP_S = 0.001
 EQUIVALENT_HZ = 15.0
@@ -257,13 +258,11 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
             added.range = joint.range
     if body.mesh and visual:
         mesh = spec.add_mesh(name=body.name, scale=[body.mesh_scale] * 3)
-        if Path(body.mesh).suffix.lower() == ".dae":  # a format MuJoCo does not read
-            import trimesh
-
-            shape = trimesh.load_mesh(body.mesh)
-            mesh.uservert, mesh.userface = shape.vertices.ravel(), shape.faces.ravel()
-        else:
+        if drawn_by_mujoco(body.mesh):
             mesh.file = body.mesh
+        else:
+            shape = thinned(read_mesh(body.mesh, body.mesh, ""))
+            mesh.uservert, mesh.userface = shape.vertices.ravel(), shape.faces.ravel()
         item.add_geom(spec.find_default(body.kind), meshname=body.name)
     return item
 

@@ -33,12 +33,13 @@ class Reduced:
 def reduce_tree(tree: Tree, tip: str | None = None) -> Reduced:
     """The serial chain from the root to the tip; side branches move with the link that carries them.
 
-    Without ``tip`` the branch with the most movable joints is followed, and the chain ends where several have as many
-    (the fingers of a hand). A joint of the chain that follows another stays an axis whose motor turns with that other
-    one. In a parallelogram, a lever beside an axis drives the next axis: the lever's drive is kept.
+    Without ``tip`` the branch with the most movable joints is followed. Where several have as many, the chain ends (the
+    fingers of a hand), unless those have more joints than the chain up to there. A joint of the chain that follows
+    another stays an axis whose motor turns with that other one. In a parallelogram, a lever beside an axis drives the
+    next axis: the lever's drive is kept.
 
     Raises:
-        InputError: no such tip, no axis, or two parents.
+        InputError: no such tip, no axis, two parents, or several arms and no tip.
     """
     found = Reduced(Chain(tree, [], []))
     tree.root()
@@ -90,9 +91,10 @@ def _longest_path(tree: Tree) -> list[Joint]:
         if not ways:
             return path
         if len(ways) > 1 and _depth(tree, ways[0]) == _depth(tree, ways[1]):
-            if not path:
+            if _depth(tree, ways[0]) > len(path):  # two arms; fingers have fewer joints than what carries them
                 names = ", ".join(joint.name for joint in ways)
-                raise InputError(tree.path, f"link {part}", f"branches into {names}; name the last link as tip")
+                told = f"branches into {names}; name the last link in a data sheet (tip: …, --sheet)"
+                raise InputError(tree.path, f"link {part}", told)
             return path
         path.append(ways[0])
         part = ways[0].child

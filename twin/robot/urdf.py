@@ -13,13 +13,13 @@ import numpy as np
 import trimesh
 from numpy.linalg import norm
 from scipy.spatial.transform import Rotation
-from trimesh.units import unit_conversion
 
 from twin.errors import InputError, tell
 from twin.ranges import FARTHEST_M, MOST_PARTS, implausible
 from twin.robot.bodies import Inertial
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_matrix
+from twin.robot.mesh import read_mesh
 from twin.robot.tree import Joint, Part, Shape, Tree, robot_of
 
 
@@ -65,6 +65,8 @@ def read_urdf(path: str | Path) -> Tree:
     for tag in ("link", "joint"):
         if (count := len(root.findall(tag))) > MOST_PARTS:
             raise InputError(path, tag, f"expected at most {MOST_PARTS}, found {count}")
+    if root.find("link") is None:
+        raise InputError(path, "link", "the file has none, so it describes no robot")
     tree = Tree(path, root.get("name") or path.stem, {}, [])
     _note_unknown(tree, root, "the robot")
     for element in root.findall("link"):
@@ -221,13 +223,7 @@ def _mesh_file(path: Path, name: str) -> Path | None:
 
 
 def _load_mesh(path: Path, where: str, file: Path, scale: np.ndarray) -> trimesh.Trimesh:
-    try:
-        mesh = trimesh.load_mesh(file)
-    except Exception as error:  # the readers raise whatever a broken file provokes in them
-        raise InputError(path, where, f"{file.name} cannot be read as a mesh ({error})") from error
-    if mesh.units is not None:  # Collada states its unit
-        mesh.apply_scale(unit_conversion(mesh.units, "meters"))
-    return mesh.apply_scale(scale)
+    return read_mesh(file, path, where).apply_scale(scale)
 
 
 def _primitive(kind: str, size: np.ndarray) -> trimesh.Trimesh:
@@ -271,9 +267,9 @@ def _joint(path: Path, element: ElementTree.Element) -> Joint:
     position = None
     if kind in ("revolute", "prismatic") and limit is not None and {"lower", "upper"} & set(limit.keys()):
         low, high = (float(_numbers(path, where, limit, bound, [0.0])[0]) for bound in ("lower", "upper"))
-        if low >= high:
+        if low > high:
             raise InputError(path, where, f"limits must increase, found lower {low:g} and upper {high:g}")
-        position = (low, high)
+        position = (low, high) if low < high else None  # files write zeros where they state none
     velocity, effort, damping, friction = (
         float(_numbers(path, where, tag, key, [0.0], unit)[0])
         for tag, key, unit in (
