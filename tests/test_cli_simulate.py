@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from test_kr90 import TABLE_7
 
+from twin.commands.describe import describe
 from twin.commands.simulate import simulate
+from twin.diagnose.struck import moved_far
 from twin.errors import Told
+from twin.identify.recorded import prepare
 from twin.measure.campaign import read_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log, write_motion_log
 from twin.robot.description import SHIPPED, Robot
@@ -52,6 +55,23 @@ def test_a_blow_that_moves_a_light_arm_beyond_small_motion_is_told(tmp_path: Pat
         simulate([0, 70, -100], robot="kr90", hammer=blow)
     with pytest.warns(Told, match="10000 N moves this robot so far"):
         simulate([0, 70, -100], robot="kr90", hammer={**blow, "force_n": 1e4})
+
+
+def test_a_light_arm_is_hit_with_a_force_that_suits_it_unless_the_file_says_so(tmp_path: Path) -> None:
+    """What is written is what fit and diagnose compare with: FRFs of small motion."""
+    light = describe(SHIPPED.parent / "twin/examples/arm/arm.urdf").robot
+    q_deg, blow = [30, -80, 100, 20, 60, 10], {"hits": 1, "duration_s": 1}
+    with pytest.warns(Told, match="300 N moves this robot so far .* so it is hit with 60 N"):
+        (posture,) = simulate(q_deg, robot=light, hammer=blow).campaign.postures.values()
+    assert posture.peak_force_n == pytest.approx(60, rel=0.02)
+    with pytest.warns(Told, match="60 N suits it"):
+        found = simulate(q_deg, robot=light, hammer={**blow, "force_n": 300})
+    (hard,) = found.campaign.postures.values()
+    assert hard.peak_force_n == pytest.approx(300, rel=0.02)
+    recordings = prepare(found.campaign, light, "hit hard")
+    (note,) = moved_far(light, found.campaign, list(recordings.values()))
+    assert note.kind == "linearity"
+    assert note.endswith("Hit it with 60 N")
 
 
 def test_hammer_and_replay_write_what_they_say(twin, posture, kr90: Robot, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -196,6 +196,30 @@ def test_followers_side_branches_and_hands(tmp_path: Path) -> None:
     assert [axis.name for axis in named.axes] == ["j1", "j2", "j3", "f2"]
 
 
+def test_a_torso_with_two_arms_is_no_robot_of_one_axis(tmp_path: Path) -> None:
+    path = urdf(
+        tmp_path, link("foot"), link("torso"), joint("lift", "foot", "torso"),
+        *(link(f"{side}{k}") for side in "lr" for k in (1, 2)),
+        *(joint(f"{side}_{k}", "torso" if k == 1 else f"{side}1", f"{side}{k}") for side in "lr" for k in (1, 2)),
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"torso: branches into l_1, r_1; name the last link in a data sheet"):
+        twin.describe(path)
+    named = twin.describe(path, sheet=sheet(tmp_path, tip="r2")).robot
+    assert [axis.name for axis in named.axes] == ["lift", "r_1", "r_2"]
+
+
+def test_limits_that_are_both_zero_are_none(tmp_path: Path) -> None:
+    still = joint("j1", "foot", "a", '<limit lower="0" upper="0" effort="0" velocity="0"/>')
+    robot = twin.describe(urdf(tmp_path, link("foot", 20), link("a"), still)).robot
+    assert robot.axes[0].limits.position == pytest.approx((-np.pi, np.pi))
+    assert "axes[0].limits.position" in [item.field for item in robot.assumed]
+
+
+def test_a_file_without_links_describes_no_robot(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="link: the file has none, so it describes no robot"):
+        twin.describe(urdf(tmp_path))
+
+
 PARALLELOGRAM = """
 <mujoco model="palletiser"><compiler angle="radian"/>
   <default><geom type="capsule" size="0.03"/></default>

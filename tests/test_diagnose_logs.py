@@ -12,10 +12,12 @@ import pytest
 from scipy.signal import lfilter
 from test_identify_real import emps, needs, tx40
 
+from tools.study_ten_hertz import slipping
 from tools.truth import motion as truth_motion
 from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from tools.truth.robots import machines, write_description
+from twin import diagnose
 from twin.diagnose import engine, torque
 from twin.diagnose.borne_out import falls
 from twin.diagnose.calibration import calibration
@@ -180,6 +182,19 @@ def test_slip_that_is_part_of_dry_friction_is_not_taken_for_how_friction_ordinar
     slip = "hysteresis@joint2.z:stiffness=200000,yield_torque=40"
     (missing,) = diagnose_log(recorded(tmp_path, "--effect", slip), kr90).missing
     assert missing.first.key == "hysteresis@joint2.z"
+
+
+@pytest.mark.slow
+def test_friction_that_all_joints_lack_does_not_hide_slip_at_one_of_them(tmp_path: Path) -> None:
+    """A controller at 10 Hz, and a robot without friction: what a law may be off by counts at its own joint."""
+    path = tmp_path / "robot.yaml"
+    write_description(machines()["six"], path)
+    verdict = diagnose(slipping("six", 60.0, 0), robot=path, without=["viscous_friction", "coulomb_friction"])
+    named = {missing.first.key for missing in verdict.missing}
+    joints = range(1, 7)
+    friction = {f"{kind}@joint{k}" for kind in ("viscous_friction", "coulomb_friction") for k in joints}
+    assert friction | {"hysteresis@joint2.z", "hysteresis@joint3.z"} <= named
+    assert all(check["passed"] for check in verdict.checks)
 
 
 def test_slip_of_several_elements_is_put_to_its_rivals_again(tmp_path: Path, kr90: Robot) -> None:

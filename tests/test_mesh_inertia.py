@@ -13,6 +13,9 @@ from scipy.spatial.transform import Rotation
 from twin.errors import InputError
 from twin.robot.description import Link, Robot, load_robot, save_robot
 from twin.robot.frames import inertia_matrix
+from twin.robot.mechanism import assemble
+from twin.robot.mesh import MOST_FACES, drawn_by_mujoco
+from twin.robot.mjcf import compile_model
 from twin.yamlfile import write_yaml
 
 SIZE = np.array([0.2, 0.3, 0.7])
@@ -67,6 +70,12 @@ def test_mesh_scale_turns_millimetres_into_metres(tmp_path: Path) -> None:
     link = only_link(tmp_path, mesh="box.stl", mesh_scale=0.001, density=1000)
     assert link.mass == pytest.approx(1000 * SIZE.prod(), rel=1e-6)
     np.testing.assert_allclose(link.com, PLACE, atol=1e-7)
+
+
+def test_a_mesh_in_millimetres_without_a_scale_gets_one_line(tmp_path: Path) -> None:
+    box().apply_scale(1000).export(tmp_path / "box.stl")
+    with pytest.raises(InputError, match=r"links\[0\]\.mesh: box\.stl is .* m large .* mesh_scale: 0\.001"):
+        only_link(tmp_path, mesh="box.stl", density=2700)
 
 
 def test_a_collada_file_in_millimetres_says_so_itself(tmp_path: Path) -> None:
@@ -133,6 +142,28 @@ def test_links_are_rebalanced_to_the_total_mass_the_base_stays(tmp_path: Path) -
     np.testing.assert_allclose(robot.links[1].inertia, factor * np.array(stated["inertia"]), rtol=1e-7)
     np.testing.assert_allclose(inertia_matrix(robot.links[0].inertia), box_inertia(meshed * factor), rtol=1e-6)
     assert robot.links[1].com == (0.1, 0, 0)
+
+
+@pytest.mark.parametrize("kind", ["text", "fine", "millimetres"])
+def test_meshes_that_mujoco_does_not_read_are_drawn_all_the_same(tmp_path: Path, kind: str) -> None:
+    """STL in text, more triangles than MuJoCo takes, Collada in its own unit."""
+    ball = trimesh.creation.icosphere(7 if kind == "fine" else 3, radius=0.3)
+    mesh = tmp_path / ("ball.dae" if kind == "millimetres" else "ball.stl")
+    if kind == "text":
+        mesh.write_text(trimesh.exchange.stl.export_stl_ascii(ball))
+    elif kind == "fine":
+        assert len(ball.faces) > MOST_FACES
+        ball.export(mesh)
+    else:
+        ball.apply_scale(1000).export(mesh)
+        unit = '<unit name="millimeter" meter="0.001"/><up_axis>'
+        mesh.write_text(mesh.read_text().replace("<up_axis>", unit))
+    assert not drawn_by_mujoco(mesh)
+    robot = load_robot(robot_of(tmp_path, {"mesh": mesh.name, "density": 2700}))
+    model = compile_model(assemble(robot, np.zeros(1)))
+    assert 0 < model.nmeshface <= MOST_FACES
+    reach = np.linalg.norm(model.mesh_vert, axis=1)
+    assert reach.max() == pytest.approx(0.3, rel=5e-3)
 
 
 def test_only_meshes_that_mujoco_reads_are_taken(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from twin.errors import InputError
 from twin.robot.description import Link, Robot, check_inertia
 from twin.robot.frames import inertia_six
@@ -50,10 +52,13 @@ def _solid(link: Link, source: str | Path, field: str) -> Link:
         check_inertia(inertia)
     except ValueError as error:  # shells turned inside out can cancel
         raise InputError(source, field, f"{Path(link.mesh).name}: {error}") from error
-    return Link.model_validate(
-        link.model_dump(include={"name", "mesh", "mesh_scale", "collision"})
-        | {"mass": float(shape.mass), "com": shape.center_mass.tolist(), "inertia": inertia}
-    )
+    found = {"mass": float(shape.mass), "com": shape.center_mass.tolist(), "inertia": inertia}
+    try:
+        return Link.model_validate(link.model_dump(include={"name", "mesh", "mesh_scale", "collision"}) | found)
+    except ValidationError as error:
+        size = " x ".join(f"{extent:.3g}" for extent in shape.extents)
+        told = f"{Path(link.mesh).name} is {size} m large and would weigh {shape.mass:.3g} kg"
+        raise InputError(source, field, f"{told}; is it in mm? mesh_scale: 0.001 makes metres of them") from error
 
 
 def closed_mesh(path: str, source: str | Path, field: str) -> Any:

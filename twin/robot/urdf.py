@@ -5,6 +5,7 @@ say which link or joint a fault is in.
 """
 
 import reprlib
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
@@ -68,13 +69,14 @@ def read_urdf(path: str | Path) -> Tree:
     if root.find("link") is None:
         raise InputError(path, "link", "the file has none, so it describes no robot")
     tree = Tree(path, root.get("name") or path.stem, {}, [])
-    _note_unknown(tree, root, "the robot")
+    unknown: dict[str, list[str]] = {}
+    _enter_unknown(unknown, root, "the robot")
     for element in root.findall("link"):
         link = _attribute(path, element, "name", "link")
         if link in tree.parts:
             raise InputError(path, f"link {link}", "appears twice")
         where = f"link {link}"
-        _note_unknown(tree, element, where)
+        _enter_unknown(unknown, element, where)
         tree.parts[link] = Part(
             _inertial(tree, where, _one(path, where, element, "inertial")),
             _shapes(tree, where, element.findall("visual")),
@@ -84,28 +86,34 @@ def read_urdf(path: str | Path) -> Tree:
         joint = _joint(path, element)
         if joint.name in [one.name for one in tree.joints]:
             raise InputError(path, f"joint {joint.name}", "appears twice")
-        _note_unknown(tree, element, f"joint {joint.name}")
+        _enter_unknown(unknown, element, f"joint {joint.name}")
         tree.joints.append(joint)
+    tree.notes += [f"{what} of {_counted(places)} is not known: not read" for what, places in unknown.items()]
     tree.notes += _doubts(tree)
     return tree
 
 
-def _note_unknown(tree: Tree, element: ElementTree.Element, where: str) -> None:
-    """Note elements and attributes that no reader of URDF knows: misspelt, they would be left out in silence."""
+def _enter_unknown(unknown: dict[str, list[str]], element: ElementTree.Element, where: str) -> None:
+    """Enter elements and attributes that no reader of URDF knows: misspelt, they would be left out in silence."""
     attributes, children = KNOWN[element.tag]
     for key in element.attrib:
         if key not in attributes and not key.startswith("{"):  # of another program's name space
-            tree.notes.append(f"attribute {reprlib.repr(key)} of <{element.tag}> of {where} is not known: not read")
+            unknown.setdefault(f"attribute {reprlib.repr(key)} of <{element.tag}>", []).append(where)
     if element.tag == "robot":
         for child in element:
             if child.tag not in children and not str(child.tag).startswith("{"):
-                tree.notes.append(f"element <{reprlib.repr(child.tag)[1:-1]}> is not known: not read")
+                unknown.setdefault(f"element <{reprlib.repr(child.tag)[1:-1]}>", []).append(where)
         return
     for child in element:
         if child.tag in KNOWN:
-            _note_unknown(tree, child, where)
+            _enter_unknown(unknown, child, where)
         elif child.tag not in children and isinstance(child.tag, str) and not child.tag.startswith("{"):
-            tree.notes.append(f"element <{reprlib.repr(child.tag)[1:-1]}> of {where} is not known: not read")
+            unknown.setdefault(f"element <{reprlib.repr(child.tag)[1:-1]}>", []).append(where)
+
+
+def _counted(places: Sequence[str]) -> str:
+    """``link a``, or ``link a and 6 more``."""
+    return places[0] if len(places) == 1 else f"{places[0]} and {len(places) - 1} more"
 
 
 def _doubts(tree: Tree) -> list[str]:
