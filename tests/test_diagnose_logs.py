@@ -33,6 +33,7 @@ from twin.diagnose.torque_laws import State, entry_torque, log_suspects, model_t
 from twin.diagnose.torque_noise import _correlation, prediction_filter
 from twin.diagnose.torque_revise import _as_suspected, _with_element, at_once, seen_at_rest_only
 from twin.diagnose.torque_robot import _rounded, robot_of
+from twin.diagnose.torque_search import _of_another_size
 from twin.diagnose.torque_signal import Run, bands_of, prepare, thinned
 from twin.diagnose.torque_step import too_narrow
 from twin.diagnose.torque_stops import _creeping, stop_columns
@@ -182,6 +183,26 @@ def test_slip_that_is_part_of_dry_friction_is_not_taken_for_how_friction_ordinar
     slip = "hysteresis@joint2.z:stiffness=200000,yield_torque=40"
     (missing,) = diagnose_log(recorded(tmp_path, "--effect", slip), kr90).missing
     assert missing.first.key == "hysteresis@joint2.z"
+
+
+def test_described_friction_of_another_size_is_told_and_bends_no_link(tmp_path: Path, kr90: Robot) -> None:
+    """A complete log, and coefficients as the motors have them: at no joint of the size that the log shows."""
+
+    def at_the_motor(entry: Entry) -> Entry:
+        if entry.effect != "viscous_friction":
+            return entry
+        ratio = kr90.drives[int(entry.site[5:]) - 1].gear_ratio
+        return Entry.model_validate({**entry.model_dump(), "coefficient": entry.values["coefficient"] / ratio**2})
+
+    log = recorded(tmp_path)
+    wrong = kr90.model_copy(update={"physics": [at_the_motor(entry) for entry in kr90.physics]})
+    found = diagnose_log(log, wrong)
+    assert not found.missing
+    (note,) = [n for n in found.warnings if isinstance(n, Note) and n.kind == "description"]
+    assert note.sites == tuple(f"viscous_friction@joint{k}.coefficient" for k in (1, 2, 3))
+    assert "of the motors instead of the joints" in note
+    assert found.error["after"]["held_out"] < 1.2 * found.error["noise_floor"]
+    assert _of_another_size(torque.base_system(prepare(log, kr90, "log"))) is None
 
 
 @pytest.mark.slow

@@ -161,7 +161,8 @@ def _finding(
         [*smallest_visible(search.plain, suspects, processes), *_visible(found_plays)],
         warnings=[
             *_still_off(records), *prepared.notes, *notes, *not_sought(robot), *map(_restless, restless),
-            *_told_apart(search), *_narrow(search), *_strained(search), *_bodies(prepared, search, errors),
+            *_told_apart(search), *_resized(search), *_narrow(search), *_strained(search),
+            *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays), held_out_misfit=search.bare,
         written=with_presliding(search.system, after.z, robot_after),
@@ -265,6 +266,24 @@ def _narrow(search: Search) -> list[str]:
         "the description's tolerances are too narrow for this log. With the found effects in the model they were made "
         f"{search.narrow:.0f} times as wide ({far} are farthest from the description)"
     ]
+
+
+def _resized(search: Search) -> list[Note]:
+    """A note on described friction, of all joints, that is of another size than the log shows."""
+    if search.resized is None:
+        return []
+    names, notes = search.plain.parameters.names, []
+    values = search.plain.base.values(search.system.plain(search.after.z))
+    for kind in dict.fromkeys(name.partition("@")[0] for name, _ in search.resized.scale):
+        some = [name for name, _ in search.resized.scale if name.startswith(f"{kind}@")]
+        means = {p.name: p.mean for p in search.plain.parameters}
+        told = ", ".join(f"{n.partition('@')[2]} {means[n]:.3g} → {values[names.index(n)]:.3g}" for n in some)
+        text = (
+            f"{kind} of the description is of another size than the log shows at all joints ({told}). It may be in "
+            "another unit, of the motors instead of the joints, or what a simulator was given"
+        )
+        notes.append(Note(text, "description", sites=tuple(some)))
+    return notes
 
 
 def _strained(search: Search) -> list[Note]:

@@ -25,9 +25,13 @@ from twin.diagnose.torque_look import decided, look, nothing_of
 from twin.diagnose.torque_revise import all_grown, one_for_two, pruned, revised
 from twin.diagnose.torque_signal import Run
 from twin.diagnose.torque_step import REFITTED, Step, accepted, left_out, what_is_left, with_step
-from twin.diagnose.torque_system import System, Trial, extended, relinearised, unshrunk, with_doubts
+from twin.diagnose.torque_system import System, Trial, extended, relinearised, unshrunk, with_doubts, with_wider
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress
+from twin.physics import effect_of
+from twin.physics.statements import Part
+
+FRICTION: tuple[Part, ...] = ("viscous", "dry")  # kinds that every joint has
 
 
 @dataclass
@@ -46,6 +50,7 @@ class Search:
             noise; ``bare`` the same under the base model.
         narrow: times as wide as described the tolerances of the description were taken in the end.
         stand_ins: numbers of the description that explain as much as what was found, if they are far off.
+        resized: described friction that is of another size than the log shows.
     """
 
     plain: System
@@ -62,6 +67,7 @@ class Search:
     bare: float = 0.0
     narrow: float = 1.0
     stand_ins: tuple[Hypothesis, ...] = ()
+    resized: Hypothesis | None = None
 
     @property
     def finalists(self) -> tuple[dict[str, Any], ...]:
@@ -115,7 +121,11 @@ def explain(
     progress = progress or (lambda description, total: lambda count: None)
     judge = Judge(system, kept) if kept else None
     free = free_gains(system, processes)
-    steps, system = _whole_kinds(system, suspects, judge)
+    steps, whole = _lacking_kinds(system, suspects)
+    if resized := _of_another_size(whole):
+        plain = system = relinearised(with_wider(system, resized))
+        steps, whole = _lacking_kinds(system, suspects)
+    steps, system = _whole_kinds(system, steps, whole, judge)
     for number in range(rounds):
         known = {s.name for s in system.found}
         open_ = [s for s in suspects if s.name not in known]
@@ -135,7 +145,7 @@ def explain(
     system = pruned(steps, revised(steps, system, suspects, judge))
     system = with_doubts(all_grown(steps, system, judge))
     left = free_gains(system, processes, judge)
-    search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)
+    search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge, resized=resized)
     if judge:
         search.held_out_misfit, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
@@ -145,14 +155,14 @@ def explain(
     return search
 
 
-def _whole_kinds(system: System, suspects: Sequence[Suspect], judge: Judge | None) -> tuple[list[Step], System]:
+def _lacking_kinds(system: System, suspects: Sequence[Suspect]) -> tuple[list[Step], System]:
     """Friction of all joints at once where the description has none of a kind at several, and the model with it.
 
     While most of it is missing no joint's friction alone predicts a run: what the other joints lack goes into links
-    and rotors. What turns out needless is taken out again.
+    and rotors.
     """
     lacking: list[Suspect] = []
-    for part in ("viscous", "dry"):
+    for part in FRICTION:
         kind = [s for s in suspects if s.effect.part == part]
         lacking += kind if len(kind) > 1 else []
     steps: list[Step] = []
@@ -165,14 +175,46 @@ def _whole_kinds(system: System, suspects: Sequence[Suspect], judge: Judge | Non
         step.trials[step.key], step.accepted = unshrunk(trial), True
         steps.append(step)
         here = with_step(here, step)
+    return steps, relinearised(here) if steps else system
+
+
+def _of_another_size(system: System) -> Hypothesis | None:
+    """Described friction of a kind, of all joints, that is of another size than the log shows, with its width.
+
+    It is in another unit, the motor's, or what a simulator was given. Held near it, the fit puts the rest into links.
+    """
+    scale: dict[str, float] = {}
+    here = system
+    while wider := _far_off(here):  # the first time what it stands for is still in other numbers
+        scale |= {name: factor * scale.get(name, 1.0) for name, factor in wider.items()}
+        found = Hypothesis("parameter", "friction", scale=tuple(scale.items()))
+        here = relinearised(with_wider(system, found))
+    gained = base_fit(here).evidence() - base_fit(system).evidence()
+    return found if scale and gained > calibration()["further"] * len(scale) else None
+
+
+def _far_off(system: System) -> dict[str, float]:
+    """Described friction of a kind that is, over all joints, many deviations off: by how many."""
+    fit, far = base_fit(system), dict[str, float]()
+    root, names = fit.parameters.root, fit.parameters.names
+    off = np.abs(root @ fit.z) / np.maximum(np.linalg.norm(root, axis=1), 1e-300)
+    for part in FRICTION:
+        kind = [k for k, name in enumerate(names) if name.startswith(f"{effect_of(part).name}@")]
+        width = float(np.sqrt(np.mean(off[kind] ** 2))) if len(kind) > 1 else 0.0
+        if width > calibration()["far"]:
+            far |= dict.fromkeys((names[k] for k in kind), width)
+    return far
+
+
+def _whole_kinds(system: System, steps: list[Step], whole: System, judge: Judge | None) -> tuple[list[Step], System]:
+    """The model with the friction that all joints lack, if it predicts better. What proves needless is out again."""
     if not steps:
         return [], system
-    here = relinearised(here)
-    before, after = base_fit(system), base_fit(here)
-    predicted = judge is None or judge.density(here, after) > judge.density(system, before)
+    before, after = base_fit(system), base_fit(whole)
+    predicted = judge is None or judge.density(whole, after) > judge.density(system, before)
     if not predicted or after.evidence() - before.evidence() < calibration()["further"] * len(steps):
         return [], system
-    return steps, with_doubts(pruned(steps, here))
+    return steps, with_doubts(pruned(steps, whole))
 
 
 def _outdone(search: Search, judge: Judge | None) -> list[tuple[int, float]]:
