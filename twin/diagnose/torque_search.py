@@ -200,9 +200,8 @@ def _far_off(system: System) -> dict[str, float]:
     off = np.abs(root @ fit.z) / np.maximum(np.linalg.norm(root, axis=1), 1e-300)
     for part in FRICTION:
         kind = [k for k, name in enumerate(names) if name.startswith(f"{effect_of(part).name}@")]
-        width = float(np.sqrt(np.mean(off[kind] ** 2))) if len(kind) > 1 else 0.0
-        if width > calibration()["far"]:
-            far |= dict.fromkeys((names[k] for k in kind), width)
+        if len(kind) > 1 and np.median(off[kind]) > calibration()["far"]:
+            far |= dict.fromkeys((names[k] for k in kind), float(np.sqrt(np.mean(off[kind] ** 2))))
     return far
 
 
