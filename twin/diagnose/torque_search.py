@@ -179,7 +179,7 @@ def _lacking_kinds(system: System, suspects: Sequence[Suspect]) -> tuple[list[St
 
 
 def _of_another_size(system: System) -> Hypothesis | None:
-    """Described friction of a kind, of all joints, that is of another size than the log shows, with its width.
+    """Described friction of a kind that is of another size than the log shows at most joints, with its width.
 
     It is in another unit, the motor's, or what a simulator was given. Held near it, the fit puts the rest into links.
     """
@@ -194,14 +194,20 @@ def _of_another_size(system: System) -> Hypothesis | None:
 
 
 def _far_off(system: System) -> dict[str, float]:
-    """Described friction of a kind that is, over all joints, many deviations off: by how many."""
+    """Described friction of a kind that the log without its description puts elsewhere: by how many tolerances.
+
+    With z the fit and s² its variance, both in tolerances, the log alone has z/(1 − s²), and z/√(1 − s²) is how many
+    deviations this and the description differ. The median over the joints counts: one joint may lack something.
+    """
     fit, far = base_fit(system), dict[str, float]()
-    root, names = fit.parameters.root, fit.parameters.names
-    off = np.abs(root @ fit.z) / np.maximum(np.linalg.norm(root, axis=1), 1e-300)
+    names = fit.parameters.names
+    held = np.maximum(1 - np.diag(np.linalg.inv(fit.information)), 1e-12)
     for part in FRICTION:
         kind = [k for k, name in enumerate(names) if name.startswith(f"{effect_of(part).name}@")]
-        if len(kind) > 1 and np.median(off[kind]) > calibration()["far"]:
-            far |= dict.fromkeys((names[k] for k in kind), float(np.sqrt(np.mean(off[kind] ** 2))))
+        off = np.abs(fit.z[kind])
+        if len(kind) > 1 and np.median(off / np.sqrt(held[kind])) > calibration()["far"]:
+            width = float(np.sqrt(np.mean((off / held[kind]) ** 2)))
+            far |= dict.fromkeys((names[k] for k in kind), width)
     return far
 
 
