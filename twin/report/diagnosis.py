@@ -167,11 +167,17 @@ def probabilities(verdict: Verdict) -> Figure:
     if verdict.unclear:
         others.insert(1, ("something known,\nbut not clear", verdict.unclear))
     rest = [(name, p, "#8a8f98") for name, p in others]
+    certain: list[tuple[str, float, str]] = []  # without alternatives: one panel for all of them
     for number, missing in enumerate(verdict.missing):
-        bars = [(f"{missing.first.effect}\n{missing.first.site}", missing.probability, COLOURS["after"])]
+        first = (f"{missing.first.effect}\n{missing.first.site}", missing.probability, COLOURS["after"])
         shown = [(c, p) for c, p in missing.alternatives if p >= 1e-4][: _ANSWERS - 3]
-        bars += [(f"{c.effect}\n{c.site}", p, "#7fa3d6") for c, p in shown]
-        panels.append((f"{number + 1}." if len(verdict.missing) > 1 else "", bars + rest))
+        if shown:
+            bars = [first, *((f"{c.effect}\n{c.site}", p, "#7fa3d6") for c, p in shown)]
+            panels.append((f"{number + 1}." if len(verdict.missing) > 1 else "", bars + rest))
+        else:
+            certain.append(first)
+    if certain:
+        panels.insert(0, ("without alternatives" if panels else "", certain + rest))
     panels = panels or [("", rest)]
     counts = [len(bars) for _, bars in panels]  # one below the other: beside each other letters would be tiny
     figure = Figure(figsize=(6.2, 0.9 * len(panels) + 0.46 * sum(counts)), layout="constrained")
