@@ -216,6 +216,7 @@ def test_friction_that_all_joints_lack_does_not_hide_slip_at_one_of_them(tmp_pat
     friction = {f"{kind}@joint{k}" for kind in ("viscous_friction", "coulomb_friction") for k in joints}
     assert friction | {"hysteresis@joint2.z", "hysteresis@joint3.z"} <= named
     assert all(check["passed"] for check in verdict.checks)
+    assert str(verdict).count("The error on what was used falls") == 1
 
 
 def test_slip_of_several_elements_is_put_to_its_rivals_again(tmp_path: Path, kr90: Robot) -> None:

@@ -4,6 +4,7 @@ Whatever the recording (hammer test, modal table, motion log), an engine hands o
 :class:`Verdict` is one finding, or several settled on one model.
 """
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -305,14 +306,16 @@ class Verdict(Result):
         return [table for table in found if table.rows]
 
     def __str__(self) -> str:
-        lines = [MEANING[self.word]]
+        lines, said = [MEANING[self.word]], set[str]()
         for missing in self.missing:
             lines.append(f"  {missing.first.title}   probability {missing.probability:.2f}")
             lines += [f"      {row}" for row in parameter_rows(missing.first.parameters)]
             if missing.first.formula:
                 lines.append(f"      torque {missing.first.formula}")
             lines += [f"  or {rival.title}   probability {p:.2f}" for rival, p in missing.rivals]
-            lines.append(f"  {missing.evidence}")
+            sentences = [text for text in _SENTENCES.split(missing.evidence) if text not in said]
+            said.update(sentences)  # the error of a recording is told once
+            lines.append(f"  {' '.join(sentences)}")
         unclear = f"something known but not clear {self.unclear:.2f}, " if self.unclear else ""
         lines.append(f"  nothing missing {self.none:.2f}, {unclear}something else {self.other:.2f}")
         for finding in self.findings:
@@ -340,6 +343,9 @@ class Verdict(Result):
         if self.files:
             lines.append(f"  {written(self.files)}")
         return "\n".join(lines)
+
+
+_SENTENCES = re.compile(r"(?<=[.!?]) ")  # ends of sentences
 
 
 def _percent(error: float | None) -> str:
