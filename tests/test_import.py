@@ -530,6 +530,7 @@ def test_blows_are_read_at_the_rate_of_the_clock_in_the_file(
     guessed = twin("import", files[0], "--guess").out
     assert "channels: [Zeit]" in guessed
     assert "record_s: ask" in guessed
+    assert "q_deg: ask" in guessed
     assert "position: ask" in guessed
 
 

@@ -99,7 +99,7 @@ def _hits(first: Table, tables: Sequence[Table], names: list[str], hammer: str) 
     return {
         "makes": "frf-campaign",
         "robot": ASK,
-        "postures": {"posture": {"q_deg": [], "files": "*"}},
+        "postures": {"posture": {"q_deg": ASK, "files": "*"}},
         **(timed or {"sample_rate_hz": first.sample_rate_hz or ASK}),
         "record_s": ASK,
         "force": _taken(first, [hammer]),
@@ -115,7 +115,7 @@ def _functions(first: Table, tables: Sequence[Table]) -> dict[str, Any]:
     return {
         "makes": "frf-campaign",
         "robot": ASK,
-        "postures": {table.name: {"q_deg": [], "files": table.name} for table in tables},
+        "postures": {table.name: {"q_deg": ASK, "files": table.name} for table in tables},
         "frequency": {"channels": lines, "unit": ASK},
         "frf": {"channels": name, "unit": ASK},
         "response": [_point(f"{i + 1}Z+") for i in range(responses)],
@@ -139,7 +139,7 @@ def guess_universal(paths: Sequence[Path]) -> dict[str, Any]:
     return {
         "makes": "frf-campaign",
         "robot": ASK,
-        "postures": {path.stem: {"q_deg": [], "files": path.name} for path in paths},
+        "postures": {path.stem: {"q_deg": ASK, "files": path.name} for path in paths},
         "unit": stated_unit(paths[0]) or ASK,
         "nodes": {node: {"body": ASK, "position": at} for node, at in nodes.items()},
     }
