@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.files import writing
 from twin.identify.excitation import Criterion, Excitation, Limits, room_in_workspace, used, violation
 from twin.identify.excitation import excite as optimise
@@ -152,6 +152,12 @@ def excite(
         raise InputError("--periods", str(periods), f"expected at most {MOST_SAMPLES} samples, found {samples:g}")
     rest = rest or krl  # a spline block starts and ends at a standstill
     loaded = load_robot(robot or "kr90").without(without or [])
+    if krl and loaded.assumed:  # as twin describe leaves a robot, its signs are the file's
+        tell(
+            loaded.name,
+            "--krl",
+            "programs hold A = -q, as in the shipped robots; compare one posture with the controller",
+        )
     limits = Limits.of(loaded)
     starts = count + 1
     tick = (progress or silent)("trajectories", starts)
