@@ -156,7 +156,7 @@ def excite(
         tell(
             loaded.name,
             "--krl",
-            "programs hold A = -q, as in the shipped robots; compare one posture with the controller",
+            "programs hold A = -q, as in the shipped robots; compare one posture first",
         )
     limits = Limits.of(loaded)
     starts = count + 1
