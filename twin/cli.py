@@ -390,9 +390,9 @@ def excite(
 
     Fourier series of minimum condition number (or D-optimal) under position, velocity, acceleration and workspace
     limits (of a robot that states them). Writes trajectory.h5, CSV, figures and excite.json into the output folder,
-    out/excite by default. A posture file replays trajectory.h5. For a controller add --rest: without it the motion starts
-    at speed. Collisions are not checked, and a robot of twin describe states no workspace: try at a tenth of the speed.
-    KUKA programs hold A = -q, as the axes of the shipped robots turn against KUKA's.
+    out/excite by default. A posture file replays trajectory.h5. For a controller add --rest: without it the motion
+    starts at speed. Collisions are not checked, and a robot of twin describe states no workspace: try at a tenth of
+    the speed. KUKA programs hold A = -q, as the axes of the shipped robots turn against KUKA's.
 
     ```
     twin excite --robot kr90 --count 1
