@@ -61,17 +61,17 @@ def test_a_light_arm_is_hit_with_a_force_that_suits_it_unless_the_file_says_so(t
     """What is written is what fit and diagnose compare with: FRFs of small motion."""
     light = describe(SHIPPED.parent / "twin/examples/arm/arm.urdf").robot
     q_deg, blow = [30, -80, 100, 20, 60, 10], {"hits": 1, "duration_s": 1}
-    with pytest.warns(Told, match="300 N moves this robot so far .* so it is hit with 60 N"):
+    with pytest.warns(Told, match="300 N moves this robot so far .* so it is hit with 20 N"):
         (posture,) = simulate(q_deg, robot=light, hammer=blow).campaign.postures.values()
-    assert posture.peak_force_n == pytest.approx(60, rel=0.02)
-    with pytest.warns(Told, match="60 N suits it"):
+    assert posture.peak_force_n == pytest.approx(20, rel=0.02)
+    with pytest.warns(Told, match="20 N suits it"):
         found = simulate(q_deg, robot=light, hammer={**blow, "force_n": 300})
     (hard,) = found.campaign.postures.values()
     assert hard.peak_force_n == pytest.approx(300, rel=0.02)
     recordings = prepare(found.campaign, light, "hit hard")
     (note,) = moved_far(light, found.campaign, list(recordings.values()))
     assert note.kind == "linearity"
-    assert note.endswith("Hit it with 60 N")
+    assert note.endswith("Hit it with 20 N")
 
 
 def test_hammer_and_replay_write_what_they_say(twin, posture, kr90: Robot, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
