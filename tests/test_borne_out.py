@@ -63,6 +63,15 @@ def test_a_name_that_puts_the_prediction_right_stays(kr90: Robot, rng: np.random
     assert borne_out(given) is given
 
 
+def test_a_name_that_leaves_much_of_the_misfit_is_none(kr90: Robot, rng: np.random.Generator) -> None:
+    """The error halves, and stays at many times the noise: something else is wrong."""
+    found = borne_out(verdict(kr90, record(rng, 60.0, 2.0, False), record(rng, 60.0, 30.0, True)))
+    assert (found.word, found.missing) == ("unexplained", [])
+    note = found.findings[0].warnings[-1]
+    assert note.kind == "tension"
+    assert "times the noise. Something else is wrong" in note
+
+
 def test_evidence_from_tension_alone_names_nothing(kr90: Robot, rng: np.random.Generator) -> None:
     found = borne_out(verdict(kr90, record(rng, 0.0, 0.0, False), record(rng, 0.0, 0.0, True)))
     assert (found.word, found.missing, found.robot) == ("adequate", [], kr90)

@@ -11,7 +11,7 @@ import twin
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose.frf_faults import _order, put_right
+from twin.diagnose.frf_faults import IN_PHASE, _alike, _order, put_right
 from twin.diagnose.states import sorted_out
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import Verdict
@@ -173,6 +173,21 @@ def test_a_hammer_in_another_unit_is_seen_in_all_channels(channels: list[int], t
     assert len(campaign.response.label) == 3
     _, notes = put_right(campaign, robot, "frf.h5")
     assert [note.kind for note in notes] == told
+
+
+def test_sensors_share_their_unit_where_the_phase_of_one_is_not_plain(tmp_path: Path) -> None:
+    """All in mm/s²; the described modes of one direction are elsewhere, so that its phase says little."""
+    world, *_ = case("nothing", "hammer", "arm", 942, False)
+    record(world, tmp_path, np.random.default_rng(942))
+    write_description(machines()["arm"], tmp_path / "robot.yaml")
+    with h5py.File(tmp_path / "frf.h5", "r+") as file:
+        for group in file["postures"].values():
+            group["frf"][...] = 1e3 * np.exp([[[1.2j]], [[0j]], [[0j]]]).reshape(1, 3, 1) * group["frf"][...]
+    campaign, robot = read_campaign(tmp_path / "frf.h5"), without_limits(load_robot(tmp_path / "robot.yaml"))
+    phase, _ = _alike(campaign, robot, "frf.h5")
+    assert abs(phase[0, 0]) < IN_PHASE < min(phase[1, 1], phase[2, 2])
+    _, (note,) = put_right(campaign, robot, "frf.h5")
+    assert (note.kind, note.channels) == ("unit", campaign.response.label)
 
 
 def test_a_failed_check_is_told_once_for_all_postures() -> None:

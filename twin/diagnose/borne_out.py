@@ -40,14 +40,15 @@ def falls(finding: Finding) -> bool:
     """Whether a recording is predicted better with what was found than without.
 
     The error on what was held out must fall, as it is printed, or on what was used where nothing was held out. A hammer
-    test must gain ``seen`` in ln likelihood as well. A log's ½ χ² over the noise of each joint must fall by more than
-    ``tie``, too, for a wrist's torque is mostly noise.
+    test must gain ``seen`` in ln likelihood as well. What is found may leave no more than ``unexplained_share`` of its
+    misfit beyond noise, unless the error left is that of an adequate model (``held_out_adequate``). A log's ½ χ² over
+    the noise of each joint must fall by more than ``tie``, too, for a wrist's torque is mostly noise.
     """
     before, after = (finding.error[stage] for stage in ("before", "after"))
     part = "train" if before["held_out"] is None else "held_out"
     if any(isinstance(record, FrfRecord) for record in finding.records):
         gain = gained(finding.records) if finding.gain is None else finding.gain
-        return gain >= calibration()["seen"] and bool(after[part] < before[part])
+        return gain >= calibration()["seen"] and bool(after[part] < before[part]) and explains(finding)
     if finding.missing and all(effect_named(m.first.effect).part == "play" for m in finding.missing):
         return True  # the second encoder shows a gap, which the torque does not feel
     records = [r for r in finding.records if isinstance(r, LogRecord) and r.held_out is (part == "held_out")]
@@ -55,6 +56,16 @@ def falls(finding: Finding) -> bool:
     if records and fall <= calibration()["tie"]:
         return False
     return bool(after[part] < before[part])
+
+
+def explains(finding: Finding) -> bool:
+    """Whether what was found leaves little of the misfit beyond noise, or an error as of an adequate model."""
+    numbers, floor = calibration(), finding.error["noise_floor"]
+    part = "train" if finding.error["before"]["held_out"] is None else "held_out"
+    before, after = (finding.error[stage][part] for stage in ("before", "after"))
+    if floor is None or after**2 <= numbers["held_out_adequate"] * floor**2:
+        return True
+    return bool(after**2 - floor**2 <= numbers["unexplained_share"] * (before**2 - floor**2))
 
 
 def rises(finding: Finding, alone: bool = True) -> bool:
@@ -85,7 +96,8 @@ def borne_out(verdict: Verdict) -> Verdict:
     if not worse and any(falls(finding) for finding in verdict.findings):
         return verdict
     names = ", ".join(missing.first.phrase for missing in verdict.missing)
-    note = tension(verdict.missing)
+    partly = [f for f in verdict.findings if any(isinstance(r, FrfRecord) for r in f.records) and not explains(f)]
+    note = _partly(verdict.missing, partly[0]) if partly else tension(verdict.missing)
     if worse and len(verdict.findings) > 1:
         reason = (
             f"no single model fits all recordings. With their common answer ({names}) the error of "
@@ -107,12 +119,28 @@ def borne_out(verdict: Verdict) -> Verdict:
 def tension(refused: Sequence[Missing]) -> Note:
     """Why names are not given with which no recording is predicted better."""
     names = ", ".join(missing.first.phrase for missing in refused)
-    firsts = [missing.first for missing in refused]
     text = (
         f"some fitted numbers are far from the description. With {names} in the model they come closer, but the "
         "recordings are not predicted better. So it is not named; the description's tolerances may be too narrow"
     )
-    return Note(text, "tension", sites=tuple(f.site if f.effect == "parameter" else f.key for f in firsts))
+    return Note(text, "tension", sites=_sites(refused))
+
+
+def _partly(refused: Sequence[Missing], finding: Finding) -> Note:
+    """Why names are not given that leave much of the misfit."""
+    names = ", ".join(missing.first.phrase for missing in refused)
+    after, floor = finding.error["after"], finding.error["noise_floor"]
+    left = after["train"] if after["held_out"] is None else after["held_out"]
+    text = (
+        f"with {names} in the model the recordings are still missed by {left:.2%}, {left / floor:.0f} times the noise. "
+        "Something else is wrong, so it is not named"
+    )
+    return Note(text, "tension", sites=_sites(refused))
+
+
+def _sites(refused: Sequence[Missing]) -> tuple[str, ...]:
+    firsts = [missing.first for missing in refused]
+    return tuple(f.site if f.effect == "parameter" else f.key for f in firsts)
 
 
 def _base(verdict: Verdict) -> Robot:

@@ -57,7 +57,8 @@ def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, 
     for unit, times in UNITS.items():
         off = np.array([size[order[k], k] for k in range(len(order))]) - np.log(times)
         clear = np.array([abs(phase[order[k], k]) > IN_PHASE for k in range(len(order))])
-        inside = [int(k) for k in np.flatnonzero(clear & (np.abs(off) < NEAR_UNIT))]
+        near = np.abs(off) < NEAR_UNIT  # channels share their unit: one that is plain speaks for those alike in size
+        inside = [int(k) for k in np.flatnonzero(near)] if np.any(clear & near) else []
         if inside and (unit not in OF_FORCE or len(inside) == len(order)):
             factor[inside] = times
             of = tuple(labels[k] for k in inside)
