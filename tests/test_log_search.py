@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from test_diagnose_logs import recorded
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose import torque_search
+from twin.diagnose import torque_search, torque_step
 from twin.diagnose.calibration import calibration
 from twin.diagnose.nearest import step_nearer
 from twin.diagnose.torque import _strained, diagnose_log
@@ -293,3 +294,24 @@ def test_a_nearer_fit_is_found_where_rounding_leaves_no_information() -> None:
     step = step_nearer(information, np.eye(3), np.array([0.0, 5.0, 0.0]))
     assert np.isfinite(step).all()
     assert 0.5 * step @ information @ step < 2.01
+
+
+@pytest.mark.parametrize(
+    ("part", "values", "can_be"),
+    [
+        ("mass", [13.5, -0.04, -0.017], True),  # a moment 1.7 deviations below zero: one of three is so by chance
+        ("mass", [13.5, -0.04, -0.06], False),
+        ("mass", [-0.5, -0.04, 0.01], False),
+        ("viscous", [-0.5], False),
+    ],
+)
+def test_a_payload_stays_where_a_moment_of_it_comes_out_below_zero(
+    part: str, values: list[float], can_be: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubt = np.array([0.24, 0.001, 0.0101])[: len(values)]
+    monkeypatch.setattr(torque_step, "own_rows", lambda system, suspect: (np.array(values), doubt))
+    least = np.array([True, False, True])[: len(values)]
+    suspect = SimpleNamespace(effect=SimpleNamespace(part=part), nonnegative=least)
+    step: Any = SimpleNamespace(trial=SimpleNamespace(suspect=suspect))
+    system: Any = None
+    assert torque_step.possible(system, step) is can_be

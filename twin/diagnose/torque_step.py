@@ -153,13 +153,17 @@ def freed_by(system: System, step: Step, unlike_others: float = 20.0) -> Hypothe
 def possible(system: System, step: Step) -> bool:
     """Whether the numbers of something found may be what they can be, beside all else in the model.
 
-    A payload that is nearly a point has moments of inertia about zero, of either sign.
+    A payload that is nearly a point has moments of inertia about zero, of either sign. Each of the three may come out
+    beyond its 90 % interval by chance. So its mass decides within that, and a moment only if it is ``far`` below zero.
     """
     if step.trial is None:
         return True
     suspect = step.trial.suspect
     values, doubt = own_rows(system, suspect)
-    return bool((values + NINETY * doubt >= 0)[suspect.nonnegative].all())
+    width = np.full(len(values), NINETY)
+    if suspect.effect.part == "mass":
+        width[1:] = calibration()["far"]
+    return bool((values + width * doubt >= 0)[suspect.nonnegative].all())
 
 
 def own_rows(system: System, suspect: Suspect) -> tuple[FloatArray, FloatArray]:
