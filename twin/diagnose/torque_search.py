@@ -296,7 +296,7 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: Judge | None) -> bool
     """Whether the first answer of a step goes into the model; the runs not used have their say."""
     if not step.decision.ranked or step.decision.probability[0] < step.decision.none:
         return False
-    gained, numbers = sum(other.gain for other in earlier if _share_rows(step, other)), calibration()
+    gained, numbers = sum(other.gain for other in earlier), calibration()
     least = numbers["further"] if earlier else numbers["first"]
     needed = max(numbers["inexact"] * gained, least * max(1.0, step.misfit))
     gain = step.borne
@@ -312,11 +312,6 @@ def _borne_out(step: Step, earlier: Sequence[Step], judge: Judge | None) -> bool
         step.trials = {**step.trials, step.key: unshrunk(from_every_start(step.system, step.trial))}
     step.accepted = enough
     return enough
-
-
-def _share_rows(step: Step, other: Step) -> bool:
-    """Whether what one law leaves may be taken for the other's: they act on a joint in common, or one is a number."""
-    return not step.joints or not other.joints or not set(step.joints).isdisjoint(other.joints)
 
 
 def _elsewhere(step: Step, system: System, suspects: Sequence[Suspect]) -> Iterator[Step]:
