@@ -32,6 +32,7 @@ from twin.physics import effect_of
 from twin.physics.statements import Part
 
 FRICTION: tuple[Part, ...] = ("viscous", "dry")  # kinds that every joint has
+ANOTHER_SIZE = 30.0  # times the described: a degree for a radian is 57 times; less is a number that is wrong
 
 
 @dataclass
@@ -189,6 +190,9 @@ def _of_another_size(system: System) -> Hypothesis | None:
         scale |= {name: factor * scale.get(name, 1.0) for name, factor in wider.items()}
         found = Hypothesis("parameter", "friction", scale=tuple(scale.items()))
         here = relinearised(with_wider(system, found))
+    known = {p.name: p.deviation / abs(p.mean) for p in system.parameters if p.name in scale and p.mean}
+    if not known or np.median([scale[name] * share for name, share in known.items()]) < ANOTHER_SIZE:
+        return None
     gained = base_fit(here).evidence() - base_fit(system).evidence()
     return found if scale and gained > calibration()["further"] * len(scale) else None
 
