@@ -32,6 +32,7 @@ from twin.physics import effect_of
 from twin.physics.statements import Part
 
 FRICTION: tuple[Part, ...] = ("viscous", "dry")  # kinds that every joint has
+WIDENED = 6  # times that its tolerances are widened, each time by what the fit then shows
 ANOTHER_SIZE = 30.0  # times the described: a degree for a radian is 57 times; less is a number that is wrong
 
 
@@ -186,7 +187,9 @@ def _of_another_size(system: System) -> Hypothesis | None:
     """
     scale: dict[str, float] = {}
     here = system
-    while wider := _far_off(here):  # the first time what it stands for is still in other numbers
+    for _ in range(WIDENED):  # the first time what it stands for is still in other numbers
+        if not (wider := _far_off(here)):
+            break
         scale |= {name: factor * scale.get(name, 1.0) for name, factor in wider.items()}
         found = Hypothesis("parameter", "friction", scale=tuple(scale.items()))
         here = relinearised(with_wider(system, found))

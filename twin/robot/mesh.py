@@ -38,9 +38,7 @@ def drawn_by_mujoco(path: str | Path) -> bool:
     """Whether MuJoCo reads the file as it is: OBJ, or binary STL with few enough faces."""
     file = Path(path)
     if file.suffix.lower() == ".obj":
-        return (
-            file.stat().st_size < 10 * MOST_FACES
-        )  # of OBJ a face and its share of the vertices take 40 bytes and more
+        return file.stat().st_size < 20 * MOST_FACES  # bytes that a face and its share of the vertices take at least
     if file.suffix.lower() != ".stl":
         return False
     with file.open("rb") as stream:
