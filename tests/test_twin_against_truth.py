@@ -6,6 +6,7 @@ Truth: screw Jacobians and a gravity Hessian in numpy. Twin: MuJoCo. Where the t
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,20 @@ from tools.truth.chain import flange_position
 from tools.truth.chain import inverse_dynamics as rigid_torque
 from tools.truth.robots import described as written_out
 from tools.truth.robots import machines
+from twin.diagnose.refit import NONE, Fitted
+from twin.diagnose.sensor_weight import weightless
+from twin.identify.recorded import prepare
 from twin.measure.campaign import Campaign, read_campaign
 from twin.measure.motion_log import read_motion_log
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
+from twin.model.parameters import independent
 from twin.model.regressor import flange_path
 from twin.model.replay import inverse_dynamics, motion_of
+from twin.model.sensitivity import observe, point_jacobians, structure
 from twin.physics.motion import Motion
 from twin.robot.description import Drive, Robot, parse_robot
+from twin.robot.frames import between_links
 from twin.robot.mechanism import assemble
 
 ROOT = Path(__file__).parents[1]
@@ -107,6 +114,35 @@ def test_a_sensor_s_mass_is_felt_where_it_sits(kr90: Robot, tmp_path: Path) -> N
         compared(described(kr90, "sensor_mass", site, {"mass": mass}, points_of(campaign)), campaign, 2e-3)
     with pytest.raises(AssertionError):
         compared(described(kr90, "", "", {}, points_of(campaign)), campaign, 0.1)
+
+
+def test_what_a_sensor_s_weight_does_is_taken_off(kr90: Robot, tmp_path: Path) -> None:
+    """The truth hangs it at the node as a payload; without the rest of it, the twin's law is exact."""
+    file, mass = tmp_path / "c.h5", 6.0
+    at = next(point for point in kr90.test_points if point.label == "21X+")
+    options = ["--nominal", "--no-sag", "--noise", 0, "--scatter", 0, "--postures", 2, "--effect"]
+    truth("campaign", "--out", file, *options, f"payload@{at.body}:{written({'mass': mass, 'com': list(at.position)})}")
+    campaign = read_campaign(file)
+    robot = described(kr90, "sensor_mass", "sensor:*", {"mass": mass}, points_of(campaign))
+    none, at_rest = independent([]), np.zeros(0)
+    fit = Fitted(NONE, none, at_rest, at_rest, robot, 0.0, 1.0, np.zeros((0, 0)), 1.0, True)
+    recordings = tuple(prepare(campaign, robot).values())
+    for before, after in zip(recordings, weightless(recordings, fit), strict=True):
+        law = before.respond(*observe(robot, before.setup, none, at_rest, sagging=False))
+        off = [np.linalg.norm(r.frf - law) / np.linalg.norm(law) for r in (before, after)]
+        assert off[0] > 1e-4
+        assert off[1] < 1e-6
+    plain = described(kr90, "", "", {}, points_of(campaign))
+    assert weightless(recordings, replace(fit, described=plain)) is recordings
+
+
+@pytest.mark.parametrize(("start", "end"), [(0, 2), (2, 0), (1, 1)])
+def test_a_point_of_one_link_is_found_in_the_frame_of_another(kr90: Robot, start: int, end: int) -> None:
+    q, point = np.array([0.3, 1.1, 0.7]), np.array([0.4, -0.2, 0.1])
+    models = [structure(assemble(kr90, q))]
+    there = between_links(kr90, q, start, end, point)
+    places = [point_jacobians(models, f"link{k + 1}", where)[0] for k, where in ((start, point), (end, there))]
+    assert places[0] == pytest.approx(places[1], abs=1e-12)
 
 
 def points_of(campaign: Campaign) -> list[dict[str, object]]:

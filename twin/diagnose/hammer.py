@@ -28,6 +28,7 @@ from twin.diagnose.records import FrfRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
+from twin.diagnose.sensor_weight import weightless
 from twin.diagnose.sentences import sentence
 from twin.diagnose.states import sorted_out
 from twin.diagnose.struck import moved_far, without_laws
@@ -179,6 +180,10 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
         return again
     looked_at = _suspects(campaign, base, free, found)
     explain(base, search, sample, looked_at, ask.progress)
+    if search.weighed:
+        every = list(weightless(tuple(every), search.weighed))
+        found = replace(found, recordings={r.group: r for r in every})
+        sample = Sample(tuple(found.used), 1 / found.shared)
     best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
     if again := _without_hum(campaign, best, sample, ask) or _leaking(campaign, base, best, sample, every, ask):
         return again

@@ -28,6 +28,11 @@ ASTRAY = 100.0  # times the variance of noise: how badly such a fit predicts nee
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
 LEVELS = 5  # widths over which a tolerance may be too narrow
 WIDTHS = (1.0, 2.0, 4.0)
+ANY_SIZE = 16.0  # times the usual width, of the logarithm of a mass: from a speck of dust to a house
+FIXED = 1e-3  # times the usual width: a mass that is held where it is
+STRIDE, STRIDES = 4.0, 12  # between masses that are tried, and how many: lever and mass twice and a quarter, and so on
+SETBACKS = 1  # times in a row that the evidence may fall before a walk ends
+HELD_MASS = 1e-3  # of a prior's variance: a mass known to 4 % lies in no valley
 SILENT = 1e-9  # of a prior's variance: data that take less of it say nothing
 REFIT_TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
 
@@ -149,15 +154,16 @@ class Fitted:
         return list(range(len(self.parameters) - len(self.hypothesis.own), len(self.parameters)))
 
 
-def _of_widths(size: float, held: float) -> list[float]:
-    """What ln evidence gains by each of ``WIDTHS``, of a size in prior deviations and the precision the data add."""
-    return [-0.5 * size**2 * (1 / w**2 - 1) - 0.5 * np.log((1 + held * w**2) / (1 + held)) for w in WIDTHS]
+def _of_widths(size: float, held: float, widths: tuple[float, ...] = WIDTHS) -> list[float]:
+    """What ln evidence gains by each of the widths, of a size in prior deviations and the precision the data add."""
+    return [-0.5 * size**2 * (1 / w**2 - 1) - 0.5 * np.log((1 + held * w**2) / (1 + held)) for w in widths]
 
 
 def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> Fitted:
     """A fit again under the width of the priors on its sizes that it makes likeliest: the usual one draws them to it.
 
-    What is usual for a thing of that size is the centre of the priors of its other numbers.
+    What is usual for a thing of that size is the centre of the priors of its other numbers. A mass that recordings
+    hardly hold is also tried along its valley, see :func:`_along_its_valley`.
 
     Args:
         free: the base model's parameters.
@@ -173,12 +179,88 @@ def of_its_size(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> F
             own = tuple(replace(p, mean=usual.get(p.quantity, p.mean)) for p in own)
         pieces.append(replace(piece, own=own))
         at += len(own)
-    hypothesis = together(*pieces)
-    if hypothesis == fit.hypothesis:
-        return fit
+    hypothesis, found = together(*pieces), fit
+    if hypothesis != fit.hypothesis:
+        parameters = hypothesis.parameters(free)
+        z = parameters.coordinates(fit.values)
+        found = descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+    elsewhere = _along_its_valley(base, free, fit, sample, variance)
+    return found if elsewhere is None or elsewhere.evidence() <= found.evidence() else elsewhere
+
+
+def _along_its_valley(
+    base: Robot, free: Parameters, fit: Fitted, sample: Sample, variance: FloatArray
+) -> Fitted | None:
+    """A fit whose masses may be of any size, where each is likeliest along its valley; none where masses are held.
+
+    A mass near a hinge moves as a hundredth of it does ten times as far out. Along that valley a usual size draws the
+    mass towards the hinge. There its place is held to millimetres, and few places are so near: most of the probability
+    lies where the lever is usual and the mass is what it must be. So the valley is walked, with the evidence of all
+    other numbers at each mass.
+
+    Args:
+        variance: (n,) of the fit's z.
+    """
+    at, values, loose, few = len(fit.z) - len(fit.hypothesis.own), fit.values.copy(), {}, sample.thin(50)
+    for number, piece in enumerate(fit.hypothesis.pieces):
+        own, lever = piece.own, piece.law.lever if piece.law else ""
+        if own and own[0].log and lever and variance[at] > HELD_MASS:
+            place = [at + k for k, p in enumerate(own) if p.quantity.startswith(lever)]
+            values = _walked(base, free, fit.hypothesis, number, values, at, place, few)
+            loose[number] = float(values[at])
+        at += len(own)
+    if not loose:
+        return None
+    hypothesis = fit.hypothesis
+    for number, mass in loose.items():
+        hypothesis = _with_mass(hypothesis, number, mass, ANY_SIZE)
     parameters = hypothesis.parameters(free)
-    z = parameters.coordinates(fit.values)
-    return descend(base, hypothesis, parameters, sample, z, tempered=0, linear=20, tolerance=0.02)
+    return descend(
+        base, hypothesis, parameters, sample, parameters.coordinates(values), tempered=0, linear=20, tolerance=0.02
+    )
+
+
+def _walked(
+    base: Robot, free: Parameters, hypothesis: Hypothesis, number: int, values: FloatArray, mass: int,
+    place: list[int], few: Sample,
+) -> FloatArray:  # fmt: skip
+    """Values (n,) with the mass of a piece, and all else for it, where the evidence of all else is greatest."""
+
+    def held(*starts: FloatArray) -> tuple[float, FloatArray]:
+        fixed = _with_mass(hypothesis, number, float(starts[0][mass]), FIXED)
+        parameters = fixed.parameters(free)
+        at = [parameters.coordinates(start) for start in starts]
+        z = min(at, key=Objective(fixed.robot(base), parameters, few).cost) if len(at) > 1 else at[0]
+        fit = descend(base, fixed, parameters, few, z, tempered=0, linear=10)
+        return float(-fit.cost - 0.5 * np.sum(np.log(np.maximum(fit._spectrum[0], 1.0)))), fit.values
+
+    usual = [p.mean for p in hypothesis.parameters(free)]
+    start, first = held(values)
+    best, found = start, first
+    for factor in (1 / STRIDE, STRIDE):
+        at, before, falls = first, start, 0
+        for _ in range(STRIDES):
+            there = at.copy()
+            there[mass] *= factor
+            elsewhere = there.copy()
+            there[place] /= np.sqrt(factor)
+            elsewhere[place] = [usual[k] for k in place]
+            evidence, at = held(there, elsewhere)
+            falls = falls + 1 if evidence < before else 0
+            if falls > SETBACKS:
+                break
+            before = evidence
+            best, found = max((best, found), (evidence, at), key=lambda end: end[0])
+    return found
+
+
+def _with_mass(hypothesis: Hypothesis, number: int, mass: float, times: float) -> Hypothesis:
+    """A hypothesis with the prior of one piece's mass about a value, so many times as wide as it is."""
+    pieces = list(hypothesis.pieces)
+    own = pieces[number].own
+    first = replace(own[0], mean=mass, deviation=own[0].deviation * times)
+    pieces[number] = replace(pieces[number], own=(first, *own[1:]))
+    return together(*pieces)
 
 
 def in_doubt_of_size(fit: Fitted) -> Fitted:
@@ -195,8 +277,9 @@ def in_doubt_of_size(fit: Fitted) -> Fitted:
             across = information[at, rest] @ np.linalg.solve(information[np.ix_(rest, rest)], information[rest, at])
             precision = float(information[at, at] - across)
             held = max(precision - 1, 1e-9)
-            likely = np.exp(_of_widths(float(fit.z[at]) * width, held / width**2))
-            wide = float(likely / likely.sum() @ [1 / (held + (width / w) ** 2) for w in WIDTHS])
+            widths = WIDTHS if width <= WIDTHS[-1] else (*WIDTHS, width)
+            likely = np.exp(_of_widths(float(fit.z[at]) * width, held / width**2, widths))
+            wide = float(likely / likely.sum() @ [1 / (held + (width / w) ** 2) for w in widths])
             information[at, at] += 1 / wide - precision  # which takes all that goes with the size along
         at += len(piece.own)
     return replace(fit, information=information)
@@ -270,7 +353,7 @@ def foreseen(fit: Fitted, kept: Sample) -> Fitted:
     all recordings (the chain rule of probability), and nothing is fitted to both. Angles of the postures are their own.
     """
     stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
-    covariance, kept = fit.covariance, placed(fit, kept)
+    covariance, kept = _within_a_bend(fit).covariance, placed(fit, kept)
     own = recording_parameters(fit.robot, dict.fromkeys(r.setup.name for r in kept.recordings), ())
     own = [p for p in own if p.kind == "posture"]
 
@@ -285,6 +368,17 @@ def foreseen(fit: Fitted, kept: Sample) -> Fitted:
     z, thin = np.zeros(len(known)), kept.thin(50)
     few = descend(fit.robot, NONE, known, thin, z, tempered=0, linear=steps, tolerance=ENOUGH)
     return descend(fit.robot, NONE, known, kept, few.z, tempered=0, linear=steps, tolerance=0.1)
+
+
+def _within_a_bend(fit: Fitted) -> Fitted:
+    """A fit whose masses of any size are in doubt by the usual width: further the valley bends, and no line follows."""
+    information, at = fit.information.copy(), len(fit.z) - len(fit.hypothesis.own)
+    for piece in fit.hypothesis.pieces:
+        if piece.own and piece.own[0].log and piece.entries:
+            usual = next(p.spread for p in CATALOGUE[piece.effect].parameters if p.name == piece.own[0].quantity)
+            information[at, at] += max((piece.own[0].deviation / usual) ** 2, 1.0) - 1.0
+        at += len(piece.own)
+    return replace(fit, information=information)
 
 
 def placed(fit: Fitted, sample: Sample) -> Sample:

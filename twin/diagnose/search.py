@@ -17,6 +17,7 @@ from twin.diagnose.locate import free_laws
 from twin.diagnose.parted import divided
 from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
+from twin.diagnose.sensor_weight import weightless
 from twin.diagnose.within import allowed, members
 from twin.identify.descent import LACKING, minimise
 from twin.identify.elastic import AGREEMENT
@@ -25,7 +26,10 @@ from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, Parameters, written_names
 from twin.model.sensitivity import observe_all, poles
 from twin.parallel import Progress, spread
+from twin.physics import CATALOGUE
+from twin.physics.effect import axis_of
 from twin.robot.description import Robot
+from twin.robot.frames import between_links
 
 SCREEN_LINES, REFIT_LINES, NEAR_LINES = 25, 50, 100
 COMPARED, REFITTED_BEST, FEWEST = 12, 6, 3
@@ -50,6 +54,7 @@ class Search:
         fits: every hypothesis fitted to all lines, by what it says is missing.
         processes: the work is spread over so many.
         laws: what a law without a name would gain beside a fit, of the fits asked.
+        weighed: the fit of which the sensors' weight was taken off the recordings (:func:`weightless`).
     """
 
     base: Fitted
@@ -59,6 +64,7 @@ class Search:
     fits: dict[frozenset[str], Fitted] = field(default_factory=dict)
     processes: int = 1
     laws: list[tuple[Fitted, dict[str, float]]] = field(default_factory=list)
+    weighed: Fitted | None = None
 
     def lawless(self, fit: Fitted, sample: Sample) -> dict[str, float]:
         """:func:`free_laws` of a fit on all lines, computed once."""
@@ -139,6 +145,8 @@ def explain(
     for number in range(2 * MISSING_AT_ONCE):
         if number - len(allowed(best, robot)) >= MISSING_AT_ONCE:
             break
+        if not search.weighed:
+            best, sample = _without_weight(robot, search, best, sample)
         found = _round(robot, search, best, sample, suspects, progress)
         if found and found[0].evidence() <= best.evidence():  # no one thing helps: a whole kind may be missing
             everywhere = _everywhere(robot, search, found, sample, suspects)
@@ -165,6 +173,22 @@ def explain(
         _needed(robot, search, there, sample)
     _in_its_stead(robot, search, sample)
     return search
+
+
+def _without_weight(robot: Robot, search: Search, best: Fitted, sample: Sample) -> tuple[Fitted, Sample]:
+    """The best fit, and those it has not left far behind, on recordings without what the weight of its sensors does."""
+    recordings = weightless(sample.recordings, best)
+    if recordings is sample.recordings:
+        return best, sample
+    search.weighed, lighter = best, replace(sample, recordings=recordings)
+    near = [key for key, fit in search.fits.items() if fit.cost < best.cost + 10 * WITHIN * max(1.0, best.misfit)]
+
+    def again(number: int) -> Fitted:
+        fit = search.fits[near[number]]
+        return descend(robot, fit.hypothesis, fit.parameters, lighter, fit.z, tempered=0, tolerance=0.02)
+
+    search.fits |= dict(zip(near, spread(again, len(near), search.processes), strict=True))
+    return search.fits[best.hypothesis.identity], lighter
 
 
 def _stand_ins(robot: Robot, search: Search, best: Fitted, sample: Sample, several: int = 2) -> bool:
@@ -449,9 +473,13 @@ def _round(
         found += _refits(robot, search, places, sample)
         tick(len(places))
     found.sort(key=lambda fit: -fit.evidence())
-    if found[0].evidence() > current.evidence():
+    led: set[frozenset[str]] = set()
+    while found[0].evidence() > current.evidence() and found[0].hypothesis.identity not in led:
+        led.add(found[0].hypothesis.identity)
         found += _accompany(robot, search, found[0], sample)
-    return sorted(found, key=lambda fit: -fit.evidence())
+        found = [search.fits[identity] for identity in dict.fromkeys(fit.hypothesis.identity for fit in found)]
+        found.sort(key=lambda fit: -fit.evidence())
+    return found
 
 
 def _halve(
@@ -644,24 +672,42 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
         turned = companion.key in {piece.key for piece in gone}
         if known is not None and not turned and not (alike and known.cost > best.cost + SLIGHT):
             continue  # an alias may have been fitted worse
-        parameters = hypothesis.parameters(free)
+        parameters, starts = hypothesis.parameters(free), list[FloatArray]()
         if companion.scale:
             simpler = search.fits.get(together(*rest).identity, search.base)
             held = simpler.z[[free.names.index(name) for name, _ in companion.scale]]
             if simpler.evidence() + 0.5 * float(held @ held) < best.evidence() - WITHIN:
                 continue  # more than the price of its prior cannot be gained
-            z = np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z))
+            starts.append(np.asarray(np.linalg.solve(parameters.root, simpler.parameters.root @ simpler.z)))
         elif alike and gone == [last]:
             z, n = best.z.copy(), len(best.z) - len(companion.own)
-            if _lever(companion) and companion.site != last.site:  # its mass and place are others there
+            if _lever(companion) and companion.site != last.site:  # usual mass and place, or the same ones in space
+                starts.append(_where_it_was(robot, best, last, companion, parameters, postures[0]))
                 z[n:] *= [p.quantity in ("frequency_hz", "damping_ratio") for p in companion.own]
+            starts.append(z)
         else:
-            z = _taken_over(best, gone, companion, parameters)
-        places.append(_Place(hypothesis, parameters, (z,)))
+            starts.append(_taken_over(best, gone, companion, parameters))
+        places.append(_Place(hypothesis, parameters, tuple(starts)))
     found = []
     for number in range(0, len(places), ABREAST):
         found += _refits(robot, search, places[number : number + ABREAST], sample)
     return found
+
+
+def _where_it_was(
+    robot: Robot, best: Fitted, last: Hypothesis, companion: Hypothesis, parameters: Parameters, q: FloatArray
+) -> FloatArray:
+    """Where a companion on another link starts: what the last thing was, at the same place in space."""
+    values, n = best.values.copy(), len(best.values) - len(companion.own)
+    lever = [n + k for k, p in enumerate(companion.own) if p.quantity.startswith(_lever(companion))]
+    values[lever] = between_links(robot, q, _carrier(robot, last), _carrier(robot, companion), values[lever])
+    return parameters.coordinates(values)
+
+
+def _carrier(robot: Robot, piece: Hypothesis) -> int:
+    """The zero-based link on which something hangs."""
+    carrier = CATALOGUE[piece.effect].carrier(robot, piece.site)
+    return axis_of(piece.site) if carrier is None else carrier
 
 
 def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis, parameters: Parameters) -> FloatArray:

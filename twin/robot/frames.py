@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from twin.robot.description import Axis
+    from twin.robot.description import Axis, Robot
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -30,6 +30,17 @@ def axis_placement(axis: "Axis", q: float) -> tuple[np.ndarray, np.ndarray]:
     position = np.array([axis.a, -np.sin(alpha) * d, np.cos(alpha) * d])
     ca, sa, ct, st = np.cos(alpha / 2), np.sin(alpha / 2), np.cos(theta / 2), np.sin(theta / 2)
     return position, np.array([ca * ct, sa * ct, -sa * st, ca * st])
+
+
+def between_links(robot: "Robot", q: np.ndarray, start: int, end: int, point: np.ndarray) -> np.ndarray:
+    """Where a point (3,) m of one link's frame is in another's, the robot at angles ``q`` (n,); links from zero."""
+    for i in range(start, end, -1):
+        position, quaternion = axis_placement(robot.axes[i], float(q[i]))
+        point = position + matrix_of(quaternion) @ point
+    for i in range(start + 1, end + 1):
+        position, quaternion = axis_placement(robot.axes[i], float(q[i]))
+        point = matrix_of(quaternion).T @ (point - position)
+    return point
 
 
 def matrix_of(quaternion: np.ndarray) -> np.ndarray:
