@@ -11,7 +11,7 @@ import pytest
 
 from tools.large import hammer_test
 from tools.truth.__main__ import main as truth
-from twin.diagnose.decide import Decision, decide
+from twin.diagnose.decide import Decision, _of_sites, decide
 from twin.diagnose.described import described
 from twin.diagnose.frf_nearest import nearest
 from twin.diagnose.hammer import _or_its_link
@@ -625,6 +625,40 @@ def test_a_resonator_of_the_size_where_derivatives_are_taken_hangs_at_a_light_ar
     small = {**usual, "effect": "attached_resonator", "site": "link2", "mass": TANGENT_SIZE * usual["mass"]}
     with_it = light.model_copy(update={"physics": [*light.physics, Entry.model_validate(small)]})
     assert len(assemble(with_it, BENT).bodies) == len(assemble(light, BENT).bodies) + 1
+
+
+def test_only_the_recordings_tell_at_which_site_an_effect_is(kr90: Robot) -> None:
+    """A bearing of usual size at one joint, one of a hundredth at another: alike in all that was measured."""
+    base = free_parameters(kr90, tolerances=False)
+
+    def fit(effect: str, site: str, misfit: float, own: float) -> Fitted:
+        (hypothesis,) = [entry_hypothesis(kr90, effect, site, CATALOGUE[effect].typical(kr90, site) or {})]
+        parameters = hypothesis.parameters(base)
+        z = np.zeros(len(parameters))
+        z[len(base)] = own
+        cost = 0.5 * (misfit * 1e4 + own**2)
+        return Fitted(hypothesis, parameters, z, parameters.values(z), kr90, cost, misfit, np.eye(len(z)), 1e4, True)
+
+    kind = "structural_damping"
+    fits = [fit(kind, "joint3.x", 1.0, -6.0), fit(kind, "joint2.x", 1.0, 0.0), fit(kind, "joint1.x", 1.001, -6.0)]
+    fits.append(fit("attached_resonator", "link1", 1.0, -6.0))
+    gains = np.array([f.evidence() for f in fits])
+    told = _of_sites(fits, gains, 1.0)
+    assert told[0] == pytest.approx(told[1])  # the recordings do not tell them apart
+    assert told[1] - told[2] == pytest.approx(5.0)  # ½ χ²
+    assert told[[1, 3]] == pytest.approx(gains[[1, 3]])  # the likeliest, and another effect, are as they were
+
+
+@pytest.mark.parametrize("many", [6, 12])
+def test_of_many_numbers_off_their_description_the_farthest_have_a_sentence_each(kr90: Robot, many: int) -> None:
+    free = free_parameters(kr90, tolerances=False)
+    z = np.zeros(len(free))
+    z[:many] = 20.0 - np.arange(many)
+    fit = Fitted(NONE, free, z, free.values(z), kr90, 0.0, 1.0, np.eye(len(z)), 1e4, True)
+    *each, last = strained(fit)
+    assert [note.sites for note in each] == [(free.names[k],) for k in range(5)]
+    assert last.sites == tuple(free.names[5:many])  # all are told, however many
+    assert ("more numbers" in last) == (many > 6)
 
 
 def test_factors_are_orthogonal_whatever_the_columns_say_alike() -> None:

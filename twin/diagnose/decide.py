@@ -86,7 +86,7 @@ def decide(
         sites[variants[0].family] = sites.get(variants[0].family, 0) + 1
     best_misfit = min([base.misfit, *(fit.misfit for fit in fits)])
     scale = max(1.0, best_misfit) if scale is None else scale
-    gains = np.array([fit.evidence(scale) - base.evidence(scale) for fit in fits])
+    gains = _of_sites(fits, np.array([fit.evidence(scale) - base.evidence(scale) for fit in fits]), scale)
     unseen = _unseen([*fits, base], _near(gains), kept, processes) if kept else None
     later = _later(gains, scale, unseen) if unseen else np.zeros(len(fits))
     priors = np.array([_prior(fit.hypothesis, sites, numbers["none"]) for fit in fits])
@@ -120,6 +120,32 @@ def decide(
     ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
     return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other), nameless, alike)
+
+
+def _of_sites(fits: Sequence[Fitted], gains: FloatArray, scale: float) -> FloatArray:
+    """Evidence of fits, where sites of one effect differ by no more than the recordings and the description say.
+
+    How unusual an effect's own numbers are, and how exactly they are held, tells whether there is such an effect. It
+    does not tell where. Of what hangs at a link it does: its mass is of any size, and the evidence is that of the
+    places where it may be (:func:`twin.diagnose.refit.of_its_size`).
+    """
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for k in np.flatnonzero(np.isfinite(gains)):
+        pieces = fits[int(k)].hypothesis.pieces
+        if pieces and all(piece.own and piece.law and not piece.law.lever for piece in pieces):
+            groups.setdefault(tuple(sorted(f"{piece.effect} {len(piece.own)}" for piece in pieces)), []).append(int(k))
+    out = gains.copy()
+    for members in groups.values():
+        if len(members) > 1:
+            costs, first = np.array([_outside_own(fits[k], scale) for k in members]), int(np.argmax(gains[members]))
+            out[members] = np.maximum(gains[members], gains[members[first]] + costs[first] - costs)
+    return out
+
+
+def _outside_own(fit: Fitted, scale: float) -> float:
+    """½ χ² and the tension of the description, without what is the effects' own."""
+    described = fit.z[: len(fit.z) - len(fit.hypothesis.own)]
+    return float(0.5 * (fit.misfit * fit.data / scale + described @ described))
 
 
 def _shared(names: FloatArray, fits: Sequence[Fitted], axes: Mapping[str, str]) -> tuple[FloatArray, FloatArray]:

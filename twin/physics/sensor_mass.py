@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 class SensorMass(Effect):
     """Acts on all channels of a node, along their directions; at ``sensor:*`` the same mass on every node in turn.
 
-    Its inertia counts, not its weight.
+    Its inertia counts, not its weight, which `twin diagnose` takes off the FRFs.
     """
 
     name = "sensor_mass"
