@@ -13,11 +13,11 @@ from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import put_right, without_hum
 from twin.diagnose.frf_leak import Leak, cut_off, cut_short, leaking, refined, rewindowed
-from twin.diagnose.frf_nearest import nearest
 from twin.diagnose.frf_off import data_cost, off_description
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, about, settled_with, shared
 from twin.diagnose.joint_reaction import blows
+from twin.diagnose.left_out import left_out
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
@@ -193,11 +193,8 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
         before = _weighed(told_by, without_limits(given), answer.base, sample, seed)
         told_by.missing = [_borne_out(m, answer.best) for m in told_by.missing]
     finding = _finding(given, source, found, search, answer, before)
-    if finding.missing and found.kept and not falls(finding):  # numbers of the base model may have moved, within noise
-        best = nearest(answer.best, before, sample, Sample(tuple(found.kept), sample.repeat))
-        near = replace(answer, best=best)
-        if falls(as_likely := _finding(given, source, found, search, near, before)):
-            answer, finding = near, as_likely
+    if finding.missing and found.kept and not falls(finding) and not told_by:  # less than noise there, or nothing
+        finding = _left_out(finding, base, before, answer, sample, found.kept, processes)
     few, blow = sample.thin(SCREEN_LINES), blows(campaign)
     laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
@@ -209,6 +206,27 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
         large = [] if found.nonlinear else moved_far(without_limits(given), campaign, found.used)
         finding.warnings = [*short, *large, *finding.warnings]
     return finding
+
+
+def _left_out(
+    finding: Finding,
+    base: Robot,
+    before: Fitted,
+    answer: "_Answer",
+    sample: Sample,
+    kept: list[Recorded],
+    processes: int,
+) -> Finding:
+    """The finding with the error on every posture left out in turn, if that falls with the answer."""
+    each = left_out(base, before, answer.best, sample, kept, processes)
+    if each.gain < calibration()["tie"]:
+        return finding
+    error = {**finding.error}
+    for stage, value in zip(("before", "after"), each.error, strict=True):
+        error[stage] = {**error[stage], "held_out": value}
+    told = replace(finding, error=error, held_out=list(each.names), in_turn=True)
+    told.missing = [replace(m, evidence=_told(m, told)) for m in answer.missing]
+    return told if falls(told) else finding
 
 
 def _misses(search: Search, found: Triage) -> bool:
@@ -570,4 +588,5 @@ def _told(missing: Missing, finding: Finding) -> str:
     """The sentence of evidence, where the engine has not written one."""
     if missing.evidence:
         return missing.evidence
-    return sentence(missing.first.phrase, finding.records, finding.error, finding.held_out)
+    of = finding.error, finding.held_out
+    return sentence(missing.first.phrase, finding.records, *of, in_turn=finding.in_turn)

@@ -327,6 +327,15 @@ def descend(
 def recorded_error(robot: Robot, recordings: Sequence[Recorded]) -> tuple[float, float]:
     """RMS of residual over RMS of data, weighted, and the largest error of a posture angle, in its tolerances.
 
+    See :func:`recorded_energy`.
+    """
+    residual, data, off = recorded_energy(robot, recordings)
+    return float(np.sqrt(residual / data)), off
+
+
+def recorded_energy(robot: Robot, recordings: Sequence[Recorded]) -> tuple[float, float, float]:
+    """Sums of squares of residual and data over the noise, and the largest error of a posture angle, in tolerances.
+
     Before, what belongs to the recordings themselves is re-estimated: posture angles and channel gains within the
     description's tolerances. Nothing of the robot is fitted.
     """
@@ -342,7 +351,7 @@ def recorded_error(robot: Robot, recordings: Sequence[Recorded]) -> tuple[float,
     residual = objective.residual(z)
     data = sum(float(np.sum(np.abs(r.frf * w) ** 2)) for r, w in zip(recordings, objective.weight, strict=True))
     off = max((abs(float(x)) for p, x in zip(items, z, strict=True) if p.kind == "posture"), default=0.0)
-    return float(np.sqrt(residual @ residual / data)), off
+    return float(residual @ residual), data, off
 
 
 def foreseen(fit: Fitted, kept: Sample) -> Fitted:

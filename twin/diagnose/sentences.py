@@ -127,8 +127,9 @@ def _own(model: Sequence[tuple[int, float, float]], frequency: float, places: Se
 
 
 def sentence(
-    name: str, records: Sequence[Record], errors: dict[str, Any], held_out: Sequence[str], joint: int | None = None
-) -> str:
+    name: str, records: Sequence[Record], errors: dict[str, Any], held_out: Sequence[str], joint: int | None = None,
+    in_turn: bool = False,
+) -> str:  # fmt: skip
     """The evidence for an answer.
 
     Args:
@@ -137,6 +138,7 @@ def sentence(
         errors: ``before`` and ``after`` → ``train``, ``held_out``; ``noise_floor``, ``None`` where not known.
         held_out: names of postures or runs not used.
         joint: zero-based, on whose torque it acts; the one that is put right most by default.
+        in_turn: each of them was left out in turn.
     """
     told = ""
     frfs = [r for r in records if isinstance(r, FrfRecord)]
@@ -148,16 +150,17 @@ def sentence(
         told = _modal_sentence(name, tables)
     judged = [r for r in records if r.held_out] or records
     floor = None if errors["noise_floor"] is None else pooled_floor(judged)
-    return f"{told} {fall(errors, held_out, floor)}".strip()
+    return f"{told} {fall(errors, held_out, floor, in_turn)}".strip()
 
 
-def fall(errors: dict[str, Any], held_out: Sequence[str], floor: float | None = None) -> str:
+def fall(errors: dict[str, Any], held_out: Sequence[str], floor: float | None = None, in_turn: bool = False) -> str:
     """How the error falls from before to after; ``floor``: what noise alone gives on what is told last."""
     before, after = errors["before"], errors["after"]
     held = ""
     if before["held_out"] is not None:
         was, now = percents(before["held_out"], after["held_out"], 2)
-        held = f", and on {', '.join(held_out)}, not used, {was} → {now}"
+        unused = "each left out in turn" if in_turn else "not used"
+        held = f", and on {', '.join(held_out)}, {unused}, {was} → {now}"
     noise = "" if floor is None else f" (noise alone {floor:.2%})"
     was, now = percents(before["train"], after["train"], 2)
     verb = "falls" if after["train"] < before["train"] else "does not fall:"

@@ -128,7 +128,7 @@ class Finding:
             where this one then has it.
         bare: the same as ``following`` of a log's base model: without the log's names.
         error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
-        held_out: names of postures or runs not used.
+        held_out: names of postures or runs not used; ``in_turn``: each was left out once, and used otherwise.
         records: the recording beside the three models.
         location: where the base model misses, as in diagnosis.json.
         sites: site → what freeing it alone would gain, in ln likelihood or evidence.
@@ -170,6 +170,7 @@ class Finding:
     fits: tuple[Fitted, ...] = ()
     damping: Transfer | None = None
     apart: dict[str, list[str]] = field(default_factory=dict)
+    in_turn: bool = False
     written: Robot | None = None
     following: "Following | None" = None
     bare: "Following | None" = None
@@ -331,8 +332,8 @@ class Verdict(Result):
                 held = "" if item["held_out"] is None else f", held out {item['held_out']:.2%}"
                 lines.append(f"  error {stage.replace('_', ' '):9s} {item['train']:.2%}{held}")
             floor = finding.error["noise_floor"]
-            noise = "unknown" if floor is None else f"{floor:.2%}"
-            lines.append(f"  noise floor {noise}; held out: {', '.join(finding.held_out) or 'nothing'}")
+            noise, turn = "unknown" if floor is None else f"{floor:.2%}", " in turn" if finding.in_turn else ""
+            lines.append(f"  noise floor {noise}; held out{turn}: {', '.join(finding.held_out) or 'nothing'}")
         if self.next_test:
             lines.append(f"  next test: {self.next_test['description']}")
         lines += [f"  triage: {text}" for finding in self.findings for text in finding.warnings]

@@ -76,7 +76,7 @@ def leakage_slopes(
     dC = rate.J_r @ V[:nv, own] - seen.J_r @ V[:nv] @ tied[:, :, own]
     dmode = C.T[:, :, None] * dB[:, :, None] + dC.swapaxes(1, 2)[:, :, :, None] * B[:, None]
     parts = np.concatenate([dmode, moved * mode], axis=1)
-    shape = len(parts), parts.shape[1], mode[0].size
+    shape = len(parts), parts.shape[1], L[0].size  # none may ring still
     dL = (np.concatenate([g, steeper], axis=1) @ parts.reshape(shape)).reshape(len(parts), *L.shape)
     dL *= gain
     louder = rate.gain[:, None] / seen.gain - s[:, None] * rate.delay[:, None]

@@ -790,11 +790,12 @@ def _split(row: str) -> tuple[str, str]:
 
 def _error_text(finding: Finding, answered: bool) -> str:
     held = ", ".join(finding.held_out) or "nothing"
+    turn = ", each in turn" if finding.in_turn else ""
     after = "with the answer" if answered else "the same, because nothing is added"
     return (
-        f"Held out: {held}. As given: the description as it came. Before: refitted to what was used, nothing added. "
-        f"After: {after}. On what was held out only posture angles, channel gains and torque offsets are "
-        "re-estimated."
+        f"Held out{turn}: {held}. As given: the description as it came. "
+        f"Before: refitted to what was used, nothing added. After: {after}. "
+        "On what was held out only posture angles, channel gains and torque offsets are re-estimated."
     )
 
 
