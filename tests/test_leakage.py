@@ -97,6 +97,17 @@ def test_slopes_of_leakage_are_differences() -> None:
     np.testing.assert_allclose((later[0] - later[1]) / 2e-5, leakage_later(seen, s, *how), atol=1e-4 * abs(slope).max())
 
 
+def test_nothing_leaks_where_no_mode_rings_any_more() -> None:
+    rng = np.random.default_rng(2)
+    seen = structure(rng, np.diag([5.0, 0, 3]), np.diag([500.0, 0, 0]))
+    rate = Observed.of(rng.normal(size=(2, *array.shape)) for array in seen.arrays())
+    s = 1.0 + 2j * np.pi * LINES_HZ
+    L, slopes = leakage_slopes(seen, rate, s, 2, 1e6, SPREAD_S)
+    assert not L.any()
+    assert slopes.shape == (2, *L.shape)
+    assert not slopes.any()
+
+
 def test_a_coordinate_without_a_spring_leaks_nothing_more() -> None:
     """Its two poles have one vector: the formula is that of a neighbour."""
     seen = structure(np.random.default_rng(2))
