@@ -127,7 +127,7 @@ def test_loads_that_show_nothing_else_are_asked_beside_an_answer(monkeypatch: py
     monkeypatch.setattr(hammer, "sifted", lambda decision, base: (decision, ()))
     monkeypatch.setattr(hammer, "_or_its_link", lambda decision, settled, base: (decision, frozenset()))
     monkeypatch.setattr(hammer, "off_description", off_description)
-    found, sample = SimpleNamespace(kept=[]), SimpleNamespace(recordings=[], repeat=1.0)
+    found, sample = SimpleNamespace(kept=[]), SimpleNamespace(recordings=[], repeat=1.0, band_hz=(5.0, 100.0))
     search.base.parameters = None
     with pytest.raises(InterruptedError):
         hammer._decided(kr90, search, sample, [], found, False, lambda: bare)  # type: ignore[arg-type]

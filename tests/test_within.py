@@ -147,6 +147,18 @@ def test_tension_alone_names_nothing_beside_a_name(kr90: Robot, takes_off: float
     assert that_show([two]) == [two]  # nothing to compare it with
 
 
+@pytest.mark.parametrize(("frequency_hz", "heard"), [(20.0, True), (101.0, True), (126.6, False), (1.0, False)])
+def test_a_mode_that_no_line_holds_is_no_answer(kr90: Robot, frequency_hz: float, heard: bool) -> None:
+    """What swings above the band moves FRFs as a mass does, or as errors of a recorder do."""
+    hose = entry_hypothesis(
+        kr90, "attached_resonator", "link2",
+        {"mass": 1.0, "frequency_hz": 20.0, "damping_ratio": 0.02, "axis": "y", "position": [0.5, 0.0, 0.0]},
+    )  # fmt: skip
+    fit = fitted(kr90, hose, np.array([1.0, frequency_hz, 0.02, 0.5, 0.0, 0.0]))
+    assert that_show([fit], (5.0, 100.0)) == ([fit] if heard else [])
+    assert that_show([fit]) == [fit]
+
+
 @pytest.mark.parametrize(("misfit", "none"), [(1.0, 0.99), (1.5, 0.05)])
 def test_what_leaves_no_misfit_is_adequate(kr90: Robot, misfit: float, none: float) -> None:
     """A law without a name beside nodes that were moved counts only where something beyond noise is left."""

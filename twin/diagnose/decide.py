@@ -298,10 +298,11 @@ def sifted(decision: Decision, robot: Robot) -> tuple[Decision, tuple[Hypothesis
     return told, beside.allowed
 
 
-def that_show(fits: Sequence[Fitted]) -> list[Fitted]:
+def that_show(fits: Sequence[Fitted], band_hz: tuple[float, float] = (0.0, np.inf)) -> list[Fitted]:
     """The fits without those of which a piece takes next to nothing off what the recordings are missed by.
 
-    Beside the other pieces it only relieves numbers far from their description, and tension alone names nothing.
+    Beside the other pieces it only relieves numbers far from their description, and tension alone names nothing. What
+    adds a mode that is nowhere in the recorded band does not show either: it is a mass or a spring there, or an error.
     """
     known, least = {fit.hypothesis.identity: fit for fit in fits}, calibration()["seen"]
 
@@ -310,6 +311,13 @@ def that_show(fits: Sequence[Fitted]) -> list[Fitted]:
         unrecorded = np.array([p.kind != "posture" for p in fit.parameters])
         return float(fit.cost - 0.5 * np.sum(fit.z[unrecorded] ** 2))
 
+    def heard(fit: Fitted, piece: Hypothesis) -> bool:
+        values = {p.quantity: x for p, x in zip(fit.parameters, fit.values, strict=True) if p.site == piece.key}
+        if not piece.law or not piece.law.adds_mode or "frequency_hz" not in values:
+            return True
+        frequency, half_width = values["frequency_hz"], values["damping_ratio"] * values["frequency_hz"]
+        return bool(frequency - half_width <= band_hz[1] and frequency + half_width >= band_hz[0])
+
     def shows(fit: Fitted, piece: Hypothesis) -> bool:
         rest = known.get(fit.hypothesis.identity - {piece.key})
         angles = any(name.startswith("posture.") for name, _ in piece.scale)  # recorded less exactly than was stated
@@ -317,6 +325,7 @@ def that_show(fits: Sequence[Fitted]) -> list[Fitted]:
 
     several = [fit for fit in fits if len(fit.hypothesis.pieces) > 1]
     dumb = {id(fit) for fit in several if not all(shows(fit, piece) for piece in fit.hypothesis.pieces)}
+    dumb |= {id(fit) for fit in fits if not all(heard(fit, piece) for piece in fit.hypothesis.pieces)}
     return [fit for fit in fits if id(fit) not in dumb]
 
 

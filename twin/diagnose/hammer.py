@@ -337,7 +337,7 @@ def _decided(
     possible_base: Callable[[], Fitted],
 ) -> _Answer:  # fmt: skip
     *others, settled = settle(base, search, sample)
-    fits = that_show(others)
+    fits = that_show(others, sample.band_hz)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     likeliest = fits[0] if fits else settled

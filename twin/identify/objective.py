@@ -57,6 +57,11 @@ class Sample:
             self._weights[temper, logarithmic] = [np.sqrt(self.repeat) * w for w in some]
         return self._weights[temper, logarithmic]
 
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """The lowest and the highest line."""
+        return min(float(r.frequency[0]) for r in self.recordings), max(float(r.frequency[-1]) for r in self.recordings)
+
     def thin(self, lines: int) -> "Sample":
         """About so many lines of every recording, with the weight of all."""
         step = max(1, min(len(r.s) for r in self.recordings) // lines)
