@@ -16,13 +16,15 @@ from tools.truth.wrong import record
 from twin.diagnose import torque_search, torque_step
 from twin.diagnose.calibration import calibration
 from twin.diagnose.nearest import step_nearer
-from twin.diagnose.torque import _strained, diagnose_log
+from twin.diagnose.torque import _strained, base_system, diagnose_log, log_records, pooled, searched
 from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_laws import Suspect, log_suspects
+from twin.diagnose.torque_left_out import left_out_runs, without_run
 from twin.diagnose.torque_look import decided, look
 from twin.diagnose.torque_nearest import nearest
+from twin.diagnose.torque_off import as_described
 from twin.diagnose.torque_revise import one_for_two
 from twin.diagnose.torque_search import _borne_out
 from twin.diagnose.torque_signal import Prepared, prepare
@@ -116,6 +118,28 @@ def test_a_filter_is_no_delay_for_having_one_number_more(tmp_path: Path, hz: flo
     assert calibration()["simpler"] * low < late < low
     step = decided(system, trials, [fitted(system, trial) for trial in trials.values()], suspects)
     assert step.first.hypothesis.key == "torque_filter@log"
+
+
+def test_every_run_left_out_is_predicted_better_with_what_is_there(tmp_path: Path) -> None:
+    log = recorded(tmp_path, "--effect", "load_dependent_friction@joint2:coefficient=0.02")
+    prepared = prepare(log, load_robot("kr90"), "log.h5")
+    search, _ = searched(base_system(prepared), prepared, None, 1)
+    assert [step.key for step in search.found] == ["load_dependent_friction@joint2"]
+    for number, run in enumerate(prepared.used):  # what is fitted to the others is near what was fitted to all
+        rest = replace(prepared, used=[r for r in prepared.used if r is not run], kept=[run])
+        fewer = without_run(search, rest)
+        assert [s.name for s in fewer.system.found] == [s.name for s in search.system.found], number
+        np.testing.assert_allclose(fewer.after.values[-1], search.after.values[-1], rtol=0.2)
+    each = left_out_runs(
+        prepared, search, lambda rest, some: log_records(rest, as_described(some), some)[0],
+        lambda records, stage: pooled(records, stage)["held_out"], 1,
+    )  # fmt: skip
+    assert each is not None
+    assert sorted(each.names) == sorted(log.runs)
+    assert each.gain > 100
+    assert each.error[1] < each.error[0]
+    alone = replace(prepared, used=prepared.used[:1])
+    assert left_out_runs(alone, search, lambda *_: [], lambda *_: None, 1) is None
 
 
 def test_what_was_found_moves_nothing_else_than_it_must(slow: tuple[Prepared, list[Suspect], System]) -> None:

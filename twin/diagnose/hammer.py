@@ -221,10 +221,7 @@ def _left_out(
     each = left_out(base, before, answer.best, sample, kept, processes)
     if each.gain < calibration()["tie"]:
         return finding
-    error = {**finding.error}
-    for stage, value in zip(("before", "after"), each.error, strict=True):
-        error[stage] = {**error[stage], "held_out": value}
-    told = replace(finding, error=error, held_out=list(each.names), in_turn=True)
+    told = finding.with_each(each.names, each.error, None)
     told.missing = [replace(m, evidence=_told(m, told)) for m in answer.missing]
     return told if falls(told) else finding
 

@@ -22,6 +22,7 @@ from twin.diagnose.torque_faults import clock_note, clock_rates, described_torqu
 from twin.diagnose.torque_fit import base_fit, profiled, worth
 from twin.diagnose.torque_following import Following
 from twin.diagnose.torque_laws import Suspect, log_suspects, model_torque, not_sought, with_values
+from twin.diagnose.torque_left_out import left_out_runs
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_nearest import nearest
 from twin.diagnose.torque_next import next_log
@@ -127,11 +128,26 @@ def diagnose_log(
         near = _finding(log, robot, source, prepared, as_likely, suspects, put, processes)
         if falls(near):
             return near
+        if falls(in_turn := _left_out(finding, prepared, search, processes)):
+            return in_turn
     refused = [missing for missing in finding.missing if effect_named(missing.first.effect).part != "play"]
     if len(refused) < len(finding.missing):  # the second encoder shows the play without them
         put = [*put, tension(refused)]
         return _finding(log, robot, source, prepared, bare(search), suspects, put, processes)
     return finding
+
+
+def _left_out(finding: Finding, prepared: Prepared, search: Search, processes: int) -> Finding:
+    """The finding with the error on every run left out in turn, where that is another one."""
+    each = left_out_runs(
+        prepared, search, lambda rest, some: log_records(rest, as_described(some), some)[0],
+        lambda records, stage: pooled(records, stage)["held_out"], processes,
+    )  # fmt: skip
+    if each is None:
+        return finding
+    told = finding.with_each(each.names, each.error, each.gain)
+    told.missing = with_evidence(replace(told, missing=[replace(m, evidence="") for m in finding.missing]))
+    return told
 
 
 def _finding(
@@ -243,7 +259,7 @@ def _evidence(missing: Missing, finding: Finding) -> str:
     first = missing.first
     joint = axis_of(first.site) if first.site.startswith("joint") else None
     name = first.phrase if len(finding.missing) == 1 else f"{first.phrase} and what else was found,"
-    told = sentence(name, finding.records, finding.error, finding.held_out, joint)
+    told = sentence(name, finding.records, finding.error, finding.held_out, joint, finding.in_turn)
     return " ".join([told, *finding.apart.get(first.key, ())])
 
 

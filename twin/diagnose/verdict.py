@@ -6,7 +6,7 @@ Whatever the recording (hammer test, modal table, motion log), an engine hands o
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -136,8 +136,8 @@ class Finding:
         warnings: of the triage, one line each.
         fit: of ``robot``, where another recording can build on it.
         finalists: what the answer was chosen from, as :func:`twin.diagnose.decide.finalists` has it.
-        gain: ln likelihood that the answer of a hammer test gains over the base model, all angles of postures free;
-            ``None``: as the records have it.
+        gain: ln likelihood that the answer of a hammer test gains over the base model, all angles of postures free; of
+            a log, on the runs left out in turn. ``None``: as the records have it.
         held_out_misfit: χ² per datum of what was held out, doubt of the base model's numbers beside its noise; 0 where
             not known.
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
@@ -171,12 +171,24 @@ class Finding:
     damping: Transfer | None = None
     apart: dict[str, list[str]] = field(default_factory=dict)
     in_turn: bool = False
+
     written: Robot | None = None
     following: "Following | None" = None
     bare: "Following | None" = None
     bands: "Bands | None" = None
     content: Any = None
     alone: dict[str, Any] | None = None
+
+    def with_each(self, names: Sequence[str], error: tuple[float, float], gain: float | None) -> "Finding":
+        """The same with what every posture or run left out in turn is missed by, before and after, held out.
+
+        ``gain``: of a log, the fall of ½ χ² over the noise of each joint.
+        """
+        errors = {**self.error}
+        for stage, value in zip(("before", "after"), error, strict=True):
+            errors[stage] = {**errors[stage], "held_out": value}
+        gained = self.gain if gain is None else gain
+        return replace(self, error=errors, held_out=list(names), in_turn=True, gain=gained)
 
     @property
     def model(self) -> Robot:
