@@ -390,7 +390,11 @@ def test_a_posture_left_out_is_predicted_better_with_what_is_there_and_with_noth
         start = tilt.of_size(base.z, 0.01)
         fit = descend(case.base, tilt, tilt.parameters(case.free), case.sample, start, tempered=0, tolerance=1e-3)
         found[site] = left_out(case.base, base, fit, case.sample, case.found.kept, 1)
+        alone = Sample(case.sample.recordings[:1])
+        assert left_out(case.base, base, fit, alone, case.found.kept, 1) is None  # nothing is left to fit to
     there, elsewhere = found["base.rx"], found["base.rz"]
+    assert there is not None
+    assert elsewhere is not None
     assert set(there.names) == set(case.campaign.postures)
     assert there.gain > 30
     assert there.error[1] < there.error[0]

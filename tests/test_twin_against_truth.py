@@ -102,14 +102,20 @@ def test_hammer_effects(  # type: ignore[no-untyped-def]
     compared(robot, campaign, tolerance)
 
 
-def test_a_sensor_s_mass_is_felt_where_it_sits(kr90: Robot, tmp_path: Path) -> None:
-    """The truth hangs it at the node as a payload; the twin leaves out what its weight adds to the stiffness."""
-    file, mass = tmp_path / "c.h5", 6.0
-    at = next(point for point in kr90.test_points if point.label == "21X+")
+def loaded(kr90: Robot, folder: Path, mass: float) -> Campaign:
+    """The truth's FRFs without noise, a payload on the node of the sensors."""
+    file, at = folder / "c.h5", next(point for point in kr90.test_points if point.label == "21X+")
     options = ["--nominal", "--no-sag", "--noise", 0, "--scatter", 0, "--postures", 3, "--effect"]
     truth("campaign", "--out", file, *options, f"payload@{at.body}:{written({'mass': mass, 'com': list(at.position)})}")
     campaign = read_campaign(file)
     assert set(map(tuple, campaign.response.position.tolist())) == {tuple(at.position)}
+    return campaign
+
+
+def test_a_sensor_s_mass_is_felt_where_it_sits(kr90: Robot, tmp_path: Path) -> None:
+    """The truth hangs it at the node as a payload; the twin leaves out what its weight adds to the stiffness."""
+    mass = 6.0
+    campaign = loaded(kr90, tmp_path, mass)
     for site in ("sensor:21", "sensor:*"):
         compared(described(kr90, "sensor_mass", site, {"mass": mass}, points_of(campaign)), campaign, 2e-3)
     with pytest.raises(AssertionError):
@@ -118,11 +124,8 @@ def test_a_sensor_s_mass_is_felt_where_it_sits(kr90: Robot, tmp_path: Path) -> N
 
 def test_what_a_sensor_s_weight_does_is_taken_off(kr90: Robot, tmp_path: Path) -> None:
     """The truth hangs it at the node as a payload; without the rest of it, the twin's law is exact."""
-    file, mass = tmp_path / "c.h5", 6.0
-    at = next(point for point in kr90.test_points if point.label == "21X+")
-    options = ["--nominal", "--no-sag", "--noise", 0, "--scatter", 0, "--postures", 2, "--effect"]
-    truth("campaign", "--out", file, *options, f"payload@{at.body}:{written({'mass': mass, 'com': list(at.position)})}")
-    campaign = read_campaign(file)
+    mass = 6.0
+    campaign = loaded(kr90, tmp_path, mass)
     robot = described(kr90, "sensor_mass", "sensor:*", {"mass": mass}, points_of(campaign))
     none, at_rest = independent([]), np.zeros(0)
     fit = Fitted(NONE, none, at_rest, at_rest, robot, 0.0, 1.0, np.zeros((0, 0)), 1.0, True)

@@ -52,7 +52,7 @@ def falls(finding: Finding) -> bool:
     if finding.missing and all(effect_named(m.first.effect).part == "play" for m in finding.missing):
         return True  # the second encoder shows a gap, which the torque does not feel
     records = [r for r in finding.records if isinstance(r, LogRecord) and r.held_out is (part == "held_out")]
-    fall = finding.gain or 0.5 * sum(r.energy("before") - r.energy("after") for r in records)
+    fall = 0.5 * sum(r.energy("before") - r.energy("after") for r in records) if finding.gain is None else finding.gain
     if records and fall <= calibration()["tie"]:
         return False
     return bool(after[part] < before[part])

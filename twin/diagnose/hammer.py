@@ -219,7 +219,7 @@ def _left_out(
 ) -> Finding:
     """The finding with the error on every posture left out in turn, if that falls with the answer."""
     each = left_out(base, before, answer.best, sample, kept, processes)
-    if each.gain < calibration()["tie"]:
+    if each is None or each.gain < calibration()["tie"]:
         return finding
     told = finding.with_each(each.names, each.error, None)
     told.missing = [replace(m, evidence=_told(m, told)) for m in answer.missing]

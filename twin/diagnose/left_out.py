@@ -35,14 +35,16 @@ class LeftOut:
 
 def left_out(
     base: Robot, before: Fitted, after: Fitted, sample: Sample, kept: Sequence[Recorded], processes: int
-) -> LeftOut:
-    """Every posture of a sample left out in turn, and those that were kept aside.
+) -> LeftOut | None:
+    """Every posture of a sample left out in turn, and those that were kept aside; ``None`` where it has but one.
 
     Args:
         base: the description that the fits' hypotheses are added to.
         before, after: fitted to ``sample``, without and with the answer.
     """
     names = list(dict.fromkeys(r.setup.name for r in sample.recordings))
+    if len(names) < 2:
+        return None
     pairs = [(name, fit) for name in names for fit in (before, after)]
 
     def missed(number: int) -> FloatArray:

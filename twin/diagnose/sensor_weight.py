@@ -1,8 +1,7 @@
 """The weight of sensors that go from node to node: what it does to FRFs is taken off them.
 
 ``sensor_mass`` has the inertia of such a sensor, which is nearly all of it. Its weight also bends the robot and turns
-its joints, as a payload's does. That is some 1e-4 of an FRF: less than noise where the mass is small, and more than a
-faint effect where it is not.
+its joints, as a payload's does. Of a block of 5 kg that is 0.2 % of an FRF: more than a faint effect.
 """
 
 from dataclasses import replace

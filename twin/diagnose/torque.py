@@ -146,7 +146,7 @@ def _left_out(finding: Finding, prepared: Prepared, search: Search, processes: i
     if each is None:
         return finding
     told = finding.with_each(each.names, each.error, each.gain)
-    told.missing = with_evidence(replace(told, missing=[replace(m, evidence="") for m in finding.missing]))
+    told.missing = with_evidence(told)
     return told
 
 
