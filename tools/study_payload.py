@@ -5,8 +5,9 @@ real arm (TX40, six axes, from its URDF through ``twin describe``; KR300, six ax
 truth code (six and seven axes, numbers within the tolerances of their description). ``twin diagnose`` is asked each
 time.
 
-Printed: how many were found, how many 90 % intervals hold the mass, and CPU seconds; ``TWIN_RECORDINGS`` is the folder
-of real recordings.
+Printed: how many were found, of all and of those heavier than the ``smallest_visible`` of the same report, how many
+90 % intervals hold the mass, and CPU seconds; ``TWIN_RECORDINGS`` is the folder of real recordings. ``--from 50`` goes
+on after 50 draws.
 """
 
 import argparse
@@ -122,8 +123,8 @@ def simulated(name: str, room: Path, rng: np.random.Generator, load: Load | None
     return load_robot(path), MotionLog({"run": run})
 
 
-def cases(name: str, room: Path, draws: int, seed: int) -> Iterator[tuple[Robot, MotionLog, Load]]:
-    for number in range(draws):
+def cases(name: str, room: Path, draws: range, seed: int) -> Iterator[tuple[Robot, MotionLog, Load]]:
+    for number in draws:
         rng = np.random.default_rng([seed, number])
         if name in ("tx40", "kr300"):
             robot, log = {"tx40": tx40, "kr300": kr300}[name](room / name, rng)
@@ -137,26 +138,36 @@ def cases(name: str, room: Path, draws: int, seed: int) -> Iterator[tuple[Robot,
 def main() -> None:
     parser = argparse.ArgumentParser(prog="tools.study_payload", description=__doc__)
     parser.add_argument("--draws", type=int, default=10)
+    parser.add_argument("--from", type=int, default=0, dest="first")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--of", nargs="+", default=["tx40", "six", "seven"], choices=["tx40", "kr300", "six", "seven"])
     asked = parser.parse_args()
     with TemporaryDirectory() as scratch:
         for name in asked.of:
             rows = []
-            for robot, log, load in cases(name, Path(scratch), asked.draws, asked.seed):
+            draws = range(asked.first, asked.first + asked.draws)
+            for robot, log, load in cases(name, Path(scratch), draws, asked.seed):
                 begin = time.process_time()
                 verdict = twin.diagnose(log, robot=robot)
                 seconds = time.process_time() - begin
                 answers = [m.first for m in verdict.missing]
                 found = next((one for one in answers if one.effect == "payload"), None)
-                rows.append((load.mass, found, seconds))
+                rows.append((load.mass, found, visible(verdict), seconds))
                 print(line(name, load, found, verdict, seconds), flush=True)
-            masses = [mass for mass, found, _ in rows if found]
-            inside = [holds(found, mass) for mass, found, _ in rows if found]
+            inside = [holds(found, mass) for mass, found, *_ in rows if found]
+            heavy = [found is not None for mass, found, least, _ in rows if mass > least]
+            seconds = [row[-1] for row in rows]
             print(
-                f"{name}: found {len(masses)} of {len(rows)}, the interval holds {sum(inside)} of {len(inside)}, "
-                f"CPU {np.median([s for *_, s in rows]):.0f} s in the median, {max(s for *_, s in rows):.0f} s at most"
+                f"{name}: found {len(inside)} of {len(rows)}, {sum(heavy)} of {len(heavy)} of those heavier than the "
+                f"smallest visible; the interval holds {sum(inside)} of {len(inside)}; "
+                f"CPU {np.median(seconds):.0f} s in the median, {max(seconds):.0f} s at most"
             )
+
+
+def visible(verdict: "twin.Verdict") -> float:
+    """Smallest mass (kg) at the flange that the report says can be seen; 0 where it says none, as one is found."""
+    some = verdict.data()["smallest_visible"]
+    return next((row["value"] for row in some if row["effect"] == "payload" and row["site"] == "flange"), 0.0)
 
 
 def holds(found: Candidate, mass: float) -> bool:
@@ -169,7 +180,10 @@ def line(name: str, load: Load, found: Candidate | None, verdict: "twin.Verdict"
     said = ", ".join(m.first.key for m in verdict.missing) or "nothing"
     error = verdict.error["after"]["held_out"]
     if found is None:
-        return f"{name} {load.mass:.3f} kg: not found ({verdict.word}: {said}; held out {error:.1%}) {seconds:.0f} s"
+        return (
+            f"{name} {load.mass:.3f} kg: not found, visible from {visible(verdict):.3f} kg ({verdict.word}: {said}; "
+            f"held out {error:.1%}) {seconds:.0f} s"
+        )
     mass = found.parameters["mass"]
     low, high = mass["interval90"]
     inside = "holds" if holds(found, load.mass) else "misses"
