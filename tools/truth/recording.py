@@ -26,6 +26,7 @@ from tools.truth.laws import Complex
 ANTI_ALIAS = 0.4  # of the sampling rate: the filter that force and response go through
 MAINS_HZ = 50.0
 STEP_HZ = 4096.0  # time step of simulated blows: 1e-4 of a smooth FRF, with a gap too
+HIT_STEP_HZ = 4 * STEP_HZ  # of blows recorded in time: a force linear over a step is off by (πf/rate)²/3, 1e-4
 
 
 @dataclass(frozen=True)
@@ -321,28 +322,28 @@ def raw_hits(
     response, excitation = rows(truth, structure)
     ne, nh = len(excitation), test.hits
     each = np.repeat(excitation, nh, 0)
-    every = round(STEP_HZ / test.hit_rate_hz)
+    every = round(HIT_STEP_HZ / test.hit_rate_hz)
     samples = round(test.hit_rate_hz / test.spacing_hz)
     columns = []
     for _ in range(ne * nh):
         peak, width = peak_n * rng.uniform(0.8, 1.2), test.pulse_s * rng.uniform(0.9, 1.1)
-        pulse = half_sine(np.array([peak]), width, STEP_HZ)[:, 0]
-        second = int(rng.uniform(0.03, 0.08) * STEP_HZ) if rng.random() < test.double_hits else 0
-        wave = np.zeros(int(0.1 * STEP_HZ))
+        pulse = half_sine(np.array([peak]), width, HIT_STEP_HZ)[:, 0]
+        second = int(rng.uniform(0.03, 0.08) * HIT_STEP_HZ) if rng.random() < test.double_hits else 0
+        wave = np.zeros(int(0.1 * HIT_STEP_HZ))
         wave[: len(pulse)] = pulse
         if second:
             wave[second : second + len(pulse)] += rng.uniform(0.2, 0.5) * pulse
         columns.append(wave)
     force = np.array(columns).T
     before = samples // 64
-    signal = strike(structure, response, each, force, STEP_HZ, (samples - before) * every)
-    filtered = butter(8, ANTI_ALIAS * test.hit_rate_hz, fs=STEP_HZ, output="sos")
+    steps = (samples - before) * every
+    signal = strike(structure, response, each, force, HIT_STEP_HZ, steps)
+    filtered = butter(8, ANTI_ALIAS * test.hit_rate_hz, fs=HIT_STEP_HZ, output="sos")
     signal = sosfilt(filtered, signal, axis=0)[::every]
     signal *= channel_factor(truth, np.zeros(1))[0].real[None, :, None]
     out_force, out = np.zeros((samples, ne * nh)), np.zeros((samples, len(response), ne * nh))
     out[before:] = signal
-    kept = sosfilt(filtered, np.pad(force, ((0, len(force)), (0, 0))), axis=0)[::every]
-    out_force[before : before + len(kept)] = kept
+    out_force[before:] = sosfilt(filtered, np.pad(force, ((0, steps - len(force)), (0, 0))), axis=0)[::every]
     out += rng.normal(scale=test.noise * np.sqrt(test.hit_rate_hz / 2), size=out.shape)
     return (
         out_force.T.reshape(ne, nh, samples),

@@ -41,7 +41,6 @@ from twin.measure.modal import HELD_DAMPING, HELD_FREQUENCY, MAX_REFERENCES, Mod
 from twin.measure.modal_choice import VISIBLE
 from twin.measure.poles import Poles
 from twin.measure.shapes import mac, mpc, real_phase
-from twin.measure.spectra import USABLE
 from twin.measure.stabilisation import DAMPING_RANGE, Chart, chart, clusters, column_share
 from twin.measure.uff import read_uff_responses
 from twin.ranges import ill_named
@@ -56,6 +55,7 @@ REWEIGHTED, TAILS = 4, 3  # fits of residues, and powers of 1/s beside the modes
 FEWEST_LINES = 16  # of a half-spectrum in the band
 AROUND = 8  # lines on either side of a mode, from whose median the noise there is told
 CUT, CUT_PERIODS = 0.85, 6  # a filter's corner over the lower end of an octave, its length in periods of that end
+USABLE = 2.56  # sampling rate over the highest line an anti-aliasing filter leaves alone, as analysers have it
 LEFT_AT_END = 0.01  # of the exponential window of a half-spectrum
 ONE_MODE = 0.97  # MAC from which two columns within a bandwidth are one mode
 EXTRA = 'needs pyOMA2: pip install "twin[operational]"'
