@@ -74,13 +74,25 @@ def _numeric(value: ast.expr) -> bool:
 
 
 def effect_names(root: Path, trees: dict[str, ast.Module]) -> dict[str, int]:
-    """Module outside ``twin/physics`` → string literals that name an effect of the vocabulary."""
+    """Module outside ``twin/physics`` → string literals that name an effect of the vocabulary.
+
+    In ``twin/robot`` a name that is also a field of the description or of a data sheet (a robot's rated payload, a
+    drive's rotor inertia) is that field.
+    """
     names = {p.stem for p in (root / "twin" / "physics").glob("*.py")}
     names -= {"__init__", "effect", "chain", "motion", "catalogue"}
+    fields = {
+        node.target.id
+        for module, tree in trees.items()
+        if ".robot" in module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    }
     found: dict[str, int] = {}
     for module, tree in trees.items():
         if ".physics" not in module:
-            count = sum(isinstance(n, ast.Constant) and n.value in names for n in ast.walk(tree))
+            others = names - fields if ".robot" in module else names
+            count = sum(isinstance(n, ast.Constant) and n.value in others for n in ast.walk(tree))
             if count:
                 found[module] = count
     return found
