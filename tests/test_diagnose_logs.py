@@ -24,7 +24,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.joint import followed
 from twin.diagnose.note import Note
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque import Log, _missed, diagnose_log, pooled, predicted_by, wide_enough, with_evidence
+from twin.diagnose.torque import Log, _missed, diagnose_log, pooled, predicted_by, wider_bands, with_evidence
 from twin.diagnose.torque_base import APART, PRESLIDING, _apart
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, refine, settle, start
@@ -493,9 +493,7 @@ def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> N
 
 
 @pytest.mark.parametrize(("seconds", "wider"), [(5.0, True), (45.0, False)])
-def test_a_short_log_is_fitted_through_the_low_pass_that_predicts_best(
-    seconds: float, wider: bool, tmp_path: Path
-) -> None:
+def test_of_a_short_log_the_low_pass_that_predicts_best_is_known(seconds: float, wider: bool, tmp_path: Path) -> None:
     """Some seconds below 10 Hz have fewer rows of a joint than a robot has numbers; 45 s have enough."""
     machine = machines()["six"]
     rng = np.random.default_rng(5)
@@ -509,10 +507,12 @@ def test_a_short_log_is_fitted_through_the_low_pass_that_predicts_best(
         runs[f"run{k}"] = MotionRun(f"run{k}", clock + 60 * k, found.position, how.rate_hz, torque=found.torque)
     write_description(machine, tmp_path / "arm.yaml")
     first = prepare(MotionLog(runs), load_robot(tmp_path / "arm.yaml"), "log", ["run1"])
-    chosen = wide_enough(first, MotionLog(runs), "log", ["run1"])
-    assert (chosen is not first) is wider
+    bands = wider_bands(first, MotionLog(runs), "log", ["run1"])
+    assert (bands is not None) is wider
     if wider:
-        assert _missed(chosen) < _missed(first)
+        assert _missed(prepare(MotionLog(runs), load_robot(tmp_path / "arm.yaml"), "log", ["run1"], bands)) < _missed(
+            first
+        )
 
 
 def test_a_second_log_keeps_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:

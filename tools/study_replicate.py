@@ -23,7 +23,7 @@ import numpy as np
 import scipy.io
 
 from tools.study_payload import RECORDINGS, need, tx40
-from twin.diagnose.torque import base_system, predicted_torque, searched, wide_enough
+from twin.diagnose.torque import base_system, diagnose_log, predicted_torque, searched
 from twin.diagnose.torque_base import base_of
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_signal import Prepared, Run, prepare, run_of
@@ -89,8 +89,7 @@ def _size(search: Search, step: Step) -> str:
 
 def _searched(robot: Robot, log: MotionLog, bands: Bands | None) -> tuple[Prepared, Search]:
     """What is missing in a log, in the given bands or those that a diagnosis would take."""
-    prepared = prepare(log, robot, "log", None, bands)
-    prepared = prepared if bands else wide_enough(prepared, log, "log", None)
+    prepared = prepare(log, robot, "log", None, bands or diagnose_log(log, robot, "log").bands)
     return prepared, searched(base_system(prepared), prepared, None, 1)[0]
 
 
