@@ -103,7 +103,8 @@ def _missed(prepared: Prepared, runs: Sequence[Run], search: Search, left: Seque
     rest, torque = [], []
     for k, run in enumerate(runs):
         predicted = predicted_torque(base, k, lasting, system.entries(system.z), run.valid)
-        rest.append((run.torque - predicted)[run.valid])
+        missed = (run.torque - predicted)[run.valid]
+        rest.append(missed - missed.mean(axis=0))  # its own offsets, as a diagnosis judges runs kept aside
         torque.append(run.torque[run.valid])
     size = np.sqrt(np.mean(np.concatenate(torque) ** 2, axis=0))
     return np.asarray(np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)) / size)

@@ -186,7 +186,7 @@ def _finding(
         source, "motion-log", word, missing, none, other, robot, base.robot, robot_after, errors,
         list(prepared.held_out), records, spots(records, source, prepared.bands.fit[1]) + restless,
         {f"joint{j + 1}": float(gain) for j, gain in enumerate(search.free)},
-        [*smallest_visible(search.plain, suspects, processes), *_visible(found_plays)],
+        [*smallest_visible(search.plain, suspects, processes, search.after.misfit), *_visible(found_plays)],
         warnings=[
             *_still_off(records), *prepared.notes, *notes, *not_sought(robot), *map(_restless, restless),
             *_told_apart(search), *_resized(search), *_narrow(search), *_strained(search),
@@ -452,7 +452,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     first = search.first.decision
     _, other = search.other
     missing: list[Missing] = []
-    settled = _inflated(search.system)
+    settled = _inflated(search)
     for step in search.found:
         if not possible(search.system, step):  # a correction to a law beside it, and no effect of that name
             continue
@@ -460,7 +460,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         if step.trial is not None:  # its numbers as they are with everything else in the model
             numbers = estimates_of(settled, search.system.own(step.trial.suspect))
             if name := step.effect.profiled:
-                drop = 0.5 * NINETY**2 * _inflation(search.system)
+                drop = 0.5 * NINETY**2 * _inflation(search)
                 number = [p.quantity for p in step.trial.suspect.hypothesis.own].index(name)
                 numbers[name]["interval90"] = list(profiled(search.system, step.trial.suspect, number, drop))
             found = replace(found, first=replace(found.first, parameters=numbers))
@@ -563,14 +563,14 @@ def _with_formula(found: Missing, fit: Fitted) -> Missing:
     return replace(found, first=replace(found.first, formula=entry.values["formula"]))
 
 
-def _inflated(system: System) -> Fitted:
+def _inflated(search: Search) -> Fitted:
     """The fit with its data's variance multiplied by what they are missed by; priors stay as wide.
 
     That is Birge's ratio where the misfit is like the noise. What a model lacks lasts longer: the density of the
     whitened residual at low frequency (Newey, West, Econometrica 55, 1987) says how much less such rows tell.
     The gain of each joint's torque is in doubt beside: a mass is known no better than what it is weighed by.
     """
-    scale = _inflation(system)
+    scale, system = _inflation(search), search.system
     fit = base_fit(system)
     eye = np.eye(len(fit.z))
     information = (fit.information - eye) / scale + eye
@@ -582,15 +582,18 @@ def _inflated(system: System) -> Fitted:
     return replace(fit, information=information, misfit=min(fit.misfit, 1.0))
 
 
-def _inflation(system: System, lasting: int = 2) -> float:
-    """Factor on the data's variance; a misfit is like itself over ``lasting`` times the order of the autoregression."""
-    density = []
+def _inflation(search: Search, lasting: int = 2) -> float:
+    """Factor on the data's variance; a misfit is like itself over ``lasting`` times the order of the autoregression.
+
+    Of a short log a fit takes up much of what it misses. The runs kept aside show how much that is.
+    """
+    system, density = search.system, []
     for joint in range(len(system.whitening)):
         e = system.residual[system.rows(joint)]
         lags = np.arange(1, min(lasting * system.order, len(e) // 4))
         correlation = np.array([e[k:] @ e[:-k] for k in lags]) / len(e)
         density.append(e @ e / len(e) + 2 * float((1 - lags / (lags[-1] + 1)) @ correlation))
-    return max(1.0, base_fit(system).misfit, float(np.mean(density)))
+    return max(1.0, base_fit(system).misfit, float(np.mean(density)), search.held_out_misfit)
 
 
 def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[LogRecord], dict[str, Any]]:

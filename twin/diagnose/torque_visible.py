@@ -13,19 +13,21 @@ from twin.parallel import spread
 from twin.ranges import implausible
 
 
-def smallest_visible(system: System, suspects: Sequence[Suspect], processes: int = 1) -> list[dict[str, Any]]:
+def smallest_visible(
+    system: System, suspects: Sequence[Suspect], processes: int = 1, misfit: float = 1.0
+) -> list[dict[str, Any]]:
     """The size of each suspect from which it would be named: its evidence then outweighs that nothing is missing.
 
     Other numbers of the entry are free beside it; a list's are taken in proportion. A slip element is given by the
-    torque it yields at. One that no size a robot can have would show is left out. The work is spread over
-    ``processes``.
+    torque it yields at. One that no size a robot can have would show is left out. What a model misses, ``misfit``
+    times noise in power, hides as noise does. The work is spread over ``processes``.
     """
     suspects = [s for s in suspects if s.effect.part != "law"]
-    sizes = spread(lambda number: _visible_size(system, suspects, number), len(suspects), processes)
+    sizes = spread(lambda number: _visible_size(system, suspects, number, misfit), len(suspects), processes)
     return [size for size in sizes if implausible(size["value"], size["unit"], False) is None]
 
 
-def _visible_size(system: System, suspects: Sequence[Suspect], number: int) -> dict[str, Any]:
+def _visible_size(system: System, suspects: Sequence[Suspect], number: int, misfit: float) -> dict[str, Any]:
     numbers, effects = calibration(), {s.hypothesis.effect for s in suspects}
     suspect = suspects[number]
     hypothesis, own = suspect.hypothesis, suspect.hypothesis.own
@@ -42,6 +44,7 @@ def _visible_size(system: System, suspects: Sequence[Suspect], number: int) -> d
         whole, _ = system.projected(joint)
         inner = whole[1:, 1:] + np.eye(len(others))
         energy = max(float(whole[0, 0] - whole[0, 1:] @ np.linalg.solve(inner, whole[1:, 0])), 0.05 * energy)
+    energy /= max(misfit, 1.0)
     sites = sum(s.hypothesis.effect == hypothesis.effect for s in suspects)
     occam = 0.5 * np.log1p(energy) * max(1, len(own) - 1)
     needed = numbers["temperature"] * np.log(2 * (len(effects) + 1) * sites) + max(occam, 2.0)
