@@ -76,8 +76,8 @@ def diagnose_log(
         hold_out: runs not to use; chosen when ``None``.
         seed: kept for one signature with the hammer test's; nothing here is random.
         progress: makes progress bars.
-        bands: low-passes; what the log allows by default. Of a short log a wider one is tried as well, and the answer
-            that predicts the runs kept aside better is kept.
+        bands: low-passes; what the log allows by default. Of a short log that an answer misses a wider one is tried,
+            and the answer that predicts the runs kept aside better is kept.
         processes: what can be is spread over so many; what it finds does not depend on it.
 
     Raises:
@@ -118,7 +118,8 @@ def diagnose_log(
         return again(of_one, notes)
     put = [*notes, *faults, *_clocks(rates)]
     finding = _borne_out(log, robot, source, prepared, search, suspects, put, processes)
-    wider = wider_bands(prepared, log, source, hold_out) if bands is None else None
+    missed = max(search.held_out_misfit, search.after.misfit) > calibration()["held_out_adequate"]
+    wider = wider_bands(prepared, log, source, hold_out) if missed and bands is None else None
     if wider is None:
         return finding
     other = diagnose_log(asked, robot, source, hold_out=hold_out, progress=progress, bands=wider, processes=processes)
