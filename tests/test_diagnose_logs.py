@@ -12,6 +12,7 @@ import pytest
 from scipy.signal import lfilter
 from test_identify_real import emps, needs, tx40
 
+from tools.study_payload import cases, holds
 from tools.study_ten_hertz import slipping
 from tools.truth import motion as truth_motion
 from tools.truth.__main__ import main as truth
@@ -890,3 +891,11 @@ def _held_out_rms(found: Finding) -> tuple[FloatArray, FloatArray]:
     rests = ((kept.measured - kept.predicted[stage])[kept.valid] for stage in ("before", "after"))  # type: ignore[union-attr]
     before, after = (np.sqrt(np.mean(rest**2, axis=0)) for rest in rests)
     return before, after
+
+
+def test_ten_seconds_of_an_arm_that_carries_a_load_show_it_and_nothing_else(tmp_path: Path) -> None:
+    """Through 40 Hz the noise of accelerations was told as a filter of the record and slip at three joints."""
+    ((robot, log, load),) = cases("six", tmp_path, range(4, 5), seed=0)
+    (missing,) = diagnose_log(log, robot).missing
+    assert missing.first.key == "payload@flange"
+    assert holds(missing.first, load.mass)
