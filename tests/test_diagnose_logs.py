@@ -25,7 +25,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.joint import followed
 from twin.diagnose.note import Note
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque import Log, _missed, diagnose_log, pooled, predicted_by, wider_bands, with_evidence
+from twin.diagnose.torque import Log, diagnose_log, pooled, predicted_by, wider_bands, with_evidence
 from twin.diagnose.torque_base import APART, PRESLIDING, _apart
 from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, refine, settle, start
@@ -493,8 +493,8 @@ def test_what_a_later_find_makes_needless_goes(tmp_path: Path, kr90: Robot) -> N
         assert again["held_out"] == pytest.approx(found.error["after"]["held_out"], rel=0.05)
 
 
-@pytest.mark.parametrize(("seconds", "wider"), [(5.0, True), (45.0, False)])
-def test_of_a_short_log_the_low_pass_that_predicts_best_is_known(seconds: float, wider: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("seconds", "stops"), [(5.0, [20.0, 40.0]), (45.0, [])])
+def test_a_short_log_may_be_fitted_through_wider_low_passes(seconds: float, stops: list[float], tmp_path: Path) -> None:
     """Some seconds below 10 Hz have fewer rows of a joint than a robot has numbers; 45 s have enough."""
     machine = machines()["six"]
     rng = np.random.default_rng(5)
@@ -508,12 +508,7 @@ def test_of_a_short_log_the_low_pass_that_predicts_best_is_known(seconds: float,
         runs[f"run{k}"] = MotionRun(f"run{k}", clock + 60 * k, found.position, how.rate_hz, torque=found.torque)
     write_description(machine, tmp_path / "arm.yaml")
     first = prepare(MotionLog(runs), load_robot(tmp_path / "arm.yaml"), "log", ["run1"])
-    bands = wider_bands(first, MotionLog(runs), "log", ["run1"])
-    assert (bands is not None) is wider
-    if wider:
-        assert _missed(prepare(MotionLog(runs), load_robot(tmp_path / "arm.yaml"), "log", ["run1"], bands)) < _missed(
-            first
-        )
+    assert [bands.fit[1] for bands in wider_bands(first, MotionLog(runs))] == stops
 
 
 def test_a_second_log_keeps_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:

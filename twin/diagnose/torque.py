@@ -76,8 +76,8 @@ def diagnose_log(
         hold_out: runs not to use; chosen when ``None``.
         seed: kept for one signature with the hammer test's; nothing here is random.
         progress: makes progress bars.
-        bands: low-passes; what the log allows by default. Of a short log that an answer misses a wider one is tried,
-            and the answer that predicts the runs kept aside better is kept.
+        bands: low-passes; what the log allows by default. Of a short log that an answer misses wider ones are tried,
+            and the answer that predicts the runs kept aside best is kept.
         processes: what can be is spread over so many; what it finds does not depend on it.
 
     Raises:
@@ -118,12 +118,13 @@ def diagnose_log(
         return again(of_one, notes)
     put = [*notes, *faults, *_clocks(rates)]
     finding = _borne_out(log, robot, source, prepared, search, suspects, put, processes)
-    missed = max(search.held_out_misfit, search.after.misfit) > calibration()["held_out_adequate"]
-    wider = wider_bands(prepared, log, source, hold_out) if missed and bands is None else None
-    if wider is None:
+    if bands is not None or max(search.held_out_misfit, search.after.misfit) <= calibration()["held_out_adequate"]:
         return finding
-    other = diagnose_log(asked, robot, source, hold_out=hold_out, progress=progress, bands=wider, processes=processes)
-    return min((finding, other), key=lambda one: one.error["after"]["held_out"])
+    others = [
+        diagnose_log(asked, robot, source, hold_out=hold_out, progress=progress, bands=wider, processes=processes)
+        for wider in wider_bands(prepared, log)
+    ]
+    return min((finding, *others), key=lambda one: one.error["after"]["held_out"])
 
 
 def _borne_out(
@@ -660,34 +661,17 @@ def _bodies(prepared: Prepared, search: Search, errors: dict[str, Any], worse: f
     ]
 
 
-def wider_bands(prepared: Prepared, log: MotionLog, source: str, hold_out: list[str] | None) -> Bands | None:
-    """The wider low-pass whose base model predicts the runs kept aside of a short log best, if it is better.
+def wider_bands(prepared: Prepared, log: MotionLog) -> list[Bands]:
+    """Low-passes that a short log may be fitted through as well.
 
     A few seconds below 10 Hz have fewer rows than a robot has numbers. A wider band has more, if the robot is rigid in
-    it; of a longer log it would only have more noise.
+    it and its accelerations are less noisy than its torque; of a longer log it would only have more noise.
     """
-    seconds = sum(float(run.time[-1] - run.time[0]) for run in log.runs.values())
-    if seconds >= SHORT_S or not prepared.kept:
-        return None
-    some, rate = [prepared], min(run.sample_rate_hz for run in log.runs.values())
-    for times in TIMES_WIDER:
-        stop = times * prepared.bands.fit[1]
-        if 1.5 * stop < 0.4 * rate:
-            wide = Bands((0.8 * stop, stop), (1.2 * stop, 1.5 * stop))
-            some.append(prepare(log, prepared.regressor.robot, source, hold_out, wide))
-    best = min(some, key=_missed) if len(some) > 1 else prepared
-    return best.bands if best is not prepared else None
-
-
-def _missed(prepared: Prepared) -> float:
-    """RMS over joints of what the base model, fitted to the runs used, misses of torque in those kept aside."""
-    z = system_of(prepared, ()).z
-    base, shares = base_of(prepared.regressor, prepared.kept), []
-    for k, run in enumerate(prepared.kept):
-        measured = run.torque[run.valid]
-        rest = measured - predicted_torque(base, k, z, (), run.valid)[run.valid]
-        shares.append(np.mean(rest**2, axis=0) / np.maximum(np.mean(measured**2, axis=0), 1e-300))
-    return float(np.mean(shares))
+    if not prepared.kept or sum(float(run.time[-1] - run.time[0]) for run in log.runs.values()) >= SHORT_S:
+        return []
+    rate = min(run.sample_rate_hz for run in log.runs.values())
+    stops = [times * prepared.bands.fit[1] for times in TIMES_WIDER]
+    return [Bands((0.8 * stop, stop), (1.2 * stop, 1.5 * stop)) for stop in stops if 1.5 * stop < 0.4 * rate]
 
 
 def predicted_torque(base: Base, k: int, z: FloatArray, entries: Sequence[Entry], valid: np.ndarray) -> FloatArray:
