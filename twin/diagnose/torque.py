@@ -77,7 +77,7 @@ def diagnose_log(
         seed: kept for one signature with the hammer test's; nothing here is random.
         progress: makes progress bars.
         bands: low-passes; what the log allows by default. Of a short log that an answer misses wider ones are tried,
-            and the answer that predicts the runs kept aside best is kept.
+            and kept where the first is not adequate beside them.
         processes: what can be is spread over so many; what it finds does not depend on it.
 
     Raises:
@@ -118,13 +118,16 @@ def diagnose_log(
         return again(of_one, notes)
     put = [*notes, *faults, *_clocks(rates)]
     finding = _borne_out(log, robot, source, prepared, search, suspects, put, processes)
-    if bands is not None or max(search.held_out_misfit, search.after.misfit) <= calibration()["held_out_adequate"]:
+    adequate = calibration()["held_out_adequate"]
+    if bands is not None or max(search.held_out_misfit, search.after.misfit) <= adequate:
         return finding
     others = [
         diagnose_log(asked, robot, source, hold_out=hold_out, progress=progress, bands=wider, processes=processes)
         for wider in wider_bands(prepared, log)
     ]
-    return min((finding, *others), key=lambda one: one.error["after"]["held_out"])
+    best = min((finding, *others), key=lambda one: one.error["after"]["held_out"])
+    better = adequate * best.error["after"]["held_out"] ** 2 < finding.error["after"]["held_out"] ** 2
+    return best if better else finding
 
 
 def _borne_out(
