@@ -142,6 +142,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--of", nargs="+", default=["tx40", "six", "seven"], choices=["tx40", "kr300", "six", "seven"])
     asked = parser.parse_args()
+    if asked.draws < 1:
+        parser.error(f"--draws: expected 1 or more, found {asked.draws}")
+    need(*(name for name in asked.of if name in ("tx40", "kr300")))
     with TemporaryDirectory() as scratch:
         for name in asked.of:
             rows = []
