@@ -194,7 +194,7 @@ def _finding(
         [*smallest_visible(search.plain, suspects, processes, search.after.misfit), *_visible(found_plays)],
         warnings=[
             *_still_off(records), *prepared.notes, *notes, *not_sought(robot), *map(_restless, restless),
-            *_told_apart(search), *_resized(search), *_narrow(search), *_strained(search),
+            *_told_apart(search), *_resized(search), *_curved(search), *_narrow(search), *_strained(search),
             *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays), held_out_misfit=search.bare,
@@ -317,6 +317,21 @@ def _resized(search: Search) -> list[Note]:
         )
         notes.append(Note(text, "description", sites=tuple(some)))
     return notes
+
+
+def _curved(search: Search) -> list[Note]:
+    """A note on friction that is no straight line in speed at most joints."""
+    if not search.plain.found:
+        return []
+    told = []
+    for entry in search.system.entries(search.after.z)[: len(search.plain.found)]:
+        told.append(f"{entry.site} {entry.values['coefficients'][0]:.3g}")
+    text = (
+        "friction of most joints is no straight line in speed. Beside dry and viscous friction every joint has "
+        f"c |v| v, with c in N·m·s²/rad² ({', '.join(told)}). Below zero, a gear needs less at high speed than viscous "
+        "friction would. It is in the model before and after, and in robot.yaml under `discovered`. It is no answer"
+    )
+    return [Note(text, "description", "note", sites=tuple(suspect.hypothesis.site for suspect in search.plain.found))]
 
 
 def _strained(search: Search) -> list[Note]:
@@ -609,7 +624,7 @@ def log_records(prepared: Prepared, base: Fitted, search: Search) -> tuple[list[
     after, entries = _after(search)
     stages: tuple[tuple[Stage, FloatArray, Sequence[Entry]], ...] = (
         ("as_given", np.zeros(len(first.base.parameters)), ()),
-        ("before", base.z, ()),
+        ("before", base.z, first.entries(base.z)),
         ("after", last.plain(after.z), entries),
     )
     records = []

@@ -12,6 +12,7 @@ import numpy as np
 from twin.diagnose.left_out import LeftOut
 from twin.diagnose.records import LogRecord, Stage
 from twin.diagnose.torque_base import base_of
+from twin.diagnose.torque_curved import with_entries
 from twin.diagnose.torque_fit import base_fit, evaluate
 from twin.diagnose.torque_judge import Judge
 from twin.diagnose.torque_search import Search
@@ -56,8 +57,8 @@ def without_run(search: Search, rest: Prepared) -> Search:
     plain = _on(search.plain, rest.used)
     if search.resized:
         plain = relinearised(with_wider(plain, search.resized))
-    system = plain
-    for suspect in search.system.found:
+    system = plain = with_entries(plain, search.plain, search.plain.found)
+    for suspect in search.system.found[len(plain.found) :]:
         system = extended(system, evaluate(system, suspect, search.system.z[search.system.own(suspect)]))
     for step in search.found:
         system = with_wider(system, freed_by(system, step))

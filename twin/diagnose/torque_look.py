@@ -43,9 +43,14 @@ def look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None
     for trial in spread(lambda number: settle(system, promising[number]), len(promising), processes):
         fit = fitted(system, trial)
         key = fit.hypothesis.key
-        if key not in best_of or fit.evidence() > best_of[key].evidence():
+        if key not in best_of or _plainly(fit) > _plainly(best_of[key]):
             best_of[key], trials[key] = fit, trial
     return decided(system, trials, [*best_of.values(), *widened_fits(system, suspects)], suspects)
+
+
+def _plainly(fit: Fitted) -> float:
+    """ln evidence of one form of an effect; a form with more numbers must have more of it by what decides anything."""
+    return fit.evidence() - calibration()["tie"] * len(fit.hypothesis.own)
 
 
 def decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], suspects: Sequence[Suspect]) -> Step:

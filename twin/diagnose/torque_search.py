@@ -17,6 +17,7 @@ from twin.diagnose.decide import finalists
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_base import Base
+from twin.diagnose.torque_curved import with_curved_friction
 from twin.diagnose.torque_discover import discover, unnamed
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, from_every_start, refine, settle, start, worth
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
@@ -127,6 +128,10 @@ def explain(
     if resized := _of_another_size(whole):
         plain = system = relinearised(with_wider(system, resized))
         steps, whole = _lacking_kinds(system, suspects)
+    if curved := with_curved_friction(system, whole, suspects, judge):
+        plain = system = curved
+        steps, whole = _lacking_kinds(system, suspects)
+        free = free_gains(system, processes)
     steps, system = _whole_kinds(system, steps, whole, judge)
     for number in range(rounds):
         known = {s.name for s in system.found}

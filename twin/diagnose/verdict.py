@@ -34,6 +34,7 @@ Source = Literal["frf-campaign", "modal-table", "motion-log"]
 PARTS = ("train", "held_out")
 STRAINED = 3.5  # prior deviations
 MOVED = 2.0  # of them: what is told though the description allows it
+MOVED_TIMES = 1.5  # the same of a number whose tolerance the description does not state
 SAME_SPRING = 0.01  # of the logarithm of a stiffness
 NEGLIGIBLE = 1e-12  # probability below which an alternative is not listed
 ONE_BY_ONE = 5  # numbers of the description that have a sentence each, the farthest off
@@ -56,6 +57,7 @@ class Candidate:
         robot: the description with it, refitted.
         parameters: name → ``value``, ``unit``, ``interval90``; lists where the parameter is a list.
         formula: of a discovered law.
+        words: what an entry says in words: the joint that a coupled drive belongs to, the axis of a resonator.
     """
 
     effect: str
@@ -64,6 +66,7 @@ class Candidate:
     robot: Robot
     parameters: dict[str, Any]
     formula: str | None = None
+    words: dict[str, str] = field(default_factory=dict)
 
     @property
     def key(self) -> str:
@@ -72,8 +75,8 @@ class Candidate:
 
     @property
     def title(self) -> str:
-        """``EFFECT at SITE``, for lists."""
-        return f"{self.effect} at {self.site}"
+        """``EFFECT at SITE, WORD VALUE``, for lists."""
+        return ", ".join([f"{self.effect} at {self.site}", *(f"{word} {value}" for word, value in self.words.items())])
 
     @property
     def phrase(self) -> str:
@@ -107,6 +110,8 @@ class Missing:
             "alternatives": [{"effect": c.effect, "site": c.site, "probability": p} for c, p in self.alternatives],
             "parameters": self.first.parameters, "evidence": self.evidence,
         }  # fmt: skip
+        if self.first.words:
+            data["words"] = self.first.words
         if self.first.formula is not None:
             data["formula"] = self.first.formula
         return data
@@ -462,7 +467,18 @@ def parts(fit: Fitted) -> list[tuple[str, str]]:
 
 def candidate(fit: Fitted, part: tuple[str, str], base: Fitted) -> Candidate:
     scale = max(1.0, fit.misfit)
-    return Candidate(*part, fit.evidence(scale) - base.evidence(scale), fit.robot, estimates(fit, part))
+    gain = fit.evidence(scale) - base.evidence(scale)
+    return Candidate(*part, gain, fit.robot, estimates(fit, part), words=_words(fit, part))
+
+
+def _words(fit: Fitted, part: tuple[str, str]) -> dict[str, str]:
+    """What an entry says in words, but for a formula, which has a place of its own."""
+    for piece in fit.hypothesis.pieces:
+        if (piece.effect, piece.site) == part and piece.law and piece.entries:
+            values = piece.entries[0].values
+            told = [p.name for p in piece.law.parameters if p.word and p.name != "formula"]
+            return {name: str(values[name]) for name in told if name in values}
+    return {}
 
 
 def estimates(fit: Fitted, part: tuple[str, str]) -> dict[str, Any]:
@@ -572,11 +588,12 @@ def moved_most(fit: Fitted, most: int = 3) -> list[Note]:
     if fit.misfit > ASTRAY:
         return []
     names = []
-    for k, _, off in departures(fit):
+    for k, change, off in departures(fit):
         p = fit.parameters[k]
-        if p.kind in ("spring", "link") and MOVED < off <= STRAINED:
-            value = f"{fit.values[k]:.4g} {p.unit}"
-            names.append(f"{p.name} is {value} (described {p.mean:.4g}, {off:.1f} standard deviations off)")
+        free = p.source == "usual" and p.quantity == "stiffness" and abs(change) > np.log(MOVED_TIMES)
+        if p.kind in ("spring", "link") and (free or off > MOVED) and off <= STRAINED:
+            far = "which states no tolerance" if p.source == "usual" else f"{off:.1f} standard deviations off"
+            names.append(f"{p.name} is {fit.values[k]:.4g} {p.unit} (described {p.mean:.4g}, {far})")
     if not names:
         return []
     return [Note(f"the fit moved most, within what the description allows: {'; '.join(names[:most])}", "note", "note")]

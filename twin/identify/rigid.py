@@ -646,9 +646,11 @@ def identify(
     notes += filter(None, [other_unit(regressor, rows)])
     notes += _lost_terms(robot, log.runs[rows[0].name], bands)
     notes += _without_friction(robot, parts, parameters)
-    return Identification(
+    found = Identification(
         regressor, estimate, parameters, regressor.robot_with(parameters), parts, bands, notes
     )  # fmt: skip
+    notes += _unlike_described(found)
+    return found
 
 
 def predicting_best(
@@ -757,6 +759,21 @@ def _without_friction(robot: Robot, parts: Split, parameters: FloatArray, most: 
         f"{', '.join(lacking)}: the description has no friction; it would take {min(shares):.0%} to {max(shares):.0%} "
         "of the error's power on what was held out. `twin describe` writes it into a description, `twin diagnose` "
         "finds it"
+    ]
+
+
+def _unlike_described(found: Identification, times: float = 2.0) -> list[str]:
+    """Where the physically consistent set, near the description, misses ``times`` what least squares miss held out."""
+    rows = found.split.held_out
+    (near, _), (free, _) = (relative_error(rows, x) for x in (found.parameters, found.least_squares_parameters()))
+    worse = [j for j in range(found.regressor.robot.axis_count) if near[j] > times * free[j] and near[j] > 0.02]
+    if not worse:
+        return []
+    told = ", ".join(f"joint{j + 1} {near[j]:.1%} against {free[j]:.1%}" for j in worse)
+    return [
+        f"the robot that is written misses what was held out by far more than free least squares do ({told}). The "
+        "description keeps it there: something is missing from it, as a payload, or its tolerances are too narrow. "
+        "`twin diagnose` finds what"
     ]
 
 

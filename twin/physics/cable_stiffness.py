@@ -17,7 +17,7 @@ class CableStiffness(Effect):
 
     name = "cable_stiffness"
     sites = ("joint{i}",)
-    parameters = (Parameter("stiffness", "N·m/rad"), Parameter("rest", "rad"))
+    parameters = (Parameter("stiffness", "N·m/rad", nonnegative=True), Parameter("rest", "rad"))
     seen_in = frozenset({"log"})
     steps = False
     linear_in = ("stiffness",)

@@ -92,8 +92,8 @@ class JointCoupling(Effect):
             described = self.complete(robot, view.site, {"from": drive})
             usual = view.usual(j)
             inertia = described["inertia"] or usual / max(view.acceleration(j), 1e-9)
-            viscous, coulomb = described["friction"]
-            friction = [viscous or usual / view.speed(j), coulomb or usual]
+            # a fit that lacks the coupling may have next to no friction at the drive: no less than the usual
+            friction = np.maximum(described["friction"], [usual / view.speed(j), usual]).tolist()
             own = [
                 Prior("ratio", 0.5), scale("inertia", inertia, 1.5 if described["inertia"] else 6.0),
                 scale("friction[0]", friction[0], 2.0), scale("friction[1]", friction[1], 2.0),
