@@ -858,6 +858,20 @@ def test_what_a_fit_moved_most_within_the_description_is_told() -> None:
     assert not moved_most(replace(fit, z=0 * z, values=free.values(0 * z)))
 
 
+def test_a_spring_that_moved_far_is_told_where_the_description_states_no_tolerance() -> None:
+    """A third of what a sheet says is 1.6 deviations of the usual ×/÷ 2."""
+    robot = without_limits(load_robot("kr90"))
+    robot = robot.model_copy(update={"priors": [p for p in robot.priors if "stiffness" not in p.parameter]})
+    free = free_parameters(robot, ["p"], ["21X+"])
+    z = np.zeros(len(free))
+    for name, factor in (("joint3.z.stiffness", 1 / 3), ("joint2.z.stiffness", 1.2)):
+        z[free.names.index(name)] = np.log(factor) / np.log(2)
+    (told,) = moved_most(Fitted(NONE, free, z, free.values(z), robot, 0, 1, 100 * np.eye(len(z)), 1, True))
+    assert "joint3.z.stiffness is" in told
+    assert "which states no tolerance" in told
+    assert "joint2" not in told
+
+
 def test_what_is_far_off_is_told_with_its_interval_farthest_first() -> None:
     """A spring, a damper and an angle; of the angle it is asked whether that posture was hit."""
     robot = without_limits(load_robot("kr90"))

@@ -653,6 +653,29 @@ def test_churned_oil_is_not_taken_for_a_friction_that_has_a_name(tmp_path: Path,
     assert [m.first.key for m in diagnose_log(faint, kr90).missing] in ([], ["discovered@joint1"])
 
 
+@pytest.mark.parametrize("coefficient", [-40.0, 30.0])
+def test_friction_that_bends_alike_at_most_joints_belongs_to_the_model(
+    coefficient: float, tmp_path: Path, kr90: Robot
+) -> None:
+    """c q̇|q̇| at every joint, which the description has not: no answer, and the written robot has it."""
+    each = [f"quadratic_friction@joint{j}:coefficient={coefficient}" for j in (1, 2, 3)]
+    found = diagnose_log(recorded(tmp_path, *(part for one in each for part in ("--effect", one))), kr90)
+    assert found.word == "adequate"
+    assert found.error["before"]["held_out"] < 1.3 * found.error["noise_floor"]
+    (note,) = [w for w in found.warnings if "no straight line in speed" in w]
+    assert note.sites == ("joint1", "joint2", "joint3")  # type: ignore[attr-defined]
+    laws = [e for e in found.robot.physics if e.effect == "discovered"]
+    assert [e.site for e in laws] == ["joint1", "joint2", "joint3"]
+    sizes = [e.values["coefficients"][0] for e in laws]
+    assert sizes == pytest.approx(3 * [coefficient], rel=0.5)
+
+
+def test_friction_that_bends_at_one_joint_is_no_habit_of_its_drives(tmp_path: Path, kr90: Robot) -> None:
+    found = diagnose_log(recorded(tmp_path, "--effect", "quadratic_friction@joint2:coefficient=-60"), kr90)
+    assert not any("no straight line in speed" in w for w in found.warnings)
+    assert {m.first.site for m in found.missing} <= {"joint2"}
+
+
 @pytest.mark.parametrize(("joint", "velocity"), [(1, 0.05), (3, 0.2)])
 @pytest.mark.slow
 def test_friction_that_falls_as_a_film_builds_up_keeps_its_name(
@@ -863,7 +886,8 @@ def test_the_tx40s_wrist_is_found_to_be_coupled() -> None:
     drives = [drive.model_copy(update={"coupling": {}}) for drive in described.drives]
     log = in_joints(tx40(), described)
     found = diagnose_log(log, described.model_copy(update={"drives": drives}), bands=bands_of(log))  # 10 Hz: RMS
-    assert found.missing[0].first.key == "joint_coupling@joint5"
+    assert found.missing[0].first.title == "joint_coupling at joint5, from joint6"
+    assert found.missing[0].data()["words"] == {"from": "joint6"}
     assert not any(missing.first.effect == "stribeck_friction" for missing in found.missing)
     before, after = _held_out_rms(found)
     assert np.all(before[4:] > [8, 2.5])
