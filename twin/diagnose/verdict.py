@@ -251,6 +251,13 @@ class Verdict(Result):
         return rest if rest >= 0.005 else 0.0
 
     @property
+    def likeliest(self) -> str:
+        """Of what is known but not clear, what gained most, ``EFFECT at SITE``; empty where nothing did."""
+        rows = [row for f in self.findings for row in f.finalists if row["effect"] != "none" and not self.missing]
+        best = max(rows, key=lambda row: row["ln_bayes_factor"], default=None)
+        return f"{best['effect']} at {best['site']}" if best and best["ln_bayes_factor"] > 0 else ""
+
+    @property
     def location(self) -> list[dict[str, Any]]:
         """Where the base model misses, recording by recording; first those that it does not do for."""
         told = sorted(self.findings, key=lambda finding: finding.word == "adequate")
@@ -334,7 +341,8 @@ class Verdict(Result):
             sentences = [text for text in _SENTENCES.split(missing.evidence) if text not in said]
             said.update(sentences)  # the error of a recording is told once
             lines.append(f"  {' '.join(sentences)}")
-        unclear = f"something known but not clear {self.unclear:.2f}, " if self.unclear else ""
+        first = f" (likeliest {self.likeliest})" if self.likeliest else ""
+        unclear = f"something known but not clear {self.unclear:.2f}{first}, " if self.unclear else ""
         lines.append(f"  nothing missing {self.none:.2f}, {unclear}something else {self.other:.2f}")
         for finding in self.findings:
             if len(self.findings) > 1:

@@ -677,7 +677,8 @@ def lead(verdict: Verdict) -> str:
 
 def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     """The parts of the page; ``drawn``: file name → PNG."""
-    unclear = f" Something known but not clear: {verdict.unclear:.2f}." if verdict.unclear else ""
+    first = f", likeliest {verdict.likeliest}" if verdict.likeliest else ""
+    unclear = f" Something known but not clear: {verdict.unclear:.2f}{first}." if verdict.unclear else ""
     probable = [
         f"Nothing missing: {verdict.none:.2f}.{unclear} Something without a name here: {verdict.other:.2f}. "
         "Probabilities are calibrated on development cases: of answers given 0.9, nine in ten are right."
