@@ -311,9 +311,11 @@ def test_of_two_that_turn_about_one_axis_neither_is_tried_twice(tmp_path: Path) 
     )
 
 
-def test_a_slab_that_weighs_nothing_gives_way_to_a_spring(tmp_path: Path) -> None:
-    """The spring may have left the race where the slab's many numbers took up what nodes had not yet."""
-    case = recorded(tmp_path, "--seed", "12", "--postures", "3", "--effect", "base_compliance@base.ry", hold_out=[])
+@pytest.mark.parametrize("springs", [["base.ry"], ["base.rx", "base.ry"]])
+def test_a_slab_that_weighs_nothing_gives_way_to_its_springs(springs: list[str], tmp_path: Path) -> None:
+    """They may have left the race where the slab's many numbers took up what nodes had not yet."""
+    concealed = [part for site in springs for part in ("--effect", f"base_compliance@{site}")]
+    case = recorded(tmp_path, "--seed", "12", "--postures", "3", *concealed, hold_out=[])
     base = converge(case.base, case.free, case.sample).base
     slab = looked_at(case, "floor_mode")[0][0]
     parameters = slab.parameters(case.free)
@@ -322,7 +324,7 @@ def test_a_slab_that_weighs_nothing_gives_way_to_a_spring(tmp_path: Path) -> Non
     search.fits[slab.identity] = descend(case.base, slab, parameters, case.sample, start, logarithmic=25)
     assert search.finalists[0].misfit < 1.5
     _in_its_stead(case.base, search, case.sample)
-    assert search.finalists[0].hypothesis.key == "base_compliance@base.ry"
+    assert search.finalists[0].hypothesis.identity == {f"base_compliance@{site}" for site in springs}
 
 
 def test_what_is_left_at_size_nought_has_no_smallest_size() -> None:

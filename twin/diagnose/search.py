@@ -7,12 +7,13 @@ place. One thing may have been found instead of another. All finalists end on al
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.described import described
-from twin.diagnose.hypotheses import Hypothesis, companions, merged, same_axes, together
+from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.parted import divided
 from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
@@ -566,6 +567,7 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
                 if known and known.parameters.names == parameters.names:
                     starts.append(known.z)
                 places.append(_Place(hypothesis, parameters, tuple(starts), worth=hopeless))
+            places += _in_parts(robot, best, piece, free, behind) if fit is best else []
 
     def found(number: int) -> Fitted:
         one = places[number]
@@ -575,6 +577,32 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
         known = search.fits.get(fit.hypothesis.identity)
         if known is None or fit.cost < known.cost:
             search.fits[fit.hypothesis.identity] = fit
+
+
+def _in_parts(robot: Robot, best: Fitted, piece: Hypothesis, free: Parameters, behind: float) -> list[_Place]:
+    """The best with simpler things in the stead of a piece that they are parts of: two of them or more.
+
+    A slab whose mass no recording shows is its springs, and not all of those need show.
+    """
+    if not piece.law or not piece.entries:
+        return []
+    fitted = dict(zip(written_names(best.parameters).names, best.values, strict=True))
+    own = {p.quantity: float(fitted[p.name]) for p in piece.own}
+    parts = piece.law.parts(robot, piece.site, {**robot.values(piece.entries[0]), **own})
+    rest = [other for other in best.hypothesis.pieces if other is not piece]
+    places = []
+    for count in range(2, len(parts) + 1):
+        for some in combinations(parts, count):
+            typical = [(c, CATALOGUE[c.effect].typical(robot, c.site)) for c in some]
+            pieces = [entry_hypothesis(robot, c.effect, c.site, dict(v)) for c, v in typical if v]
+            hypothesis = together(*rest, *pieces)
+            parameters = hypothesis.parameters(free)
+            known = {f"{c.effect}@{c.site}.{name}": value for c in some for name, value in (c.values or {}).items()}
+            means = {p.name: p.mean for piece in pieces for p in piece.own}
+            names = written_names(parameters).names
+            start = np.array([known.get(name, fitted.get(name, means.get(name))) for name in names], float)
+            places.append(_Place(hypothesis, parameters, (parameters.coordinates(start),), worth=behind))
+    return places
 
 
 def _with(search: Search, piece: Hypothesis) -> list[Fitted]:

@@ -286,6 +286,13 @@ class Effect:
         """What it is hard to tell from by mechanics and is judged beside it in any case."""
         return []
 
+    def parts(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """Simpler things that together do what it does where a recording does not show the rest of it.
+
+        Their values are those that follow from its own.
+        """
+        return []
+
     def merged(self, robot: "Robot", site: str, values: Values, other: str, place: str) -> list[Companion]:
         """What it may be as one thing with an ``other`` effect at a ``place``, instead of the two."""
         return []

@@ -62,6 +62,11 @@ class FloorMode(Effect):
         """A foundation without a mass of its own."""
         return [Companion("base_compliance", f"base.{d}") for d in SEARCHED]
 
+    def parts(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """Springs alone: what a slab of little mass, or far below its resonance, comes to."""
+        free = [d for d in DIRECTIONS if np.isfinite(values.get(d, inf))]
+        return [Companion("base_compliance", f"base.{d}", {"stiffness": values[d]}) for d in free]
+
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """Three times the robot's mass, as a slab of its reach; rocks and bounces with it at ``TYPICAL_HZ``.
 
