@@ -92,7 +92,7 @@ def without(robot: Robot, pieces: tuple[Hypothesis, ...]) -> Robot:
 
 
 def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
-    """What was found and is allowed, in one sentence; a warning where a node is farther off than its tolerance."""
+    """What was found and is allowed, in one sentence; a warning where a node is farther off than one tolerance."""
     if not pieces:
         return []
     values = dict(zip(fit.parameters.names, fit.values, strict=True))
@@ -104,20 +104,19 @@ def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
 
 
 def _farthest(piece: Hypothesis, values: Mapping[str, float]) -> Note | None:
-    """The points that a piece has farthest from where the file says, mm; none where all are within tolerance."""
+    """The points that a piece has farthest from where the file says, mm; none where all are within one tolerance."""
     off: dict[str, float] = {}
     for p in piece.own:
         node, side, _ = p.name.removeprefix("node:").split(".")
         point = f"{WORDS[side]} {node}"
         off[point] = float(np.hypot(off.get(point, 0.0), values.get(p.name, p.mean) - p.mean))
     tolerance = piece.own[0].deviation / DOUBT
-    allowed = np.sqrt(3) * tolerance  # of a coordinate, as far in space
-    first = sorted((point for point in off if off[point] > allowed), key=lambda point: -off[point])
+    first = sorted((point for point in off if off[point] > tolerance), key=lambda point: -off[point])
     if not first:
         return None
     told = ", ".join(f"{point} by {1e3 * off[point]:.1f} mm" for point in first[:LISTED])
     more = f" and {len(first) - LISTED} more" if len(first) > LISTED else ""
-    text = f"not where the file says, by more than its tolerance of {1e3 * tolerance:g} mm per coordinate: {told}{more}"
+    text = f"not where the file says, by more than its tolerance of {1e3 * tolerance:g} mm: {told}{more}"
     text = f"position of nodes: {text}; the fits have them where the recordings do"
     nodes = dict.fromkeys(node_of(f"node:{point.split()[1]}") for point in first)
     return Note(text, "position", sites=tuple(f"{node}.position" for node in nodes))
