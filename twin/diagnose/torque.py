@@ -328,8 +328,9 @@ def _curved(search: Search) -> list[Note]:
         told.append(f"{entry.site} {entry.values['coefficients'][0]:.3g}")
     text = (
         "friction of most joints is no straight line in speed. Beside dry and viscous friction every joint has "
-        f"c |v| v, with c in N·m·s²/rad² ({', '.join(told)}). Below zero, a gear needs less at high speed than viscous "
-        "friction would. It is in the model before and after, and in robot.yaml under `discovered`. It is no answer"
+        f"c |v| v, with c in N·m·s²/rad², of a slide N·s²/m² ({', '.join(told)}). Below zero, a gear needs less at "
+        "high speed than viscous friction would. It is in the model before and after, and in robot.yaml under "
+        "`discovered`. It is no answer"
     )
     return [Note(text, "description", "note", sites=tuple(suspect.hypothesis.site for suspect in search.plain.found))]
 
