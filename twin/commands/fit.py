@@ -7,6 +7,7 @@ from typing import Any
 from twin.commands.outputs import Outputs, check_out, check_spared
 from twin.diagnose.frf_faults import sound
 from twin.errors import InputError
+from twin.identify.descent import ASTRAY
 from twin.identify.elastic_modal import ModalObjective
 from twin.identify.fitting import Fitting, correlated, fit_campaign, fit_table
 from twin.identify.posterior import FILE, Posterior, save_posterior
@@ -109,6 +110,8 @@ class FitResult(Fitting, Result):
     def __str__(self) -> str:
         fit = self.fit
         lines = [f"{self.robot.name} fitted to {self.source}"]
+        if fit.misfit > ASTRAY:
+            lines.append(f"  no interval holds: {self.warnings[0]}")
         lines.append(f"  {'':18} {'stiffness':>11} {'90 % interval':>24}   {'damping':>11} {'90 % interval':>24}")
         for site in dict.fromkeys(_site(e) for e in self.estimates if e.parameter.kind in ("spring", "entry")):
             cells = {_quantity(e): e for e in self.estimates if _site(e) == site}

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis, Sprung, together
-from twin.identify.descent import minimise
+from twin.identify.descent import ASTRAY, minimise
 from twin.identify.objective import Objective, Sample
 from twin.identify.recorded import Recorded
 from twin.measure.campaign import FloatArray
@@ -24,7 +24,6 @@ from twin.robot.description import Robot
 
 NONE = Hypothesis("none", "")
 ENOUGH = 3.0  # in ln evidence: nearer the optimum on a few lines is no nearer that on all
-ASTRAY = 100.0  # times the variance of noise: how badly such a fit predicts needs no last digit
 SMALLER = tuple(np.geomspace(1e-4, 1.0, 19))
 LEVELS = 5  # widths over which a tolerance may be too narrow
 WIDTHS = (1.0, 2.0, 4.0)

@@ -16,8 +16,9 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
-from twin.diagnose.refit import ASTRAY, Fitted
+from twin.diagnose.refit import Fitted
 from twin.identify.damping_transfer import Transfer
+from twin.identify.descent import ASTRAY
 from twin.identify.uncertainty import beside_prior, interval
 from twin.model.parameters import Parameter
 from twin.result import Result, no_model, written

@@ -12,6 +12,7 @@ KEPT = 0.9  # while steps keep so much of what they promise
 HOPE = 5.0  # times the expected gain: more is not hoped for
 SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
 LACKING = 10.0  # χ² per datum: a model that misses by more lacks something, whatever its numbers
+ASTRAY = 100.0  # times the variance of noise: from here on nothing that a fit says of its numbers holds
 PIVOTS = 10  # of all at once that may leave as many on the wrong side; as Júdice and Pires
 CRAWL = 3e-4  # of the misfit beyond that: a step that gains less hardly moves
 

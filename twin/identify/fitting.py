@@ -10,6 +10,7 @@ from scipy.special import gammaincinv
 
 from twin.errors import InputError
 from twin.identify.damping_transfer import Miss, Transfer, damping_doubt, misses_of_frf, transfer
+from twin.identify.descent import ASTRAY
 from twin.identify.elastic import Fit, fit_frf
 from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
@@ -46,6 +47,7 @@ from twin.robot.mechanism import assemble
 
 LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
+LISTED = 8  # numbers that a warning lists; more are counted
 CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
 LARGE_CORRELATION = 0.95
 PROFILED = 4  # parameters whose profile is drawn
@@ -349,39 +351,43 @@ def correlated(found: Fit) -> list[tuple[str, str, float]]:
 
 def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
     found, fitted = [], result.fit
+    if fitted.misfit > LARGE_MISFIT * perfect_misfit:
+        times = np.sqrt(fitted.misfit)
+        means = "which widens the intervals" if fitted.misfit < ASTRAY else "so that no interval holds"
+        found.append(
+            f"the model misses the data by {times:.1f} times their noise, {means}; `twin diagnose` looks for what is "
+            "missing"
+        )
     if len(fitted.starts) > 1 and fitted.agreeing < 2:
         found.append("the minimum may be a false one: try more starts")
     if fitted.rival is not None and fitted.rival < CLOSE_RIVAL * fitted.scale:
         found.append(
-            f"a second minimum costs only {fitted.rival:.1f} more (in ½χ²): the data hardly tell the two apart; "
-            "intervals are about the first"
+            f"a second minimum costs only {fitted.rival / fitted.scale:.1f} more (in ½χ² over the misfit): the data "
+            "hardly tell the two apart; intervals are about the first"
         )
     elif fitted.rival is not None:
         lost = len(fitted.starts) - fitted.agreeing
         found.append(f"{lost} of {len(fitted.starts)} starts ended in a worse minimum")
     if not fitted.converged:
         found.append("the last step was still larger than the tolerance")
-    if fitted.misfit > LARGE_MISFIT * perfect_misfit:
-        found.append(
-            f"the model misses the data by {np.sqrt(fitted.misfit):.1f} times their noise, which widens the intervals; "
-            "twin diagnose looks for what is missing"
-        )
     saturated = np.isfinite(fitted.parameters.bound) & (np.abs(fitted.z) >= fitted.parameters.bound)
-    stopped = []
+    stopped: list[tuple[bool, str]] = []  # a gain or a sensor's place is looked at first, and sooner mended
     for e, full in zip(result.estimates, saturated, strict=True):
         said = f"{e.parameter.name} = {e.value:.4g} {e.parameter.unit}".removesuffix(" 1")
         if full:
-            stopped.append(said)
+            stopped.append((e.parameter.kind == "link", said))
         elif abs(e.drift) > LARGE_DRIFT:
             found.append(
                 f"{said} lies {abs(e.drift):.1f} prior deviations from {e.parameter.mean:.4g}: doubt it or its prior"
             )
-    if len(stopped) == 1:
-        found.append(f"{stopped[0]} is saturated: it stops {SATURATED:g} deviations of its tolerance from its prior")
-    elif stopped:
+    names = [said for _, said in sorted(stopped, key=lambda one: one[0])]
+    if len(names) == 1:
+        found.append(f"{names[0]} is saturated: it stops {SATURATED:g} deviations of its tolerance from its prior")
+    elif names:
+        more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
         found.append(
-            f"{len(stopped)} numbers are saturated: they stop {SATURATED:g} deviations of their tolerances from their "
-            f"priors: {', '.join(stopped)}"
+            f"{len(names)} numbers are saturated: they stop {SATURATED:g} deviations of their tolerances from their "
+            f"priors: {', '.join(names[:LISTED])}{more}"
         )
     for name, posture in result.postures.items():
         for frequency in posture["measured_only"]:
