@@ -534,6 +534,21 @@ def test_blows_are_read_at_the_rate_of_the_clock_in_the_file(
     assert "position: ask" in guessed
 
 
+def test_a_guessed_map_takes_points_and_units_from_names(tmp_path: Path) -> None:
+    """Sensors A1X, A3Y and blows h2Z; an axis' rax_1_trq_Nm beside t_s."""
+    rows = "\n".join(f"{0.001 * k},{k % 3},{k % 5},{k % 7}" for k in range(40))
+    for name in ("h2Z", "h4X"):
+        (tmp_path / f"{name}.csv").write_text(f"time [s],Hammer [N],A1X [g],A3Y [g]\n{rows}\n")
+    found = guess_map([tmp_path / "h2Z.csv", tmp_path / "h4X.csv"])
+    assert [one["label"] for one in found["response"]] == ["1X+", "3Y+"]
+    assert [one["label"] for one in found["excitation"]] == ["2Z+", "4X+"]
+    (tmp_path / "log.csv").write_text(f"t_s,rax_1_pos_deg,rax_1_trq_Nm,rax_1_temp\n{rows}\n")
+    found = guess_map([tmp_path / "log.csv"])
+    assert found["time"] == {"channels": ["t_s"], "unit": "s"}
+    assert (found["position"]["unit"], found["torque"]["unit"]) == ("deg", "Nm")
+    assert found["torque"]["channels"] == ["rax_1_trq_Nm"]
+
+
 def test_a_hammer_of_the_other_sign_is_told(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
     files, plan = blows_as_text(tmp_path, cell, sign=-1.0)
     said = twin("import", *files, "--map", mapped(tmp_path, **plan), "-o", tmp_path / "c.h5")

@@ -12,16 +12,18 @@ from twin.errors import InputError
 from twin.importing.tables import Table, joined, natural
 from twin.measure.units import ASK, known
 
-CLOCK = re.compile(r"(?i)^(time(stamp)?|t|zeit|.*\.(time|t))$")
+CLOCK = re.compile(r"(?i)^(time(stamp)?|t|zeit|.*\.(time|t))([_ ]?(s|sec|ms|us|ns))?$")
 HAMMER = re.compile(r"(?i)hammer|force|kraft|impact")
 FRF = re.compile(r"(?i)(^|\.)(frf|h|h1|hv|accelerance)$")
 LINES = re.compile(r"(?i)(^|\.)(f|freq.*)$")
 SERIES = {  # in the order they are looked for; what others call them: URScript's RTDE, KRC, ROS, German
-    "torque": re.compile(r"(?i)tau|torque|effort|moment|curr(ent|[_.])"),
+    "torque": re.compile(r"(?i)tau|torque|trq|effort|moment|curr(ent|[_.])"),
     "velocity": re.compile(r"(?i)vel|qd|speed|geschw|drehzahl"),
     "acceleration": re.compile(r"(?i)acc|qdd"),
     "position": re.compile(r"(?i)pos|(^|_|\.)q([_.]?\d+)?$|axis|angle|achs|winkel"),
 }
+ENDING = re.compile(r"[_ ](s|ms|us|ns|deg|rad|mm|m|Nm|N|g)$")  # a unit as names end with it
+POINT = re.compile(r"(?i)(\d+)[_ ]?([xyz])([+-]?)$")  # node and axis, as A3X, 12Y-, p1_h2Z
 COMMANDED = re.compile(r"(?i)target|soll|command|cmd")
 
 
@@ -79,8 +81,10 @@ def _taken(table: Table, names: list[str]) -> dict[str, Any]:
 
 
 def _stated(table: Table, name: str) -> str:
-    """The unit of a channel as the file states it, if it is one."""
+    """The unit of a channel as the file or the end of its name states it, if it is one."""
     unit = table.channels[name].unit
+    if not unit and (ending := ENDING.search(name)):
+        unit = ending[1]
     return unit if known(unit) else ASK
 
 
@@ -88,13 +92,22 @@ def _point(label: str) -> dict[str, Any]:
     return {"label": label, "body": ASK, "position": ASK}
 
 
+def _labels(names: Sequence[str], usual: Sequence[str]) -> list[str]:
+    """Labels of points as names tell them, node and axis; the ``usual`` ones where not all do, or two are alike."""
+    found = [POINT.search(name) for name in names]
+    told = [f"{int(m[1])}{m[2].upper()}{m[3] or '+'}" for m in found if m]
+    return told if len(set(told)) == len(names) else list(usual)
+
+
 def _hits(first: Table, tables: Sequence[Table], names: list[str], hammer: str) -> dict[str, Any]:
     heard = [name for name in names if name != hammer and not CLOCK.match(name)]
     clock = next((name for name in names if CLOCK.match(name)), None)
     timed = {"time": {"channels": [clock], "unit": _stated(first, clock)}} if clock else {}
+    labels = _labels(heard, [f"{i // 3 + 1}{'XYZ'[i % 3]}+" for i in range(len(heard))])
+    blows = _labels([Path(table.name).stem for table in tables], [f"{i + 2}Z+" for i in range(len(tables))])
     sensors = [
-        {"channel": name, "unit": _stated(first, name), "factor": 1.0, **_point(f"1{'XYZ'[i % 3]}+")}
-        for i, name in enumerate(heard)
+        {"channel": name, "unit": _stated(first, name), "factor": 1.0, **_point(label)}
+        for name, label in zip(heard, labels, strict=True)
     ]
     return {
         "makes": "frf-campaign",
@@ -104,7 +117,7 @@ def _hits(first: Table, tables: Sequence[Table], names: list[str], hammer: str) 
         "record_s": ASK,
         "force": _taken(first, [hammer]),
         "response": sensors,
-        "excitation": [{**_point(f"{i + 2}Z+"), "files": table.name} for i, table in enumerate(tables)],
+        "excitation": [{**_point(b), "files": table.name} for b, table in zip(blows, tables, strict=True)],
     }
 
 
