@@ -23,7 +23,8 @@ from ruamel.yaml import YAML
 
 from twin.commands.example import EXAMPLES
 from twin.commands.foreign import guess_map, import_files
-from twin.errors import Told
+from twin.errors import InputError, Told
+from twin.importing.text import read as read_text
 from twin.measure.campaign import read_campaign
 
 CELL = EXAMPLES / "cell"
@@ -532,6 +533,19 @@ def test_blows_are_read_at_the_rate_of_the_clock_in_the_file(
     assert "record_s: ask" in guessed
     assert "q_deg: ask" in guessed
     assert "position: ask" in guessed
+
+
+def test_a_column_of_dates_is_left_out_and_told(tmp_path: Path) -> None:
+    """German text: semicolons, decimal commas, a date before the numbers."""
+    rows = "".join(f"2026-11-29 10:00:0{k};{k},5;{2 * k},25\n" for k in range(5))
+    (tmp_path / "log.csv").write_text(f"Datum;Zeit [s];Achse1 [rad]\n{rows}")
+    with pytest.warns(Told, match="text, no numbers, and left out: 'Datum'"):
+        (table,) = read_text(tmp_path / "log.csv")
+    assert list(table.channels) == ["Zeit", "Achse1"]
+    np.testing.assert_allclose(table.channels["Achse1"].values, 2 * np.arange(5) + 0.25)
+    (tmp_path / "words.csv").write_text("a;b;c\n" + "one;two;3\n" * 5)
+    with pytest.raises(InputError, match="expected columns of numbers"):
+        read_text(tmp_path / "words.csv")
 
 
 def test_a_guessed_map_takes_points_and_units_from_names(tmp_path: Path) -> None:

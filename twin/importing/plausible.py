@@ -95,7 +95,7 @@ def _slips(position: str, torque: str) -> dict[tuple[float, float], str]:
             found[value / turn, 1.0] = f"the positions look like {unit}, declared {declared}"
     if moment == "torque":
         for unit, value in TORQUES.items():
-            found[1.0, value / size] = f"the torques look like {unit}, declared {torque}"
+            found[1.0, value / size] = f"the torques look like {unit}, declared {torque}; currents need a `factor`"
     return {factors: text for factors, text in found.items() if not np.allclose(factors, 1.0)}
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.importing.tables import Channel, Table
 
 SEPARATORS = "\t;, "  # tried in this order: a comma may be a decimal mark, a blank may be part of a name
@@ -25,6 +25,12 @@ def read(path: Path) -> list[Table]:
         raise InputError(path, "", "expected columns of numbers, separated by commas, semicolons, tabs or blanks")
     decimal = "," if separator != "," and any("," in line for line in lines[-3:]) else "."
     rows = [_split(line, separator) for line in lines]
+    tail, whole = rows[-3:], len(rows[-1])
+    if words := [i for i in range(whole) if _numbers([row[i] for row in tail], decimal) is None]:
+        named = next((row for row in rows if len(row) == whole), rows[-1])
+        left = ", ".join(repr(named[i]) for i in words)
+        tell(str(path), "columns", f"text, no numbers, and left out: {left}")
+        rows = [[cell for i, cell in enumerate(row) if i not in words] if len(row) == whole else row for row in rows]
     first = next(i for i, row in enumerate(rows) if _numbers(row, decimal) is not None)
     width = len(rows[first])
     values = []
@@ -45,12 +51,16 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _columns(lines: list[str], separator: str) -> int:
-    """Columns of the last lines if they are all numbers, else 0."""
+    """Columns of numbers in the last lines, beside which few may be of text, as a date; else 0."""
     tail = [_split(line, separator) for line in lines[-3:]]
-    for decimal in "," if separator == ";" else ".,":
-        if decimal != separator and tail and all(_numbers(row, decimal) is not None for row in tail):
-            return min(len(row) for row in tail)
-    return len(tail[0]) if tail and separator == ";" and all(_numbers(row, ".") is not None for row in tail) else 0
+    if not tail or len({len(row) for row in tail}) > 1:
+        return 0
+    most = 0
+    for decimal in (mark for mark in ".," if mark != separator):
+        numbers = sum(_numbers(list(column), decimal) is not None for column in zip(*tail, strict=True))
+        words = len(tail[0]) - numbers
+        most = max(most, numbers if not words or (separator != " " and 3 * words <= numbers) else 0)
+    return most
 
 
 def _numbers(row: list[str], decimal: str) -> list[float] | None:
