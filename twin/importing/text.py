@@ -59,7 +59,7 @@ def _columns(lines: list[str], separator: str) -> int:
     for decimal in (mark for mark in ".," if mark != separator):
         numbers = sum(_numbers(list(column), decimal) is not None for column in zip(*tail, strict=True))
         words = len(tail[0]) - numbers
-        most = max(most, numbers if not words or (separator != " " and 3 * words <= numbers) else 0)
+        most = max(most, numbers if not words or (separator != " " and 2 * words <= numbers) else 0)
     return most
 
 
