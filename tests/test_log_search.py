@@ -261,7 +261,7 @@ def test_a_log_tells_which_described_numbers_come_out_far(tmp_path: Path, kr90: 
     z[[named, other, ripple]] = 6.0, 4.5, 9.0
     moved = replace(fit, z=z, values=fit.parameters.values(z))
     system.widened = {named: 5.0}
-    search = SimpleNamespace(system=system, after=moved, narrow=1.0)
+    search = SimpleNamespace(system=system, after=moved, narrow=1.0, law=None)
     assert [note.sites for note in _strained(search)] == [("axis3.a",)]
     search.narrow = 2.0
     assert [note.sites for note in _strained(search)] == [("axis2.a",), ("axis3.a",)]

@@ -306,7 +306,7 @@ def _resized(search: Search) -> list[Note]:
     if search.resized is None:
         return []
     names, notes = search.plain.parameters.names, []
-    values = search.plain.base.values(search.system.plain(search.after.z))
+    values = search.plain.base.values(search.system.plain(_after(search)[0].z))
     for kind in dict.fromkeys(name.partition("@")[0] for name, _ in search.resized.scale):
         some = [name for name, _ in search.resized.scale if name.startswith(f"{kind}@")]
         means = {p.name: p.mean for p in search.plain.parameters}
@@ -337,7 +337,8 @@ def _curved(search: Search) -> list[Note]:
 
 def _strained(search: Search) -> list[Note]:
     """A note on every number of the description that comes out far from it beside all that was found."""
-    return off_descriptions(search.after, far_off(search))
+    fit = search.law[2] if search.law else search.after
+    return off_descriptions(fit, far_off(search, fit))
 
 
 def _told_apart(search: Search) -> list[str]:

@@ -33,12 +33,15 @@ PARAMETER, ROTOR = "parameter", ".rotor_inertia"
 AS_DESCRIBED = 1e-6  # times its tolerance: as far off as a number is that is held as described
 
 
-def far_off(search: Search) -> list[tuple[int, float]]:
+def far_off(search: Search, fit: Fitted | None = None) -> list[tuple[int, float]]:
     """Numbers of the description that come out far from it beside all that was found, farthest first.
 
     Index and standard deviations. Left out is what was named, or told with all tolerances that are too narrow.
+
+    Args:
+        fit: with a law that has no name; that of all names by default.
     """
-    system, fit = search.system, search.after
+    system, fit = search.system, fit or search.after
     root = fit.parameters.root
     off = np.abs(root @ fit.z) / np.maximum(np.linalg.norm(root, axis=1), 1e-300)
     for k, factor in system.widened.items():
