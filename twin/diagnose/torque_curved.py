@@ -14,6 +14,7 @@ from twin.diagnose.torque_fit import base_fit, evaluate, settle, start
 from twin.diagnose.torque_judge import Judge
 from twin.diagnose.torque_laws import Suspect
 from twin.diagnose.torque_system import System, extended, relinearised, unshrunk
+from twin.diagnose.verdict import STRAINED
 from twin.measure.campaign import FloatArray
 from twin.physics.effect import axis_of
 
@@ -35,11 +36,11 @@ def with_curved_friction(
         return None
     here = whole
     for law in laws:
-        here = extended(here, unshrunk(settle(system, start(system, law))))
+        here = extended(here, unshrunk(settle(whole, start(whole, law))))
     here = relinearised(here)
     before, after = base_fit(whole), base_fit(here)
-    far, signs = calibration()["far"], bends(here, laws)
-    alike = max(np.sum(signs > far), np.sum(signs < -far))
+    signs = bends(here, laws)
+    alike = max(np.sum(signs > STRAINED), np.sum(signs < -STRAINED))
     if 2 * alike <= len(laws) or after.evidence() - before.evidence() < calibration()["further"] * len(laws):
         return None
     if judge is not None and judge.density(here, after) <= judge.density(whole, before):
