@@ -39,9 +39,10 @@ def with_curved_friction(
         here = extended(here, unshrunk(settle(whole, start(whole, law))))
     here = relinearised(here)
     before, after = base_fit(whole), base_fit(here)
-    signs = bends(here, laws)
-    alike = max(np.sum(signs > STRAINED), np.sum(signs < -STRAINED))
-    if 2 * alike <= len(laws) or after.evidence() - before.evidence() < calibration()["further"] * len(laws):
+    off = bends(here, laws)
+    strongest = int(np.argmax(np.abs(off)))
+    alike = np.delete(off, strongest) * np.sign(off[strongest]) > STRAINED
+    if alike.mean() <= 0.5 or after.evidence() - before.evidence() < calibration()["further"] * len(laws):
         return None
     if judge is not None and judge.density(here, after) <= judge.density(whole, before):
         return None
