@@ -120,19 +120,41 @@ def explain(
         processes: what can be is spread over so many.
         rounds: of looking for more with what was found in the model, at most.
     """
-    plain = system
     progress = progress or (lambda description, total: lambda count: None)
     judge = Judge(system, kept) if kept else None
     free = free_gains(system, processes)
-    steps, whole = _lacking_kinds(system, suspects)
-    if resized := _of_another_size(whole):
-        plain = system = relinearised(with_wider(system, resized))
-        steps, whole = _lacking_kinds(system, suspects)
-    if curved := with_curved_friction(system, whole, suspects, judge):
-        plain = system = curved
-        steps, whole = _lacking_kinds(system, suspects)
-        free = free_gains(system, processes)
-    steps, system = _whole_kinds(system, steps, whole, judge)
+    lacking = _lacking_kinds(system, suspects)
+    if resized := _of_another_size(lacking[1]):
+        system = relinearised(with_wider(system, resized))
+        lacking = _lacking_kinds(system, suspects)
+
+    def found(plain: System, free: FloatArray, lacking: tuple[list[Step], System]) -> Search:
+        search = _found(plain, free, lacking, suspects, judge, progress, processes, rounds)
+        return replace(search, resized=resized)
+
+    def beside(curved: System) -> Search:
+        return found(curved, free_gains(curved, processes), _lacking_kinds(curved, suspects))
+
+    if curved := with_curved_friction(system, lacking[1], suspects, judge):
+        return beside(curved)
+    search = found(system, free, lacking)
+    if max(search.held_out_misfit, search.after.misfit) > calibration()["held_out_adequate"]:
+        curved = with_curved_friction(system, search.system, suspects, judge)  # it shows better beside what was found
+        return beside(curved) if curved else search
+    return search
+
+
+def _found(
+    plain: System, free: FloatArray, lacking: tuple[list[Step], System], suspects: Sequence[Suspect],
+    judge: Judge | None, progress: Progress, processes: int, rounds: int,
+) -> Search:  # fmt: skip
+    """What is missing from a base model: see :func:`explain`.
+
+    Args:
+        free: evidence (n,) gained by a free function of each joint's state.
+        lacking: friction that all joints may lack, and the model with it.
+    """
+    steps, system = _whole_kinds(plain, *lacking, judge)
     for number in range(rounds):
         known = {s.name for s in system.found}
         open_ = [s for s in suspects if s.name not in known]
@@ -152,7 +174,7 @@ def explain(
     system = pruned(steps, revised(steps, system, suspects, judge))
     system = with_doubts(all_grown(steps, system, judge))
     left = free_gains(system, processes, judge)
-    search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge, resized=resized)
+    search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)
     if judge:
         search.held_out_misfit, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
     search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
