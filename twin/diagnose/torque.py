@@ -327,7 +327,7 @@ def _curved(search: Search) -> list[Note]:
     for entry in search.system.entries(search.after.z)[: len(search.plain.found)]:
         told.append(f"{entry.site} {entry.values['coefficients'][0]:.3g}")
     text = (
-        "friction of most joints is no straight line in speed. Beside dry and viscous friction every joint has "
+        "friction of most joints is no straight line in speed. Beside dry and viscous friction it has the term "
         f"c |v| v, with c in N·m·s²/rad², of a slide N·s²/m² ({', '.join(told)}). Below zero, a gear needs less at "
         "high speed than viscous friction would. It is in the model before and after, and in robot.yaml under "
         "`discovered`. It is no answer"

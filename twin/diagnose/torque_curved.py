@@ -22,7 +22,7 @@ from twin.physics.effect import axis_of
 def with_curved_friction(
     system: System, whole: System, suspects: Sequence[Suspect], judge: Judge | None
 ) -> System | None:
-    """The model with friction that bends with speed at every joint; ``None`` where it does not, at most joints alike.
+    """The model with friction that bends with speed at most joints, alike; ``None`` where it does not.
 
     Args:
         system: base model; ``whole`` with the friction that all joints lack.
@@ -41,12 +41,16 @@ def with_curved_friction(
     before, after = base_fit(whole), base_fit(here)
     off = bends(here, laws)
     strongest = int(np.argmax(np.abs(off)))
-    alike = np.delete(off, strongest) * np.sign(off[strongest]) > STRAINED
-    if alike.mean() <= 0.5 or after.evidence() - before.evidence() < calibration()["further"] * len(laws):
+    alike = off * np.sign(off[strongest]) > STRAINED
+    if np.delete(alike, strongest).mean() <= 0.5 or after.evidence() - before.evidence() < calibration()[
+        "further"
+    ] * len(laws):
         return None
     if judge is not None and judge.density(here, after) <= judge.density(whole, before):
         return None
-    return with_entries(system, here, here.found[len(whole.found) :])
+    return with_entries(
+        system, here, [s for s, bent in zip(here.found[len(whole.found) :], alike, strict=True) if bent]
+    )
 
 
 def with_entries(system: System, other: System, found: Sequence[Suspect]) -> System:
