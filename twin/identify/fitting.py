@@ -47,7 +47,7 @@ from twin.robot.mechanism import assemble
 
 LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
-LISTED = 8  # numbers that a warning lists; more are counted
+SATURATED_TOLD = 8  # numbers that a warning lists; more are counted
 CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
 LARGE_CORRELATION = 0.95
 PROFILED = 4  # parameters whose profile is drawn
@@ -384,10 +384,10 @@ def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
     if len(names) == 1:
         found.append(f"{names[0]} is saturated: it stops {SATURATED:g} deviations of its tolerance from its prior")
     elif names:
-        more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+        more = f" and {len(names) - SATURATED_TOLD} more" if len(names) > SATURATED_TOLD else ""
         found.append(
             f"{len(names)} numbers are saturated: they stop {SATURATED:g} deviations of their tolerances from their "
-            f"priors: {', '.join(names[:LISTED])}{more}"
+            f"priors: {', '.join(names[:SATURATED_TOLD])}{more}"
         )
     for name, posture in result.postures.items():
         for frequency in posture["measured_only"]:
