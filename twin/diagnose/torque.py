@@ -324,7 +324,7 @@ def _curved(search: Search) -> list[Note]:
     if not search.plain.found:
         return []
     told = []
-    for entry in search.system.entries(search.after.z)[: len(search.plain.found)]:
+    for entry in search.system.entries(_after(search)[0].z)[: len(search.plain.found)]:
         told.append(f"{entry.site} {entry.values['coefficients'][0]:.3g}")
     text = (
         "friction of most joints is no straight line in speed. Beside dry and viscous friction it has the term "

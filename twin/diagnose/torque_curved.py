@@ -42,15 +42,13 @@ def with_curved_friction(
     off = bends(here, laws)
     strongest = int(np.argmax(np.abs(off)))
     alike = off * np.sign(off[strongest]) > STRAINED
-    if np.delete(alike, strongest).mean() <= 0.5 or after.evidence() - before.evidence() < calibration()[
-        "further"
-    ] * len(laws):
+    gained = after.evidence() - before.evidence()
+    if np.delete(alike, strongest).mean() <= 0.5 or gained < calibration()["further"] * len(laws):
         return None
     if judge is not None and judge.density(here, after) <= judge.density(whole, before):
         return None
-    return with_entries(
-        system, here, [s for s, bent in zip(here.found[len(whole.found) :], alike, strict=True) if bent]
-    )
+    added = here.found[len(whole.found) :]
+    return with_entries(system, here, [law for law, bent in zip(added, alike, strict=True) if bent])
 
 
 def with_entries(system: System, other: System, found: Sequence[Suspect]) -> System:

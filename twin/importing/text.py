@@ -25,8 +25,10 @@ def read(path: Path) -> list[Table]:
         raise InputError(path, "", "expected columns of numbers, separated by commas, semicolons, tabs or blanks")
     decimal = "," if separator != "," and any("," in line for line in lines[-3:]) else "."
     rows = [_split(line, separator) for line in lines]
-    tail, whole = rows[-3:], len(rows[-1])
-    if words := [i for i in range(whole) if _numbers([row[i] for row in tail], decimal) is None]:
+    whole = len(rows[-1])
+    if words := [
+        i for i, column in enumerate(zip(*rows[-3:], strict=False)) if _numbers(list(column), decimal) is None
+    ]:
         named = next((row for row in rows if len(row) == whole), rows[-1])
         left = ", ".join(repr(named[i]) for i in words)
         tell(str(path), "columns", f"text, no numbers, and left out: {left}")
@@ -53,13 +55,12 @@ def _split(line: str, separator: str) -> list[str]:
 def _columns(lines: list[str], separator: str) -> int:
     """Columns of numbers in the last lines, beside which few may be of text, as a date; else 0."""
     tail = [_split(line, separator) for line in lines[-3:]]
-    if not tail or len({len(row) for row in tail}) > 1:
-        return 0
-    most = 0
+    most, ragged = 0, len({len(row) for row in tail}) > 1  # as where the last line is cut off: told by its number
     for decimal in (mark for mark in ".," if mark != separator):
-        numbers = sum(_numbers(list(column), decimal) is not None for column in zip(*tail, strict=True))
-        words = len(tail[0]) - numbers
-        most = max(most, numbers if not words or (separator != " " and 2 * words <= numbers) else 0)
+        numbers = sum(_numbers(list(column), decimal) is not None for column in zip(*tail, strict=False))
+        words = min((len(row) for row in tail), default=0) - numbers
+        few = separator != " " and not ragged and 2 * words <= numbers
+        most = max(most, numbers if not words or few else 0)
     return most
 
 
