@@ -6,6 +6,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, befor
 
 import json
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,11 @@ import numpy as np
 import pytest
 
 from twin.robot.description import Robot, load_robot, parse_robot
+
+WORKER = os.environ.get("PYTEST_XDIST_WORKER", "")  # gw0, gw1 …; none where one process runs all tests
+if WORKER and sys.platform == "linux":  # a core of its own: processes that fork more wait for each other
+    CORES = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {CORES[int(WORKER[2:]) % len(CORES)]})
 
 POSTURES = {"milling": (0, 70, -100), "upright": (0, 135, -100), "rigid": (0, 135, -140)}
 

@@ -15,8 +15,10 @@ from twin.diagnose.torque_numbers import GAIN, effect_of_number
 from twin.diagnose.torque_step import Step
 from twin.diagnose.torque_system import Columns, System, Trial, with_wider
 from twin.measure.campaign import FloatArray
+from twin.model.regressor import body_of
 from twin.parallel import spread
 from twin.physics import effect_named, effect_of
+from twin.physics.effect import link_end
 from twin.physics.payload import Payload
 
 
@@ -201,4 +203,29 @@ def widened_fits(system: System, suspects: Sequence[Suspect]) -> list[Fitted]:
         if not any(k in system.widened for k in members):
             hypothesis = Hypothesis(effect, site, scale=tuple((names[k], calibration()["far"]) for k in members))
             found.append(base_fit(with_wider(system, hypothesis), hypothesis))
-    return found
+    return [fit for fit in found if in_its_link(system, fit)]
+
+
+def in_its_link(system: System, fit: Fitted) -> bool:
+    """Whether a freed mass or centre of a link leaves the centre where the link is; else another body is there.
+
+    That is no further from the line between the link's joints than this is long, than the centre is as described, or
+    than ``far`` tolerances.
+    """
+    link, _, quantity = fit.hypothesis.site.partition(".")
+    if not link.startswith("link") or quantity not in ("mass", "com"):
+        return True
+    base, number = system.base, int(link[4:]) - 1
+    mass, com, _ = body_of(base.values(system.plain(fit.z))[10 * number : 10 * number + 10])
+    robot = base.regressor.robot
+    end, described = np.array(link_end(robot, number)), np.array(robot.links[number].inertial[1])
+    most = max(
+        np.linalg.norm(end), _beside(described, end), calibration()["far"] * robot.tolerances.com
+    )  # fmt: skip
+    return mass > 0 and bool(_beside(com, end) <= most)
+
+
+def _beside(point: FloatArray, end: FloatArray) -> float:
+    """Distance, m, of a point from the line between a frame's origin and an end."""
+    along = np.clip(point @ end / max(end @ end, 1e-12), 0.0, 1.0)
+    return float(np.linalg.norm(point - along * end))

@@ -15,7 +15,7 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import base_fit
-from twin.diagnose.torque_look import number_groups
+from twin.diagnose.torque_look import in_its_link, number_groups
 from twin.diagnose.torque_revise import pruned
 from twin.diagnose.torque_robot import robot_of
 from twin.diagnose.torque_search import Search
@@ -198,7 +198,8 @@ def _one_thing(search: Search) -> Hypothesis | None:
             effect, site = effect_of("inertia").name, f"joint{site[5:].removesuffix(ROTOR)}"
         hypothesis = Hypothesis(effect, site, scale=tuple((names[k], width) for k in members))
         system = relinearised(with_wider(search.system, hypothesis))
-        if not far_off(replace(search, system=system, after=base_fit(system))):
+        fit = base_fit(system, hypothesis)
+        if in_its_link(system, fit) and not far_off(replace(search, system=system, after=fit)):
             return hypothesis
     return None
 
