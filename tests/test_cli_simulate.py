@@ -13,9 +13,9 @@ from twin.commands.describe import describe
 from twin.commands.simulate import simulate
 from twin.diagnose.struck import moved_far
 from twin.errors import Told
-from twin.identify.recorded import prepare
 from twin.measure.campaign import read_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log, write_motion_log
+from twin.model.recorded import prepare
 from twin.robot.description import SHIPPED, Robot
 
 MILLING = 'posture: {name: milling, q_deg: [0, 70, -100], brakes: "on"}\n'

@@ -17,9 +17,9 @@ from twin.diagnose.screen import Setting, screen
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.identify.objective import Sample
-from twin.identify.recorded import without_limits
 from twin.measure.campaign import read_campaign
 from twin.model.parameters import free_parameters
+from twin.model.recorded import without_limits
 from twin.robot.description import load_robot
 
 HOSE = {"mass": 4e-4, "frequency_hz": 21.3, "damping_ratio": 0.007, "axis": "z", "position": [0.08, -0.07, 0.18]}

@@ -18,8 +18,6 @@ from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, m
 from twin.diagnose.left_out import left_out
 from twin.diagnose.locate import free_laws, mismatch
 from twin.diagnose.next_test import SEEN, next_test, smallest_visible
-from twin.diagnose.noise import pooled_variance, shared_lines
-from twin.diagnose.physical import as_written, physical
 from twin.diagnose.refit import NONE, Fitted, _of_widths, descend, foreseen, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import (
     SLIGHT,
@@ -38,17 +36,19 @@ from twin.diagnose.verdict import elsewhere, estimates, estimates_of, judge, mis
 from twin.errors import InputError
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
-from twin.identify.recorded import prepare, without_limits
 from twin.measure.campaign import Campaign, Channels, FloatArray, PostureFRF, Quantity, read_campaign, write_campaign
+from twin.measure.frf_noise import pooled_variance, shared_lines
 from twin.measure.recordings import Recording, one_test_each, read_one
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import Parameter as Free
 from twin.model.parameters import Parameters, free_parameters, independent
+from twin.model.recorded import prepare, without_limits
 from twin.physics import CATALOGUE
 from twin.physics.effect import link_end
 from twin.robot.description import Entry, Robot, load_robot
 from twin.robot.mechanism import assemble
+from twin.robot.physical import as_written, physical
 
 SHORT = ("--spacing-hz", "0.5", "--lines", "48", "--coherence", "estimated")
 

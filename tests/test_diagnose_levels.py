@@ -11,7 +11,6 @@ from tools.truth.__main__ import main as truth
 from twin.commands.compare import compare_hammer
 from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.hammer import diagnose_campaign
-from twin.diagnose.held_law import UnderLaw
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import Levels, _own, _race, _settling, decide_levels, explain_levels, fit_law, point, with_law
 from twin.diagnose.levels_beside import _doubted
@@ -24,11 +23,12 @@ from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Finding, estimates_of
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import prepare, without_limits
 from twin.measure.campaign import Campaign, read_campaign
 from twin.model.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
+from twin.model.held_law import UnderLaw
 from twin.model.joint_laws import Drag
 from twin.model.parameters import Parameter, free_parameters, independent, join
+from twin.model.recorded import prepare, without_limits
 from twin.model.sensitivity import Observed
 from twin.physics import CATALOGUE, amplitude_laws, register
 from twin.physics.backlash import Gap

@@ -21,9 +21,9 @@ from twin.diagnose.modal_table import (
 from twin.diagnose.refit import NONE
 from twin.errors import InputError
 from twin.identify.elastic_modal import modal_postures
-from twin.identify.recorded import without_limits
 from twin.measure.modal_table import ModalTable, TableMode, TablePosture
 from twin.model.parameters import free_parameters
+from twin.model.recorded import without_limits
 from twin.robot.description import Robot
 
 MEASURED = Path(__file__).with_name("data") / "table7_measured.yaml"

@@ -3,8 +3,8 @@
 import numpy as np
 
 from twin.diagnose.torque_excerpt import LOG_ENOUGH, OF_A_PIECE, excerpt
-from twin.identify.rigid import Bands
 from twin.measure.motion_log import MotionLog, MotionRun
+from twin.model.torque_rows import Bands
 
 BANDS = Bands((8.0, 10.0), (12.0, 15.0))
 

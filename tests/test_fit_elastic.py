@@ -17,7 +17,6 @@ from twin.identify.descent import Descended, minimise
 from twin.identify.elastic import Start, agreement, fit_frf
 from twin.identify.elastic_compare import judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
-from twin.identify.recorded import prepare
 from twin.identify.uncertainty import beside_prior, combinations, estimates, interval, profile
 from twin.measure.campaign import Campaign, Channels, PostureFRF, as_quantity, read_campaign, write_campaign
 from twin.measure.modal_table import read_modal_table
@@ -25,6 +24,7 @@ from twin.measure.uff import write_uff
 from twin.model.frf import frf as reference_frf
 from twin.model.linear import linearise
 from twin.model.parameters import Parameter, Parameters, free_parameters, independent
+from twin.model.recorded import prepare
 from twin.robot.description import Robot, load_robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
 

@@ -7,8 +7,8 @@ from tools.large import TILT, hammer_test
 from twin.identify import covering
 from twin.identify.elastic import fit_frf
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded, prepare, without_limits
 from twin.model.parameters import free_parameters
+from twin.model.recorded import Recorded, prepare, without_limits
 from twin.robot.description import Entry, Robot, load_robot
 
 POSTURES = 8

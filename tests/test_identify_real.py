@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import scipy.io
 
-from twin.identify.rigid import Bands, identify, relative_error
+from twin.identify.rigid import identify
 from twin.measure.motion_log import MotionLog, MotionRun, check_against
+from twin.model.torque_rows import Bands, relative_error
 from twin.robot.description import Robot, load_robot
 
 DATA = Path(__file__).parent / "data"

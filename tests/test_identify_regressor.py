@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.test_pinocchio import rigid_model
 from twin.errors import NumericalError
-from twin.identify.base_parameters import structural_base
 from twin.measure.motion_log import MotionRun
+from twin.model.base_parameters import structural_base
 from twin.model.regressor import (
     Regressor,
     body_of,

@@ -13,19 +13,8 @@ from twin.commands.example import EXAMPLES
 from twin.commands.simulate import simulate
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
-from twin.identify.rigid import (
-    LOW_PASSES,
-    Bands,
-    Identification,
-    consistent,
-    identify,
-    joint_run,
-    nearest_possible,
-    relative_error,
-    rows_of,
-)
+from twin.identify.rigid import LOW_PASSES, Identification, consistent, identify, nearest_possible
 from twin.identify.rigid_compare import compare_log
-from twin.identify.torque_unit import unit_note
 from twin.measure import motion_log
 from twin.measure.motion_log import (
     MotionLog,
@@ -36,8 +25,10 @@ from twin.measure.motion_log import (
     write_motion_log,
 )
 from twin.measure.signals import advance, differentiate
+from twin.measure.torque_unit import unit_note
 from twin.model.regressor import Regressor, pseudo_inertia
 from twin.model.replay import inverse_dynamics
+from twin.model.torque_rows import Bands, joint_run, relative_error, rows_of
 from twin.physics.motion import Motion
 from twin.robot.description import Assumed, Robot, load_robot, parse_robot, save_robot
 

@@ -16,12 +16,12 @@ from twin.diagnose.refit import Fitted
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.identify.objective import Sample
-from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import Campaign, Channels, Hits, PostureFRF, read_campaign
 from twin.measure.spectra import spectra
 from twin.model.leakage import leakage, leakage_later, leakage_slopes
 from twin.model.linear import state_matrix
 from twin.model.parameters import free_parameters
+from twin.model.recorded import Recorded, without_limits
 from twin.model.sensitivity import Observed, frf
 from twin.robot.description import Robot, load_robot
 

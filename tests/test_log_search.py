@@ -20,15 +20,14 @@ from twin.diagnose.torque import _strained, base_system, diagnose_log, log_recor
 from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
-from twin.diagnose.torque_laws import Suspect, log_suspects
 from twin.diagnose.torque_left_out import left_out_runs, without_run
 from twin.diagnose.torque_look import decided, look
 from twin.diagnose.torque_nearest import nearest
 from twin.diagnose.torque_off import as_described
 from twin.diagnose.torque_revise import one_for_two
 from twin.diagnose.torque_search import _borne_out
-from twin.diagnose.torque_signal import Prepared, prepare
 from twin.diagnose.torque_step import Step, accepted
+from twin.diagnose.torque_suspects import Suspect, log_suspects
 from twin.diagnose.torque_system import (
     System,
     extended,
@@ -41,6 +40,7 @@ from twin.diagnose.torque_system import (
 )
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
+from twin.model.torque_signal import Prepared, prepare
 from twin.robot.description import Robot, load_robot
 
 

@@ -9,7 +9,6 @@ from twin.commands.map import make_map
 from twin.errors import InputError
 from twin.identify.damping_transfer import Miss, misses_of_frf, transfer
 from twin.identify.posterior import Posterior, load_posterior, save_posterior
-from twin.identify.recorded import prepare
 from twin.identify.uncertainty import interval
 from twin.measure.campaign import Campaign, Channels, PostureFRF
 from twin.milling import map as work
@@ -22,6 +21,7 @@ from twin.model.frf import frf
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import Parameter, Parameters
+from twin.model.recorded import prepare
 from twin.robot.description import Entry, load_robot
 from twin.robot.mechanism import assemble
 

@@ -21,10 +21,10 @@ from twin.diagnose.torque import _finding, base_system, diagnose_log, searched
 from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_off import numbers_of_answer, taken_back
-from twin.diagnose.torque_signal import prepare
 from twin.diagnose.torque_system import with_wider
 from twin.diagnose.verdict import Candidate, Finding, Missing, far_off
 from twin.measure.motion_log import MotionLog
+from twin.model.torque_signal import prepare
 from twin.robot.description import Robot, load_robot
 
 

@@ -16,11 +16,11 @@ from twin.diagnose.locate import free_laws
 from twin.diagnose.search import converge, explain, settle
 from twin.diagnose.triage import triage
 from twin.identify.objective import Sample
-from twin.identify.recorded import without_limits
 from twin.measure.campaign import read_campaign
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.model.parameters import free_parameters
+from twin.model.recorded import without_limits
 from twin.physics import CATALOGUE, register
 from twin.physics.effect import UNIT_VECTORS, Effect, Parameter, Values, axis_of
 from twin.robot.description import Robot, load_robot, save_robot

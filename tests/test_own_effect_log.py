@@ -10,7 +10,7 @@ import pytest
 
 from tools.truth.__main__ import main as truth
 from twin.diagnose.torque import diagnose_log
-from twin.diagnose.torque_laws import not_sought
+from twin.diagnose.torque_suspects import not_sought
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.model.replay import inverse_dynamics, motion_of, replay
 from twin.physics import CATALOGUE, register

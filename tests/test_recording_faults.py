@@ -16,9 +16,9 @@ from twin.diagnose.states import sorted_out
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import Verdict
 from twin.identify.objective import Sample
-from twin.identify.recorded import without_limits
 from twin.measure.campaign import read_campaign
 from twin.measure.spectra import Check
+from twin.model.recorded import without_limits
 from twin.robot.description import load_robot
 
 

@@ -7,7 +7,6 @@ import pytest
 from scipy.signal import find_peaks
 
 from twin.diagnose.joint import Knowledge, settled_with, together
-from twin.diagnose.physical import physical
 from twin.diagnose.records import FrfRecord, LogRecord, ModalRecord, pooled_floor
 from twin.diagnose.sentences import PROMINENCE, _summits, best_spot, fall, off_by, percents, sentence
 from twin.diagnose.torque import pooled
@@ -16,6 +15,7 @@ from twin.measure.campaign import Channels
 from twin.model.parameters import free_parameters
 from twin.report import diagnosis
 from twin.robot.description import Robot, check_inertia
+from twin.robot.physical import physical
 
 F = np.arange(5.0, 30.0, 0.125)
 

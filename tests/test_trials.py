@@ -34,9 +34,9 @@ from tools.truth.chain import Tolerances, flange_position, kr90
 from tools.truth.effects import Effect
 from tools.truth.recording import HammerTest, Posture, Truth, draw_postures, draw_truth, plain, write_campaign
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import prepare, without_limits
 from twin.measure.recordings import read_campaign
 from twin.model.parameters import free_parameters
+from twin.model.recorded import prepare, without_limits
 from twin.robot.description import load_robot
 
 ERROR = {

@@ -18,12 +18,12 @@ from tools.truth.robots import described as written_out
 from tools.truth.robots import machines
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.sensor_weight import weightless
-from twin.identify.recorded import prepare
 from twin.measure.campaign import Campaign, read_campaign
 from twin.measure.motion_log import read_motion_log
 from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
 from twin.model.parameters import independent
+from twin.model.recorded import prepare
 from twin.model.regressor import flange_path
 from twin.model.replay import inverse_dynamics, motion_of
 from twin.model.sensitivity import observe, point_jacobians, structure

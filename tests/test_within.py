@@ -12,7 +12,6 @@ from twin.diagnose.decide import Decision, at_noise, in_doubt_beside, sifted, th
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
-from twin.diagnose.physical import as_written
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.search import Search, _stand_ins, inexact
 from twin.diagnose.within import allowed, members, taken_in, without
@@ -20,6 +19,7 @@ from twin.identify.objective import Sample
 from twin.measure.campaign import Channels
 from twin.model.parameters import free_parameters
 from twin.robot.description import Entry, Robot
+from twin.robot.physical import as_written
 
 SENSORS = Channels(("21X+", "21Y+", "21Z+"), ("link3",) * 3, np.tile([1.5, 0.0, 0.1], (3, 1)), np.eye(3))
 SERVO = {"stiffness": 1e7, "damping": 1e3, "inertia": 50.0, "integral_time": 0.5}

@@ -15,9 +15,10 @@ import numpy as np
 import typer
 
 from tools.truth.__main__ import main as truth
-from twin.identify.rigid import Identification, identify, relative_error
+from twin.identify.rigid import Identification, identify
 from twin.measure.motion_log import read_motion_log
 from twin.model.regressor import Regressor, inertial_vector
+from twin.model.torque_rows import relative_error
 from twin.robot.description import load_robot
 
 

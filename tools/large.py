@@ -18,9 +18,9 @@ import h5py
 import numpy as np
 
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import prepare
 from twin.measure.campaign import Campaign, Channels, PostureFRF, write_campaign
 from twin.model.parameters import free_parameters, independent
+from twin.model.recorded import prepare
 from twin.model.replay import inverse_dynamics, recorded_torque
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot

@@ -22,9 +22,9 @@ import typer
 from tools.truth.__main__ import main as truth
 from twin.identify.elastic import fit_frf
 from twin.identify.elastic_compare import expected_error, judge, noise_floor
-from twin.identify.recorded import prepare
 from twin.identify.uncertainty import estimates
 from twin.measure.campaign import read_campaign
+from twin.model.recorded import prepare
 from twin.robot.description import load_robot
 
 ORDER = "zxy"

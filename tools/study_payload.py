@@ -28,9 +28,9 @@ from tools.truth.motion import Log, Run, draw_fourier, record
 from tools.truth.recording import draw_truth
 from tools.truth.robots import machines, write_description
 from twin.diagnose.verdict import Candidate
-from twin.identify.rigid import Bands, motion_of_run
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.model.regressor import Regressor, weight_vector
+from twin.model.torque_rows import Bands, motion_of_run
 from twin.robot.description import Robot, load_robot
 
 RECORDINGS = Path(os.environ.get("TWIN_RECORDINGS", Path(__file__).parents[2] / "shared" / "data"))

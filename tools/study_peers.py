@@ -28,10 +28,10 @@ from scipy.signal import butter, decimate, sosfiltfilt
 import twin
 from tools.study_payload import RECORDINGS, need, tx40
 from twin.diagnose.records import LogRecord
-from twin.diagnose.torque_signal import bands_of
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.measure.signals import lowpass
 from twin.model.regressor import Regressor
+from twin.model.torque_signal import bands_of
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 

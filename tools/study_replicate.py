@@ -24,14 +24,14 @@ import scipy.io
 
 from tools.study_payload import RECORDINGS, need, tx40
 from twin.diagnose.torque import base_system, diagnose_log, predicted_torque, searched
-from twin.diagnose.torque_base import base_of
 from twin.diagnose.torque_search import Search
-from twin.diagnose.torque_signal import Prepared, Run, prepare, run_of
 from twin.diagnose.torque_step import Step, left_out, own_rows
 from twin.errors import InputError
-from twin.identify.rigid import Bands, joint_run
 from twin.identify.uncertainty import NINETY
 from twin.measure.motion_log import MotionLog, MotionRun
+from twin.model.torque_base import base_of
+from twin.model.torque_rows import Bands, joint_run
+from twin.model.torque_signal import Prepared, Run, prepare, run_of
 from twin.robot.description import Robot, load_robot
 
 WIDE = Bands((16.0, 20.0), (24.0, 30.0))  # two thirds of nine seconds are too short for less

@@ -20,9 +20,9 @@ from tools.truth.chain import Tolerances
 from tools.truth.chain import kr90 as chain
 from tools.truth.recording import HAMMER, SENSORS, HammerTest, draw_postures, draw_truth, h1, raw_hits, streams
 from twin.identify.elastic import fit_frf
-from twin.identify.recorded import prepare
 from twin.measure.campaign import Campaign, Channels, PostureFRF
 from twin.model.parameters import free_parameters
+from twin.model.recorded import prepare
 from twin.robot.description import Robot, load_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec

@@ -33,7 +33,6 @@ from tools.truth.elastic import Structure, assemble
 from tools.truth.milling import Cut, arc, chatters_at, growth_at, last_link, poles, tip_rows
 from tools.truth.recording import draw_postures, plain
 from twin.diagnose.hammer import diagnose_campaign
-from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted
 from twin.errors import InputError
 from twin.identify.damping_transfer import Transfer, misses_of_frf, transfer
@@ -45,6 +44,7 @@ from twin.milling.map import lobes
 from twin.milling.postures import tips
 from twin.milling.tool_point import ToolModes
 from twin.robot.description import load_robot, save_robot
+from twin.robot.physical import physical
 
 ATTEMPTS = 20  # seeds in a row, where the truth code refuses a robot
 POSTURES, CUTS = 2, 2  # unseen ones of each robot; cuts in each

@@ -17,19 +17,19 @@ import numpy as np
 from tools.trials.cases import struck
 from tools.trials.store import engine_hash, read, write
 from twin.diagnose.joint_reaction import Stepped, blows
-from twin.diagnose.physical import physical
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.struck import judge_struck, law_of
 from twin.diagnose.triage import Triage, triage
 from twin.identify.descent import minimise
 from twin.identify.elastic_compare import judge
 from twin.identify.objective import Sample
-from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
 from twin.measure.recordings import read_campaign
 from twin.model.parameters import SIX, Parameters, free_parameters
+from twin.model.recorded import Recorded, without_limits
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry, Robot, load_robot
+from twin.robot.physical import physical
 
 ITERATIONS, GAIN = 20, 0.1  # in ln likelihood: less is not waited for
 FEW_LINES = 25  # of a channel, on which a base model is looked for

@@ -8,10 +8,10 @@ from twin.commands.outputs import Outputs, check_out
 from twin.diagnose.compare import compare_hammer
 from twin.errors import tell
 from twin.identify.elastic_compare import Comparison, ModalComparison, compare_modes
-from twin.identify.rigid import Bands
 from twin.identify.rigid_compare import LogComparison, compare_log
 from twin.measure.recordings import Given, Recording, read_recordings, traced
 from twin.model.parameters import require_springs
+from twin.model.torque_rows import Bands
 from twin.parallel import Progress
 from twin.provenance import provenance, write_json
 from twin.result import Result, written

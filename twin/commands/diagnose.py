@@ -16,11 +16,11 @@ from twin.diagnose.records import FrfRecord, LogRecord
 from twin.diagnose.verdict import Verdict
 from twin.errors import Told
 from twin.identify.posterior import FILE, Posterior, save_posterior
-from twin.identify.recorded import without_limits
 from twin.measure.recordings import Given, read_recordings, robot_of_all, traced
 from twin.memory import uncollected
 from twin.model.linear import linearise
 from twin.model.modes import modes
+from twin.model.recorded import without_limits
 from twin.parallel import Progress, one_thread_each, silent
 from twin.provenance import provenance, write_json
 from twin.robot.description import Robot, load_robot, save_robot

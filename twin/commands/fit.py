@@ -11,9 +11,9 @@ from twin.identify.descent import ASTRAY
 from twin.identify.elastic_modal import ModalObjective
 from twin.identify.fitting import Fitting, correlated, fit_campaign, fit_table
 from twin.identify.posterior import FILE, Posterior, save_posterior
-from twin.identify.recorded import within_limits
 from twin.identify.uncertainty import Estimate
 from twin.measure.recordings import Given, read_one, traced
+from twin.model.recorded import within_limits
 from twin.parallel import Progress, one_thread_each, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import check_band, check_count

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out, check_spared
-from twin.identify.rigid import Bands, Identification, in_joints, relative_error
+from twin.identify.rigid import Identification
 from twin.identify.rigid import identify as estimate
 from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Given, read_one, traced
+from twin.model.torque_rows import Bands, in_joints, relative_error
 from twin.parallel import Progress, one_thread_each, silent
 from twin.provenance import provenance, write_json
 from twin.result import Result, no_model, written

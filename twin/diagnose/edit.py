@@ -18,7 +18,6 @@ from scipy.interpolate import make_interp_spline
 
 from twin.diagnose.records import FrfRecord, Stage
 from twin.errors import InputError
-from twin.identify.recorded import without_limits
 from twin.measure.campaign import QUANTITIES, ComplexArray, FloatArray, laplace
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
@@ -27,6 +26,7 @@ from twin.model.frf import frf, measurement_chain
 from twin.model.linear import linearise
 from twin.model.modes import Modes, modes, same_modes
 from twin.model.parameters import independent
+from twin.model.recorded import without_limits
 from twin.model.replay import STEP_S, inverse_dynamics, motion_of, recorded_torque, replay
 from twin.model.sensitivity import Setup, observe
 from twin.model.sensitivity import frf as algebra

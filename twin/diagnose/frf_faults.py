@@ -16,9 +16,9 @@ from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted
 from twin.errors import tell
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded, prepare, without_limits
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.parameters import independent, require_springs
+from twin.model.recorded import Recorded, prepare, without_limits
 from twin.robot.description import Robot
 
 UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}

@@ -7,17 +7,17 @@ from typing import ClassVar
 import numpy as np
 
 from twin.diagnose.calibration import calibration
-from twin.diagnose.noise import ANALYSER
 from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
 from twin.diagnose.search import REFIT_LINES
 from twin.errors import InputError
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded, fields_of
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
+from twin.measure.frf_noise import ANALYSER
 from twin.measure.spectra import END_LEVEL, needed_window_rate, posture_from_hits
 from twin.model.leakage import leakage, leakage_later, leakage_slopes
 from twin.model.parameters import independent
+from twin.model.recorded import Recorded, fields_of
 from twin.model.sensitivity import Observed, Structure, observe_all, poles
 from twin.robot.description import Robot
 

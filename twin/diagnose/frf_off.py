@@ -16,8 +16,8 @@ from twin.diagnose.refit import Fitted, descend, recorded_error
 from twin.diagnose.search import REFIT_LINES
 from twin.diagnose.verdict import Missing, candidate, far_off
 from twin.identify.objective import Sample
-from twin.identify.recorded import Recorded
 from twin.model.parameters import Parameters, written_names
+from twin.model.recorded import Recorded
 from twin.robot.description import Robot
 
 MOST = 4  # groups of numbers that are tried: where more are far off, the description is another robot's

@@ -23,7 +23,6 @@ from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
 from twin.diagnose.many_postures import apart, judged
 from twin.diagnose.next_test import WEIGH, next_test, smallest_visible
-from twin.diagnose.physical import as_written, physical
 from twin.diagnose.records import FrfRecord, frf_records
 from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import FAR, inflation
@@ -52,13 +51,14 @@ from twin.identify.damping_transfer import misses_of_frf, transfer
 from twin.identify.elastic_compare import noise_floor
 from twin.identify.objective import Sample
 from twin.identify.posterior import Posterior
-from twin.identify.recorded import Recorded, base_name, prepare, without_limits
 from twin.measure.campaign import Campaign, FloatArray
 from twin.measure.recordings import Recording
 from twin.model.parameters import Parameters, free_parameters, require_springs, written_names
+from twin.model.recorded import Recorded, base_name, prepare, without_limits
 from twin.parallel import Progress, ahead
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
+from twin.robot.physical import as_written, physical
 
 CRAWLING = 4  # steps that hardly lower a cost far above noise: links as described have no better numbers
 ABOUT = 2  # times that knowledge of moments is made linear where a fit ends: the second moves it by little

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnose.held_law import Receptances, UnderLaw, receptances
 from twin.identify.objective import Changes, Cost, rates
-from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, Channels, ComplexArray, FloatArray, PostureFRF
 from twin.model.blow import COLUMNS, RATE_HZ, Strike, pulse_transform, torques, transform
+from twin.model.held_law import Receptances, UnderLaw, receptances
 from twin.model.parameters import Parameters
+from twin.model.recorded import Recorded
 from twin.model.sensitivity import Observed, Setup, Structure, contract, moving, observe, observe_all
 from twin.parallel import spread
 from twin.physics.joint_law import NO_LOAD, Law
@@ -313,7 +313,7 @@ class Stepped(Cost):
     the usual length until they are written into an entry. With ``fixed`` sizes (m,) the parameters hold none.
 
     Derivatives of the linear part are in closed form. Those of the law's torque with respect to what acts on the law
-    itself are differences of stepped blows. With respect to all else the law is held (:mod:`twin.diagnose.held_law`),
+    itself are differences of stepped blows. With respect to all else the law is held (:mod:`twin.model.held_law`),
     with an error of a tenth. With ``closely`` these are stepped, too, in ``processes`` processes.
     ``rows``: residual and derivatives of the last linear evaluation, recording by recording; ``latest``: reactions
     where blows were stepped last, and beside it; ``models``: those observed last.

@@ -12,8 +12,8 @@ import numpy as np
 
 from twin.diagnose.refit import Fitted, descend, recorded_energy
 from twin.identify.objective import Sample
-from twin.identify.recorded import Recorded
 from twin.measure.campaign import FloatArray
+from twin.model.recorded import Recorded
 from twin.parallel import spread
 from twin.robot.description import Robot
 

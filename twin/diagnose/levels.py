@@ -28,11 +28,11 @@ from twin.diagnose.joint_reaction import (
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.identify.descent import minimise
 from twin.identify.objective import Sample
-from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.blow import COARSE_HZ, RATE_HZ
 from twin.model.joint_laws import NAMELESS
 from twin.model.parameters import Parameter, Parameters
+from twin.model.recorded import Recorded
 from twin.model.sensitivity import frf, observe
 from twin.parallel import spread
 from twin.physics import CATALOGUE, amplitude_laws

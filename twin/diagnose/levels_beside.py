@@ -1,6 +1,6 @@
 """What linear physics is missing beside a law of amplitude: the linear search on a robot whose law is held.
 
-The law's torque after every blow is held as stepping has it (:mod:`twin.diagnose.held_law`), and the search for one
+The law's torque after every blow is held as stepping has it (:mod:`twin.model.held_law`), and the search for one
 linear omission runs as it does on a linear robot. What it finds moves the law's own numbers: the finalists are fitted
 again with the law stepped, their law is held, and the decision is between them. A law of few numbers is not exactly the
 robot's, and a partner may explain what it leaves. So every blow may have a further stiffness of its own at the law's

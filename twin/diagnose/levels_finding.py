@@ -14,7 +14,6 @@ from twin.diagnose.levels import Levels, decide_levels, explain_levels, settled
 from twin.diagnose.levels_beside import Beside, explain_beside
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.next_test import next_test
-from twin.diagnose.physical import as_written
 from twin.diagnose.records import FrfRecord, Stage, frf_records
 from twin.diagnose.refit import Fitted
 from twin.diagnose.search import SCREEN_LINES, Search
@@ -24,16 +23,17 @@ from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
 from twin.identify.elastic_compare import noise_floor, recording_set, relative_error
 from twin.identify.objective import Sample
-from twin.identify.recorded import Recorded, without_limits
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
 from twin.model.parameters import independent
+from twin.model.recorded import Recorded, without_limits
 from twin.parallel import Progress
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 from twin.robot.mechanism import assemble
+from twin.robot.physical import as_written
 
 FORM = 0.05
 """Deviation of the logarithm of a blow's momentum, its peak and spectrum known: a half sine has 1.06 times a

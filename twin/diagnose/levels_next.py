@@ -17,8 +17,8 @@ from twin.diagnose.refit import Fitted
 from twin.diagnose.triage import HOMOGENEOUS, POOLED_LINES
 from twin.errors import InputError
 from twin.identify.objective import Sample
-from twin.identify.recorded import Recorded
 from twin.measure.campaign import ComplexArray, FloatArray
+from twin.model.recorded import Recorded
 from twin.physics import CATALOGUE, amplitude_laws
 from twin.robot.description import Robot
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.held_law import UnderLaw, receptances
 from twin.diagnose.refit import Fitted
 from twin.identify.objective import Objective, Sample, factors
 from twin.measure.campaign import FloatArray
+from twin.model.held_law import UnderLaw, receptances
 from twin.model.sensitivity import observe_all
 from twin.parallel import spread
 

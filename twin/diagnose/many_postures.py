@@ -8,13 +8,13 @@ import numpy as np
 
 from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.note import Note
-from twin.diagnose.physical import physical
 from twin.diagnose.verdict import Finding
 from twin.identify.covering import covering, many
 from twin.identify.elastic_compare import judge
-from twin.identify.recorded import base_name, prepare, without_limits
 from twin.measure.campaign import Campaign
+from twin.model.recorded import base_name, prepare, without_limits
 from twin.robot.description import Robot
+from twin.robot.physical import physical
 
 JUDGED_LINES = 50  # of every FRF of the other postures
 

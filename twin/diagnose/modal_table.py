@@ -18,7 +18,6 @@ from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together
 from twin.diagnose.next_test import WEIGH
 from twin.diagnose.note import Note
-from twin.diagnose.physical import as_written
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.sentences import sentence
@@ -31,13 +30,14 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
-from twin.identify.recorded import without_limits
 from twin.measure.campaign import Channels, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.measure.recordings import Recording
 from twin.model.parameters import Parameters, free_parameters, require_springs
+from twin.model.recorded import without_limits
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
+from twin.robot.physical import as_written
 
 STARTS = 4  # of the base model
 COARSE_SCATTER = 10.0  # times the deviations: of every entry first, with the links as described

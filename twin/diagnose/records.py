@@ -6,14 +6,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from twin.diagnose.physical import physical
 from twin.diagnose.refit import Fitted, placed
 from twin.identify.elastic_compare import judge, relative_error
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded
 from twin.measure.campaign import QUANTITIES, Brakes, Channels, ComplexArray, FloatArray, Quantity
+from twin.model.recorded import Recorded
 from twin.parallel import spread
 from twin.robot.description import Robot
+from twin.robot.physical import physical
 
 Stage = Literal["as_given", "before", "after"]
 STAGES: tuple[Stage, ...] = ("as_given", "before", "after")

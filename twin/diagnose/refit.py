@@ -16,9 +16,9 @@ import numpy as np
 from twin.diagnose.hypotheses import Hypothesis, Sprung, together
 from twin.identify.descent import ASTRAY, minimise
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameters, independent, join, recording_parameters
+from twin.model.recorded import Recorded
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 

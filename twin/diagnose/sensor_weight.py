@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from twin.diagnose.refit import Fitted
-from twin.identify.recorded import Recorded
 from twin.measure.campaign import ComplexArray
+from twin.model.recorded import Recorded
 from twin.model.sensitivity import observe, recording_chain
 from twin.physics.chain import node_of
 from twin.physics.payload import Payload

@@ -17,9 +17,9 @@ from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.search import SCREEN_LINES
 from twin.diagnose.verdict import STRAINED, strained
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.parameters import Parameters, free_parameters, independent
+from twin.model.recorded import Recorded
 from twin.parallel import spread
 from twin.robot.description import Robot
 

@@ -11,13 +11,13 @@ from twin.diagnose.note import Note
 from twin.identify.descent import minimise
 from twin.identify.elastic_compare import Judged, recording_set, relative_error
 from twin.identify.objective import Sample
-from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.blow import COARSE_HZ
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, usual_duration
 from twin.model.linear import linearise
 from twin.model.parameters import independent
+from twin.model.recorded import Recorded, without_limits
 from twin.model.simulated_test import LARGE, beyond_linear, suited_force
 from twin.physics import CATALOGUE
 from twin.physics.joint_law import Law

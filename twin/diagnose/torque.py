@@ -16,36 +16,37 @@ from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage, pooled_floor
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque_base import Base, base_of
 from twin.diagnose.torque_excerpt import excerpt
 from twin.diagnose.torque_faults import clock_note, clock_rates, described_torque, in_radians, on_time, put_right
 from twin.diagnose.torque_fit import base_fit, profiled, worth
 from twin.diagnose.torque_following import Following
-from twin.diagnose.torque_laws import Suspect, log_suspects, model_torque, not_sought, with_values
 from twin.diagnose.torque_left_out import left_out_runs
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_nearest import nearest
 from twin.diagnose.torque_next import next_log
-from twin.diagnose.torque_numbers import GAIN, number_columns, numbers_of
 from twin.diagnose.torque_off import as_described, bare, far_off, numbers_of_answer, taken_back, told
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_revise import at_once, seen_at_rest_only
 from twin.diagnose.torque_robot import that_can_exist, with_presliding
 from twin.diagnose.torque_search import Search, explain
-from twin.diagnose.torque_signal import Prepared, Run, prepare
 from twin.diagnose.torque_states import RunStates
 from twin.diagnose.torque_step import REFITTED, Step, left_out, possible
 from twin.diagnose.torque_stops import stops_of
+from twin.diagnose.torque_suspects import Suspect, log_suspects, not_sought, with_values
 from twin.diagnose.torque_system import System, system_of
 from twin.diagnose.torque_visible import smallest_visible
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of, off_descriptions
 from twin.diagnose.verdict import judge as word_of
-from twin.identify.rigid import Bands, in_joints
-from twin.identify.torque_unit import unit_note
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Recording
+from twin.measure.torque_unit import unit_note
+from twin.model.torque_base import Base, base_of
+from twin.model.torque_laws import model_torque
+from twin.model.torque_numbers import GAIN, number_columns, numbers_of
+from twin.model.torque_rows import Bands, in_joints
+from twin.model.torque_signal import Prepared, Run, prepare
 from twin.parallel import Progress
 from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of

@@ -5,8 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 
 from twin.diagnose.note import Note
-from twin.identify.rigid import Bands
 from twin.measure.motion_log import MotionLog, MotionRun
+from twin.model.torque_rows import Bands
 
 # Seconds times hertz of the low-pass, six thousand rows of a joint: a little more than logs of the proof.
 LOG_ENOUGH = 2400.0

@@ -13,12 +13,12 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
 from twin.diagnose.note import Note
-from twin.diagnose.torque_signal import Run, prepare
 from twin.errors import InputError
-from twin.identify.rigid import in_joints
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.model.regressor import Regressor
+from twin.model.torque_rows import in_joints
+from twin.model.torque_signal import Run, prepare
 from twin.physics.motion import gradual_sign
 from twin.robot.description import Robot
 

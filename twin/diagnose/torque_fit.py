@@ -11,9 +11,9 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
-from twin.diagnose.torque_laws import Suspect, canonical, with_values
 from twin.diagnose.torque_noise import start_columns
 from twin.diagnose.torque_robot import robot_of
+from twin.diagnose.torque_suspects import Suspect, canonical, with_values
 from twin.diagnose.torque_system import (
     CONVERGED,
     FARTHEST_SHAPE,

@@ -8,14 +8,14 @@ import numpy as np
 
 from twin.diagnose.joint import places_axis
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_laws import with_values
-from twin.diagnose.torque_numbers import follow
 from twin.diagnose.torque_play import Play, with_play
 from twin.diagnose.torque_robot import robot_of, with_presliding
+from twin.diagnose.torque_suspects import with_values
 from twin.diagnose.torque_system import System, own_prior
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import axis_parameters, entry_parameter
 from twin.model.regressor import inertial_vector
+from twin.model.torque_numbers import follow
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 

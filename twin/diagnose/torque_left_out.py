@@ -11,14 +11,14 @@ import numpy as np
 
 from twin.diagnose.left_out import LeftOut
 from twin.diagnose.records import LogRecord, Stage
-from twin.diagnose.torque_base import base_of
 from twin.diagnose.torque_curved import with_entries
 from twin.diagnose.torque_fit import base_fit, evaluate
 from twin.diagnose.torque_judge import Judge
 from twin.diagnose.torque_search import Search
-from twin.diagnose.torque_signal import Prepared, Run
 from twin.diagnose.torque_step import freed_by
 from twin.diagnose.torque_system import System, extended, refer, relinearised, with_wider
+from twin.model.torque_base import base_of
+from twin.model.torque_signal import Prepared, Run
 from twin.parallel import spread
 
 

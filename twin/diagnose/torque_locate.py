@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.records import LogRecord
-from twin.diagnose.torque_base import Base, base_of
-from twin.diagnose.torque_laws import State, entry_torque
 from twin.diagnose.torque_search import Search
-from twin.diagnose.torque_signal import Run, run_of
-from twin.identify.rigid import Bands, joint_run
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun
+from twin.model.torque_base import Base, base_of
+from twin.model.torque_laws import State, entry_torque
+from twin.model.torque_rows import Bands, joint_run
+from twin.model.torque_signal import Run, run_of
 from twin.parallel import spread
 from twin.physics import CATALOGUE
 

@@ -10,12 +10,12 @@ from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import base_fit, fitted, reach, settle, start
-from twin.diagnose.torque_laws import Suspect
-from twin.diagnose.torque_numbers import GAIN, effect_of_number
 from twin.diagnose.torque_step import Step
+from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import Columns, System, Trial, with_wider
 from twin.measure.campaign import FloatArray
 from twin.model.regressor import body_of
+from twin.model.torque_numbers import GAIN, effect_of_number
 from twin.parallel import spread
 from twin.physics import effect_named, effect_of
 from twin.physics.effect import link_end
@@ -219,13 +219,12 @@ def in_its_link(system: System, fit: Fitted) -> bool:
     mass, com, _ = body_of(base.values(system.plain(fit.z))[10 * number : 10 * number + 10])
     robot = base.regressor.robot
     end, described = np.array(link_end(robot, number)), np.array(robot.links[number].inertial[1])
-    most = max(
-        np.linalg.norm(end), _beside(described, end), calibration()["far"] * robot.tolerances.com
-    )  # fmt: skip
-    return mass > 0 and bool(_beside(com, end) <= most)
+    least = calibration()["far"] * robot.tolerances.com
+    most = max(float(np.linalg.norm(end)), _beside(described, end), least)
+    return mass > 0 and _beside(com, end) <= most
 
 
 def _beside(point: FloatArray, end: FloatArray) -> float:
     """Distance, m, of a point from the line between a frame's origin and an end."""
-    along = np.clip(point @ end / max(end @ end, 1e-12), 0.0, 1.0)
+    along = np.clip(float(point @ end) / max(float(end @ end), 1e-12), 0.0, 1.0)
     return float(np.linalg.norm(point - along * end))

@@ -13,13 +13,14 @@ import scipy.fft
 import scipy.linalg
 from scipy.signal import lfilter
 
-from twin.diagnose.torque_base import DIFFERENCES, NOISE_ORDER, Base
 from twin.diagnose.torque_design import Block, Design
-from twin.diagnose.torque_laws import USUAL_SHARE, Suspect, smooth_columns, with_values
-from twin.diagnose.torque_signal import Run
 from twin.diagnose.torque_stops import stop_columns
+from twin.diagnose.torque_suspects import Suspect, with_values
 from twin.identify.rigid import MOST_TAKEN, ROUNDED
 from twin.measure.campaign import FloatArray
+from twin.model.torque_base import DIFFERENCES, NOISE_ORDER, Base
+from twin.model.torque_laws import USUAL_SHARE, smooth_columns
+from twin.model.torque_signal import Run
 from twin.parallel import spread
 from twin.physics import effect_of
 

@@ -9,9 +9,9 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, refine, settle, worth
 from twin.diagnose.torque_judge import Judge
-from twin.diagnose.torque_laws import Suspect
 from twin.diagnose.torque_look import decided, look, widened_fits
 from twin.diagnose.torque_step import REFITTED, Step, accepted, freed_by, left_out, own_rows, possible
+from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, Trial, own_prior, own_values, relinearised, unshrunk, with_wider
 from twin.measure.campaign import FloatArray
 from twin.physics.effect import axis_of

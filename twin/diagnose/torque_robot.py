@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
-from twin.diagnose.torque_base import PRESLIDING, PRESLIDING_TRAVELS, dry_level
-from twin.diagnose.torque_numbers import corrected, numbers_of
 from twin.diagnose.torque_system import System
 from twin.identify.rigid import nearest_possible
 from twin.measure.campaign import FloatArray
 from twin.model.regressor import body_of, pseudo_inertia
+from twin.model.torque_base import PRESLIDING, PRESLIDING_TRAVELS, dry_level
+from twin.model.torque_numbers import corrected, numbers_of
 from twin.physics import CATALOGUE, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot

@@ -16,18 +16,18 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import finalists
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_base import Base
 from twin.diagnose.torque_curved import with_curved_friction
 from twin.diagnose.torque_discover import discover, unnamed
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, from_every_start, refine, settle, start, worth
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
-from twin.diagnose.torque_laws import Suspect
 from twin.diagnose.torque_look import decided, look, nothing_of
 from twin.diagnose.torque_revise import all_grown, one_for_two, pruned, revised
-from twin.diagnose.torque_signal import Run
 from twin.diagnose.torque_step import REFITTED, Step, accepted, left_out, what_is_left, with_step
+from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, Trial, extended, relinearised, unshrunk, with_doubts, with_wider
 from twin.measure.campaign import FloatArray
+from twin.model.torque_base import Base
+from twin.model.torque_signal import Run
 from twin.parallel import Progress
 from twin.physics import effect_of
 from twin.physics.statements import Part

@@ -10,9 +10,9 @@ from twin.diagnose.note import Note
 from twin.diagnose.states import grouped
 from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_judge import Judge
-from twin.diagnose.torque_laws import Suspect
-from twin.diagnose.torque_signal import Prepared
+from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, system_of
+from twin.model.torque_signal import Prepared
 
 NOISIER = 2.0  # times the scatter of runs about their own models that all about one have; by eye
 ASKED = 4  # runs, spread over all, whose own scatter is asked for: a median of so many tells

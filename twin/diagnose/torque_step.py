@@ -9,7 +9,7 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import base_fit, eliminated, evaluate, fitted, refine
-from twin.diagnose.torque_laws import Suspect
+from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, Trial, extended, own_values, relinearised, with_wider, without
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import lfilter
 
-from twin.diagnose.torque_base import NOISE_ORDER
-from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.measure.signals import lowpass
+from twin.model.torque_base import NOISE_ORDER
+from twin.model.torque_signal import Run
 
 if TYPE_CHECKING:
     from twin.diagnose.torque_system import System

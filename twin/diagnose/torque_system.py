@@ -9,14 +9,15 @@ import numpy as np
 from scipy.signal import lfilter
 
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.torque_base import DIFFERENCES, Base, base_of, with_sliding
 from twin.diagnose.torque_design import Block, Design
-from twin.diagnose.torque_laws import State, Suspect, entry_torque, model_torque, with_values
 from twin.diagnose.torque_noise import dry_friction, noise_order, plain_fit, whitening, whole_rows
-from twin.diagnose.torque_signal import Prepared, Run
 from twin.diagnose.torque_stops import Stop, stops_in
+from twin.diagnose.torque_suspects import Suspect, with_values
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, Parameters, independent, join
+from twin.model.torque_base import DIFFERENCES, Base, base_of, with_sliding
+from twin.model.torque_laws import State, entry_torque, model_torque
+from twin.model.torque_signal import Prepared, Run
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry
 

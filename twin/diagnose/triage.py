@@ -7,12 +7,12 @@ from itertools import combinations
 import numpy as np
 
 from twin.diagnose.frf_faults import understated
-from twin.diagnose.noise import ANALYSER, perfect, pooled_variance, shared_lines
 from twin.diagnose.note import Note
 from twin.errors import InputError
-from twin.identify.recorded import Recorded, base_name, prepare
 from twin.measure.campaign import Campaign, PostureFRF, frf_variance
+from twin.measure.frf_noise import ANALYSER, perfect, pooled_variance, shared_lines
 from twin.measure.spectra import Check, driving_points, linearity, reciprocity
+from twin.model.recorded import Recorded, base_name, prepare
 from twin.robot.description import Robot
 
 POOLED_LINES = 5  # lines over which disagreement is pooled

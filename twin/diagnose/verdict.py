@@ -27,7 +27,7 @@ from twin.table import Table
 
 if TYPE_CHECKING:
     from twin.diagnose.torque_following import Following
-    from twin.identify.rigid import Bands
+    from twin.model.torque_rows import Bands
 
 Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]

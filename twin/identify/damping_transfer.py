@@ -18,8 +18,8 @@ from scipy.special import stdtrit
 
 from twin.identify.elastic_compare import judge
 from twin.identify.posterior import Posterior
-from twin.identify.recorded import Recorded, without_limits
 from twin.model.linear import state_matrix
+from twin.model.recorded import Recorded, without_limits
 from twin.model.sensitivity import Observed, frf_slopes, observe_all, structures
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot

@@ -16,9 +16,9 @@ import numpy as np
 from twin.identify.covering import covering, many
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded, noise_stated, without_limits
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameters, free_parameters
+from twin.model.recorded import Recorded, noise_stated, without_limits
 from twin.robot.description import Robot
 
 EVERY_LINE = 8  # starts see every eighth line, and at least COARSE_LINES

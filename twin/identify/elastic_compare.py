@@ -17,11 +17,11 @@ from twin.identify.descent import minimise
 from twin.identify.elastic import FIT_TEMPERS, Fit, coarse
 from twin.identify.elastic_modal import PairedMode, frequency_error, modal_postures, predict_modes
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded, noise_stated, without_limits
 from twin.identify.uncertainty import posterior
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.model.parameters import Parameters, independent, join, recording_parameters
+from twin.model.recorded import Recorded, noise_stated, without_limits
 from twin.robot.description import Robot
 
 ERROR_BANDS = 6  # a recording's frequency range is judged in this many equal bands

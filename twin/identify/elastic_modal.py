@@ -16,11 +16,11 @@ from scipy.optimize import linear_sum_assignment
 from twin.errors import InputError
 from twin.identify.descent import Descended, minimise
 from twin.identify.elastic import Fit, Start, agreement, drawn_starts
-from twin.identify.recorded import recorded_posture, without_limits
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.measure.shapes import mac
 from twin.model.parameters import Parameters, free_parameters
+from twin.model.recorded import recorded_posture, without_limits
 from twin.model.sensitivity import (
     Observed,
     Setup,

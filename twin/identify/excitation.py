@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from twin.errors import InputError
-from twin.identify.base_parameters import structural_base
+from twin.model.base_parameters import structural_base
 from twin.model.regressor import Regressor, flange_path, link_regressor
 from twin.parallel import cores, spread
 from twin.physics.motion import Motion

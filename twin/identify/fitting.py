@@ -23,7 +23,6 @@ from twin.identify.elastic_modal import (
     predict_modes,
 )
 from twin.identify.posterior import Posterior
-from twin.identify.recorded import Recorded, base_name, noise_stated, prepare, without_limits
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
     Combination,
@@ -40,6 +39,7 @@ from twin.measure.shapes import mac
 from twin.model.linear import linearise
 from twin.model.modes import Modes, modes
 from twin.model.parameters import SATURATED, Parameters, free_parameters, require_springs
+from twin.model.recorded import Recorded, base_name, noise_stated, prepare, without_limits
 from twin.model.sensitivity import Structure, structure
 from twin.parallel import Progress
 from twin.robot.description import Robot, parse_robot

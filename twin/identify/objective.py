@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.identify.descent import Descended
-from twin.identify.recorded import Recorded
 from twin.identify.residual import loss, pull, weights
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.model.parameters import SIX, Parameters, Sprung
+from twin.model.recorded import Recorded
 from twin.model.sensitivity import (
     Observed,
     Setup,

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.identify.rigid import TOO_SHORT, Bands, Rows, in_joints, motion_of_run, other_unit, rows_of
+from twin.identify.rigid import other_unit
 from twin.measure.motion_log import NO_MOTION, MotionLog, MotionRun, moves, refuse_saturated
 from twin.measure.signals import lowpass
 from twin.model.regressor import Regressor
+from twin.model.torque_rows import TOO_SHORT, Bands, Rows, in_joints, motion_of_run, rows_of
 from twin.parallel import Progress
 from twin.physics import CATALOGUE
 from twin.physics.effect import Effect

@@ -13,9 +13,9 @@ from scipy.special import ndtri
 
 from twin.identify.elastic import Fit
 from twin.identify.objective import Objective, Sample
-from twin.identify.recorded import Recorded, without_limits
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, Parameters
+from twin.model.recorded import Recorded, without_limits
 from twin.robot.description import Robot
 
 HELD = 0.5  # posterior over prior deviation below which the data hold a parameter

@@ -165,7 +165,7 @@ def _over_described(campaign: Campaign, robot: Robot) -> tuple[tuple[float, floa
     widely, over the quartiles too, and then tell nothing.
     """
     from twin.identify.elastic_compare import judge
-    from twin.identify.recorded import prepare
+    from twin.model.recorded import prepare
 
     judged = judge(robot, list(prepare(campaign, robot, campaign.source).values()), as_is=True)
     ratios = [

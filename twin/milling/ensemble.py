@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.physical import physical
 from twin.identify.posterior import Posterior, posterior_beside, without_entries
 from twin.milling.cut import Cut
 from twin.milling.postures import Tips, stacked, tips
 from twin.milling.tool_point import ToolModes
 from twin.robot.description import Robot
+from twin.robot.physical import physical
 
 MODES = 32  # whose dampings are drawn, each on its own
 DRAWS = 100

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.identify.recorded import without_limits
 from twin.milling.cut import Cut
 from twin.milling.tool_point import ToolModes, clamped_modes, coupled, with_tool
 from twin.model.modes import residues
+from twin.model.recorded import without_limits
 from twin.model.sensitivity import point_jacobians, structures
 from twin.robot.description import Robot
 from twin.robot.inverse_kinematics import ToolPlace

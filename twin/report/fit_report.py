@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from twin.identify.recorded import Recorded
 from twin.identify.uncertainty import Estimate
 from twin.measure.campaign import QUANTITIES, ComplexArray
+from twin.model.recorded import Recorded
 from twin.report import figures, fit_figures
 from twin.report.html import Panel, Plot, Section, Table, pick
 from twin.report.plots import frf_panels, frf_plot

@@ -12,7 +12,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from twin.identify.recorded import without_limits
+from twin.model.recorded import without_limits
 from twin.report.figures import PALETTE
 from twin.report.html import Section
 from twin.robot.mechanism import assemble

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from twin.identify.excitation import Excitation
-from twin.identify.rigid import Bands, Rows, motion_of_run
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import lowpass
 from twin.model.regressor import flange_path
+from twin.model.torque_rows import Bands, Rows, motion_of_run
 from twin.report.figures import PALETTE
 from twin.robot.description import Robot
 

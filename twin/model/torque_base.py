@@ -11,12 +11,12 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from twin.diagnose.torque_laws import USUAL_SHARE, State, delayed, on_dense, presliding_columns
-from twin.diagnose.torque_numbers import number_columns, numbers_of
-from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, Parameters, independent, join, link_parameters
 from twin.model.regressor import Column, Regressor, inertial_vector
+from twin.model.torque_laws import USUAL_SHARE, State, delayed, on_dense, presliding_columns
+from twin.model.torque_numbers import number_columns, numbers_of
+from twin.model.torque_signal import Run
 from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot

@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.diagnose.torque_signal import Run
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, axis_parameters, independent
 from twin.model.regressor import Regressor
+from twin.model.torque_signal import Run
 from twin.physics import CATALOGUE
 from twin.physics.gravity_direction import GravityDirection
 from twin.physics.joint_offset import JointOffset

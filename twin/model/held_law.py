@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.identify.recorded import Recorded, fields_of
 from twin.measure.campaign import ComplexArray
+from twin.model.recorded import Recorded, fields_of
 from twin.model.sensitivity import Observed, Structure, frf, frf_slopes
 
 

@@ -16,12 +16,12 @@ import scipy.interpolate
 import scipy.signal
 
 from twin.errors import InputError
-from twin.identify.rigid import Bands, joint_run, motion_of_run, split
-from twin.identify.rigid import Rows as _Rows
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion, saturated
 from twin.measure.signals import lowpass
 from twin.model.regressor import Regressor
+from twin.model.torque_rows import Bands, joint_run, motion_of_run, split
+from twin.model.torque_rows import Rows as _Rows
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
 
