@@ -344,12 +344,12 @@ CLOCK = np.arange(0, 20, 1 / 200)
 
 
 def doubts(
-    speed_about: Callable[[FloatArray], FloatArray], recorded_late: float = 0.0
+    speed_about: Callable[[FloatArray], FloatArray], recorded_late: float = 0.0, outside: bool = True
 ) -> list[tuple[slice, FloatArray]]:
-    """Doubts of friction of an axis whose speed follows a law for 2 s about the middle, and reaches 1 rad/s outside."""
+    """Doubts of friction of an axis whose speed follows a law for 2 s about the middle, and 1 rad/s ``outside``."""
     since = CLOCK - 10.0025
     speed = speed_about(np.clip(since, -2, 2))
-    speed += np.sign(speed) * np.clip(np.abs(since) - 2, 0, None) / 8
+    speed += outside * np.sign(speed) * np.clip(np.abs(since) - 2, 0, None) / 8
     motion = Motion(CLOCK, *(x[:, None] for x in (np.cumsum(speed) / 200, speed, np.gradient(speed, CLOCK))))
     rows = Motion(*(x[::8] for x in (CLOCK, motion.position, motion.velocity, motion.acceleration)))
     none = np.zeros((len(rows.time), 1))
@@ -388,6 +388,17 @@ def test_a_slow_stop_is_in_doubt_for_as_long_as_the_axis_creeps() -> None:
     left = 0.001 * np.arange(300, 4000)
     assert _creeping(left**3) == pytest.approx(300, abs=2)
     assert _creeping(np.full(50, 1e-4)) == 0
+
+
+def test_an_axis_that_hardly_moves_between_rests_creeps_no_longer_than_it_moves() -> None:
+    """It was in doubt until the next fast motion, minutes later, with a column for every half row."""
+    since = CLOCK - 10.0
+
+    def law(_: FloatArray) -> FloatArray:
+        speed = np.where(np.abs(since) < 0.5, 1e-4, 0.0)  # between two rests, far from the motions before and after
+        return np.where(np.abs(since) > 6, np.sign(since) * 0.1, speed)
+
+    assert max(columns.shape[1] for _, columns in doubts(law, outside=False)) < 20
 
 
 def test_play_shows_in_the_difference_of_two_encoders(tmp_path: Path, kr90: Robot) -> None:

@@ -94,8 +94,10 @@ def stop_columns(
     rests = dict(zip(stops[::2], stops[1::2], strict=True)) if held else {}
     speed, moving = run.dense.velocity[:, joint], np.ones(len(run.dense.time), bool)
     events = []
-    for first, last in zip(stops[::2], stops[1::2], strict=True):
-        crept = [max(creep_s, _creeping(outside) / dense_hz) for outside in (speed[:first][::-1], speed[last:])]
+    before, after = [0, *stops[1::2]], [*stops[2::2], len(speed)]  # samples between which the axis moves
+    for number, (first, last) in enumerate(zip(stops[::2], stops[1::2], strict=True)):
+        moves = speed[before[number] : first][::-1], speed[last : after[number]]
+        crept = [max(creep_s, _creeping(outside) / dense_hz) for outside in moves]
         events += [(float(first), crept[0], 1.0), (float(last), crept[1], 1.0)]
         before_it, after_it = (max(1, int(np.ceil(late * run.rate_hz))) * step for late in crept)
         moving[max(0, first - before_it) : last + after_it + 1] = False
@@ -130,10 +132,10 @@ def _creeping(outside: FloatArray, most: float = 8.0) -> int:
     """Samples for which an axis moves on after its speed is too low to be told from rest.
 
     Where the jerk, too, ends at zero, the speed falls with the cube of the time left. So it is ``most`` times as high
-    twice as long before the axis rests.
+    twice as long before the axis rests. None of a motion that is never so fast.
 
     Args:
-        outside: speeds from the edge of the standstill outwards, rad/s (m/s).
+        outside: speeds from the edge of the standstill outwards to the next one, rad/s (m/s).
     """
     fast = np.flatnonzero(np.abs(outside) > most * np.abs(outside[:1]))
     return int(fast[0]) if fast.size else 0

@@ -593,19 +593,26 @@ def elsewhere(base: Fitted, others: Sequence[Fitted]) -> list[str]:
 
 
 def moved_most(fit: Fitted, most: int = 3) -> list[Note]:
-    """The springs and links that a fit has farthest from the description, within what that allows, in one sentence."""
+    """The springs and links that a fit has farthest from the description, within what that allows, in one sentence.
+
+    Springs without a tolerance come first: they may be far off though they move by few deviations of a usual spring.
+    """
     if fit.misfit > ASTRAY:
         return []
-    names = []
+    names, numbers = [], []
     for k, change, off in departures(fit):
         p = fit.parameters[k]
-        free = p.source == "usual" and p.quantity == "stiffness" and abs(change) > np.log(MOVED_TIMES)
-        if p.kind in ("spring", "link") and (free or off > MOVED) and off <= STRAINED:
-            far = "which states no tolerance" if p.source == "usual" else f"{off:.1f} standard deviations off"
-            names.append(f"{p.name} is {fit.values[k]:.4g} {p.unit} (described {p.mean:.4g}, {far})")
+        if off > STRAINED:
+            continue  # is told as such
+        told = f"{p.name} is {fit.values[k]:.4g} {p.unit} (described {p.mean:.4g}, "
+        if p.source == "usual" and p.quantity == "stiffness" and abs(change) > np.log(MOVED_TIMES):
+            names.append(f"{told}which states no tolerance)")
+        elif p.kind in ("spring", "link") and off > MOVED:
+            numbers.append(f"{told}{off:.1f} standard deviations off)")
+    names = [*names[:most], *numbers[:most]]
     if not names:
         return []
-    return [Note(f"the fit moved most, within what the description allows: {'; '.join(names[:most])}", "note", "note")]
+    return [Note(f"the fit moved most, within what the description allows: {'; '.join(names)}", "note", "note")]
 
 
 def strained(fit: Fitted) -> list[Note]:
