@@ -225,6 +225,21 @@ def test_reciprocity_forgives_a_quiet_pair_its_noise_and_a_little_of_the_loud_di
     assert failed(np.deg2rad(5), 1e-4) == ["21X+/21Z+ and 21Z+/21X+"]
 
 
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_noise_of_a_few_hits_fails_no_check(count: int) -> None:
+    """Channels that hear nothing: half of a driving point's energy has the wrong sign, no pair is reciprocal."""
+    lines, rng = np.linspace(5.0, 35.0, 301), np.random.default_rng(count)
+    each = rng.normal(size=(count, 301, 3, 3)) + 1j * rng.normal(size=(count, 301, 3, 3))
+    frf = each.mean(axis=0)
+    coherence = np.abs(frf) ** 2 / np.mean(np.abs(each) ** 2, axis=0)
+    posture = PostureFRF("p", np.zeros(3), "on", lines, frf, "accelerance", coherence=coherence, averages=count)
+    checks = [*driving_points(campaign(posture), posture), *reciprocity(campaign(posture), posture)]
+    assert [c.subject for c in checks if not c.passed] == []
+    known = replace(posture, coherence=np.full_like(coherence, 0.999))
+    checks = [*driving_points(campaign(known), known), *reciprocity(campaign(known), known)]
+    assert not any(c.passed for c in checks)
+
+
 def test_linearity_over_force_levels_is_one_for_a_linear_structure() -> None:
     def level(name: str, seed: int, peak: float) -> PostureFRF:
         posture, _ = posture_from_hits(

@@ -347,15 +347,18 @@ def driving_pairs(campaign: Campaign) -> Iterator[tuple[int, int, float]]:
 def driving_points(campaign: Campaign, posture: PostureFRF) -> list[Check]:
     """Share of the quadrature energy of every driving point that has the sign of a passive structure.
 
-    Im accelerance > 0 (Re mobility > 0): a wrong sign on a blow or sensor gives 0 instead of 1.
+    Im accelerance > 0 (Re mobility > 0): a wrong sign on a blow or sensor gives 0 instead of 1. A point fails if a
+    tenth of the energy has the wrong sign beyond what noise has.
     """
-    accelerance = as_quantity(posture, "accelerance").frf
+    measured = as_quantity(posture, "accelerance")
+    accelerance, noise = measured.frf, _noise_energy(measured)
     checks = []
     for r, e, sign in driving_pairs(campaign):
         quadrature = sign * accelerance[:, r, e].imag
         energy = np.sum(quadrature**2)
         share = float(np.sum(quadrature[quadrature > 0] ** 2) / energy) if energy > 0 else 1.0
-        checks.append(Check("driving point", campaign.pair(r, e), share, share > 0.9))
+        passed = (1 - share) * energy <= 0.1 * energy + noise[r, e]
+        checks.append(Check("driving point", campaign.pair(r, e), share, bool(passed)))
     return checks
 
 
@@ -367,7 +370,7 @@ def reciprocity(campaign: Campaign, posture: PostureFRF) -> list[Check]:
     point is all cross-axis motion.
     """
     driving = list(driving_pairs(campaign))
-    variance = frf_variance(posture)
+    noise = _noise_energy(posture)
     checks = []
     for n, (r, e, sign) in enumerate(driving):
         for r2, e2, sign2 in driving[n + 1 :]:
@@ -377,12 +380,24 @@ def reciprocity(campaign: Campaign, posture: PostureFRF) -> list[Check]:
             size = float(np.linalg.norm(ab + ba)) / 2
             apart = float(np.linalg.norm(ab - ba))
             allowed = CROSS_AXIS**2 * (_across(campaign, posture, r, e2) + _across(campaign, posture, r2, e))
-            if variance is not None:
-                allowed += 2 * float(np.sum(variance[:, r, e2] + variance[:, r2, e]))
+            allowed += 2 * float(noise[r, e2] + noise[r2, e])
             value = apart / size if size > 0 else 0.0
             passed = apart**2 <= (0.1 * size) ** 2 + allowed  # of channels that are dead both are zero
             checks.append(Check("reciprocity", f"{campaign.pair(r, e2)} and {campaign.pair(r2, e)}", value, passed))
     return checks
+
+
+def _noise_energy(posture: PostureFRF) -> FloatArray:
+    """Σ of the noise's square (nr, ne) over the lines of the real, or of the imaginary, part: so much there may be.
+
+    Coherence is taken about the mean of its own n hits, which takes n/(n − 1) from the noise. The sum over lines may be
+    three of its deviations larger.
+    """
+    variance = frf_variance(posture)
+    if variance is None or posture.averages is None:
+        return np.zeros(posture.frf.shape[1:])
+    live = np.where(np.isfinite(variance), variance, 0.0).sum(axis=0)
+    return np.asarray(live * posture.averages / (posture.averages - 1) * (1 + 3 / np.sqrt(len(variance))))
 
 
 def _across(campaign: Campaign, posture: PostureFRF, r: int, e: int) -> float:
