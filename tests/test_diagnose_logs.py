@@ -145,6 +145,23 @@ def test_what_a_log_says_does_not_depend_on_how_many_processes_look(drifting: Fi
     assert other.error == drifting.error
 
 
+@pytest.mark.parametrize("turned_deg", [90.0, 40.0])
+def test_a_compensator_of_a_robot_whose_zero_is_not_level_is_found(tmp_path: Path, turned_deg: float) -> None:
+    """Angles that are counted from upright: a ripple stood in for the sines, with 0.97."""
+    log = recorded(tmp_path, "--compensator", "gas", seed=5)
+    robot, turned = load_robot("kr90").without(["gravity_compensator"]), np.deg2rad([0.0, turned_deg, 0.0])
+    axes = [a.model_copy(update={"theta_deg": a.theta_deg + np.rad2deg(x), "limits": None}) for a, x in
+            zip(robot.axes, turned, strict=True)]  # fmt: skip
+    runs = {name: replace(run, position=run.position - turned) for name, run in log.runs.items()}
+    finding = diagnose_log(replace(log, runs=runs), robot.model_copy(update={"axes": axes}))
+    (answer,) = finding.missing
+    assert answer.first.key == "gravity_compensator@joint2"
+    coefficients, zero = (answer.first.parameters[name] for name in ("coefficients", "zero"))
+    quarter = (np.rad2deg(zero["value"]) + turned_deg + 90) % 180 - 90  # half a turn changes the sign
+    assert quarter == pytest.approx(0.0, abs=1.0)
+    assert abs(coefficients["value"][0]) == pytest.approx(7450, rel=0.02)
+
+
 def test_dry_friction_left_out_is_named_and_its_level_found(tmp_path: Path, kr90: Robot) -> None:
     """The truth's bristles are not the catalogue's sign: alike at all joints they are Coulomb friction all the same."""
     log = recorded(tmp_path, "--friction", "lugre", "--nominal")

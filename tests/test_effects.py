@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -222,10 +223,14 @@ def run() -> MotionRun:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("effect", DRIVE)
-def test_replay_shows_the_torque_of_the_law(with_entry: Callable[..., Robot], run: MotionRun, effect: str) -> None:
+UPRIGHT = "gravity_compensator", "joint2", {"coefficients": [-3000, 200, 100], "zero": -1.4}
+
+
+@pytest.mark.parametrize(("effect", "site", "values"), [*((name, *entry) for name, entry in DRIVE.items()), UPRIGHT])
+def test_replay_shows_the_torque_of_the_law(
+    with_entry: Callable[..., Robot], run: MotionRun, effect: str, site: str, values: dict[str, Any]
+) -> None:
     """The change an entry makes to the drive torque in MuJoCo's time stepping is the law's, away from reversals."""
-    site, values = DRIVE[effect]
     keep = ("viscous_friction",) if effect in ("friction_drift", "joint_coupling") else ()
     plain = with_entry("payload", "link1", keep=keep, mass=0, com=[0, 0, 0])
     robot = with_entry(effect, site, keep=keep, **values)

@@ -303,6 +303,8 @@ def that_show(fits: Sequence[Fitted], band_hz: tuple[float, float] = (0.0, np.in
 
     Beside the other pieces it only relieves numbers far from their description, and tension alone names nothing. What
     adds a mode that is nowhere in the recorded band does not show either: it is a mass or a spring there, or an error.
+    What would hang ``far`` deviations of its prior off its link cannot be what it is called: a rotor on a soft shaft
+    passes for a small mass metres away.
     """
     known, least = {fit.hypothesis.identity: fit for fit in fits}, calibration()["seen"]
 
@@ -318,6 +320,12 @@ def that_show(fits: Sequence[Fitted], band_hz: tuple[float, float] = (0.0, np.in
         frequency, half_width = values["frequency_hz"], values["damping_ratio"] * values["frequency_hz"]
         return bool(frequency - half_width <= band_hz[1] and frequency + half_width >= band_hz[0])
 
+    def there(fit: Fitted, piece: Hypothesis) -> bool:
+        lever = piece.law.lever if piece.law else ""
+        own = [(p, x) for p, x in zip(fit.parameters, fit.values, strict=True) if p.site == piece.key]
+        places = [(p, x) for p, x in own if lever and not p.log and p.quantity.partition("[")[0] == lever]
+        return all(abs(x - p.mean) <= calibration()["far"] * p.deviation for p, x in places)
+
     def shows(fit: Fitted, piece: Hypothesis) -> bool:
         rest = known.get(fit.hypothesis.identity - {piece.key})
         angles = any(name.startswith("posture.") for name, _ in piece.scale)  # recorded less exactly than was stated
@@ -325,7 +333,8 @@ def that_show(fits: Sequence[Fitted], band_hz: tuple[float, float] = (0.0, np.in
 
     several = [fit for fit in fits if len(fit.hypothesis.pieces) > 1]
     dumb = {id(fit) for fit in several if not all(shows(fit, piece) for piece in fit.hypothesis.pieces)}
-    dumb |= {id(fit) for fit in fits if not all(heard(fit, piece) for piece in fit.hypothesis.pieces)}
+    for said in (heard, there):
+        dumb |= {id(fit) for fit in fits if not all(said(fit, piece) for piece in fit.hypothesis.pieces)}
     return [fit for fit in fits if id(fit) not in dumb]
 
 

@@ -81,12 +81,12 @@ def start(system: System, suspect: Suspect, largest_kept: int = 20_000_000) -> T
     own, sizes = suspect.hypothesis.own, list(suspect.sizes)
     first = int(not suspect.vanishes)
     width = first + len(sizes)
-    whitened = system.screened.get(suspect.name)
+    whitened = system.screened.get(suspect.form)
     if whitened is None:
         columns = [column for values in suspect.starts for column in start_columns(system, suspect, values)]
         whitened = system.whiten(*columns)
         if whitened.rows.size < largest_kept and not suspect.effect.refers:
-            system.screened[suspect.name] = whitened
+            system.screened[suspect.form] = whitened
     across = system.across(whitened)
     pulls = whitened.rows.T @ system.on(system.residual, whitened)
     promised: list[tuple[float, int, FloatArray, FloatArray]] = []

@@ -29,12 +29,12 @@ def look(system: System, suspects: Sequence[Suspect], tick: Callable[[int], None
     def begin(number: int) -> tuple[Trial, Columns | None]:
         """Of a suspect, and its columns where they are new: a process that keeps them keeps them for itself."""
         trial = start(system, suspects[number])
-        name = trial.suspect.name
-        return trial, None if name in kept else system.screened.get(name)
+        form = trial.suspect.form
+        return trial, None if form in kept else system.screened.get(form)
 
     for trial, columns in spread(begin, len(suspects), processes):
         if columns is not None:
-            system.screened[trial.suspect.name] = columns
+            system.screened[trial.suspect.form] = columns
         started.append(trial)
         tick(1)
     started = list(spread(lambda number: reach(system, started[number]), len(started), processes))

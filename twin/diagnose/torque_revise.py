@@ -83,7 +83,8 @@ def revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judg
 
 def _as_suspected(trial: Trial, suspects: Sequence[Suspect]) -> Trial:
     """A trial with the priors that its suspect had before it was found, those of its first element for every one."""
-    first = next(s for s in suspects if s.name == trial.suspect.name).hypothesis.own
+    same = [s for s in suspects if s.name == trial.suspect.name]
+    first = next((s for s in same if s.form == trial.suspect.form), same[0]).hypothesis.own
     hypothesis = trial.suspect.hypothesis
     own = tuple(replace(p, deviation=q.deviation) for p, q in zip(hypothesis.own, cycle(first), strict=False))
     suspect = replace(trial.suspect, hypothesis=replace(hypothesis, own=own))
@@ -153,18 +154,19 @@ def _with_element(trial: Trial, factor: float) -> tuple[Suspect, FloatArray]:
     return grown, own_prior(own, np.concatenate([values.ravel(), new]))
 
 
-def pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0) -> System:
+def pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0, last: bool = False) -> System:
     """The model without the finds that later finds have made needless, least needed first. Those are accepted no more.
 
     Leaving a find out may lose at once ``doubtful`` times what it needs: the model is then not tried without it. Finds
-    that act on the same joint, or on the recording, as the last find does, are tried in any case.
+    that act on the same joint, or on the recording, as the last find does, are tried in any case. The ``last`` find is
+    looked at where the search is over: what it gained may have come from numbers that settled when it was taken in.
     """
     further = calibration()["further"]
     while True:
         found = [s for s in steps if s.accepted]
         shorter = {
             k: left_out(system, step, iterations=REFITTED)
-            for k, step in enumerate(found[:-1])
+            for k, step in enumerate(found if last else found[:-1])
             if step.trial is None
             or _side_by_side(step, found[-1])
             or worth(system, step.trial.suspect) < doubtful * further

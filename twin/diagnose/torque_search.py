@@ -171,7 +171,7 @@ def _found(
         system = one_for_two(steps, pruned(steps, system), suspects, judge, processes)
         system = with_doubts(all_grown(steps, system, judge))
     first = steps[0]  # beside the base model alone; what takes its place later stands beside other finds
-    system = pruned(steps, revised(steps, system, suspects, judge))
+    system = pruned(steps, revised(steps, system, suspects, judge), last=True)
     system = with_doubts(all_grown(steps, system, judge))
     left = free_gains(system, processes, judge)
     search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)

@@ -45,6 +45,11 @@ class Suspect:
         return " ".join([self.hypothesis.key, *words])
 
     @property
+    def form(self) -> str:
+        """The same and its own numbers: an effect may be suspected in several forms."""
+        return " ".join([self.name, *(p.name for p in self.hypothesis.own)])
+
+    @property
     def effect(self) -> Effect:
         """What is suspected."""
         return CATALOGUE[self.hypothesis.effect]
@@ -115,6 +120,11 @@ class Look:
     def rate_hz(self) -> float:
         """Rows per second."""
         return self.runs[0].rate_hz
+
+    @property
+    def sample_hz(self) -> float:
+        """Samples of the log per second."""
+        return self.runs[0].sample_hz
 
     def usual(self, axis: int | None = None) -> float:
         """The torque that a missing effect ordinarily adds, N·m (N)."""

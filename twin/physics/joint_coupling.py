@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from twin.robot.mechanism import Mechanism
 
 
+RATIOS = (0.003, 0.12, 0.25, 0.5, 1.0)  # from which a search starts: it finds its way from within a factor of 1.5
+
+
 class JointCoupling(Effect):
     """Natively: a fixed tendon over both motors takes over the inertia and friction of motor j's joint.
 
@@ -83,7 +86,7 @@ class JointCoupling(Effect):
 
     def suspected(self, view: LogView) -> list[Suspected]:
         """From every other drive; dry friction turns round elsewhere already at a small ratio, and elsewhere again at
-        one of the other sign."""
+        one of the other sign, or of another size."""
         robot, found = view.robot, []
         for j, axis in enumerate(robot.axes):
             if j == view.axis or axis.type == "prismatic" or robot.axes[view.axis].type == "prismatic":
@@ -98,7 +101,7 @@ class JointCoupling(Effect):
                 Prior("ratio", 0.5), scale("inertia", inertia, 1.5 if described["inertia"] else 6.0),
                 scale("friction[0]", friction[0], 2.0), scale("friction[1]", friction[1], 2.0),
             ]  # fmt: skip
-            starts = [[sign * ratio, inertia, *friction] for ratio in (0.003, 1.0) for sign in (-1, 1)]
+            starts = [[sign * ratio, inertia, *friction] for ratio in RATIOS for sign in (-1, 1)]
             found.append(
                 Suspected({"from": drive, "ratio": 0.0, "inertia": inertia, "friction": friction}, own, starts)
             )

@@ -84,6 +84,10 @@ class LogView(Protocol):
     def rate_hz(self) -> float:
         """Rows per second."""
 
+    @property
+    def sample_hz(self) -> float:
+        """Samples of the log per second: rows are fewer."""
+
     def usual(self, axis: int | None = None) -> float:
         """The torque that a missing effect ordinarily adds at the site's axis or another, N·m (N)."""
 

@@ -33,7 +33,7 @@ class TorqueFilter(Effect):
 
     def suspected(self, view: LogView) -> list[Suspected]:
         middle = USUAL_HZ[len(USUAL_HZ) // 2]
-        quarter = 0.25 / view.rate_hz  # half-way between wires and numbers
+        quarter = 0.25 / view.sample_hz  # half-way between wires and numbers
         own = [scale("cutoff_hz", middle, 3.0), Prior("lead", quarter, quarter)]
         starts = [[hz, quarter] for hz in USUAL_HZ]
         return [Suspected({"cutoff_hz": middle, "lead": quarter}, own, starts, sizes=())]

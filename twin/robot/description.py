@@ -274,6 +274,12 @@ class Entry(BaseModel):
     effect: str
     site: str
 
+    @model_validator(mode="before")
+    @classmethod
+    def _stated(cls, data: Any) -> Any:
+        """Without the keys that a file leaves empty: they say what leaving them out says."""
+        return {k: v for k, v in data.items() if v is not None} if isinstance(data, Mapping) else data
+
     @property
     def values(self) -> dict[str, Any]:
         """The parameters, defaults filled in."""
