@@ -31,6 +31,7 @@ BLOCKS = 8  # of a run, in which its lateness is measured
 DRIFTING = 6.0  # deviations of a slope of lateness over time
 REPEATED = 3  # measurements of lateness
 DRIFTED = 0.5  # samples of the log over a run: less is a clock's ordinary jitter
+CLOCKS = 0.01  # s/s: quartz is off by 1e-4, stamps of a busy computer by some 1e-3; what is off by more is no clock
 
 
 def put_right(log: MotionLog, runs: Sequence[Run], described: Sequence[FloatArray]) -> tuple[MotionLog, list[Note]]:
@@ -191,6 +192,8 @@ def _clock(run: Run, described: FloatArray) -> float:
         deviation = float(np.linalg.norm(y - slope * t) / np.sqrt(max(len(y) - 2, 1) * (t @ t)))
         rate += slope
         torque = CubicSpline(run.time, run.torque)(_there(run.time, rate))
+    if abs(rate) > CLOCKS:  # lateness that physics makes: friction that changes, a load that is missing
+        return 0.0
     seconds = float(np.ptp(run.time[run.valid]))
     return rate if abs(rate) > max(DRIFTED / (run.sample_hz * seconds), DRIFTING * deviation) else 0.0
 

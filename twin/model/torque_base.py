@@ -25,7 +25,7 @@ from twin.robot.frames import inertia_matrix, inertia_six
 NOISE_ORDER = 30  # of the autoregression, less where runs are short
 RIPPLE_ORDERS = 14  # up to which any gear and motor adds waves of the joint's angle
 DIFFERENCES = (1e-3, 0.02)  # of a prior deviation, for differences: as far as the rows tell a number, within
-PRESLIDING_TRAVELS = {"revolute": np.geomspace(3e-5, 1e-3, 7), "prismatic": np.geomspace(3e-6, 1e-4, 7)}
+PRESLIDING_TRAVELS = {"revolute": np.geomspace(3e-5, 5e-3, 9), "prismatic": np.geomspace(3e-6, 5e-4, 9)}
 """rad or m: over which dry friction ordinarily turns round when an axis does (presliding), a basis."""
 PRESLIDING = 0.5  # share of dry friction that does, per travel, common to all joints
 APART = 5e-4  # and of one joint alone, of the kind (hinge or slide) that most of them are; another kind has its own
