@@ -311,7 +311,7 @@ def test_of_two_that_turn_about_one_axis_neither_is_tried_twice(tmp_path: Path) 
     )
 
 
-@pytest.mark.parametrize("springs", [["base.ry"], ["base.rx", "base.ry"]])
+@pytest.mark.parametrize("springs", [pytest.param(["base.ry"], marks=pytest.mark.slow), ["base.rx", "base.ry"]])
 def test_a_slab_that_weighs_nothing_gives_way_to_its_springs(springs: list[str], tmp_path: Path) -> None:
     """They may have left the race where the slab's many numbers took up what nodes had not yet."""
     concealed = [part for site in springs for part in ("--effect", f"base_compliance@{site}")]

@@ -145,7 +145,7 @@ def test_what_a_log_says_does_not_depend_on_how_many_processes_look(drifting: Fi
     assert other.error == drifting.error
 
 
-@pytest.mark.parametrize("turned_deg", [90.0, 40.0])
+@pytest.mark.parametrize("turned_deg", [90.0, pytest.param(40.0, marks=pytest.mark.slow)])
 def test_a_compensator_of_a_robot_whose_zero_is_not_level_is_found(tmp_path: Path, turned_deg: float) -> None:
     """Angles that are counted from upright: a ripple stood in for the sines, with 0.97."""
     log = recorded(tmp_path, "--compensator", "gas", seed=5)
@@ -682,7 +682,7 @@ def test_churned_oil_is_not_taken_for_a_friction_that_has_a_name(tmp_path: Path,
     assert [m.first.key for m in diagnose_log(faint, kr90).missing] in ([], ["discovered@joint1"])
 
 
-@pytest.mark.parametrize("coefficient", [-40.0, 80.0])
+@pytest.mark.parametrize("coefficient", [-40.0, pytest.param(80.0, marks=pytest.mark.slow)])
 def test_friction_that_bends_alike_at_most_joints_belongs_to_the_model(
     coefficient: float, tmp_path: Path, kr90: Robot
 ) -> None:

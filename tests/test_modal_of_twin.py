@@ -28,7 +28,9 @@ def hammered(kr90: Robot, posture: str, test: HammerTest) -> tuple[Campaign, "ob
     return Campaign(*sides, {posture: measured}, "kr90"), modes(linear)
 
 
-@pytest.mark.parametrize("posture", POSTURES)
+@pytest.mark.parametrize(
+    "posture", [name if name == "milling" else pytest.param(name, marks=pytest.mark.slow) for name in POSTURES]
+)
 def test_modes_below_30_hz_come_back(kr90: Robot, posture: str) -> None:
     """0.3 % in frequency, 5 % in damping, MAC above 0.98, none invented; upright holds the 11.69/11.83 Hz pair."""
     campaign, truth = hammered(kr90, posture, HammerTest(hits=1))
