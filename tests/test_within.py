@@ -159,6 +159,17 @@ def test_a_mode_that_no_line_holds_is_no_answer(kr90: Robot, frequency_hz: float
     assert that_show([fit]) == [fit]
 
 
+@pytest.mark.parametrize(("place_m", "there"), [(0.2, True), (-3.5, False)])
+def test_a_mass_metres_off_its_link_is_no_answer(kr90: Robot, place_m: float, there: bool) -> None:
+    """A rotor of 6 kg·m² on a soft shaft, which has no name, was named as half a kilogram 3.5 m beside the link."""
+    hose = entry_hypothesis(
+        kr90, "attached_resonator", "link2",
+        {"mass": 0.5, "frequency_hz": 15.0, "damping_ratio": 0.03, "axis": "x", "position": [0.5, 0.0, 0.0]},
+    )  # fmt: skip
+    fit = fitted(kr90, hose, np.array([0.5, 15.0, 0.03, 0.9, place_m, 0.0]))
+    assert that_show([fit]) == ([fit] if there else [])
+
+
 @pytest.mark.parametrize(("misfit", "none"), [(1.0, 0.99), (1.5, 0.05)])
 def test_what_leaves_no_misfit_is_adequate(kr90: Robot, misfit: float, none: float) -> None:
     """A law without a name beside nodes that were moved counts only where something beyond noise is left."""

@@ -360,7 +360,7 @@ def _told_apart(search: Search) -> list[str]:
     for key, gain in alone.items():
         beside = {f.hypothesis.key: f.evidence() - last.base.evidence() for f in last.decision.ranked}.get(key, 0.0)
         if found and gain > calibration()["further"] and not last.accepted:
-            names = ", ".join(sorted(found)) if len(found) <= LISTED else f"the {len(found)} effects found"
+            names = ", ".join(sorted(found)) if len(found) <= LISTED else f"the {len(found)} effects of the search"
             if beside >= calibration()["further"]:
                 verdict = f"{key} still gains {beside:.0f}, and was not taken in: a part of the error may be its"
             else:

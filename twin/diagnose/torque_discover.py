@@ -83,9 +83,10 @@ def discover(system: System, joint: int, most: int = 5) -> tuple[Trial, int] | N
     if not chosen:
         return None
     formula = " + ".join(f"c{k + 1}*{kept[c]}" for k, c in enumerate(chosen))
-    key = f"{effect_of('law').name}@{site}"
+    law = effect_of("law")
+    key, unit = f"{law.name}@{site}", law.unit("coefficients", site, system.base.regressor.robot)
     own = tuple(
-        Parameter(f"{key}.coefficients[{k}]", "N·m", "entry", False, 0.0, widths[c], "usual size")
+        Parameter(f"{key}.coefficients[{k}]", unit, "entry", False, 0.0, widths[c], "usual size")
         for k, c in enumerate(chosen)
     )
     entry = _entry(site, formula, [0.0] * len(own))

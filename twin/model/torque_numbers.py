@@ -31,7 +31,7 @@ def numbers_of(robot: Robot) -> list[Parameter]:
     found += [Parameter(name, "rad", "axis", False, 0.0, angle, "tolerance") for name in LEANING if angle]
     for i, drive in enumerate(robot.drives, 1):
         ratio, width = drive.gear_ratio, abs(drive.gear_ratio) * tolerance.gear_ratio
-        if width:
+        if width and not robot.scatter(f"drives[{i - 1}].gear_ratio"):  # no log was converted with one that was assumed
             found.append(Parameter(f"drive{i}.gear_ratio", "1", "axis", False, ratio, width, "tolerance"))
     if tolerance.torque_gain:
         found.append(Parameter(GAIN, "1", "gain", False, 1.0, tolerance.torque_gain, "tolerance"))
