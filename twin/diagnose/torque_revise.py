@@ -171,10 +171,12 @@ def pruned(steps: Sequence[Step], system: System, doubtful: float = 10.0, last: 
             or _side_by_side(step, found[-1])
             or worth(system, step.trial.suspect) < doubtful * further
         }
-        if not shorter:
-            return system
-        needless = max(shorter, key=lambda k: base_fit(shorter[k]).evidence())
-        if base_fit(system).evidence() - base_fit(shorter[needless]).evidence() > further:
+        evidence = base_fit(system).evidence()
+        lost = {k: evidence - base_fit(rest).evidence() for k, rest in shorter.items()}
+        # of what was found last the runs kept aside had their say: it is out where next to nothing is there
+        least = {k: further if k < len(found) - 1 else calibration()["first"] for k in lost}
+        needless = min((k for k in lost if lost[k] <= least[k]), key=lambda k: lost[k], default=None)
+        if needless is None:
             return system
         found[needless].accepted, system = False, relinearised(shorter[needless])
 
