@@ -1,1 +1,1 @@
-"""Numbers from recordings: excitation, regressor, base parameters, rigid-body least squares."""
+"""Numbers from recordings: excitation, fits of springs and dampers, rigid-body least squares."""

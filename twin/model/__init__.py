@@ -1,4 +1,4 @@
-"""What the robot does: linear model, modes, FRFs, hammer tests and replay in time."""
+"""What the robot does: linear model, modes, FRFs, hammer tests, replay in time, and torque beside a motion log."""
 
 import mujoco
 
