@@ -78,7 +78,7 @@ class Example:
 class Swing:
     """A motion of all axes and its torque, as an effect may ask about them (`twin.physics.statements.LogView`)."""
 
-    highest_hz, rate_hz = 4.0, RATE_HZ
+    highest_hz, rate_hz, sample_hz = 4.0, RATE_HZ, RATE_HZ
 
     def __init__(self, robot: Robot, site: str = "") -> None:
         self.robot, self.site = robot, site

@@ -31,8 +31,6 @@ from twin.diagnose.torque_system import (
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameters, independent, join
 
-BEGUN = 4  # starts of a law that is not linear, the most promising ones, from each of which a search goes on
-
 
 def worth(system: System, suspect: Suspect) -> float:
     """Evidence lost when something found is left out and all else is refitted, at once: no less than that after."""
@@ -110,9 +108,12 @@ def start(system: System, suspect: Suspect, largest_kept: int = 20_000_000) -> T
         gain, number, u, weight = promised[0]
         rows = whitened.rows[:, number * width : (number + 1) * width] @ weight[:, None]
         return Trial(suspect, u, gain, Columns(whitened.joints, rows), Columns(whitened.joints, rows[:, :0]))
-    # a law that is not linear keeps its promise only near where it started, and may have more than one optimum
-    found = [evaluate(system, suspect, u, slopes=False) for _, _, u, _ in promised[:BEGUN]]
-    return max((reach(system, trial) for trial in found), key=lambda trial: trial.gain)
+    found: list[Trial] = []
+    for gain, _, u, _ in promised[:3]:
+        found.append(evaluate(system, suspect, u, slopes=False))
+        if found[-1].gain > 0.7 * gain:  # a law that is not linear keeps its promise only near where it started
+            break
+    return max(found, key=lambda trial: trial.gain)
 
 
 def _inside(suspect: Suspect, u: FloatArray) -> FloatArray:
