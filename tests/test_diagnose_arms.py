@@ -45,6 +45,7 @@ def test_a_resonator_of_less_than_a_gram_is_named_on_its_link(
     assert found.first.parameters["mass"]["value"] < 0.01  # not the kilogram
 
 
+@pytest.mark.slow
 def test_a_tilt_that_springs_and_links_imitate_promises_what_it_reaches(tmp_path: Path) -> None:
     """To first order it promised 15 in ln likelihood, seventeen others more; two of those stood for it then."""
     world, *_ = case("nothing", "hammer", "light", 396748954, False)

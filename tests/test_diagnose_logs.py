@@ -752,6 +752,7 @@ def test_a_ripple_has_one_amplitude_and_phase(tmp_path: Path, kr90: Robot) -> No
         assert low < true < high
 
 
+@pytest.mark.slow
 def test_a_fast_ripple_is_found_at_its_own_order_and_not_beside_it(tmp_path: Path, kr90: Robot) -> None:
     """Slopes over a step in which the wave turns by half a radian stalled one lobe of the spectrum away."""
     log = recorded(tmp_path, "--effect", "torque_ripple@joint2:amplitude=16,order=37.6,phase=-0.75")
@@ -919,9 +920,8 @@ def test_the_tx40s_wrist_is_found_to_be_coupled() -> None:
     assert found.missing[0].data()["words"] == {"from": "joint6"}
     assert not any(missing.first.effect == "stribeck_friction" for missing in found.missing)
     before, after = _held_out_rms(found)
-    known, _ = _held_out_rms(diagnose_log(tx40(), described, bands=bands_of(log)))
     assert np.all(before[4:] > [8, 2.5])
-    assert np.all(after[4:] <= known[4:])
+    assert np.all(after[4:] <= [1.22, 0.58])  # the base model's that knows it: `before` of the same log as `described`
 
 
 @pytest.mark.slow

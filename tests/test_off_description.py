@@ -75,6 +75,7 @@ def test_a_log_whose_torque_has_a_gain_names_no_rotors(log: MotionLog, kr90: Rob
     np.testing.assert_allclose(turned, [drive.rotor_inertia for drive in kr90.drives], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_a_load_that_makes_no_prediction_better_is_one_of_two(tmp_path: Path, kr90: Robot) -> None:
     """It or the link that it is on: neither is more than half likely, and weighing tells."""
     log = log_of(tmp_path, "--effect", "payload@flange:mass=190,com=1.2|-0.1|0.1")
