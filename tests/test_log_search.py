@@ -13,15 +13,16 @@ from test_diagnose_logs import recorded
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose import torque_search, torque_step
+from twin.diagnose import torque_faults, torque_search, torque_step
 from twin.diagnose.calibration import calibration
+from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.nearest import step_nearer
 from twin.diagnose.torque import _strained, base_system, diagnose_log, log_records, pooled, searched
 from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_left_out import left_out_runs, without_run
-from twin.diagnose.torque_look import decided, look
+from twin.diagnose.torque_look import decided, in_its_link, look
 from twin.diagnose.torque_nearest import nearest
 from twin.diagnose.torque_off import as_described
 from twin.diagnose.torque_revise import one_for_two
@@ -339,3 +340,40 @@ def test_a_payload_stays_where_a_moment_of_it_comes_out_below_zero(
     step: Any = SimpleNamespace(trial=SimpleNamespace(suspect=suspect))
     system: Any = None
     assert torque_step.possible(system, step) is can_be
+
+
+def test_a_link_s_centre_that_is_freed_stays_in_its_link(tmp_path: Path) -> None:
+    """A payload was told as the centre of mass of a light last link, a fifth of a metre off."""
+    prepared = prepare(recorded(tmp_path), load_robot("kr90"), "log.h5")
+    fit = base_fit(base_system(prepared), Hypothesis("parameter", "link3.com"))
+    away = fit.z.copy()
+    away[fit.parameters.names.index("link3.com.y")] += 3.0 / 0.01  # m over its tolerance
+    system = base_system(prepared)
+    assert in_its_link(system, fit)
+    assert not in_its_link(system, replace(fit, z=away))
+    assert in_its_link(system, replace(fit, z=away, hypothesis=Hypothesis("parameter", "drive3.rotor_inertia")))
+
+
+@pytest.mark.parametrize(("slope", "told"), [(1e-3, True), (1e-2, False)])
+def test_lateness_that_grows_faster_than_a_clock_can_is_physics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slope: float, told: bool
+) -> None:
+    """Friction that warms up was put back as a clock that is off by 2.9 %."""
+    (run, *_) = prepare(recorded(tmp_path), load_robot("kr90"), "log.h5").used
+    when = np.linspace(0.0, 25.0, torque_faults.BLOCKS)
+    monkeypatch.setattr(torque_faults, "_lateness", lambda *_: (when, slope * when))  # each time it is measured
+    found = torque_faults._clock(run, run.torque)
+    assert found == pytest.approx(torque_faults.REPEATED * slope if told else 0.0)
+
+
+@pytest.mark.parametrize("ratio", [0.35, -0.2])
+def test_a_coupling_between_none_and_one_to_one_is_reached_from_a_start(tmp_path: Path, ratio: float) -> None:
+    """From 0.003 and from 1 the sign of friction led to another ratio."""
+    effect = f"joint_coupling@joint2:from=3,ratio={ratio}"
+    prepared = prepare(recorded(tmp_path, "--effect", effect), load_robot("kr90"), "log.h5")
+    system = base_system(prepared)
+    (suspect,) = (
+        s for s in log_suspects(load_robot("kr90"), prepared.used) if s.name == "joint_coupling@joint2 joint3"
+    )
+    trial = settle(system, reach(system, start(system, suspect)))
+    assert own_values(suspect.hypothesis.own, trial.u)[0] == pytest.approx(ratio, rel=0.05)

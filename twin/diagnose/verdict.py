@@ -602,13 +602,14 @@ def moved_most(fit: Fitted, most: int = 3) -> list[Note]:
     names, numbers = [], []
     for k, change, off in departures(fit):
         p = fit.parameters[k]
-        if off > STRAINED:
-            continue  # is told as such
-        told = f"{p.name} is {fit.values[k]:.4g} {p.unit} (described {p.mean:.4g}, "
+        if p.kind not in ("spring", "link") or off > STRAINED:  # what is strained has a sentence of its own
+            continue
+        far = "which states no tolerance" if p.source == "usual" else f"{off:.1f} standard deviations off"
+        told = f"{p.name} is {fit.values[k]:.4g} {p.unit} (described {p.mean:.4g}, {far})"
         if p.source == "usual" and p.quantity == "stiffness" and abs(change) > np.log(MOVED_TIMES):
-            names.append(f"{told}which states no tolerance)")
-        elif p.kind in ("spring", "link") and off > MOVED:
-            numbers.append(f"{told}{off:.1f} standard deviations off)")
+            names.append(told)
+        elif off > MOVED:
+            numbers.append(told)
     names = [*names[:most], *numbers[:most]]
     if not names:
         return []

@@ -10,19 +10,10 @@ from scipy.special import ndtri
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import (
-    MotionLog,
-    MotionRun,
-    refuse_saturated,
-    refuse_without_motion,
-)
+from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion
 from twin.measure.torque_unit import unit_note
 from twin.model.base_parameters import BaseParameters, base_parameters, structural_base
-from twin.model.regressor import (
-    Regressor,
-    inertial_vector,
-    pseudo_inertia,
-)
+from twin.model.regressor import Regressor, inertial_vector, pseudo_inertia
 from twin.model.torque_rows import (
     PASSED,
     TOO_SHORT,

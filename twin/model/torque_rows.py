@@ -11,18 +11,9 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import (
-    MotionLog,
-    MotionRun,
-    check_against,
-    require_axes,
-    saturated,
-)
+from twin.measure.motion_log import MotionLog, MotionRun, check_against, require_axes, saturated
 from twin.measure.signals import advance, differentiate, lowpass
-from twin.model.regressor import (
-    Regressor,
-    rotor_body_regressor,
-)
+from twin.model.regressor import Regressor, rotor_body_regressor
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.motion import TURNING, Motion, gradual_sign
