@@ -221,15 +221,17 @@ def _spare(model: mujoco.MjModel) -> mujoco.MjData:
 
 def _points(mechanism: Mechanism, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, tuple[str, np.ndarray]]:
     """Label → body, and displacement (3, nv) in that body's frame per unit of the coordinates."""
-    found: dict[str, tuple[str, np.ndarray]] = {}
-    for name in dict.fromkeys(point.body for point in mechanism.points):
-        body, here = model.body(name).id, [point for point in mechanism.points if point.body == name]
-        rotation, shift, turn = data.xmat[body].reshape(3, 3), np.zeros((3, model.nv)), np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, shift, turn, data.xpos[body], body)
-        shift, turn = rotation.T @ shift, rotation.T @ turn
-        moved = shift + np.cross(turn.T[None], np.array([point.position for point in here])[:, None]).swapaxes(1, 2)
-        found |= {point.label: (name, jacobian) for point, jacobian in zip(here, moved, strict=True)}
-    return {point.label: found[point.label] for point in mechanism.points}
+    ids = {name: model.body(name).id for name in dict.fromkeys(point.body for point in mechanism.points)}
+    moved = {name: np.zeros((2, 3, model.nv)) for name in ids}  # shift and turn, in the world's frame
+    for name, body in ids.items():
+        mujoco.mj_jac(model, data, *moved[name], data.xpos[body], body)
+    moved = {name: data.xmat[body].reshape(3, 3).T @ moved[name] for name, body in ids.items()}
+    shift, turn = np.array([moved[point.body] for point in mechanism.points]).reshape(-1, 2, 3, model.nv).swapaxes(0, 1)
+    x, y, z = np.array([point.position for point in mechanism.points]).reshape(-1, 3).T
+    across = np.zeros((len(x), 3, 3))  # turn × position = across · turn
+    across[:, 0, 1], across[:, 1, 2], across[:, 2, 0] = z, x, y
+    shift += (across - across.swapaxes(1, 2)) @ turn
+    return {p.label: (p.body, jacobian) for p, jacobian in zip(mechanism.points, shift, strict=True)}
 
 
 def _springs(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
