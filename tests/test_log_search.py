@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 from test_diagnose_logs import recorded
 
 from tools.trials.wrong import case
@@ -16,14 +17,14 @@ from tools.truth.wrong import record
 from twin.diagnose import torque_faults, torque_search, torque_step
 from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.nearest import step_nearer
 from twin.diagnose.torque import _strained, base_system, diagnose_log, log_records, pooled, searched
 from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_left_out import left_out_runs, without_run
 from twin.diagnose.torque_look import decided, in_its_link, look
-from twin.diagnose.torque_nearest import nearest
+from twin.diagnose.torque_nearest import nearest, step_nearer
+from twin.diagnose.torque_noise import _likelihoods
 from twin.diagnose.torque_off import as_described
 from twin.diagnose.torque_revise import one_for_two
 from twin.diagnose.torque_search import _borne_out
@@ -377,3 +378,14 @@ def test_a_coupling_between_none_and_one_to_one_is_reached_from_a_start(tmp_path
     )
     trial = settle(system, reach(system, start(system, suspect)))
     assert own_values(suspect.hypothesis.own, trial.u)[0] == pytest.approx(ratio, rel=0.05)
+
+
+def test_the_likelihoods_of_noise_are_those_of_a_normal_distribution() -> None:
+    rng = np.random.default_rng(5)
+    shapes = [rng.normal(size=(40, k)) for k in (7, 60)]
+    covariances, data, power = [A @ A.T for A in shapes], rng.normal(size=40), np.array([1e-3, 0.2, 5.0])
+    expected = [
+        [multivariate_normal(cov=covariance + p * np.eye(40)).logpdf(data) for p in power] for covariance in covariances
+    ]
+    constant = -0.5 * 40 * np.log(2 * np.pi)
+    assert _likelihoods(covariances, data, power) + constant == pytest.approx(np.array(expected), rel=1e-9)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.fft
 import scipy.linalg
+from scipy.linalg.lapack import dormqr, dsytrd
 from scipy.signal import lfilter
 
 from twin.diagnose.torque_design import Block, Design
@@ -196,22 +197,42 @@ def _likeliest_noise(
     apart, together = np.abs(rows[:, None] - rows), run[:, None] == run
     y, own, more = y[rows], B[rows] @ B[rows].T, C[rows] @ C[rows].T
     best, found, power = -np.inf, np.zeros(1), np.geomspace(1e-8, 1.0, 90) * float(np.mean(y**2))
-    models = [own + share * more for share in np.geomspace(1 / C.shape[1], 1.0, 4)]
+    shares = np.geomspace(1 / C.shape[1], 1.0, 4)
     for correlation in _noises(base.runs[0], int(apart.max()) + 1):
         L = np.linalg.cholesky(together * correlation[apart] + 1e-4 * np.eye(len(rows)))
         inverse = scipy.linalg.solve_triangular(L, np.eye(len(rows)), lower=True)
         white, rest = inverse @ y, np.sum(np.log(np.diag(L)))
-        for model in models:
-            held, U = np.linalg.eigh(inverse @ model @ inverse.T)
-            variance = np.maximum(held, 0.0) + power[:, None]
-            likely = -0.5 * np.sum(np.log(variance) + (U.T @ white) ** 2 / variance, axis=1) - rest
-            k = int(np.argmax(likely))
-            if likely[k] > best:
-                best, found = float(likely[k]), power[k] * correlation
+        least, beyond = (inverse @ model @ inverse.T for model in (own, more))
+        likely = _likelihoods([least + share * beyond for share in shares], white, power).max(axis=0) - rest
+        k = int(np.argmax(likely))
+        if likely[k] > best:
+            best, found = float(likely[k]), power[k] * correlation
     found = found + rounded * np.eye(1, len(found))[0]
     whitening = prediction_filter(found[: order + 1])
     level = float(whitening @ scipy.linalg.toeplitz(found[: order + 1]) @ whitening)
     return whitening, level, float(np.sqrt(found[0]))
+
+
+def _likelihoods(covariances: Sequence[FloatArray], white: FloatArray, power: FloatArray) -> FloatArray:
+    """Ln likelihoods (models, powers) of data (m,), but for a constant, under covariances (m, m) and white noise.
+
+    Tridiagonal forms T = QᵀAQ take a quarter of the time of eigenvectors. T + power is factorised for all at once.
+    """
+    rows = len(white)
+    diagonal, beside, data = np.empty((3, rows, len(covariances), 1))
+    for k, covariance in enumerate(covariances):
+        reflectors, diagonal[:, k, 0], beside[1:, k, 0], scales, _ = dsytrd(covariance, lower=1, lwork=64 * rows)
+        turned, _, _ = dormqr("L", "T", np.asfortranarray(reflectors[1:, :-1]), scales, white[1:, None], 64)
+        data[:, k, 0] = np.append(white[0], turned)
+    pivot = np.maximum(diagonal[0] + power, power)
+    left = np.broadcast_to(data[0], pivot.shape)
+    twice = np.log(pivot) + left**2 / pivot
+    for d, b, y in zip(diagonal[1:], beside[1:], data[1:], strict=True):
+        ratio = b / pivot
+        pivot = np.maximum(d + power - b * ratio, power)  # no variance is less than the white noise's
+        left = y - ratio * left
+        twice += np.log(pivot) + left**2 / pivot
+    return np.asarray(-0.5 * twice)
 
 
 def _noises(run: Run, lags: int) -> Iterator[FloatArray]:
