@@ -438,6 +438,15 @@ def test_blows_are_found_in_a_running_record(kind: str, cell: Recorded, tmp_path
         assert posture["frequency"][-1] <= 45
 
 
+def test_a_blow_that_bounced_is_told(cell: Recorded, tmp_path: Path) -> None:
+    force = cell.force.copy()
+    force[1, 2] += 0.4 * np.roll(force[1, 2], round(0.5 * cell.rate))
+    files, plan = records(tmp_path, "wav", replace(cell, force=force))
+    path = mapped(tmp_path, makes="frf-campaign", robot="kr90", record_s=3.9, pretrigger_s=0.05, **plan)
+    (note,) = import_files(files, path).notes
+    assert note == f"upright: blow 3 at {cell.nodes[1]['label']} left out: double hit: the second has 40 % of the first"
+
+
 # --- slips -------------------------------------------------------------------------------------------------------
 
 

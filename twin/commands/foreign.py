@@ -1,6 +1,6 @@
 """``twin import``: foreign files become a hammer test or a motion log, or the map for that is guessed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from twin.importing.tables import read_tables
 from twin.measure.campaign import Campaign, write_campaign
 from twin.measure.motion_log import MotionLog, write_motion_log
 from twin.measure.recordings import UFF
+from twin.measure.spectra import judge_hits
 from twin.measure.units import ASK
 from twin.result import Result
 from twin.robot.description import load_robot
@@ -29,8 +30,8 @@ class Imported(Result):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was repaired on reading."""
-        return self.content.notes if isinstance(self.content, MotionLog) else ()
+        """What was repaired on reading, and which blows do not count."""
+        return self.content.notes if isinstance(self.content, MotionLog) else tuple(_left_out(self.content))
 
     def data(self) -> dict[str, Any]:
         """As printed with ``--json``."""
@@ -83,6 +84,14 @@ class Imported(Result):
         lines = ["; ".join(f"{h} {cell}" for h, cell in zip(header, row, strict=True) if cell) for row in self._rows()]
         lines += [f"note: {note}" for note in self.notes]
         return "\n".join([*lines, *([f"wrote {self.file}"] if self.file else [])])
+
+
+def _left_out(campaign: Campaign) -> Iterator[str]:
+    """Blows that no FRF is made of, and why."""
+    for name, posture in campaign.postures.items():
+        for row in judge_hits(posture.hits).rows if posture.hits else ():
+            if row.reason:
+                yield f"{name}: blow {row.hit + 1} at {campaign.excitation.label[row.excitation]} left out: {row.reason}"
 
 
 def import_files(files: Sequence[str | Path], map_: str | Path, out: str | Path | None = None) -> Imported:
