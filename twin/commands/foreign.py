@@ -91,7 +91,8 @@ def _left_out(campaign: Campaign) -> Iterator[str]:
     for name, posture in campaign.postures.items():
         for row in judge_hits(posture.hits).rows if posture.hits else ():
             if row.reason:
-                yield f"{name}: blow {row.hit + 1} at {campaign.excitation.label[row.excitation]} left out: {row.reason}"
+                point = campaign.excitation.label[row.excitation]
+                yield f"{name}: blow {row.hit + 1} at {point} left out: {row.reason}"
 
 
 def import_files(files: Sequence[str | Path], map_: str | Path, out: str | Path | None = None) -> Imported:

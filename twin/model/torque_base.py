@@ -49,7 +49,7 @@ class Base:
         sliding: (n,) N·m (N), dry friction whose presliding is ordinary: alike at all joints it is a tolerance of
             sgn q̇, at one joint it is ``hysteresis``.
         presliding: (m, n, travels) per run, torque of a bristle that turns round less its sign, times ``sliding``;
-            ``uneven`` the same of its size, per unit.
+            ``uneven`` the same of its size, per unit. ``bristles``: by drive, once asked for, see :func:`_bristles`.
     """
 
     regressor: Regressor
@@ -65,6 +65,7 @@ class Base:
     sliding: FloatArray
     presliding: list[FloatArray]
     uneven: list[FloatArray]
+    bristles: list[dict[int, tuple[dict[int, FloatArray], FloatArray]]]
 
     @property
     def rest(self) -> list[FloatArray]:
@@ -101,6 +102,11 @@ class Base:
     def apart(self) -> FloatArray:
         """Prior deviation (n,) of the share of a joint's dry friction that turns round otherwise than that of all."""
         return _apart(self.regressor.robot)
+
+    @cached_property
+    def travels(self) -> FloatArray:
+        """Travels (n, t), rad or m, over which a joint's dry friction may turn round."""
+        return np.array([PRESLIDING_TRAVELS[axis.type] for axis in self.regressor.robot.axes])
 
     @cached_property
     def even(self) -> FloatArray:
@@ -150,7 +156,10 @@ class Base:
                 load[:, axis] += values[column] * law
             elif roles[column] == "friction":
                 friction[:, axis] += values[column] * law
-        return State(torque, load, friction, turning, self.sliding, self._excess(values), uneven, np.ones(n))
+        return State(
+            torque, load, friction, turning, self.sliding, self._excess(values), uneven,
+            travels=self.travels, shares=shares, gain=np.ones(n),
+        )  # fmt: skip
 
     def _excess(self, values: FloatArray) -> FloatArray:
         """Dry friction (n,) of the regressor's values (p,) less ``sliding``; none where the description has none."""
@@ -185,23 +194,19 @@ def base_of(
         matrices[k] = np.concatenate([matrices[k], change], axis=2)
     inertial = _link_spread(robot, links) @ np.linalg.cholesky(covariance)
     spread = scipy.linalg.block_diag(inertial, np.diag([p.deviation for p in others]))
-    described = np.zeros(robot.axis_count)
-    for entry in robot.physics:
-        if CATALOGUE[entry.effect].part == "dry":
-            described[axis_of(entry.site)] += dry_level(entry)
+    described = _described_dry(robot)
     if sliding is None:
         sliding = described * (np.count_nonzero(described) > 1)
     sizes = _wave_sizes(robot, scale)
-    ripple, none = [], []
+    ripple = []
     for run in runs:
-        none.append(np.zeros((*run.torque.shape, len(PRESLIDING_TRAVELS["revolute"]))))
         angle = run.smooth.position[:, :, None] * np.arange(1, RIPPLE_ORDERS + 1)
         ripple.append(run.filtered(np.concatenate([np.sin(angle), np.cos(angle)], axis=2)) * np.tile(sizes, 2))
     own = [*others, *_ordinary(runs, sizes, offset, _apart(robot))]
     parameters = join(_linear(links, covariance), independent(own))
     base = Base(
         regressor, list(runs), matrices, known, np.pad(regressor.described, (0, len(numbers))), spread, parameters,
-        offset, np.maximum(USUAL_SHARE * scale, described), ripple, np.zeros(robot.axis_count), none, none,
+        offset, np.maximum(USUAL_SHARE * scale, described), ripple, sliding, [], [], [{} for _ in runs],
     )  # fmt: skip
     return with_sliding(base, sliding)
 
@@ -291,17 +296,54 @@ def dry_level(entry: Entry) -> float:
 
 def with_sliding(base: Base, sliding: FloatArray) -> Base:
     """The same with another dry friction (n,) of which presliding is ordinary."""
-    axes = base.regressor.robot.axes
-    presliding, uneven = [p.copy() for p in base.presliding], [u.copy() for u in base.uneven]
-    for j, (before, now) in enumerate(zip(base.sliding, sliding, strict=True)):
-        for k, run in enumerate(base.runs):
-            if before > 0:
-                presliding[k][:, j] *= now / before
-                uneven[k][:, j] *= now > 0
-            elif now > 0:
-                turning, uneven[k][:, j] = presliding_columns(run, j, PRESLIDING_TRAVELS[axes[j].type])
-                presliding[k][:, j] = now * turning
+    shared = _shared_friction(base.regressor.robot)
+    presliding, uneven = [], []
+    for run, bristles in zip(base.runs, base.bristles, strict=True):
+        turning, even = np.zeros((2, *run.torque.shape, base.travels.shape[1]))
+        for j in np.flatnonzero(sliding > 0).tolist():
+            if j not in bristles:
+                bristles[j] = _bristles(run, j, base.travels[j], shared.get(j, ()))
+            felt, even[:, j] = bristles[j]
+            for axis, columns in felt.items():
+                turning[:, axis] += sliding[j] * columns
+        presliding.append(turning)
+        uneven.append(even)
     return replace(base, sliding=sliding, presliding=presliding, uneven=uneven)
+
+
+def _bristles(
+    run: Run, drive: int, travels: FloatArray, shared: Sequence[tuple[int, float, float]]
+) -> tuple[dict[int, FloatArray], FloatArray]:
+    """Presliding (m, t) of a drive per unit of its dry friction, by the axes that feel it; and of its size."""
+    own, uneven = presliding_columns(run, {drive: 1.0}, travels)
+    felt = {drive: own}
+    for axis, ratio, share in shared:
+        both, _ = presliding_columns(run, {drive: 1.0, axis: ratio}, travels)
+        felt[drive] = felt[drive] + share * (both - own)
+        felt[axis] = felt.get(axis, 0.0) + ratio * share * both
+    return felt, uneven
+
+
+def _shared_friction(robot: Robot) -> dict[int, list[tuple[int, float, float]]]:
+    """By drive: axes that it turns with as described, the ratios, and the shares of its dry friction that do so."""
+    dry = _described_dry(robot)
+    found: dict[int, list[tuple[int, float, float]]] = {}
+    for entry in robot.physics:
+        drive, axis, ratio = CATALOGUE[entry.effect].spins(entry.site, entry.values)
+        if ratio:
+            shared = CATALOGUE[entry.effect].shared_dry(robot.values(entry))[1]
+            share = min(shared / dry[drive], 1.0) if dry[drive] else 1.0
+            found.setdefault(drive, []).append((axis, ratio, share))
+    return found
+
+
+def _described_dry(robot: Robot) -> FloatArray:
+    """Dry friction (n,) of the joints, N·m (N)."""
+    found = np.zeros(robot.axis_count)
+    for entry in robot.physics:
+        if CATALOGUE[entry.effect].part == "dry":
+            found[axis_of(entry.site)] += dry_level(entry)
+    return found
 
 
 def _wave_sizes(robot: Robot, scale: FloatArray, ripple: float = 1e-3) -> FloatArray:

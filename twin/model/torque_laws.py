@@ -1,6 +1,6 @@
 """The torque of entries on a run, as the model and the recording have it: laws, and the chain that records them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -15,6 +15,7 @@ from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect, Values, axis_of
 from twin.robot.description import Entry
 
+KEPT = 12  # ratios of coupled drives whose presliding is kept: the slopes at one ratio need it at one more
 USUAL_SHARE = 0.1  # of a joint's RMS torque: what a missing effect would ordinarily add
 
 
@@ -29,6 +30,8 @@ class State:
         sliding: (n,) N·m (N), dry friction that does so.
         excess: (n,) N·m (N), dry friction of the model less that, of which no law that varies with load or time knows.
         uneven: (m, n) the same of what friction has alike in both directions, per unit: at rest it holds, too.
+        travels: (n, t) rad or m, over which bristles of a joint's drive turn round; ``shares`` (n, t) of dry friction.
+        both: by drive, axis and ratio, how that turns round (m,) where the two meet, per N·m of the drive's.
         gain, delay, lag: of the recording: torque constants (n,), or (m, n) of motors that warm; lateness s; time
             constant of a low-pass of first order, s.
     """
@@ -40,6 +43,9 @@ class State:
     sliding: FloatArray = field(default_factory=lambda: np.zeros(1))
     excess: FloatArray = field(default_factory=lambda: np.zeros(1))
     uneven: FloatArray = field(default_factory=lambda: np.zeros(1))
+    travels: FloatArray = field(default_factory=lambda: np.ones((1, 0)))
+    both: dict[tuple[int, int, float], FloatArray] = field(default_factory=dict)
+    shares: FloatArray = field(default_factory=lambda: np.zeros((1, 0)))
     gain: FloatArray = field(default_factory=lambda: np.ones(1))
     delay: float = 0.0
     lag: float = 0.0
@@ -125,9 +131,27 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
         level = effect.turning(values, run.motion.velocity[:, axis])
         if even := effect.uneven(values):
             out[:, axis] += even * state.uneven[:, axis]
+    elif effect.role == "drive":
+        _turn_with_both(out, run, state, *effect.spins(entry.site, values), effect.shared_dry(values)[1])
     if np.any(level):
         out[:, axis] += level * state.turning[:, axis] / max(state.sliding[axis], 1e-300)
     return out
+
+
+def _turn_with_both(
+    out: FloatArray, run: Run, state: State, drive: int, axis: int, ratio: float, dry: float
+) -> None:  # fmt: skip
+    """Add to a torque (m, n) how dry friction turns round that a drive has where its axis and another meet, N·m."""
+    if not (ratio and dry and state.sliding[drive] and np.any(shares := state.shares[drive])):
+        return
+    if (drive, axis, ratio) not in state.both:
+        if len(state.both) >= KEPT:
+            state.both.clear()
+        bristles, sign = _bristles(run, {drive: 1.0, axis: ratio}, state.travels[drive], shares[:, None])
+        state.both[drive, axis, ratio] = run.filtered(bristles[:, 0] - shares.sum() * sign)
+    both = state.both[drive, axis, ratio]
+    out[:, axis] += ratio * dry * both
+    out[:, drive] += dry * (both - state.turning[:, drive] / state.sliding[drive])
 
 
 def _varies(effect: Effect) -> bool:
@@ -170,20 +194,51 @@ def smooth_columns(run: Run, axis: int, middle: float, half: float, speed: float
     return run.filtered(np.stack([*smooth, *stepping], -1))
 
 
-def presliding_columns(run: Run, axis: int, travels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What bristles (Dahl, 1968) of unit friction and given travels (t,) add to sgn q̇ and to its square (m, t).
+def presliding_columns(run: Run, turns: Mapping[int, float], travels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What bristles of unit friction and given travels (t,) add to the sign of ẋ and to its square (m, t).
 
-    Low-passed. Between reversals z approaches the sense of motion s as z = s + (z₀ − s) exp(−|Δq| / travel); at rest
-    it holds.
+    Low-passed. x is what turns: a sum of axes' positions, each times a factor, ``turns``.
     """
-    x = run.dense.position[:, axis]
-    sense = np.sign(np.diff(x))
-    turns = np.flatnonzero(sense[1:] != sense[:-1]) + 1
+    out, sign = _bristles(run, turns, travels, np.eye(len(travels)))
+    return run.filtered(out - sign[:, None]), run.filtered(np.abs(out) - sign[:, None] ** 2)
+
+
+def _bristles(
+    run: Run, turns: Mapping[int, float], travels: FloatArray, shares: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Torque of bristles (Dahl, 1968) on the dense clock, (nt, k) for ``shares`` (t, k) of them, and the sign of ẋ.
+
+    Between reversals z approaches the sense of motion s as z = s + (z₀ − s) exp(−|Δx| / travel); at rest it holds.
+    """
+    axes, factors = list(turns), np.array(list(turns.values()))
+    x, speed = run.recorded[:, axes] @ factors, run.dense.velocity[:, axes] @ factors
+    s, turned = reversals(x, float(np.linalg.norm(run.still[axes] * factors)))
     z = np.zeros(len(travels))
-    out = np.zeros((len(x), len(travels)))
-    for first, last in pairwise([0, *turns, len(x) - 1]):
-        passed = np.abs(x[first + 1 : last + 1, None] - x[first]) / travels
-        out[first + 1 : last + 1] = sense[first] + (z - sense[first]) * np.exp(-passed)
-        z = out[last]
-    sign = run.dense.sign(run.dense.velocity[:, axis])[:, None]
-    return run.filtered(out - sign), run.filtered(np.abs(out) - sign**2)
+    out = np.zeros((len(x), shares.shape[1]))
+    for first, last in pairwise([0, *turned, len(x) - 1]):
+        passed = np.maximum.accumulate(np.maximum(s * (x[first + 1 : last + 1] - x[first]), 0.0))
+        left = np.exp(-passed[:, None] / travels)
+        out[first + 1 : last + 1] = s * shares.sum(axis=0) + left @ ((z - s)[:, None] * shares)
+        z, s = s + (z - s) * left[-1], -s
+    return out, run.dense.sign(speed)
+
+
+def reversals(x: FloatArray, still: float) -> tuple[int, list[int]]:
+    """The sense in which x (nt,) first moves, and the samples from which it goes back by more than ``still``."""
+    step = np.diff(x)
+    moving = np.flatnonzero(step)
+    sense = np.sign(step[moving])
+    extremes = [*moving[1:][sense[1:] != sense[:-1]].tolist(), len(x) - 1]
+    way, farthest, at = 0, x[0], 0
+    first, found = 0, list[int]()
+    for k, here in zip(extremes, x[extremes].tolist(), strict=True):
+        if way == 0:
+            if abs(here - farthest) > still:
+                first = way = 1 if here > farthest else -1
+                farthest, at = here, k
+        elif way * (here - farthest) >= 0:
+            farthest, at = here, k
+        elif way * (farthest - here) > still:
+            found.append(at)
+            way, farthest, at = -way, here, k
+    return first or 1, found

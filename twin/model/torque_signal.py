@@ -14,6 +14,7 @@ import numpy as np
 import scipy.fft
 import scipy.interpolate
 import scipy.signal
+import scipy.special
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
@@ -33,6 +34,9 @@ class Run:
     Attributes:
         time: (m,) s, the campaign's clock.
         motion: (m, n) the state of the drives at the rows; ``smooth`` and ``dense`` the same on denser clocks.
+        recorded: (nt, n) rad (m), positions of the drives on the dense clock before any low-pass: it rings where an
+            axis stops, and friction remembers every small reversal.
+        still: (n,) rad (m), by which recorded positions go back without a reversal: noise, or the encoder's step.
         torque: (m, n) of the drives, N·m (N), low-passed.
         bodies: (m, n, 11 n) low-passed torque per unit of links' and rotors' parameters.
         twist: (m, n) motor minus link encoder, rad (m), low-passed, where the run has both.
@@ -46,6 +50,8 @@ class Run:
     motion: Motion
     smooth: Motion
     dense: Motion
+    recorded: FloatArray
+    still: FloatArray
     torque: FloatArray
     bodies: FloatArray
     twist: FloatArray | None
@@ -192,10 +198,41 @@ def run_of(
     for instant in run.time[cut]:
         valid &= np.abs(rows.time - instant) > 1 / (bands.fit[1] - bands.fit[0])
     twist = None if run.link_position is None else thin(run.position - run.link_position)
+    recorded, still = _recorded(run, dense, bands)
     return Run(
-        run.name, rows.time, rows, smooth, dense, wide.seen(thin(run.torque)),
+        run.name, rows.time, rows, smooth, dense, recorded, still, wide.seen(thin(run.torque)),
         thinned.reshape(count, *bodies.shape[1:]), twist, valid, bands, rows_hz, rate,
     )  # fmt: skip
+
+
+def _recorded(run: MotionRun, dense: Motion, bands: Bands, often: float = 5.0) -> tuple[FloatArray, FloatArray]:
+    """Positions (nt, n) of the drives on the dense clock as recorded, and how far (n,) they go back by noise alone.
+
+    A record of fewer than ``often`` samples per period of the motion's band misses reversals that its low-pass shows.
+    Four deviations of noise either way are no reversal, nor is the encoder's step.
+    """
+    if run.sample_rate_hz < often * bands.motion[1]:
+        return dense.position, np.zeros(dense.position.shape[1])
+    drives = run.position if dense.coupling is None else run.position @ dense.coupling.T
+    steps = np.abs(np.diff(drives, axis=0))
+    step = np.min(steps, axis=0, initial=1.0, where=steps > 1e-9)  # smaller ones are rounding
+    there = np.clip(dense.time, run.time[0], run.time[-1])
+    recorded = scipy.interpolate.PchipInterpolator(run.time, drives)(there)
+    return recorded, np.maximum(8 * scatter(drives), np.where(step < 1.0, 1.01 * step, 0.0))
+
+
+def scatter(signal: FloatArray) -> FloatArray:
+    """Standard deviation (n,) of the white noise of a signal (nt, n) that is smooth otherwise.
+
+    By the median of its differences: of orders 3 to 8 the one that holds least of the signal.
+    """
+    found, difference = np.full(signal.shape[1], np.inf), signal
+    for order in range(1, 9):
+        difference = np.diff(difference, axis=0)
+        if order > 2:
+            scale = 1.4826 / np.sqrt(scipy.special.comb(2 * order, order))
+            found = np.minimum(found, scale * np.median(np.abs(difference), axis=0))
+    return found
 
 
 def _at(time: FloatArray, signal: FloatArray, instants: FloatArray) -> FloatArray:
