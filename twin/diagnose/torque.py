@@ -122,11 +122,14 @@ def diagnose_log(
     adequate = calibration()["held_out_adequate"]
     if bands is not None or max(search.held_out_misfit, search.after.misfit) <= adequate:
         return finding
-    others = [
-        diagnose_log(asked, robot, source, hold_out=hold_out, progress=progress, bands=wider, processes=processes)
-        for wider in wider_bands(prepared, log)
-    ]
-    best = min((finding, *others), key=lambda one: one.error["after"]["held_out"])
+    best = finding
+    for wider in wider_bands(prepared, log):
+        other = diagnose_log(
+            asked, robot, source, hold_out=hold_out, progress=progress, bands=wider, processes=processes
+        )
+        if other.error["after"]["held_out"] > best.error["after"]["held_out"]:
+            break
+        best = other
     better = adequate * best.error["after"]["held_out"] ** 2 < finding.error["after"]["held_out"] ** 2
     return best if better else finding
 
@@ -500,6 +503,8 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         return "located", [*missing, _with_formula(found, fit)], 0.0, other
     if other > 0.5:
         return "unexplained", missing, 0.0, other
+    if missing and (left := search.unexplained) > calibration()["mostly"]:
+        return "unexplained", missing, 0.0, max(other, min(left, 0.99))
     if not missing and max(search.held_out_misfit, search.after.misfit) > calibration()["held_out_adequate"]:
         return "unexplained", [], 0.0, 1.0
     if not missing and word_of(first) not in ("adequate", "unexplained"):

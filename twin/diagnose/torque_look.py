@@ -172,11 +172,13 @@ def nothing_of(decision: Decision) -> Decision:
 def number_groups(system: System, turning: Collection[str] = ()) -> dict[tuple[str, str], list[int]]:
     """Numbers of the description that are one answer each: effect and site → their indices.
 
+    What was found is no description: its numbers are free.
+
     Args:
         turning: joints whose rotor's inertia is left to the effect of that name.
     """
     groups: dict[tuple[str, str], list[int]] = {}
-    for k, name in enumerate(system.parameters.names):
+    for k, name in enumerate(system.base.parameters.names):
         owner, _, quantity = name.partition(".")
         link, rotor = owner.startswith("link"), owner.removeprefix("drive")
         drive = owner.startswith("drive") and (rotor not in turning or quantity == "gear_ratio")

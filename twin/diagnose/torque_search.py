@@ -33,6 +33,8 @@ from twin.physics import effect_of
 from twin.physics.statements import Part
 
 FRICTION: tuple[Part, ...] = ("viscous", "dry")  # kinds that every joint has
+TOO_MANY = 3, 0.9
+"""Names at one joint from which they stand for one law without a name, and the probability that they do: by eye."""
 WIDENED = 6  # times that its tolerances are widened, each time by what the fit then shows
 ANOTHER_SIZE = 30.0  # times the described: a degree for a radian is 57 times; less is a number that is wrong
 
@@ -86,6 +88,14 @@ class Search:
     def found(self) -> list[Step]:
         """Those whose first answer is in the model."""
         return [step for step in self.steps if step.accepted]
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the misfit on runs kept aside that names leave, where they leave too much of it; else zero."""
+        left = max(self.held_out_misfit, self.after.misfit)
+        if not self.bare or left < calibration()["held_out_adequate"]:
+            return 0.0
+        return float(min(self.held_out_misfit / self.bare, 1.0))
 
     def reached(self, joint: int) -> float:
         """Share of what a free function would gain at a joint that names reach."""
@@ -178,7 +188,8 @@ def _found(
     search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)
     if judge:
         search.held_out_misfit, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
-    search.other = max(search.unreached(), *_outdone(search, judge), key=lambda found: found[1])
+    unnamed_there = [search.unreached(), *_outdone(search, judge), *_too_many(search)]
+    search.other = max(unnamed_there, key=lambda found: found[1])
     joint, other = search.other
     if other > 0.5:
         _locate(search, joint, judge)
@@ -286,6 +297,16 @@ def _outdone(search: Search, judge: Judge | None) -> list[tuple[int, float]]:
         for step in names:
             step.decision = replace(step.decision, probability=[(1 - other) * p for p in step.decision.probability])
     return found
+
+
+def _too_many(search: Search) -> list[tuple[int, float]]:
+    """Joints where so many names were found as are needed to stand for a law that has none, with its probability.
+
+    Waves, springs and compensators are terms of a series: three of them follow any function of a joint's angle. That
+    three effects were left out at one joint is less likely than one that nobody has named.
+    """
+    names = [step.joints for step in search.found if len(step.joints) == 1 and step.effect.part not in FRICTION]
+    return [(joints[0], TOO_MANY[1]) for joints in set(names) if names.count(joints) >= TOO_MANY[0]]
 
 
 def _first_borne_out(
