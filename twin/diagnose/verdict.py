@@ -395,6 +395,11 @@ def _finite(data: Any) -> Any:
     return data
 
 
+def _unit(unit: str) -> str:
+    """As it stands behind a number."""
+    return "" if unit == "1" else f" {unit}"
+
+
 def parameter_rows(parameters: dict[str, Any]) -> list[str]:
     """``gap 0.0002 rad   90 %: 0.00017 … 0.00024``, one line per number."""
     rows = []
@@ -405,8 +410,7 @@ def parameter_rows(parameters: dict[str, Any]) -> list[str]:
         for k, (value, (low, high)) in enumerate(zip(values, ranges, strict=True)):
             title, n = f"{name}[{k}]" if many else name, _digits(low, high)
             unit = units[min(k, len(units) - 1)]
-            told = f"{value:.{n}g}" if unit == "1" else f"{value:.{n}g} {unit}"
-            rows.append(f"{title} {told}   90 %: {low:.{n}g} … {high:.{n}g}")
+            rows.append(f"{title} {value:.{n}g}{_unit(unit)}   90 %: {low:.{n}g} … {high:.{n}g}")
     return rows
 
 
@@ -605,7 +609,7 @@ def moved_most(fit: Fitted, most: int = 3) -> list[Note]:
         if p.kind not in ("spring", "link") or off > STRAINED:  # what is strained has a sentence of its own
             continue
         far = "which states no tolerance" if p.source == "usual" else f"{off:.1f} standard deviations off"
-        told = f"{p.name} is {fit.values[k]:.4g} {p.unit} (described {p.mean:.4g}, {far})"
+        told = f"{p.name} is {fit.values[k]:.4g}{_unit(p.unit)} (described {p.mean:.4g}, {far})"
         if p.source == "usual" and p.quantity == "stiffness" and abs(change) > np.log(MOVED_TIMES):
             names.append(told)
         elif off > MOVED:
@@ -704,7 +708,7 @@ def _number_off(fit: Fitted, k: int, off: float) -> Note:
     ends = np.ravel(one["interval90"])
     value, low, high, mean = _distinct(float(fit.values[k]), float(ends[0]), float(ends[1]), p.mean)
     told = (
-        f"the fit gives {value} {p.unit} (90 %: {low} to {high}), the description {mean}: "
+        f"the fit gives {value}{_unit(p.unit)} (90 %: {low} to {high}), the description {mean}: "
         f"{off:.1f} standard deviations off"
     )
     if p.quantity == "stiffness":

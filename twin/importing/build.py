@@ -57,8 +57,10 @@ class Source:
             raise InputError(self.path, f"{field}: {taken.channels}", f"fits no channel; there are {self._some()}")
         for name in names:
             stated = self.table.channels[name].unit
-            if stated and not same(stated, taken.unit):
+            converted = taken.factor != 1.0 and not known(stated)  # currents, volts, counts
+            if stated and not same(stated, taken.unit) and not converted:
                 expected = f"the file states {stated!r}, the map {taken.unit!r}: correct the map"
+                expected += "" if known(stated) else f", or give a factor, {taken.unit} per {stated}"
                 raise InputError(self.path, f"{field}: {name}: unit", expected)
         try:
             scale = factor(taken.unit, *measures)

@@ -17,7 +17,7 @@ HAMMER = re.compile(r"(?i)hammer|force|kraft|impact")
 FRF = re.compile(r"(?i)(^|\.)(frf|h|h1|hv|accelerance)$")
 LINES = re.compile(r"(?i)(^|\.)(f|freq.*)$")
 SERIES = {  # in the order they are looked for; what others call them: URScript's RTDE, KRC, ROS, German
-    "torque": re.compile(r"(?i)tau|torque|trq|effort|moment|curr(ent|[_.])"),
+    "torque": re.compile(r"(?i)tau|torque|trq|effort|moment|curr(ent|[_.])|strom"),
     "velocity": re.compile(r"(?i)vel|qd|speed|geschw|drehzahl"),
     "acceleration": re.compile(r"(?i)acc|qdd"),
     "position": re.compile(r"(?i)pos|(^|_|\.)q([_.]?\d+)?$|axis|angle|achs|winkel"),

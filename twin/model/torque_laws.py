@@ -212,11 +212,12 @@ def _bristles(
     """
     axes, factors = list(turns), np.array(list(turns.values()))
     x, speed = run.recorded[:, axes] @ factors, run.dense.velocity[:, axes] @ factors
-    s, turned = reversals(x, float(np.linalg.norm(run.still[axes] * factors)))
+    still = float(np.linalg.norm(run.still[axes] * factors))
+    s, turned = reversals(x, still)
     z = np.zeros(len(travels))
     out = np.zeros((len(x), shares.shape[1]))
     for first, last in pairwise([0, *turned, len(x) - 1]):
-        passed = np.maximum.accumulate(np.maximum(s * (x[first + 1 : last + 1] - x[first]), 0.0))
+        passed = np.maximum.accumulate(np.maximum(s * (x[first + 1 : last + 1] - x[first]) - still, 0.0))
         left = np.exp(-passed[:, None] / travels)
         out[first + 1 : last + 1] = s * shares.sum(axis=0) + left @ ((z - s)[:, None] * shares)
         z, s = s + (z - s) * left[-1], -s

@@ -1,0 +1,108 @@
+"""How dry friction turns round in the base model of a motion log: bristles on positions as they are recorded."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twin.diagnose.torque_search import Search, _too_many
+from twin.measure.motion_log import MotionRun
+from twin.model.regressor import Regressor
+from twin.model.torque_base import base_of
+from twin.model.torque_laws import _bristles, reversals
+from twin.model.torque_rows import Bands
+from twin.model.torque_signal import Run, run_of, scatter
+from twin.robot.description import Robot, parse_robot
+
+BANDS = Bands((8.0, 10.0), (12.0, 15.0))
+TRAVELS = np.geomspace(3e-5, 5e-3, 5)
+STOP_S, BACK_S = 2.0, 4.0
+
+
+def stopping(robot: Robot, rate: float = 250.0, noise: float = 0.0, seed: int = 0) -> Run:
+    """All axes move 0.5 rad, stop at once, stand still for two seconds and move back."""
+    time = np.arange(0, 6, 1 / rate)
+    path = 0.25 * (np.clip(time, 0, STOP_S) - np.clip(time - BACK_S, 0, STOP_S))
+    position = path[:, None] * [1.0, -0.8, 0.5] + noise * np.random.default_rng(seed).normal(size=(len(time), 3))
+    run = MotionRun("stop", time, position, rate, np.random.default_rng(1).normal(size=(len(time), 3)))
+    return run_of(Regressor(robot), run, BANDS)
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-6, 2e-5])
+def test_friction_keeps_what_it_holds_through_a_standstill(kr90: Robot, noise: float) -> None:
+    """The low-pass rings there by more than the shortest travels, and an encoder's noise never rests."""
+    run = stopping(kr90, noise=noise)
+    still = (run.dense.time > STOP_S) & (run.dense.time < BACK_S)
+    assert np.ptp(run.dense.position[still, 0]) > TRAVELS[2]
+    held = _bristles(run, {0: 1.0}, TRAVELS, np.eye(5))[0][still]
+    np.testing.assert_allclose(held, 1.0, atol=1e-3)
+
+
+def test_a_drive_that_turns_with_two_axes_turns_round_where_they_do_together(kr90: Robot) -> None:
+    run = stopping(kr90, noise=3e-6)
+    together, _ = _bristles(run, {2: 1.0, 1: 0.5}, TRAVELS, np.eye(5))
+    moving = (run.dense.time > BACK_S + 1.0) & (run.dense.time < 5.9)
+    np.testing.assert_allclose(
+        together[moving], -1.0, atol=1e-3
+    )  # 0.5 q̇ of one and 0.4 of the other: still its own way
+    other, _ = _bristles(run, {2: 1.0, 1: 1.0}, TRAVELS, np.eye(5))
+    np.testing.assert_allclose(other[moving], 1.0, atol=1e-3)
+
+
+def test_friction_that_a_coupling_shares_is_felt_at_both_axes(kr90: Robot) -> None:
+    """As described: columns of a log's base model, per N·m of the drive's dry friction."""
+    data = kr90.model_dump(mode="json")
+    data["physics"].append({"effect": "joint_coupling", "site": "joint2", "from": "joint3", "ratio": 0.5})
+    run = stopping(kr90)
+    assert run.valid.any()
+    alone, coupled = base_of(Regressor(kr90), [run]), base_of(Regressor(parse_robot(data)), [run])
+    dry = coupled.sliding[2]
+    both = run.filtered(_shape(coupled.travels[2], run, {2: 1.0, 1: 0.5}))
+    np.testing.assert_allclose(coupled.presliding[0][:, 2], dry * both, atol=1e-9 * dry)
+    np.testing.assert_allclose(
+        coupled.presliding[0][:, 1], alone.presliding[0][:, 1] + 0.5 * dry * both, atol=1e-9 * dry
+    )
+
+
+def _shape(travels: np.ndarray, run: Run, turns: dict[int, float]) -> np.ndarray:
+    out, sign = _bristles(run, turns, travels, np.eye(len(travels)))
+    return out - sign[:, None]
+
+
+def test_reversals_are_where_a_signal_goes_back_by_more_than_its_noise() -> None:
+    time = np.linspace(0, 10, 4001)
+    x = np.sin(time)
+    noisy = x + 1e-4 * np.random.default_rng(1).normal(size=len(x))
+    (noise,) = scatter(noisy[:, None])
+    assert noise == pytest.approx(1e-4, rel=0.1)
+    way, found = reversals(noisy, 8 * noise)
+    assert way == 1
+    np.testing.assert_allclose(time[found], np.pi * np.array([0.5, 1.5, 2.5]), atol=0.05)
+    assert reversals(np.zeros(9), 0.0) == (1, [])
+
+
+def test_noise_is_told_from_motion_that_is_sampled_slowly() -> None:
+    """At 50 Hz third differences of 2 Hz are a hundred times such noise."""
+    time = np.arange(0, 20, 0.02)
+    noise = 1e-5 * np.random.default_rng(2).normal(size=(len(time), 1))
+    assert scatter(np.sin(4 * np.pi * time)[:, None] + noise)[0] < 5e-5
+
+
+def found(joint: int, part: str = "other") -> SimpleNamespace:
+    return SimpleNamespace(joints=(joint,), effect=SimpleNamespace(part=part))
+
+
+def test_three_names_at_one_joint_stand_for_a_law_without_a_name() -> None:
+    """A one-sided spring was told as a ripple, a cable and a compensator, 0.99 each."""
+    several = [found(2), found(2), found(2), found(1), found(2, "dry")]
+    assert _too_many(SimpleNamespace(found=several)) == [(2, 0.9)]  # type: ignore[arg-type]
+    assert not _too_many(SimpleNamespace(found=[*several[1:], found(2, "viscous")]))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("bare", "left", "share"), [(5600.0, 5500.0, 0.982), (50.0, 2.3, 0.0), (50.0, 10.0, 0.2), (0.0, 9.0, 0.0)]
+)
+def test_names_must_explain_most_of_what_a_log_is_missed_by(bare: float, left: float, share: float) -> None:
+    """One took 0.1 of 22.8 % off and was named with 0.99."""
+    search = SimpleNamespace(bare=bare, held_out_misfit=left, after=SimpleNamespace(misfit=1.0))
+    assert Search.unexplained.fget(search) == pytest.approx(share, abs=1e-3)  # type: ignore[attr-defined]
