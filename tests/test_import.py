@@ -26,6 +26,7 @@ from twin.commands.foreign import guess_map, import_files
 from twin.errors import InputError, Told
 from twin.importing.text import read as read_text
 from twin.measure.campaign import read_campaign
+from twin.measure.motion_log import read_motion_log
 
 CELL = EXAMPLES / "cell"
 G, LBF = 9.80665, 4.4482216152605
@@ -711,6 +712,21 @@ def refused(said: SimpleNamespace, named: str, written: Path) -> None:
     assert named in said.err
     assert said.err.count("\n") == 1
     assert not written.exists()
+
+
+def test_a_channel_in_amperes_is_taken_with_a_factor(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:
+    constant = 150.0
+    plan = german(tmp_path / "g.csv", replace(cell, tau=1e3 * cell.tau / constant))
+    text = (tmp_path / "g.csv").read_text(encoding="cp1252")
+    (tmp_path / "g.csv").write_text(text.replace("Moment", "Strom").replace("kNm", "A"), encoding="cp1252")
+    torque, out = {"channels": "Strom *", "unit": "N·m"}, tmp_path / "log.h5"
+    without = mapped(tmp_path, makes="motion-log", **plan | {"torque": torque})
+    refused(twin("import", tmp_path / "g.csv", "--map", without, "-o", out), "or give a factor, N·m per A", out)
+    path = mapped(tmp_path, makes="motion-log", **plan | {"torque": torque | {"factor": constant}})
+    assert twin("import", tmp_path / "g.csv", "--map", path, "-o", out).code == 0
+    (run,) = read_motion_log(out).runs.values()
+    np.testing.assert_allclose(run.torque, cell.tau, atol=1e-5 * np.abs(cell.tau).max())
+    assert "Strom 1" in guess_map([tmp_path / "g.csv"])["torque"]["channels"]
 
 
 def test_a_guessed_map_is_a_map_but_for_its_units(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:

@@ -10,8 +10,8 @@ from twin.measure.motion_log import MotionRun
 from twin.model.regressor import Regressor
 from twin.model.torque_base import base_of
 from twin.model.torque_laws import _bristles, reversals
-from twin.model.torque_rows import Bands
-from twin.model.torque_signal import Run, run_of, scatter
+from twin.model.torque_rows import Bands, scatter
+from twin.model.torque_signal import Run, run_of
 from twin.robot.description import Robot, parse_robot
 
 BANDS = Bands((8.0, 10.0), (12.0, 15.0))

@@ -8,6 +8,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+import scipy.special
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
@@ -133,6 +135,37 @@ def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1, still: float 
     return Motion(time, q, v, a, sign=lambda speed: np.where(np.abs(speed) > slow, np.sign(speed), 0.0))
 
 
+def scatter(signal: FloatArray) -> FloatArray:
+    """Standard deviation (n,) of the white noise of a signal (nt, n) that is smooth otherwise.
+
+    By the median of its differences: of orders 3 to 8 the one that holds least of the signal.
+    """
+    found, difference = np.full(signal.shape[1], np.inf), signal
+    for order in range(1, min(9, len(signal))):
+        difference = np.diff(difference, axis=0)
+        if order > 2:
+            scale = 1.4826 / np.sqrt(scipy.special.comb(2 * order, order))
+            found = np.minimum(found, scale * np.median(np.abs(difference), axis=0))
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+def stillness(position: FloatArray) -> FloatArray:
+    """By how much (n,) recorded positions (nt, n) change in an axis that does not move, rad (m).
+
+    That is four deviations of noise either way, or a step of the encoder.
+    """
+    steps = np.abs(np.diff(position, axis=0))
+    step = np.min(steps, axis=0, initial=1.0, where=steps > 1e-9)  # smaller ones are rounding
+    return np.asarray(np.maximum(8 * scatter(position), np.where(step < 1.0, 1.01 * step, 0.0)))
+
+
+def resting(run: MotionRun, about_s: float = 0.1) -> np.ndarray:
+    """Samples (nt, n) about which an axis does not move for ``about_s``, and two samples at least."""
+    around = max(2 * round(0.5 * about_s * run.sample_rate_hz) + 1, 3)
+    high, low = (f(run.position, around, axis=0) for f in (maximum_filter1d, minimum_filter1d))
+    return np.asarray(high - low <= stillness(run.position))
+
+
 def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: float = 5.0, part: int = 100_000) -> Rows:
     """A run in joint coordinates as rows: torque and all columns through the same low-pass, then thinned out.
 
@@ -144,16 +177,16 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
     rate, count = run.sample_rate_hz, len(run.time)
     bands, rows_per_hz = bands.within(rate), rows_per_hz / (1 if count <= 10 * part else 2)
     step = max(1, int(rate / (rows_per_hz * bands.fit[1])))
-    cut = run.time[saturated(run).any(axis=1)]
+    cut, rest = run.time[saturated(run).any(axis=1)], resting(run)
     if count <= part:
-        return _rows_of(regressor, run, bands, step, cut)
+        return _rows_of(regressor, run, bands, step, cut, rest)
     block, overlap = part // step * step, int(np.ceil(10 * rate / (bands.fit[1] - bands.fit[0]) / step)) * step
     rows: list[Rows] = []
     for first in range(0, count, block):
         low, high = max(first - overlap, 0), min(first + block + overlap, count)
         some: dict[str, Any] = {f.name: getattr(run, f.name) for f in fields(run)}
         some = {key: x[low:high] if isinstance(x, np.ndarray) else x for key, x in some.items()}
-        here = _rows_of(regressor, MotionRun(**some), bands, step, cut)
+        here = _rows_of(regressor, MotionRun(**some), bands, step, cut, rest[low:high])
         keep = slice((first - low) // step, (min(first + block, count) - low - 1) // step + 1)
         series = ("time", "position", "velocity", "acceleration", "torque", "known", "matrix", "turning", "valid")
         rows.append(replace(here, **{key: getattr(here, key)[keep].copy() for key in series}))
@@ -161,8 +194,10 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
     return replace(rows[0], **together, passed=np.mean([r.passed for r in rows], axis=0))
 
 
-def _rows_of(regressor: Regressor, run: MotionRun, bands: Bands, step: int, cut: FloatArray) -> Rows:
-    """Every ``step``-th sample as a row; none counts near where torque was ``cut`` off, s."""
+def _rows_of(
+    regressor: Regressor, run: MotionRun, bands: Bands, step: int, cut: FloatArray, rest: np.ndarray
+) -> Rows:  # fmt: skip
+    """Every ``step``-th sample as a row; none counts near where torque was ``cut`` off, s. Axes ``rest`` (nt, n)."""
     assert run.torque is not None
     rate = run.sample_rate_hz
 
@@ -177,6 +212,7 @@ def _rows_of(regressor: Regressor, run: MotionRun, bands: Bands, step: int, cut:
     fine = 1 if rate >= 80.0 else int(np.ceil(200.0 / rate))
     motion = motion_of_run(run, bands, coarse)
     dense = motion if fine == coarse else motion_of_run(run, bands, fine)
+    dense = holding(dense, np.repeat(rest, fine, axis=0)[: len(dense.time)])
     bodies = regressor.bodies(motion)
     n, p = regressor.robot.axis_count, len(regressor.columns)
     before = np.zeros(p)
@@ -202,6 +238,22 @@ def _rows_of(regressor: Regressor, run: MotionRun, bands: Bands, step: int, cut:
         run.name, time, motion.position[at], motion.velocity[at], motion.acceleration[at], torque - known, known,
         matrix, turning, valid, after / np.where(before > 0, before, 1), rate / step,
     )  # fmt: skip
+
+
+def holding(motion: Motion, rest: np.ndarray) -> Motion:
+    """A motion whose axes do not move where they ``rest`` (nt, n); dry friction keeps the sign there that it had.
+
+    The low-pass rings where an axis stops. What holds it at rest is unknown by nature, and in a stiff drive it is what
+    friction had when it stopped.
+    """
+
+    def sign(speed: FloatArray) -> FloatArray:
+        now = motion.sign(speed)
+        index = np.arange(len(now)).reshape(-1, *[1] * (now.ndim - 1))
+        last = np.maximum.accumulate(np.where(now != 0, index, 0), axis=0)
+        return np.where(speed == 0, np.take_along_axis(now, last, axis=0), now)
+
+    return replace(motion, velocity=np.where(rest, 0.0, motion.velocity), sign=sign)
 
 
 def lost_rotor_terms(robot: Robot, run: MotionRun, bands: Bands) -> dict[str, float]:

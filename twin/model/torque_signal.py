@@ -14,14 +14,13 @@ import numpy as np
 import scipy.fft
 import scipy.interpolate
 import scipy.signal
-import scipy.special
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion, saturated
 from twin.measure.signals import lowpass
 from twin.model.regressor import Regressor
-from twin.model.torque_rows import Bands, joint_run, motion_of_run, split
+from twin.model.torque_rows import Bands, joint_run, motion_of_run, split, stillness
 from twin.model.torque_rows import Rows as _Rows
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
@@ -209,30 +208,12 @@ def _recorded(run: MotionRun, dense: Motion, bands: Bands, often: float = 5.0) -
     """Positions (nt, n) of the drives on the dense clock as recorded, and how far (n,) they go back by noise alone.
 
     A record of fewer than ``often`` samples per period of the motion's band misses reversals that its low-pass shows.
-    Four deviations of noise either way are no reversal, nor is the encoder's step.
     """
     if run.sample_rate_hz < often * bands.motion[1]:
         return dense.position, np.zeros(dense.position.shape[1])
     drives = run.position if dense.coupling is None else run.position @ dense.coupling.T
-    steps = np.abs(np.diff(drives, axis=0))
-    step = np.min(steps, axis=0, initial=1.0, where=steps > 1e-9)  # smaller ones are rounding
     there = np.clip(dense.time, run.time[0], run.time[-1])
-    recorded = scipy.interpolate.PchipInterpolator(run.time, drives)(there)
-    return recorded, np.maximum(8 * scatter(drives), np.where(step < 1.0, 1.01 * step, 0.0))
-
-
-def scatter(signal: FloatArray) -> FloatArray:
-    """Standard deviation (n,) of the white noise of a signal (nt, n) that is smooth otherwise.
-
-    By the median of its differences: of orders 3 to 8 the one that holds least of the signal.
-    """
-    found, difference = np.full(signal.shape[1], np.inf), signal
-    for order in range(1, 9):
-        difference = np.diff(difference, axis=0)
-        if order > 2:
-            scale = 1.4826 / np.sqrt(scipy.special.comb(2 * order, order))
-            found = np.minimum(found, scale * np.median(np.abs(difference), axis=0))
-    return found
+    return scipy.interpolate.PchipInterpolator(run.time, drives)(there), stillness(drives)
 
 
 def _at(time: FloatArray, signal: FloatArray, instants: FloatArray) -> FloatArray:
