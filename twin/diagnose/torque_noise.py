@@ -273,12 +273,12 @@ def _shapes(system: "System", suspect: Suspect) -> list[list[FloatArray]]:
 def start_columns(system: "System", suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
     """The entry's torque (m, n) per run at a start, if any, and what a prior deviation of every size adds."""
     own = suspect.hypothesis.own
-    here = [] if suspect.vanishes else [system.torque(with_values(suspect.hypothesis, start))]
+    here = [] if suspect.vanishes else [system.torque(with_values(suspect.hypothesis, start), at_once=True)]
     columns = list(here)
     for k in suspect.sizes:
         shifted = start.copy()
         shifted[k] += DIFFERENCES[1] * own[k].deviation
-        moved = system.torque(with_values(suspect.hypothesis, shifted))
+        moved = system.torque(with_values(suspect.hypothesis, shifted), at_once=True)
         for still in here:
             moved = [a - b for a, b in zip(moved, still, strict=True)]
         columns.append([part / DIFFERENCES[1] for part in moved])

@@ -201,11 +201,12 @@ class System:
             at += len(found.hypothesis.own)
         return list(range(at, at + len(suspect.hypothesis.own)))
 
-    def torque(self, entries: Sequence[Entry]) -> list[FloatArray]:
-        """What entries add (m, n), run by run."""
+    def torque(self, entries: Sequence[Entry], at_once: bool = False) -> list[FloatArray]:
+        """What entries add (m, n), run by run; a coupled drive's friction may turn round ``at_once``, to begin with."""
         out = []
         for run, state in zip(self.base.runs, self.state, strict=True):
-            parts = [entry_torque(run, state, e, e.values) for e in entries]
+            known = replace(state, shares=np.zeros_like(state.shares)) if at_once else state
+            parts = [entry_torque(run, known, e, e.values) for e in entries]
             out.append(parts[0] if len(parts) == 1 else sum(parts, np.zeros_like(run.torque)))
         return out
 

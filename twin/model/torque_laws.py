@@ -15,6 +15,7 @@ from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect, Values, axis_of
 from twin.robot.description import Entry
 
+TURNED = 14.0  # travels after which a bristle has turned round, but for 1e-6
 KEPT = 12  # ratios of coupled drives whose presliding is kept: the slopes at one ratio need it at one more
 USUAL_SHARE = 0.1  # of a joint's RMS torque: what a missing effect would ordinarily add
 
@@ -214,13 +215,15 @@ def _bristles(
     x, speed = run.recorded[:, axes] @ factors, run.dense.velocity[:, axes] @ factors
     still = float(np.linalg.norm(run.still[axes] * factors))
     s, turned = reversals(x, still)
-    z = np.zeros(len(travels))
+    z, whole, far = np.zeros(len(travels)), shares.sum(axis=0), TURNED * float(travels.max())
     out = np.zeros((len(x), shares.shape[1]))
     for first, last in pairwise([0, *turned, len(x) - 1]):
         passed = np.maximum.accumulate(np.maximum(s * (x[first + 1 : last + 1] - x[first]) - still, 0.0))
-        left = np.exp(-passed[:, None] / travels)
-        out[first + 1 : last + 1] = s * shares.sum(axis=0) + left @ ((z - s)[:, None] * shares)
-        z, s = s + (z - s) * left[-1], -s
+        near = int(np.searchsorted(passed, far))
+        left = np.exp(-passed[:near, None] / travels)
+        out[first + 1 : first + 1 + near] = s * whole + left @ ((z - s)[:, None] * shares)
+        out[first + 1 + near : last + 1] = s * whole
+        z, s = np.full_like(z, s) if near < len(passed) else s + (z - s) * left[-1], -s
     return out, run.dense.sign(speed)
 
 
