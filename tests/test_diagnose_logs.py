@@ -909,6 +909,7 @@ def test_emps_from_viscous_only_comes_to_dry_and_direction_dependent_friction() 
     assert any("'pulses' is restless at" in warning for warning in found.warnings)
 
 
+@pytest.mark.slow
 @needs("tx40")
 def test_the_tx40s_wrist_is_found_to_be_coupled() -> None:
     """Nine seconds of a small robot, its axes recorded: joints 5 and 6 are predicted as when the coupling is known."""

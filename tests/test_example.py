@@ -56,6 +56,7 @@ def test_the_examples_keep_the_wheel_small() -> None:
     assert sum(file.stat().st_size for file in EXAMPLES.rglob("*") if file.is_file()) < 3e6
 
 
+@pytest.mark.slow
 def test_the_first_screen_of_the_readme_is_what_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     shown = readme_example.BLOCK.search(readme_example.README.read_text(encoding="utf-8"))

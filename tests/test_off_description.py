@@ -135,6 +135,7 @@ def test_loads_that_show_nothing_else_are_asked_beside_an_answer(monkeypatch: py
     assert asked == [[shows, relieves]]
 
 
+@pytest.mark.slow
 def test_hammer_tests_name_the_spring_that_is_wrong(tmp_path: Path) -> None:
     """By five of its deviations; the warning is an answer now."""
     case = hammer_test(tmp_path)

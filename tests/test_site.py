@@ -37,9 +37,7 @@ def test_a_notebook_is_its_page(page: str) -> None:
     assert path.read_text() == notebooks.notebook(page), "out of date: python -m tools.notebooks"
 
 
-@pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page != "tutorial-log")) for page in notebooks.PAGES]
-)
+@pytest.mark.parametrize("page", [pytest.param(page, marks=pytest.mark.slow) for page in notebooks.PAGES])
 def test_a_tutorial_runs_as_a_notebook_and_finds_what_was_concealed(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

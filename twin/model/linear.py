@@ -226,8 +226,9 @@ def _points(mechanism: Mechanism, model: mujoco.MjModel, data: mujoco.MjData) ->
     for name, body in ids.items():
         mujoco.mj_jac(model, data, *moved[name], data.xpos[body], body)
     moved = {name: data.xmat[body].reshape(3, 3).T @ moved[name] for name, body in ids.items()}
-    shift, turn = np.array([moved[point.body] for point in mechanism.points]).reshape(-1, 2, 3, model.nv).swapaxes(0, 1)
-    x, y, z = np.array([point.position for point in mechanism.points]).reshape(-1, 3).T
+    count = len(mechanism.points)
+    shift, turn = np.reshape([moved[p.body] for p in mechanism.points], (count, 2, 3, model.nv)).swapaxes(0, 1).copy()
+    x, y, z = np.reshape([point.position for point in mechanism.points], (count, 3)).T
     across = np.zeros((len(x), 3, 3))  # turn × position = across · turn
     across[:, 0, 1], across[:, 1, 2], across[:, 2, 0] = z, x, y
     shift += (across - across.swapaxes(1, 2)) @ turn
