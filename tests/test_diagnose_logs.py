@@ -371,7 +371,7 @@ def doubts(
     rows = Motion(*(x[::8] for x in (CLOCK, motion.position, motion.velocity, motion.acceleration)))
     none = np.zeros((len(rows.time), 1))
     valid, bands = np.ones(len(none), bool), Bands((8.0, 10.0), (12.0, 15.0))
-    run = Run("run", rows.time, rows, motion, motion, none, np.zeros(1), none, none, None, valid, bands, 25.0, 250.0)
+    run = Run("run", rows.time, rows, motion, motion, none, none, none, None, valid, bands, 25.0, 250.0)
     return stop_columns(run, 0, recorded_late=recorded_late)
 
 

@@ -212,13 +212,12 @@ def _bristles(
     Between reversals z approaches the sense of motion s as z = s + (z₀ − s) exp(−|Δx| / travel); at rest it holds.
     """
     axes, factors = list(turns), np.array(list(turns.values()))
-    x, speed = run.recorded[:, axes] @ factors, run.dense.velocity[:, axes] @ factors
-    still = float(np.linalg.norm(run.still[axes] * factors))
-    s, turned = reversals(x, still)
+    x, speed = run.turned[:, axes] @ factors, run.dense.velocity[:, axes] @ factors
+    s, turned = reversals(x)
     z, whole, far = np.zeros(len(travels)), shares.sum(axis=0), TURNED * float(travels.max())
     out = np.zeros((len(x), shares.shape[1]))
     for first, last in pairwise([0, *turned, len(x) - 1]):
-        passed = np.maximum.accumulate(np.maximum(s * (x[first + 1 : last + 1] - x[first]) - still, 0.0))
+        passed = np.maximum.accumulate(np.maximum(s * (x[first + 1 : last + 1] - x[first]), 0.0))
         near = int(np.searchsorted(passed, far))
         left = np.exp(-passed[:near, None] / travels)
         out[first + 1 : first + 1 + near] = s * whole + left @ ((z - s)[:, None] * shares)
@@ -227,22 +226,9 @@ def _bristles(
     return out, run.dense.sign(speed)
 
 
-def reversals(x: FloatArray, still: float) -> tuple[int, list[int]]:
-    """The sense in which x (nt,) first moves, and the samples from which it goes back by more than ``still``."""
+def reversals(x: FloatArray) -> tuple[int, list[int]]:
+    """The sense in which x (nt,) first moves, and the samples from which it goes back."""
     step = np.diff(x)
     moving = np.flatnonzero(step)
     sense = np.sign(step[moving])
-    extremes = [*moving[1:][sense[1:] != sense[:-1]].tolist(), len(x) - 1]
-    way, farthest, at = 0, x[0], 0
-    first, found = 0, list[int]()
-    for k, here in zip(extremes, x[extremes].tolist(), strict=True):
-        if way == 0:
-            if abs(here - farthest) > still:
-                first = way = 1 if here > farthest else -1
-                farthest, at = here, k
-        elif way * (here - farthest) >= 0:
-            farthest, at = here, k
-        elif way * (farthest - here) > still:
-            found.append(at)
-            way, farthest, at = -way, here, k
-    return first or 1, found
+    return int(sense[0]) if len(sense) else 1, moving[1:][sense[1:] != sense[:-1]].tolist()

@@ -159,11 +159,11 @@ def stillness(position: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(8 * scatter(position), np.where(step < 1.0, 1.01 * step, 0.0)))
 
 
-def resting(run: MotionRun, about_s: float = 0.1) -> np.ndarray:
-    """Samples (nt, n) about which an axis does not move for ``about_s``, and two samples at least."""
-    around = max(2 * round(0.5 * about_s * run.sample_rate_hz) + 1, 3)
-    high, low = (f(run.position, around, axis=0) for f in (maximum_filter1d, minimum_filter1d))
-    return np.asarray(high - low <= stillness(run.position))
+def resting(position: FloatArray, rate_hz: float, about_s: float = 0.1) -> np.ndarray:
+    """Samples (nt, n) of positions in which an axis does not move, for ``about_s`` and two samples at least."""
+    around = max(2 * round(0.5 * about_s * rate_hz) + 1, 3)
+    high, low = (f(position, around, axis=0) for f in (maximum_filter1d, minimum_filter1d))
+    return np.asarray(maximum_filter1d(high - low <= stillness(position), around, axis=0))
 
 
 def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: float = 5.0, part: int = 100_000) -> Rows:
@@ -177,7 +177,7 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
     rate, count = run.sample_rate_hz, len(run.time)
     bands, rows_per_hz = bands.within(rate), rows_per_hz / (1 if count <= 10 * part else 2)
     step = max(1, int(rate / (rows_per_hz * bands.fit[1])))
-    cut, rest = run.time[saturated(run).any(axis=1)], resting(run)
+    cut, rest = run.time[saturated(run).any(axis=1)], resting(run.position, rate)
     if count <= part:
         return _rows_of(regressor, run, bands, step, cut, rest)
     block, overlap = part // step * step, int(np.ceil(10 * rate / (bands.fit[1] - bands.fit[0]) / step)) * step

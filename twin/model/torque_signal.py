@@ -20,7 +20,7 @@ from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion, saturated
 from twin.measure.signals import lowpass
 from twin.model.regressor import Regressor
-from twin.model.torque_rows import Bands, joint_run, motion_of_run, split, stillness
+from twin.model.torque_rows import Bands, joint_run, motion_of_run, resting, split
 from twin.model.torque_rows import Rows as _Rows
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
@@ -33,9 +33,8 @@ class Run:
     Attributes:
         time: (m,) s, the campaign's clock.
         motion: (m, n) the state of the drives at the rows; ``smooth`` and ``dense`` the same on denser clocks.
-        recorded: (nt, n) rad (m), positions of the drives on the dense clock before any low-pass: it rings where an
-            axis stops, and friction remembers every small reversal.
-        still: (n,) rad (m), by which recorded positions go back without a reversal: noise, or the encoder's step.
+        turned: (nt, n) rad (m), how far drives have turned on the dense clock. A low-pass rings where one stops, and
+            noise moves it at rest; friction would remember that.
         torque: (m, n) of the drives, N·m (N), low-passed.
         bodies: (m, n, 11 n) low-passed torque per unit of links' and rotors' parameters.
         twist: (m, n) motor minus link encoder, rad (m), low-passed, where the run has both.
@@ -49,8 +48,7 @@ class Run:
     motion: Motion
     smooth: Motion
     dense: Motion
-    recorded: FloatArray
-    still: FloatArray
+    turned: FloatArray
     torque: FloatArray
     bodies: FloatArray
     twist: FloatArray | None
@@ -197,23 +195,19 @@ def run_of(
     for instant in run.time[cut]:
         valid &= np.abs(rows.time - instant) > 1 / (bands.fit[1] - bands.fit[0])
     twist = None if run.link_position is None else thin(run.position - run.link_position)
-    recorded, still = _recorded(run, dense, bands)
     return Run(
-        run.name, rows.time, rows, smooth, dense, recorded, still, wide.seen(thin(run.torque)),
+        run.name, rows.time, rows, smooth, dense, _turned(run, dense), wide.seen(thin(run.torque)),
         thinned.reshape(count, *bodies.shape[1:]), twist, valid, bands, rows_hz, rate,
     )  # fmt: skip
 
 
-def _recorded(run: MotionRun, dense: Motion, bands: Bands, often: float = 5.0) -> tuple[FloatArray, FloatArray]:
-    """Positions (nt, n) of the drives on the dense clock as recorded, and how far (n,) they go back by noise alone.
-
-    A record of fewer than ``often`` samples per period of the motion's band misses reversals that its low-pass shows.
-    """
-    if run.sample_rate_hz < often * bands.motion[1]:
-        return dense.position, np.zeros(dense.position.shape[1])
+def _turned(run: MotionRun, dense: Motion) -> FloatArray:
+    """How far (nt, n) drives have turned on the dense clock: the low-passed motion, without what it does at a rest."""
     drives = run.position if dense.coupling is None else run.position @ dense.coupling.T
-    there = np.clip(dense.time, run.time[0], run.time[-1])
-    return scipy.interpolate.PchipInterpolator(run.time, drives)(there), stillness(drives)
+    sample = np.clip(np.round((dense.time - run.time[0]) * run.sample_rate_hz).astype(int), 0, len(run.time) - 1)
+    rest = resting(drives, run.sample_rate_hz)[sample]
+    steps = np.where(rest[1:] & rest[:-1], 0.0, np.diff(dense.position, axis=0))
+    return np.asarray(dense.position[0] + np.concatenate([np.zeros((1, rest.shape[1])), np.cumsum(steps, axis=0)]))
 
 
 def _at(time: FloatArray, signal: FloatArray, instants: FloatArray) -> FloatArray:
