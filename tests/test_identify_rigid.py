@@ -24,11 +24,11 @@ from twin.measure.motion_log import (
     saturated,
     write_motion_log,
 )
-from twin.measure.signals import advance, differentiate
+from twin.measure.signals import advance, differentiate, lowpass
 from twin.measure.torque_unit import unit_note
 from twin.model.regressor import Regressor, pseudo_inertia
 from twin.model.replay import inverse_dynamics
-from twin.model.torque_rows import Bands, joint_run, relative_error, rows_of
+from twin.model.torque_rows import Bands, holding, joint_run, relative_error, rows_of
 from twin.physics.motion import Motion
 from twin.robot.description import Assumed, Robot, load_robot, parse_robot, save_robot
 
@@ -548,3 +548,25 @@ def test_axes_that_need_no_torque_tell_no_unit() -> None:
     assert unit_note(described, recorded) is None
     assert unit_note(0 * described, recorded) is None
     assert "is 20 times what the robot" in str(unit_note(described, 20 * recorded))
+
+
+def test_a_log_that_no_parameters_predict_is_told(kr90: Robot, log: MotionLog, found: Identification) -> None:
+    assert not any("Do not rely on them" in note for note in found.notes)
+    rng, runs = np.random.default_rng(0), {}
+    for name, run in log.runs.items():
+        slow = lowpass(rng.normal(size=run.torque.shape), run.sample_rate_hz, 1.0, 1.5)
+        slow *= 0.6 * run.torque.std(axis=0) / slow.std(axis=0)
+        runs[name] = replace(run, torque=run.torque + slow * [0, 1, 0])
+    (told,) = (n for n in identify(replace(log, runs=runs), kr90).notes if "Do not rely on them" in n)
+    assert "missed by joint2 " in told
+
+
+def test_dry_friction_keeps_its_sign_at_rest() -> None:
+    """A stop rings, as the low-pass does, and the axis moves on the same way."""
+    time = np.arange(0, 3, 0.01)[:, None]
+    rest = (time > 1) & (time < 2)
+    speed = np.where(rest, 1e-3 * np.sin(60 * time), -1.0)
+    motion = Motion(time[:, 0], np.cumsum(speed, axis=0) / 100, speed, np.zeros_like(speed))
+    held = holding(motion, rest)
+    assert not held.velocity[rest].any()
+    assert np.all(held.sign(held.velocity) == -1)

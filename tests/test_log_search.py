@@ -22,12 +22,12 @@ from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_left_out import left_out_runs, without_run
-from twin.diagnose.torque_look import decided, in_its_link, look
+from twin.diagnose.torque_look import decided, in_its_link, look, number_groups
 from twin.diagnose.torque_nearest import nearest, step_nearer
 from twin.diagnose.torque_noise import _likelihoods
 from twin.diagnose.torque_off import as_described
 from twin.diagnose.torque_revise import one_for_two
-from twin.diagnose.torque_search import _borne_out
+from twin.diagnose.torque_search import Search, _borne_out, _too_many
 from twin.diagnose.torque_step import Step, accepted
 from twin.diagnose.torque_suspects import Suspect, log_suspects
 from twin.diagnose.torque_system import (
@@ -389,3 +389,31 @@ def test_the_likelihoods_of_noise_are_those_of_a_normal_distribution() -> None:
     ]
     constant = -0.5 * 40 * np.log(2 * np.pi)
     assert _likelihoods(covariances, data, power) + constant == pytest.approx(np.array(expected), rel=1e-9)
+
+
+def found(joint: int, part: str = "other") -> SimpleNamespace:
+    return SimpleNamespace(joints=(joint,), effect=SimpleNamespace(part=part))
+
+
+def test_three_names_at_one_joint_stand_for_a_law_without_a_name() -> None:
+    """A one-sided spring was told as a ripple, a cable and a compensator, 0.99 each."""
+    several = [found(2), found(2), found(2), found(1), found(2, "dry")]
+    assert _too_many(SimpleNamespace(found=several)) == [(2, 0.9)]  # type: ignore[arg-type]
+    assert not _too_many(SimpleNamespace(found=[*several[1:], found(2, "viscous")]))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("bare", "left", "share"), [(5600.0, 5500.0, 0.982), (50.0, 2.3, 0.0), (50.0, 10.0, 0.2), (0.0, 9.0, 0.0)]
+)
+def test_names_must_explain_most_of_what_a_log_is_missed_by(bare: float, left: float, share: float) -> None:
+    """One took 0.1 of 22.8 % off and was named with 0.99."""
+    search = SimpleNamespace(bare=bare, held_out_misfit=left, after=SimpleNamespace(misfit=1.0))
+    assert Search.unexplained.fget(search) == pytest.approx(share, abs=1e-3)  # type: ignore[attr-defined]
+
+
+def test_a_number_of_a_find_is_no_number_of_the_description() -> None:
+    """It had its tolerance widened, and rows kept aside have no column for that."""
+    described, of_find = ["link1.mass", "drive2.gear_ratio"], "gravity_compensator@joint2.coefficients[0]"
+    both = SimpleNamespace(names=(*described, of_find))
+    system = SimpleNamespace(parameters=both, base=SimpleNamespace(parameters=SimpleNamespace(names=tuple(described))))
+    assert sorted(number_groups(system).values()) == [[0], [1]]  # type: ignore[arg-type]

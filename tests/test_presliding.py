@@ -1,16 +1,14 @@
 """How dry friction turns round in the base model of a motion log: bristles on positions as they are recorded."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from twin.diagnose.torque_search import Search, _too_many
 from twin.measure.motion_log import MotionRun
+from twin.measure.signals import scatter
 from twin.model.regressor import Regressor
 from twin.model.torque_base import base_of
 from twin.model.torque_laws import _bristles, reversals
-from twin.model.torque_rows import Bands, scatter
+from twin.model.torque_rows import Bands
 from twin.model.torque_signal import Run, run_of
 from twin.robot.description import Robot, parse_robot
 
@@ -84,23 +82,3 @@ def test_noise_is_told_from_motion_that_is_sampled_slowly() -> None:
     time = np.arange(0, 20, 0.02)
     noise = 1e-5 * np.random.default_rng(2).normal(size=(len(time), 1))
     assert scatter(np.sin(4 * np.pi * time)[:, None] + noise)[0] < 5e-5
-
-
-def found(joint: int, part: str = "other") -> SimpleNamespace:
-    return SimpleNamespace(joints=(joint,), effect=SimpleNamespace(part=part))
-
-
-def test_three_names_at_one_joint_stand_for_a_law_without_a_name() -> None:
-    """A one-sided spring was told as a ripple, a cable and a compensator, 0.99 each."""
-    several = [found(2), found(2), found(2), found(1), found(2, "dry")]
-    assert _too_many(SimpleNamespace(found=several)) == [(2, 0.9)]  # type: ignore[arg-type]
-    assert not _too_many(SimpleNamespace(found=[*several[1:], found(2, "viscous")]))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("bare", "left", "share"), [(5600.0, 5500.0, 0.982), (50.0, 2.3, 0.0), (50.0, 10.0, 0.2), (0.0, 9.0, 0.0)]
-)
-def test_names_must_explain_most_of_what_a_log_is_missed_by(bare: float, left: float, share: float) -> None:
-    """One took 0.1 of 22.8 % off and was named with 0.99."""
-    search = SimpleNamespace(bare=bare, held_out_misfit=left, after=SimpleNamespace(misfit=1.0))
-    assert Search.unexplained.fget(search) == pytest.approx(share, abs=1e-3)  # type: ignore[attr-defined]

@@ -7,7 +7,7 @@ from itertools import cycle
 import numpy as np
 
 from twin.diagnose.calibration import calibration
-from twin.diagnose.torque_fit import base_fit, evaluate, fitted, from_every_start, refine, settle, worth
+from twin.diagnose.torque_fit import base_fit, evaluate, fitted, refine, settle, worth
 from twin.diagnose.torque_judge import Judge
 from twin.diagnose.torque_look import decided, look, widened_fits
 from twin.diagnose.torque_step import REFITTED, Step, accepted, freed_by, left_out, own_rows, possible
@@ -15,13 +15,11 @@ from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import (
     System,
     Trial,
-    extended,
     own_prior,
     own_values,
     relinearised,
     unshrunk,
     with_wider,
-    without,
 )
 from twin.measure.campaign import FloatArray
 from twin.physics.effect import axis_of
@@ -88,22 +86,6 @@ def revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judg
             again.trials[again.key] = unshrunk(again.trial)
             again.accepted, again.held = True, step.held
             steps[number], system = again, other
-    return system
-
-
-def settled_anew(steps: Sequence[Step], system: System) -> System:
-    """The model with the numbers of laws that step (``profiled``) where they fit best beside all else.
-
-    They were settled when other things were missing. Steps that meet leave them in an optimum that is none any more.
-    """
-    for step in steps:
-        if step.accepted and step.trial is not None and step.effect.profiled:
-            suspect = next(s for s in system.found if s.name == step.trial.suspect.name)
-            rest = without(system, suspect)
-            here = evaluate(rest, suspect, system.z[system.own(suspect)])
-            best = from_every_start(rest, here)
-            if best.gain > here.gain + calibration()["tie"]:
-                system = relinearised(extended(rest, best))
     return system
 
 

@@ -21,7 +21,7 @@ from twin.diagnose.torque_discover import discover, unnamed
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, from_every_start, refine, settle, start, worth
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_look import decided, look, nothing_of
-from twin.diagnose.torque_revise import all_grown, one_for_two, pruned, revised, settled_anew
+from twin.diagnose.torque_revise import all_grown, one_for_two, pruned, revised
 from twin.diagnose.torque_step import REFITTED, Step, accepted, left_out, what_is_left, with_step
 from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, Trial, extended, relinearised, unshrunk, with_doubts, with_wider
@@ -33,8 +33,6 @@ from twin.physics import effect_of
 from twin.physics.statements import Part
 
 FRICTION: tuple[Part, ...] = ("viscous", "dry")  # kinds that every joint has
-TOO_MANY = 3, 0.9
-"""Names at one joint from which they stand for one law without a name, and the probability that they do: by eye."""
 WIDENED = 6  # times that its tolerances are widened, each time by what the fit then shows
 ANOTHER_SIZE = 30.0  # times the described: a degree for a radian is 57 times; less is a number that is wrong
 
@@ -181,8 +179,7 @@ def _found(
         system = one_for_two(steps, pruned(steps, system), suspects, judge, processes)
         system = with_doubts(all_grown(steps, system, judge))
     first = steps[0]  # beside the base model alone; what takes its place later stands beside other finds
-    system = settled_anew(steps, revised(steps, system, suspects, judge))
-    system = pruned(steps, system, last=True)
+    system = pruned(steps, revised(steps, system, suspects, judge), last=True)
     system = with_doubts(all_grown(steps, system, judge))
     left = free_gains(system, processes, judge)
     search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)
@@ -305,8 +302,9 @@ def _too_many(search: Search) -> list[tuple[int, float]]:
     Waves, springs and compensators are terms of a series: three of them follow any function of a joint's angle. That
     three effects were left out at one joint is less likely than one that nobody has named.
     """
+    numbers = calibration()
     names = [step.joints for step in search.found if len(step.joints) == 1 and step.effect.part not in FRICTION]
-    return [(joints[0], TOO_MANY[1]) for joints in set(names) if names.count(joints) >= TOO_MANY[0]]
+    return [(joints[0], numbers["series_other"]) for joints in set(names) if names.count(joints) >= numbers["series"]]
 
 
 def _first_borne_out(

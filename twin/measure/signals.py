@@ -1,8 +1,10 @@
-"""Motion signals of a controller trace: tapered low-pass, differentiation, resampling and alignment."""
+"""Motion signals of a controller trace: tapered low-pass, differentiation, resampling, alignment, noise and rests."""
 
 import numpy as np
 import scipy.fft
+import scipy.special
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from twin.measure.campaign import FloatArray
 
@@ -117,3 +119,34 @@ def differentiate(
                 law = law.deriv() - np.polynomial.Polynomial([0, 2 / width**2]) * law
     q, v, a = (lowpass(rest, sample_rate_hz, pass_hz, stop_hz, k, upsample) + put_back[k] for k in range(3))
     return q, v, a
+
+
+def scatter(signal: FloatArray) -> FloatArray:
+    """Standard deviation (n,) of the white noise of a signal (nt, n) that is smooth otherwise.
+
+    By the median of its differences: of orders 3 to 8 the one that holds least of the signal.
+    """
+    found, difference = np.full(signal.shape[1], np.inf), signal
+    for order in range(1, min(9, len(signal))):
+        difference = np.diff(difference, axis=0)
+        if order > 2:
+            scale = 1.4826 / np.sqrt(scipy.special.comb(2 * order, order))
+            found = np.minimum(found, scale * np.median(np.abs(difference), axis=0))
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+def stillness(position: FloatArray) -> FloatArray:
+    """By how much (n,) recorded positions (nt, n) change in an axis that does not move, rad (m).
+
+    That is four deviations of noise either way, or a step of the encoder.
+    """
+    steps = np.abs(np.diff(position, axis=0))
+    step = np.min(steps, axis=0, initial=1.0, where=steps > 1e-9)  # smaller ones are rounding
+    return np.asarray(np.maximum(8 * scatter(position), np.where(step < 1.0, 1.01 * step, 0.0)))
+
+
+def resting(position: FloatArray, rate_hz: float, about_s: float = 0.1) -> np.ndarray:
+    """Samples (nt, n) of positions in which an axis does not move, for ``about_s`` and two samples at least."""
+    around = max(2 * round(0.5 * about_s * rate_hz) + 1, 3)
+    high, low = (f(position, around, axis=0) for f in (maximum_filter1d, minimum_filter1d))
+    return np.asarray(maximum_filter1d(high - low <= stillness(position), around, axis=0))

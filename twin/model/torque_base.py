@@ -49,7 +49,7 @@ class Base:
         sliding: (n,) N·m (N), dry friction whose presliding is ordinary: alike at all joints it is a tolerance of
             sgn q̇, at one joint it is ``hysteresis``.
         presliding: (m, n, travels) per run, torque of a bristle that turns round less its sign, times ``sliding``;
-            ``uneven`` the same of its size, per unit. ``bristles``: by drive, once asked for, see :func:`_bristles`.
+            ``uneven`` the same of its size, per unit. ``bristles``: by drive, see :func:`_presliding_felt`.
     """
 
     regressor: Regressor
@@ -302,7 +302,7 @@ def with_sliding(base: Base, sliding: FloatArray) -> Base:
         turning, even = np.zeros((2, *run.torque.shape, base.travels.shape[1]))
         for j in np.flatnonzero(sliding > 0).tolist():
             if j not in bristles:
-                bristles[j] = _bristles(run, j, base.travels[j], shared.get(j, ()))
+                bristles[j] = _presliding_felt(run, j, base.travels[j], shared.get(j, ()))
             felt, even[:, j] = bristles[j]
             for axis, columns in felt.items():
                 turning[:, axis] += sliding[j] * columns
@@ -311,7 +311,7 @@ def with_sliding(base: Base, sliding: FloatArray) -> Base:
     return replace(base, sliding=sliding, presliding=presliding, uneven=uneven)
 
 
-def _bristles(
+def _presliding_felt(
     run: Run, drive: int, travels: FloatArray, shared: Sequence[tuple[int, float, float]]
 ) -> tuple[dict[int, FloatArray], FloatArray]:
     """Presliding (m, t) of a drive per unit of its dry friction, by the axes that feel it; and of its size."""

@@ -217,7 +217,7 @@ def _bristles(
     z, whole, far = np.zeros(len(travels)), shares.sum(axis=0), TURNED * float(travels.max())
     out = np.zeros((len(x), shares.shape[1]))
     for first, last in pairwise([0, *turned, len(x) - 1]):
-        passed = np.maximum.accumulate(np.maximum(s * (x[first + 1 : last + 1] - x[first]), 0.0))
+        passed = np.abs(x[first + 1 : last + 1] - x[first])
         near = int(np.searchsorted(passed, far))
         left = np.exp(-passed[:near, None] / travels)
         out[first + 1 : first + 1 + near] = s * whole + left @ ((z - s)[:, None] * shares)

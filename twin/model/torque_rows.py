@@ -8,13 +8,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-import scipy.special
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, check_against, require_axes, saturated
-from twin.measure.signals import advance, differentiate, lowpass
+from twin.measure.signals import advance, differentiate, lowpass, resting
 from twin.model.regressor import Regressor, rotor_body_regressor
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
@@ -133,37 +131,6 @@ def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1, still: float 
     slow = still * float(np.max(noise)) * 2 * np.pi * band[1] * np.sqrt(2 * band[1] / (3 * rate))
     time = run.time[0] + np.arange(len(q)) / (rate * upsample)
     return Motion(time, q, v, a, sign=lambda speed: np.where(np.abs(speed) > slow, np.sign(speed), 0.0))
-
-
-def scatter(signal: FloatArray) -> FloatArray:
-    """Standard deviation (n,) of the white noise of a signal (nt, n) that is smooth otherwise.
-
-    By the median of its differences: of orders 3 to 8 the one that holds least of the signal.
-    """
-    found, difference = np.full(signal.shape[1], np.inf), signal
-    for order in range(1, min(9, len(signal))):
-        difference = np.diff(difference, axis=0)
-        if order > 2:
-            scale = 1.4826 / np.sqrt(scipy.special.comb(2 * order, order))
-            found = np.minimum(found, scale * np.median(np.abs(difference), axis=0))
-    return np.where(np.isfinite(found), found, 0.0)
-
-
-def stillness(position: FloatArray) -> FloatArray:
-    """By how much (n,) recorded positions (nt, n) change in an axis that does not move, rad (m).
-
-    That is four deviations of noise either way, or a step of the encoder.
-    """
-    steps = np.abs(np.diff(position, axis=0))
-    step = np.min(steps, axis=0, initial=1.0, where=steps > 1e-9)  # smaller ones are rounding
-    return np.asarray(np.maximum(8 * scatter(position), np.where(step < 1.0, 1.01 * step, 0.0)))
-
-
-def resting(position: FloatArray, rate_hz: float, about_s: float = 0.1) -> np.ndarray:
-    """Samples (nt, n) of positions in which an axis does not move, for ``about_s`` and two samples at least."""
-    around = max(2 * round(0.5 * about_s * rate_hz) + 1, 3)
-    high, low = (f(position, around, axis=0) for f in (maximum_filter1d, minimum_filter1d))
-    return np.asarray(maximum_filter1d(high - low <= stillness(position), around, axis=0))
 
 
 def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: float = 5.0, part: int = 100_000) -> Rows:

@@ -18,9 +18,9 @@ import scipy.signal
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion, saturated
-from twin.measure.signals import lowpass
+from twin.measure.signals import lowpass, resting
 from twin.model.regressor import Regressor
-from twin.model.torque_rows import Bands, joint_run, motion_of_run, resting, split
+from twin.model.torque_rows import Bands, joint_run, motion_of_run, split
 from twin.model.torque_rows import Rows as _Rows
 from twin.physics.motion import Motion
 from twin.robot.description import Robot
