@@ -82,9 +82,30 @@ def pseudo_inertia(vector: np.ndarray) -> np.ndarray:
     return P
 
 
+@dataclass(frozen=True)
+class _Placement:
+    """A frame in the one before, Rx(α) Tx(a) Rz(θ) Tz(d): cosines and sines of α and of θ (nt,), position (3, nt)."""
+
+    ca: float
+    sa: float
+    c: np.ndarray
+    s: np.ndarray
+    p: np.ndarray
+
+    def inside(self, x: np.ndarray) -> np.ndarray:
+        """A vector (3, nt) of the frame before, in this frame: Rᵀx."""
+        y = self.ca * x[1] + self.sa * x[2]
+        return np.array([self.c * x[0] + self.s * y, self.c * y - self.s * x[0], self.ca * x[2] - self.sa * x[1]])
+
+    def outside(self, x: np.ndarray) -> np.ndarray:
+        """A vector (3, nt) of this frame, in the frame before: Rx."""
+        y = self.s * x[0] + self.c * x[1]
+        return np.array([self.c * x[0] - self.s * x[1], self.ca * y - self.sa * x[2], self.sa * y + self.ca * x[2]])
+
+
 @dataclass
 class _Frame:
-    """A frame's motion in its own axes: ω, ω̇, acceleration of its origin less gravity (nt, 3); joint twists (nt, 3)."""
+    """A frame's motion in its own axes: ω, ω̇, acceleration of its origin less gravity (3, nt); joint twists (3, nt)."""
 
     spin: np.ndarray
     spin_rate: np.ndarray
@@ -101,11 +122,25 @@ def link_regressor(robot: Robot, motion: Motion) -> np.ndarray:
     """
     nt, n = motion.position.shape
     Y = np.zeros((nt, n, 10 * n))
-    for i, frame in enumerate(_frames(robot, motion)):
-        wrench = _wrench(frame)
+    for i, (_, frame) in enumerate(_frames(robot, motion)):
         for j in range(i + 1):
-            Y[:, j, 10 * i : 10 * i + 10] = _power(frame, j, wrench)
+            Y[:, j, 10 * i : 10 * i + 10] = _per_parameter(frame, j).T
     return Y
+
+
+def link_torque(robot: Robot, motion: Motion, links: np.ndarray) -> np.ndarray:
+    """Torque (nt, n) of links with parameters (n, 10), through the gears: recursive Newton–Euler, outward and back."""
+    frames = list(_frames(robot, motion, twists=False))
+    torque = np.empty_like(motion.position)
+    force = moment = np.zeros((3, len(torque)))
+    for i in reversed(range(len(frames))):
+        place, frame = frames[i]
+        own_force, own_moment = _wrench(frame, links[i])
+        force, moment = force + own_force, moment + own_moment
+        torque[:, i] = (force if robot.axes[i].type == "prismatic" else moment)[2]
+        force = place.outside(force)
+        moment = place.outside(moment) + _cross(place.p, force)
+    return torque
 
 
 def rotor_body_regressor(robot: Robot, motion: Motion) -> np.ndarray:
@@ -117,117 +152,103 @@ def rotor_body_regressor(robot: Robot, motion: Motion) -> np.ndarray:
     motion = motion.on(robot)
     nt, n = motion.position.shape
     Y = np.zeros((nt, n, 4 * n))
-    frames = [_ground(robot, nt), *_frames(robot, motion)]
+    frames = [_ground(robot, nt), *(frame for _, frame in _frames(robot, motion))]
     for i, (axis, drive) in enumerate(zip(robot.axes, robot.drives, strict=True)):
         if axis.type == "prismatic" or drive.coupling:
             raise ValueError(f"drive {i + 1}: rotors as bodies are for uncoupled revolute axes")
         q, v, a = (drive.gear_ratio * x[:, i] for x in (motion.position, motion.velocity, motion.acceleration))
-        rotor = _next(robot, frames[i], i, q, v, a)
+        rotor = _next(frames[i], _placement(robot, i, q), False, v, a)
         rotor.turn[i] = rotor.turn[i] * drive.gear_ratio
-        wrench = _wrench(rotor)[:, :, [0, 4, 5, 6]]
         for j in range(i + 1):
-            Y[:, j, 4 * i : 4 * i + 4] = _power(rotor, j, wrench)
+            Y[:, j, 4 * i : 4 * i + 4] = _per_parameter(rotor, j)[[0, 4, 5, 6]].T
     return Y
 
 
 def flange_path(robot: Robot, position: np.ndarray) -> np.ndarray:
     """Flange point (nt, 3) in the base frame, m, for joint positions (nt, n)."""
     position = position + robot.encoder_zeros
-    R = np.broadcast_to(matrix_of(np.array(robot.base.quaternion)), (len(position), 3, 3))
-    x = np.broadcast_to(np.array(robot.base.position), (len(position), 3))
-    for i in range(robot.axis_count):
-        A, p = _placement(robot, i, position[:, i])
-        x, R = x + np.einsum("tab,tb->ta", R, p), R @ A
-    return x + R @ np.array(robot.flange.position)
+    x = np.repeat(np.array(robot.flange.position)[:, None], len(position), axis=1)
+    for i in reversed(range(robot.axis_count)):
+        place = _placement(robot, i, position[:, i])
+        x = place.p + place.outside(x)
+    return np.array(robot.base.position) + x.T @ matrix_of(np.array(robot.base.quaternion)).T
 
 
-def _placement(robot: Robot, i: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (nt, 3, 3) and position (nt, 3) of frame i in the one before, Rx(α) Tx(a) Rz(θ) Tz(d)."""
+def _placement(robot: Robot, i: int, q: np.ndarray) -> _Placement:
     axis = robot.axes[i]
     slide = axis.type == "prismatic"
     alpha, theta = np.deg2rad(axis.alpha_deg), np.deg2rad(axis.theta_deg) + (0 * q if slide else q)
     d = axis.d + (q if slide else 0 * q)
-    ca, sa, c, s = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
-    R = np.zeros((len(q), 3, 3))
-    R[:, 0, 0], R[:, 0, 1] = c, -s
-    R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = s * ca, c * ca, -sa
-    R[:, 2, 0], R[:, 2, 1], R[:, 2, 2] = s * sa, c * sa, ca
-    return R, np.stack([axis.a + 0 * d, -sa * d, ca * d], -1)
+    ca, sa = float(np.cos(alpha)), float(np.sin(alpha))
+    return _Placement(ca, sa, np.cos(theta), np.sin(theta), np.array([axis.a + 0 * d, -sa * d, ca * d]))
 
 
 def _ground(robot: Robot, nt: int) -> _Frame:
-    still = np.zeros((nt, 3))
+    still = np.zeros((3, nt))
     up = -matrix_of(np.array(robot.base.quaternion)).T @ robot.felt_gravity
-    return _Frame(still, still, np.broadcast_to(up, (nt, 3)), [], [])
+    return _Frame(still, still, np.repeat(up[:, None], nt, axis=1), [], [])
 
 
-def _frames(robot: Robot, motion: Motion) -> Iterator[_Frame]:
+def _frames(robot: Robot, motion: Motion, twists: bool = True) -> Iterator[tuple[_Placement, _Frame]]:
+    """Every frame, from the first, with its motion; ``twists`` of all joints before it, if asked for."""
     frame = _ground(robot, len(motion.position))
-    for i in range(robot.axis_count):
-        frame = _next(robot, frame, i, motion.position[:, i], motion.velocity[:, i], motion.acceleration[:, i])
-        yield frame
+    for i, axis in enumerate(robot.axes):
+        place = _placement(robot, i, motion.position[:, i])
+        slides = axis.type == "prismatic"
+        frame = _next(frame, place, slides, motion.velocity[:, i], motion.acceleration[:, i], twists)
+        yield place, frame
 
 
-def _next(robot: Robot, before: _Frame, i: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> _Frame:
-    R, p = _placement(robot, i, q)
+def _next(
+    before: _Frame, place: _Placement, slides: bool, v: np.ndarray, a: np.ndarray, twists: bool = True
+) -> _Frame:  # fmt: skip
+    spin, spin_rate, p = place.inside(before.spin), place.inside(before.spin_rate), place.p
+    carried = before.acceleration + _cross(before.spin_rate, p) + _cross(before.spin, _cross(before.spin, p))
+    acceleration = place.inside(carried)
+    x, y = spin[0], spin[1]
+    if slides:  # ω × z v = (ω_y, −ω_x, 0) v
+        acceleration += np.array([2 * y * v, -2 * x * v, a])
+    else:
+        spin_rate += np.array([y * v, -x * v, a])
+        spin = np.array([x, y, spin[2] + v])
+    if not twists:
+        return _Frame(spin, spin_rate, acceleration, [], [])
+    turn = [place.inside(t) for t in before.turn]
+    shift = [place.inside(s + _cross(t, p)) for s, t in zip(before.shift, before.turn, strict=True)]
+    along, none = np.zeros((2, *p.shape))
+    along[2] = 1
+    return _Frame(
+        spin, spin_rate, acceleration, [*turn, none if slides else along], [*shift, along if slides else none]
+    )
 
-    def seen(x: np.ndarray) -> np.ndarray:
-        return np.einsum("tba,tb->ta", R, x)
 
-    def at(x: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        return seen(x + _cross(turn, p))
-
-    z = np.zeros_like(p)
-    z[:, 2] = 1
-    spin, spin_rate = seen(before.spin), seen(before.spin_rate)
-    acceleration = seen(before.acceleration + _cross(before.spin_rate, p) + _cross(before.spin, _cross(before.spin, p)))
-    turn = [seen(t) for t in before.turn]
-    shift = [at(s, t) for s, t in zip(before.shift, before.turn, strict=True)]
-    rate, gain = v[:, None] * z, a[:, None] * z
-    if robot.axes[i].type == "prismatic":
-        acceleration = acceleration + 2 * _cross(spin, rate) + gain
-        return _Frame(spin, spin_rate, acceleration, [*turn, 0 * z], [*shift, z])
-    spin_rate = spin_rate + _cross(spin, rate) + gain
-    return _Frame(spin + rate, spin_rate, acceleration, [*turn, z], [*shift, 0 * z])
-
-
-def _wrench(frame: _Frame) -> np.ndarray:
-    """Force and moment about the origin (nt, 6, 10) a body needs, per unit of its ten parameters."""
+def _wrench(frame: _Frame, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Force, and moment about the origin, (3, nt) each, that a body with parameters (10,) needs."""
     w, dw, a = frame.spin, frame.spin_rate, frame.acceleration
-    W = np.zeros((len(a), 6, 10))
-    W[:, :3, 0] = a
-    ww = w[:, :, None] * w[:, None, :]
-    W[:, :3, 1:4] = _cross_matrix(dw) + ww - np.einsum("taa->t", ww)[:, None, None] * np.eye(3)
-    W[:, 3:, 1:4] = -_cross_matrix(a)
-    W[:, 3:, 4:] = _inertia_times(dw) + _cross_matrix(w) @ _inertia_times(w)
-    return W
+    mc, inertia = np.repeat(body[1:4, None], w.shape[1], axis=1), inertia_matrix(body[4:].tolist())
+    force = body[0] * a + _cross(dw, mc) + _cross(w, _cross(w, mc))
+    return force, inertia @ dw + _cross(w, inertia @ w) + _cross(mc, a)
 
 
-def _power(frame: _Frame, joint: int, wrench: np.ndarray) -> np.ndarray:
-    """Torque of a joint that a wrench (nt, 6, m) on the frame's body asks for, by virtual power."""
-    twist = np.concatenate([frame.shift[joint], frame.turn[joint]], -1)
-    return np.einsum("tk,tkc->tc", twist, wrench)
+def _per_parameter(frame: _Frame, joint: int) -> np.ndarray:
+    """Torque of a joint per unit of the ten parameters of a body on a frame (10, nt), by virtual power."""
+    w, dw, a, s, t = frame.spin, frame.spin_rate, frame.acceleration, frame.shift[joint], frame.turn[joint]
+    out, u = np.empty((10, w.shape[1])), _cross(t, w)
+    out[0] = _dot(s, a)
+    out[1:4] = _cross(s, dw) - _cross(t, a) + _dot(s, w) * w - _dot(w, w) * s
+    out[4:7] = t * dw + u * w
+    for k, (x, y) in enumerate(((0, 1), (0, 2), (1, 2)), 7):
+        out[k] = t[x] * dw[y] + t[y] * dw[x] + u[x] * w[y] + u[y] * w[x]
+    return out
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a × b over the last axis; np.cross spends most of its time on shapes."""
-    (a0, a1, a2), (b0, b1, b2) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
-    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
-
-
-def _cross_matrix(x: np.ndarray) -> np.ndarray:
-    out = np.zeros((len(x), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -x[:, 2], x[:, 1], -x[:, 0]
-    return out - out.transpose(0, 2, 1)
-
-
-def _inertia_times(x: np.ndarray) -> np.ndarray:
-    """(nt, 3, 6): I x as a matrix times (Ixx, Iyy, Izz, Ixy, Ixz, Iyz)."""
-    out = np.zeros((len(x), 3, 6))
-    out[:, 0, 0], out[:, 0, 3], out[:, 0, 4] = x.T
-    out[:, 1, 3], out[:, 1, 1], out[:, 1, 5] = x.T
-    out[:, 2, 4], out[:, 2, 5], out[:, 2, 2] = x.T
-    return out
+    """a × b over the first axis; np.cross spends most of its time on shapes."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def rotor_regressor(robot: Robot, motion: Motion) -> np.ndarray:
@@ -321,12 +342,7 @@ class Regressor:
         motion = seen.of_axes
         vectors = np.array([inertial_vector(*link.inertial) for link in self.robot.links])
         vectors += self.weights.reshape(vectors.shape)
-        total = np.zeros_like(motion.position)
-        for i, frame in enumerate(_frames(self.robot, motion)):
-            wrench = _wrench(frame) @ vectors[i][:, None]
-            for j in range(i + 1):
-                total[:, j] += _power(frame, j, wrench)[:, 0]
-        return seen.seen(total)
+        return seen.seen(link_torque(self.robot, motion, vectors))
 
     @property
     def weights(self) -> np.ndarray:
@@ -349,14 +365,21 @@ class Regressor:
                 total[axis] = total.get(axis, 0.0) + torque
         return total
 
-    def laws(self, motion: Motion) -> list[tuple[int, int, np.ndarray]]:
-        """Columns of entries and offsets, which step where an axis turns back: (column, axis, torque (nt,)) each."""
+    def laws(self, motion: Motion, role: str = "") -> list[tuple[int, int, np.ndarray]]:
+        """Columns of entries and offsets, which step where an axis turns back: (column, axis, torque (nt,)) each.
+
+        With a ``role`` those of effects that have it alone.
+        """
         motion = motion.on(self.robot)
         out = []
         k = 11 * self.robot.axis_count
         for entry in self.entries:
             effect = CATALOGUE[entry.effect]
-            for part in effect.linear_parts(entry.values):
+            parts = effect.linear_parts(entry.values)
+            if role and role != effect.role:
+                k += len(parts)
+                continue
+            for part in parts:
                 torques = effect.felt(motion, entry.site, part.values)
                 out += [(k, axis, torque) for axis, torque in torques.items()]
                 if effect.part:
@@ -364,7 +387,7 @@ class Regressor:
                     out += [(k, axis, torque) for axis, torque in carried.items()]
                 k += 1
         names = self.robot.joint_names
-        for column in range(k, len(self.columns)):
+        for column in range(k, k if role else len(self.columns)):
             out.append((column, names.index(self.columns[column].name.partition("@")[2]), np.ones(len(motion.time))))
         return out
 
@@ -385,7 +408,7 @@ class Regressor:
         recorded, motion = motion, motion.on(self.robot)
         total = np.zeros_like(motion.position)
         if weights.any():
-            total += motion.seen(link_regressor(self.robot, motion.of_axes) @ weights)
+            total += motion.seen(link_torque(self.robot, motion.of_axes, weights.reshape(n, 10)))
         if any(effect.role != "drive" for effect, _ in fixed):  # such laws act on load and friction as described
             Y = self.evaluate(recorded)
             load = self.select("link")

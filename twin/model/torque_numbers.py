@@ -13,7 +13,6 @@ from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, axis_parameters, independent
 from twin.model.regressor import Regressor
 from twin.model.torque_signal import Run
-from twin.physics import CATALOGUE
 from twin.physics.gravity_direction import GravityDirection
 from twin.physics.joint_offset import JointOffset
 from twin.physics.motion import Motion
@@ -77,10 +76,8 @@ def number_columns(regressor: Regressor, run: Run, numbers: Sequence[Parameter])
 def _through_gears(regressor: Regressor, motion: Motion) -> FloatArray:
     """Torque (nt, n) of bodies and of laws of position, as described."""
     torque = regressor.carried_torque(motion)
-    for column, axis, law in regressor.laws(motion):
-        effect = regressor.columns[column].name.partition("@")[0]
-        if effect in CATALOGUE and CATALOGUE[effect].role == "load":
-            torque[:, axis] += regressor.columns[column].value * law
+    for column, axis, law in regressor.laws(motion, "load"):
+        torque[:, axis] += regressor.columns[column].value * law
     return torque
 
 
