@@ -59,7 +59,7 @@ from twin.model.replay import inverse_dynamics
 from twin.model.torque_base import APART, PRESLIDING, _apart
 from twin.model.torque_laws import State, entry_torque, model_torque
 from twin.model.torque_rows import Bands, in_joints
-from twin.model.torque_signal import Run, bands_of, prepare, thinned
+from twin.model.torque_signal import Run, bands_of, prepare
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot, parse_robot
@@ -434,7 +434,7 @@ def test_play_shows_in_the_difference_of_two_encoders(tmp_path: Path, kr90: Robo
 def test_low_pass_and_thinning_in_one_step_are_those_in_two(rows: int, step: int) -> None:
     signal = np.cumsum(np.random.default_rng(0).normal(size=((rows - 1) * step + 1, 2)), axis=0)
     expected = lowpass(signal, 25.0 * step, 8.0, 10.0)[::step]
-    np.testing.assert_allclose(thinned(signal, 25.0, step, 8.0, 10.0), expected, atol=1e-9)
+    np.testing.assert_allclose(lowpass(signal, 25.0 * step, 8.0, 10.0, every=step), expected, atol=1e-9)
 
 
 def test_a_design_kept_by_joint_is_the_dense_matrix() -> None:

@@ -123,7 +123,7 @@ def stop_columns(
         boxes = size * np.diff(_before(ends - samples), axis=1)
         if end > round(at):
             boxes = np.column_stack([boxes, held * ((samples >= here) & (samples < end - near.start * step))])
-        columns = lowpass(boxes, dense_hz, *run.bands.fit)[::step]
+        columns = lowpass(boxes, dense_hz, *run.bands.fit, every=step)
         found.append((slice(near.start, near.stop + 1), columns))
     return found
 

@@ -1,8 +1,12 @@
 """Motion signals of a controller trace: tapered low-pass, differentiation, resampling, alignment, noise and rests."""
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
 import scipy.fft
 import scipy.special
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
@@ -11,7 +15,7 @@ from twin.measure.campaign import FloatArray
 
 def lowpass(
     signal: FloatArray, sample_rate_hz: float, pass_hz: float, stop_hz: float, derivative: int = 0, upsample: int = 1,
-    delay_s: float = 0.0, lag_s: float = 0.0,
+    delay_s: float = 0.0, lag_s: float = 0.0, every: int = 1,
 ) -> FloatArray:  # fmt: skip
     """Low-pass with a cosine taper from ``pass_hz`` to ``stop_hz``, zero phase, and differentiate in the same step.
 
@@ -26,40 +30,67 @@ def lowpass(
         upsample: samples returned per sample given; every ``upsample``-th is at the time of one given.
         delay_s: by which what is returned is late.
         lag_s: time constant of a low-pass of first order that what is returned has passed.
+        every: samples given per sample returned, which hold all of the band; nt − 1 is a multiple of it.
 
     Returns:
-        (nt, …), or (``upsample`` (nt − 1) + 1, …).
+        (nt, …), or (``upsample`` (nt − 1) / ``every`` + 1, …).
     """
     signal = np.asarray(signal, float)
-    count = len(signal)
-    # The filter's memory is a few 1/(stop − pass); the rest of the circle is chosen for a fast transform.
-    memory = min(count - 1, int(np.ceil(10 * sample_rate_hz / (stop_hz - pass_hz))))
-    after = min(count - 1, scipy.fft.next_fast_len(count + 2 * memory - 1, real=True) + 1 - count - memory)
-    extended = np.concatenate(
-        [2 * signal[:1] - signal[memory:0:-1], signal, 2 * signal[-1:] - signal[-2 : -2 - after : -1]]
-    )
-    # a straight line through the ends makes the extended record periodic
-    ramp = np.linspace(0, 1, len(extended)).reshape(-1, *[1] * (signal.ndim - 1))
-    slope = (extended[-1] - extended[0]) * sample_rate_hz / (len(extended) - 1)
-    start = extended[:1].copy()
-    extended -= start + (extended[-1:] - start) * ramp
-    circle = len(extended) - 1
-    spectrum = scipy.fft.rfft(extended[:-1], axis=0)
-    frequency = np.fft.rfftfreq(circle, 1 / sample_rate_hz)
-    phase = np.clip((frequency - pass_hz) / (stop_hz - pass_hz), 0, 1)
-    gain = 0.5 * (1 + np.cos(np.pi * phase)) * (2j * np.pi * frequency) ** derivative
-    if delay_s:
-        gain = gain * np.exp(-2j * np.pi * frequency * delay_s)
-    if lag_s:
-        gain = gain / (1 + 2j * np.pi * frequency * lag_s)
-    filtered = scipy.fft.irfft(spectrum * gain.reshape(-1, *[1] * (signal.ndim - 1)), circle * upsample, axis=0)
-    middle = upsample * filtered[memory * upsample : (memory + count - 1) * upsample + 1]
+    last = len(signal) - 1
+    circle = _circle(last, sample_rate_hz, pass_hz, stop_hz, every)
+    extended = np.empty((circle.count, *signal.shape[1:]))
+    ahead, behind = extended[: circle.before], extended[circle.before + last + 1 :]
+    np.subtract(2 * signal[0], signal[circle.before : 0 : -1], out=ahead)
+    extended[circle.before : circle.before + last + 1] = signal
+    np.subtract(2 * signal[-1], signal[last - 1 : last - 1 - len(behind) : -1], out=behind)
+    # without a straight line from its first sample to the one that would come next, the extended record is periodic
+    start = extended[0].copy()
+    rise = 2 * signal[-1] - signal[last - len(behind) - 1] - start
+    spectrum = scipy.fft.rfft(extended, axis=0)[: len(circle.gain)]
+    broad = (-1, *[1] * (signal.ndim - 1))
+    spectrum[0] -= circle.count * start
+    spectrum -= rise * circle.ramp.reshape(broad)
+    gain = circle.gain
+    if derivative or delay_s or lag_s:
+        s = 2j * np.pi * circle.frequency
+        gain = gain * s**derivative * np.exp(-s * delay_s) / (1 + s * lag_s)
+    spectrum *= (upsample / every * gain).reshape(broad)
+    filtered = scipy.fft.irfft(spectrum, circle.count * upsample // every, axis=0)
+    middle = filtered[circle.before * upsample // every :][: last * upsample // every + 1]
+    slope = rise / circle.count  # per sample
     if derivative == 1:
-        middle += slope
+        middle += slope * sample_rate_hz
     elif derivative == 0:
-        time = (memory + np.arange(len(middle)) / upsample) / sample_rate_hz - delay_s
-        middle += start + slope * time.reshape(-1, *[1] * (signal.ndim - 1))
-    return middle
+        passed = circle.before + np.arange(len(middle)) * (every / upsample) - delay_s * sample_rate_hz
+        middle += start + slope * passed.reshape(broad)
+    return np.asarray(middle)
+
+
+@dataclass(frozen=True)
+class _Circle:
+    """The period of ``count`` samples on which a signal is low-passed, ``before`` of them ahead of it.
+
+    Of the lines that pass: ``frequency`` Hz, ``gain``, and the spectrum ``ramp`` of a line that rises by one.
+    """
+
+    count: int
+    before: int
+    frequency: FloatArray
+    gain: FloatArray
+    ramp: NDArray[np.complex128]
+
+
+@lru_cache(maxsize=64)
+def _circle(last: int, rate_hz: float, pass_hz: float, stop_hz: float, every: int) -> _Circle:
+    """For a signal of ``last`` intervals; the filter's memory is a few 1/(stop − pass), the rest makes it fast."""
+    memory = min(last, int(np.ceil(10 * rate_hz / (stop_hz - pass_hz) / every)) * every)
+    length = every * scipy.fft.next_fast_len((last + 2 * memory) // every, real=True)
+    count = last + memory + min(last, length - last - memory)
+    lines = np.arange(min(count // 2, int(stop_hz * count / rate_hz)) + 1)
+    frequency = lines * rate_hz / count
+    gain = 0.5 * (1 + np.cos(np.pi * np.clip((frequency - pass_hz) / (stop_hz - pass_hz), 0, 1)))
+    ramp = np.concatenate([[(count - 1) / 2], 1 / np.expm1(-2j * np.pi * lines[1:] / count)])
+    return _Circle(count, memory, frequency, gain, ramp)
 
 
 def resample(time: FloatArray, signal: FloatArray, instants: FloatArray) -> FloatArray:

@@ -150,16 +150,18 @@ class Base:
         torque += turning + self.even * uneven
         load = on_dense(run, run.bodies[:, :, :links] @ (values[:links] + self.regressor.weights))
         friction = np.zeros_like(load)
-        roles = [effect_named(c.name.partition("@")[0]).role for c in self.regressor.columns]
-        for column, axis, law in self.regressor.laws(run.dense):
-            if roles[column] == "load":
-                load[:, axis] += values[column] * law
-            elif roles[column] == "friction":
-                friction[:, axis] += values[column] * law
+        for part, laws in zip((load, friction), self._laws[k], strict=True):
+            for column, axis, law in laws:
+                part[:, axis] += values[column] * law
         return State(
             torque, load, friction, turning, self.sliding, self._excess(values), uneven,
             travels=self.travels, shares=shares, gain=np.ones(n),
         )  # fmt: skip
+
+    @cached_property
+    def _laws(self) -> list[tuple[list[tuple[int, int, FloatArray]], ...]]:
+        """Of every run on the dense clock, laws of position that go through the gears, and of friction."""
+        return [tuple(self.regressor.laws(run.dense, role) for role in ("load", "friction")) for run in self.runs]
 
     def _excess(self, values: FloatArray) -> FloatArray:
         """Dry friction (n,) of the regressor's values (p,) less ``sliding``; none where the description has none."""

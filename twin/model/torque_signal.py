@@ -8,10 +8,8 @@ to what the band holds.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
-import scipy.fft
 import scipy.interpolate
 import scipy.signal
 
@@ -61,61 +59,7 @@ class Run:
     def filtered(self, law: FloatArray) -> FloatArray:
         """A law's torque (nt, …) on the dense or the smooth clock, low-passed at the rows (m, …)."""
         step = (len(law) - 1) // (len(self.time) - 1)
-        return thinned(law, self.rate_hz, step, *self.bands.fit)
-
-
-def thinned(signal: FloatArray, rate_hz: float, step: int, pass_hz: float, stop_hz: float) -> FloatArray:
-    """``lowpass`` of a signal (step (m − 1) + 1, …) at every ``step``-th sample (m, …), which hold all of its band.
-
-    Args:
-        signal: ``step`` times as dense as the rows.
-        rate_hz: of the rows, above twice ``stop_hz``.
-        step: samples per row.
-        pass_hz, stop_hz: gain one below, zero above.
-    """
-    circle = _circle(len(signal) - 1, rate_hz, step, pass_hz, stop_hz)
-    ends = (
-        2 * signal[:1] - signal[circle.before : 0 : -1],
-        signal,
-        2 * signal[-1:] - signal[-2 : -2 - circle.after : -1],
-    )
-    extended = np.concatenate(ends)  # by its point reflection; a line through its ends makes it periodic
-    start, rise = extended[:1].copy(), extended[-1:] - extended[:1]
-    broad = (-1, *[1] * (signal.ndim - 1))
-    extended -= start
-    extended -= rise * circle.line.reshape(broad)
-    spectrum = scipy.fft.rfft(extended[:-1], axis=0)[: len(circle.gain)]
-    spectrum *= circle.gain.reshape(broad)
-    filtered = scipy.fft.irfft(spectrum, circle.rows, axis=0)
-    along = circle.line[circle.before :: step][: (len(signal) - 1) // step + 1]
-    return np.asarray(filtered[circle.before // step :][: len(along)] + start + rise * along.reshape(broad))
-
-
-@dataclass(frozen=True)
-class _Circle:
-    """The period on which a signal is low-passed.
-
-    Samples are added ``before`` and ``after`` the signal. ``rows`` is the number of rows of the period, ``line`` a line
-    over all its samples from zero to one. ``gain`` is that of the spectrum's lines.
-    """
-
-    before: int
-    after: int
-    rows: int
-    line: FloatArray
-    gain: FloatArray
-
-
-@lru_cache(maxsize=64)
-def _circle(last: int, rate_hz: float, step: int, pass_hz: float, stop_hz: float) -> _Circle:
-    memory = min(last, int(np.ceil(10 * rate_hz / (stop_hz - pass_hz))) * step)
-    rows = scipy.fft.next_fast_len(last // step + 2 * memory // step, real=True)
-    after = min(last, rows * step - last - memory)
-    rows = (last + memory + after) // step
-    lines = np.arange(min((last + memory + after) // 2, rows // 2) + 1)
-    phase = np.clip((lines * rate_hz / rows - pass_hz) / (stop_hz - pass_hz), 0, 1)
-    gain = 0.5 * (1 + np.cos(np.pi * phase)) / step
-    return _Circle(memory, after, rows, np.linspace(0, 1, last + memory + after + 1), gain)
+        return lowpass(law, self.rate_hz * step, *self.bands.fit, every=step)
 
 
 def bands_of(
@@ -188,7 +132,7 @@ def run_of(
     flat = bodies.reshape(len(smooth.time), -1)
     used = np.flatnonzero(np.any(flat != 0, axis=0))
     thinned = np.zeros((count, flat.shape[1]))
-    thinned[:, used] = lowpass(flat[:, used], rows_hz * coarse, *bands.fit)[::coarse]
+    thinned[:, used] = lowpass(flat[:, used], rows_hz * coarse, *bands.fit, every=coarse)
     trim = 3 / stop
     valid = (rows.time > run.time[0] + trim) & (rows.time < run.time[-1] - trim)
     cut = saturated(run).any(axis=1)
