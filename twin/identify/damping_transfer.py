@@ -91,6 +91,8 @@ class Transfer:
             return f"damping elsewhere: not tested; within a factor of {self.factor90:.2g}, as on the KR90 of Table 7"
         postures = ", ".join(dict.fromkeys(miss.posture for miss in self.misses))
         ratios = [miss.predicted / miss.measured for miss in self.misses]
+        if max(self.factor90, max(ratios), 1 / min(ratios)) < 1.01:
+            return f"damping elsewhere: predicted within 1 % of what was measured in {postures}"
         return (
             f"damping elsewhere: predicted at {min(ratios):.2g} to {max(ratios):.2g} of what was measured in "
             f"{postures}; within a factor of {self.factor90:.2g} (90 %)"
