@@ -142,6 +142,7 @@ def test_the_report_stands_alone_with_all_figures_and_modes_to_view(
     assert "modes-after.rrd" in shown.out
 
 
+@pytest.mark.slow
 def test_a_complete_model_is_adequate_and_is_written_all_the_same(
     tmp_path: Path, twin: Callable[..., SimpleNamespace]
 ) -> None:

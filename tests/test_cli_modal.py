@@ -1,7 +1,5 @@
 """``twin modal`` as a user runs it, on recordings of the independent truth code."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -9,19 +7,17 @@ import numpy as np
 import pytest
 from test_kr90 import TABLE_7
 
+from tools.truth.__main__ import main as truth
 from twin.measure.campaign import read_campaign
 from twin.measure.modal_table import read_modal_table
 from twin.measure.uff import write_uff
-
-ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("truth") / "measured.h5"
     options = ["--nominal", "--seed", "4", "--spacing-hz", "0.25", "--lines", "140", "--robot", "kr90"]
-    command = [sys.executable, "-m", "tools.truth", "campaign", "--out", str(path), *options]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    assert truth(["campaign", "--out", str(path), *options]) == 0
     return path
 
 

@@ -85,6 +85,7 @@ def diagnosed(case: Case, *effects: str) -> tuple[Decision, Fitted, Search]:
     return decide(fits, base, among, kept=kept, unnamed=lambda fit: free_laws(fit, case.sample)), base, search
 
 
+@pytest.mark.slow
 def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> None:
     case = recorded(tmp_path, "--seed", "11", "--postures", "4")
     decision, base, search = diagnosed(case)

@@ -457,6 +457,7 @@ def test_a_design_kept_by_joint_is_the_dense_matrix() -> None:
     np.testing.assert_allclose(design.across((1,), columns), columns.T @ dense[7:])
 
 
+@pytest.mark.slow
 def test_a_law_outside_the_vocabulary_is_located_and_not_named(tmp_path: Path, kr90: Robot) -> None:
     """A torque 300 v₁ cos(q₁) at joint 1: a law is discovered, and it holds on runs not used."""
     log = recorded(tmp_path, "--nominal")

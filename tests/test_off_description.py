@@ -63,6 +63,7 @@ def test_a_log_names_the_rotor_that_is_wrong(log: MotionLog, kr90: Robot) -> Non
     assert rotor == pytest.approx(true, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_log_whose_torque_has_a_gain_names_no_rotors(log: MotionLog, kr90: Robot) -> None:
     """Torque that turns the rotors is recorded with the same gain as that of the links."""
     runs = {name: replace(run, torque=0.85 * np.asarray(run.torque)) for name, run in log.runs.items()}

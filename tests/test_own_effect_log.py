@@ -113,6 +113,7 @@ def test_a_law_of_ones_own_is_stepped_in_time(kr90: Robot, own: None) -> None:
     assert np.sqrt(np.mean((stepped - expected)[50:] ** 2)) < 0.03 * np.sqrt(np.mean(expected**2))
 
 
+@pytest.mark.slow
 def test_an_effect_that_states_its_torque_alone_is_found(tmp_path: Path, kr90: Robot, own: None) -> None:
     """200 |q̇| sin q added to joint 1 of a recording, by another formula than the effect's."""
     log = read_motion_log(recorded(tmp_path))

@@ -27,7 +27,7 @@ from twin.robot.description import load_robot
     [
         pytest.param("unit_g_channel", "hammer", 411, "unit", marks=pytest.mark.slow),
         pytest.param("swapped_channels", "hammer", 441, "swapped_channels", marks=pytest.mark.slow),
-        ("clock", "log", 313, "clock"),
+        pytest.param("clock", "log", 313, "clock", marks=pytest.mark.slow),
         pytest.param("reversed_torque", "log", 314, "reversed_channel", marks=pytest.mark.slow),
         pytest.param("degrees", "log", 315, "unit", marks=pytest.mark.slow),
     ],

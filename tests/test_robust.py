@@ -53,7 +53,7 @@ from twin.robot.urdf import read_urdf
 from twin.stopping import TIMED_OUT, Stopped, hold, stoppable
 from twin.yamlfile import read_yaml
 
-SLICE = 40  # cases; `python -m tools.fuzz` runs thousands
+SLICE = 24  # cases; `python -m tools.fuzz` runs thousands
 
 Twin = Callable[..., SimpleNamespace]
 

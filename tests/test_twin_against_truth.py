@@ -4,14 +4,13 @@ Truth: screw Jacobians and a gravity Hessian in numpy. Twin: MuJoCo. Where the t
 (how a bent link's mass is divided; the little inertia a moving foot has in MuJoCo) the agreement asked for is looser.
 """
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tools.truth.__main__ import main
 from tools.truth.chain import flange_position
 from tools.truth.chain import inverse_dynamics as rigid_torque
 from tools.truth.robots import described as written_out
@@ -32,13 +31,9 @@ from twin.robot.description import Drive, Robot, parse_robot
 from twin.robot.frames import between_links
 from twin.robot.mechanism import assemble
 
-ROOT = Path(__file__).parents[1]
-
 
 def truth(*arguments: str | Path) -> None:
-    subprocess.run(
-        [sys.executable, "-m", "tools.truth", *map(str, arguments)], cwd=ROOT, check=True, capture_output=True
-    )
+    assert main([*map(str, arguments)]) == 0
 
 
 def described(kr90: Robot, effect: str, site: str, values: dict[str, object], points: list[dict[str, object]]) -> Robot:
