@@ -894,6 +894,9 @@ def test_what_is_far_off_is_told_with_its_interval_farthest_first() -> None:
     assert f"(90 %: {low:.3g} to {high:.3g})" in spring
     assert "4.0 standard deviations off" in spring
     assert spring.data()["sites"] == ["joint1.z.stiffness"]
+    _, warned, *numbers = strained(replace(fit, misfit=4.0))
+    assert "correct none of them yet" in warned
+    assert [n.sites for n in numbers] == [damper.sites, spring.sites]
 
 
 def test_a_bend_is_that_of_both_sides(tmp_path: Path) -> None:

@@ -648,6 +648,12 @@ def off_descriptions(fit: Fitted, numbers: Sequence[tuple[int, float]]) -> list[
     told = ONE_BY_ONE if len(numbers) > ONE_BY_ONE + 1 else len(numbers)
     first, rest = numbers[:told], numbers[told:]
     notes = [_number_off(fit, k, off) for k, off in first]
+    if numbers and fit.misfit > calibration()["held_out_adequate"]:
+        text = (
+            "the model still misses the recording. Numbers of the description that it has far off may stand for what is "
+            "missing: correct none of them yet"
+        )
+        notes.insert(0, Note(text))
     if rest:
         names = tuple(fit.parameters[k].name for k, _ in rest)
         among = ", ".join(names[:ONE_BY_ONE]) + (", …" if len(names) > ONE_BY_ONE else "")
