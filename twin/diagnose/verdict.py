@@ -650,8 +650,8 @@ def off_descriptions(fit: Fitted, numbers: Sequence[tuple[int, float]]) -> list[
     notes = [_number_off(fit, k, off) for k, off in first]
     if numbers and fit.misfit > calibration()["held_out_adequate"]:
         text = (
-            "the model still misses the recording. Numbers of the description that it has far off may stand for what is "
-            "missing: correct none of them yet"
+            "the model still misses the recording. Numbers that it has far off their description may stand for what "
+            "is missing: correct none of them yet"
         )
         notes.insert(0, Note(text))
     if rest:
