@@ -5,7 +5,7 @@ recordings show that, predictions become better with it, so it stays in the fits
 ``triage``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
 from twin.identify.objective import Sample
+from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, Parameters
 from twin.physics.chain import node_of
 from twin.robot.description import Robot
@@ -30,15 +31,39 @@ def allowed(fit: Fitted, robot: Robot) -> tuple[Hypothesis, ...]:
     """The pieces of a fit whose numbers together are as near to their description as all but ``RARE`` of such are."""
     found, at = [], len(fit.z) - len(fit.hypothesis.own)
     for piece in fit.hypothesis.pieces:
-        values = fit.values[at : at + len(piece.own)]
         at += len(piece.own)
         width = [_tolerance(piece, p, robot) for p in piece.own]
         if not width or None in width:
             continue
-        off = (values - [p.mean for p in piece.own]) / np.maximum(np.array(width, float), 1e-300)
-        if off @ off <= 2 * gammaincinv(len(off) / 2, 1 - RARE):  # χ² of so many numbers
+        own = np.arange(at - len(piece.own), at)
+        if astray(fit, own, np.array(width, float)) <= most_astray(len(own)):
             found.append(piece)
     return tuple(found)
+
+
+def astray(fit: Fitted, own: np.ndarray, tolerance: FloatArray) -> float:
+    """χ² of a fit's numbers about their description: how far off the data alone have them, doubt of both beside.
+
+    A number that the data hardly know may come out far off under its wide prior, and says nothing.
+
+    Args:
+        fit: under priors wider than the tolerances.
+        own: (k,) indices of the numbers, which have independent priors.
+        tolerance: (k,) in their units, one standard deviation.
+    """
+    some = [fit.parameters[k] for k in own]
+    width = np.maximum(tolerance, 1e-300) / [p.mean if p.log else 1.0 for p in some]
+    x, misfit = (fit.parameters.root @ fit.z)[own], max(1.0, fit.misfit)
+    both = np.linalg.inv(fit.covariance[np.ix_(own, own)] / misfit)  # of the data and of the prior
+    data = both - np.diag([p.deviation**-2 for p in some])
+    information, axes = np.linalg.eigh(data * np.outer(width, width))
+    pull, known = axes.T @ (width * (both @ x)), information > 1e-9
+    return float(np.sum(pull[known] ** 2 / (information * (information + misfit))[known]))
+
+
+def most_astray(count: int, among: int = 1) -> float:
+    """χ² of so many numbers within their tolerance, beyond which one in ``RARE`` is, or the farthest of several."""
+    return float(2 * gammaincinv(count / 2, 1 - RARE / among))
 
 
 def members(fit: Fitted, piece: Hypothesis) -> list[Hypothesis]:
@@ -48,18 +73,26 @@ def members(fit: Fitted, piece: Hypothesis) -> list[Hypothesis]:
     """
     if piece.law is not None or not piece.own or "node:*" not in piece.site:
         return []
-    values = dict(zip(fit.parameters.names, fit.values, strict=True))
-    nodes: dict[str, list[Parameter]] = {}
-    for p in piece.own:
-        nodes.setdefault(node_of(p.site.partition(".")[0]), []).append(p)
-    found = []
+    found, nodes = [], _by_node(piece.own)
     for node, own in nodes.items():
-        off = np.array([(values[p.name] - p.mean) / p.deviation for p in own]) * DOUBT
-        if off @ off > 2 * gammaincinv(len(own) / 2, 1 - RARE / len(nodes)):
+        if _node_astray(fit, own) > most_astray(len(own), len(nodes)):
             alone = replace(piece, site=piece.site.replace("node:*", node), own=tuple(own))
             rest = tuple(p for p in piece.own if p not in own)
             found += [alone, together(alone, replace(piece, own=rest))] if rest else [alone]
     return found
+
+
+def _by_node(own: Iterable[Parameter]) -> dict[str, list[Parameter]]:
+    nodes: dict[str, list[Parameter]] = {}
+    for p in own:
+        nodes.setdefault(node_of(p.site.partition(".")[0]), []).append(p)
+    return nodes
+
+
+def _node_astray(fit: Fitted, own: Sequence[Parameter]) -> float:
+    """:func:`astray` of the numbers of a node that a hypothesis frees."""
+    names = fit.parameters.names
+    return astray(fit, np.array([names.index(p.name) for p in own]), np.array([p.deviation for p in own]) / DOUBT)
 
 
 def _tolerance(piece: Hypothesis, parameter: Parameter, robot: Robot) -> float | None:
@@ -92,31 +125,40 @@ def without(robot: Robot, pieces: tuple[Hypothesis, ...]) -> Robot:
 
 
 def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
-    """What was found and is allowed, in one sentence; a warning where a node is farther off than one tolerance."""
+    """What was found and is allowed, in one sentence; a warning where a node is farther off than a tolerance allows.
+
+    Args:
+        pieces: free beyond their tolerances.
+        fit: under their tolerances or beyond.
+    """
     if not pieces:
         return []
-    values = dict(zip(fit.parameters.names, fit.values, strict=True))
     sites = [piece.site if piece.law is None else piece.key for piece in pieces]
     names = ", ".join(f"{EVERY_NODE[site]} ({site})" if site in EVERY_NODE else site for site in sites)
     text = f"{names}: a little off, within the description's tolerances. Every fit took that into account: no finding"
     places = [piece for piece in pieces if piece.law is None and piece.site.endswith(".position")]
-    return [Note(text, "description", "note"), *filter(None, (_farthest(piece, values) for piece in places))]
+    return [Note(text, "description", "note"), *filter(None, (_farthest(piece, fit) for piece in places))]
 
 
-def _farthest(piece: Hypothesis, values: Mapping[str, float]) -> Note | None:
-    """The points that a piece has farthest from where the file says, mm; none where all are within one tolerance."""
-    off: dict[str, float] = {}
-    for p in piece.own:
-        node, side, _ = p.name.removeprefix("node:").split(".")
-        point = f"{WORDS[side]} {node}"
-        off[point] = float(np.hypot(off.get(point, 0.0), values.get(p.name, p.mean) - p.mean))
-    tolerance = piece.own[0].deviation / DOUBT
-    first = sorted((point for point in off if off[point] > tolerance), key=lambda point: -off[point])
-    if not first:
+def _farthest(piece: Hypothesis, fit: Fitted) -> Note | None:
+    """The nodes that a fit has farthest from where the file says, mm; none where all are within tolerance."""
+    values, far = dict(zip(fit.parameters.names, fit.values, strict=True)), dict[str, tuple[str, float]]()
+    nodes, tolerance = _by_node(piece.own), piece.own[0].deviation / DOUBT
+    for node, own in nodes.items():
+        off = np.array([values.get(p.name, p.mean) - p.mean for p in own])
+        if float(np.sum((off / tolerance) ** 2)) <= most_astray(len(own), len(nodes)):
+            continue
+        points: dict[str, float] = {}
+        for p, moved in zip(own, off, strict=True):
+            point, side, _ = p.name.removeprefix("node:").split(".")
+            name = f"{WORDS[side]} {point}"
+            points[name] = float(np.hypot(points.get(name, 0.0), moved))
+        far[node] = max(points.items(), key=lambda one: one[1])
+    if not far:
         return None
-    told = ", ".join(f"{point} by {1e3 * off[point]:.1f} mm" for point in first[:LISTED])
+    first = sorted(far.values(), key=lambda one: -one[1])
+    told = ", ".join(f"{point} by {1e3 * off:.1f} mm" for point, off in first[:LISTED])
     more = f" and {len(first) - LISTED} more" if len(first) > LISTED else ""
-    text = f"not where the file says, by more than its tolerance of {1e3 * tolerance:g} mm: {told}{more}"
+    text = f"not where the file says, by more than a tolerance of {1e3 * tolerance:g} mm per axis allows: {told}{more}"
     text = f"position of nodes: {text}; the fits have them where the recordings do"
-    nodes = dict.fromkeys(node_of(f"node:{point.split()[1]}") for point in first)
-    return Note(text, "position", sites=tuple(f"{node}.position" for node in nodes))
+    return Note(text, "position", sites=tuple(f"{node}.position" for node in far))
