@@ -69,7 +69,7 @@ def test_a_name_that_leaves_much_of_the_misfit_is_none(kr90: Robot, rng: np.rand
     assert (found.word, found.missing) == ("unexplained", [])
     note = found.findings[0].warnings[-1]
     assert note.kind == "tension"
-    assert "times the noise. Something else is wrong" in note
+    assert "times the noise. So it is not named" in note
 
 
 def test_evidence_from_tension_alone_names_nothing(kr90: Robot, rng: np.random.Generator) -> None:

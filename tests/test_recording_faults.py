@@ -206,11 +206,11 @@ def test_a_channel_in_g_is_told_and_put_right_before_it_is_compared_or_fitted(tm
     record(world, tmp_path, np.random.default_rng(411))
     write_description(machines()["arm"], tmp_path / "robot.yaml")
     campaign, robot = read_campaign(tmp_path / "frf.h5"), load_robot(tmp_path / "robot.yaml")
-    with pytest.warns(UserWarning, match="looks recorded in g"):
+    with pytest.warns(UserWarning, match="recorded in g, it seems"):
         right = twin.compare(campaign, robot=robot)
     stated = twin.compare(campaign, robot=robot, as_is=True)
     (one,), (other,) = right.errors.values(), stated.errors.values()
     assert one < 0.9 * other
-    with pytest.warns(UserWarning, match="looks recorded in g"):
+    with pytest.warns(UserWarning, match="recorded in g, it seems"):
         fitted = twin.fit(campaign, robot=robot, starts=1)
     assert fitted.error["train"] < 0.05

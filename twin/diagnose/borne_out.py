@@ -133,7 +133,7 @@ def _partly(refused: Sequence[Missing], finding: Finding) -> Note:
     left = after["train"] if after["held_out"] is None else after["held_out"]
     text = (
         f"with {names} in the model the recordings are still missed by {left:.2%}, {left / floor:.0f} times the noise. "
-        "Something else is wrong, so it is not named"
+        "So it is not named: something else may be wrong, or fitted numbers are not known well enough"
     )
     return Note(text, "tension", sites=_sites(refused))
 

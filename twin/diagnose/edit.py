@@ -168,11 +168,11 @@ def payload_edit(before: Robot, after: Robot, records: Sequence[FrfRecord]) -> d
             {"mode": int(number) + 1, "before_hz": list(map(float, before)), "after_hz": list(map(float, after))}
             for number, before, after in zip(moved.number, *moved.pairs(), strict=True)
         ]
-        text = (
-            f"{mass:g} kg more at the flange would move mode {moved.number[k] + 1} in '{record.posture}' from "
-            f"{now:.2f} to {now_changed:.2f} Hz ({100 * shift[1][k]:+.1f} %); "
-            f"the model without what was found says {100 * shift[0][k]:+.1f} %, from {was:.2f} to {was_changed:.2f} Hz"
-        )
+        lacking = f"{100 * shift[0][k]:+.1f} %, from {was:.2f} to {was_changed:.2f} Hz"
+        says = f"{100 * shift[1][k]:+.1f} %, from {now:.2f} to {now_changed:.2f} Hz"
+        text = f"{mass:g} kg more at the flange would move mode {moved.number[k] + 1} in '{record.posture}' by {says}"
+        if lacking != says:
+            text += f"; the model without what was found says {lacking}"
         told = {"mass_kg": mass, "posture": record.posture, "modes": rows, "description": text}
         inside = record.frequency[0] <= now_changed <= record.frequency[-1]
         found.append((float(np.abs(shift[1] - shift[0])[k]) * (1.0 if inside else 0.1), told))

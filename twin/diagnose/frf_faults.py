@@ -62,7 +62,7 @@ def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, 
         if inside and (unit not in OF_FORCE or len(inside) == len(order)):
             factor[inside] = times
             of = tuple(labels[k] for k in inside)
-            text = f"{', '.join(of)} looks recorded in {unit}: FRFs are {times:.4g} times those in m/s² per newton"
+            text = f"recorded in {unit}, it seems: {', '.join(of)}; FRFs are {times:.4g} times those in m/s² per newton"
             notes.append(Note(f"{text}; they were divided by that", "unit", "fail", of))
     if not notes:
         return campaign, []

@@ -222,7 +222,7 @@ def _left_out(
     if each is None or each.gain < calibration()["tie"]:
         return finding
     told = finding.with_each(each.names, each.error, None)
-    told.missing = [replace(m, evidence=_told(m, told)) for m in answer.missing]
+    told.missing = [replace(m, evidence=_told(m, told, len(answer.missing))) for m in answer.missing]
     return told if falls(told) else finding
 
 
@@ -445,7 +445,7 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
         finalists=finalists(search.base, answer.fits), gain=gained(free),
         fits=(before, best), damping=transfer(misses),
     )  # fmt: skip
-    finding.missing = [replace(m, evidence=_told(m, finding)) for m in answer.missing]
+    finding.missing = [replace(m, evidence=_told(m, finding, len(answer.missing))) for m in answer.missing]
     return finding
 
 
@@ -581,9 +581,9 @@ def _borne_out(missing: Missing, fit: Fitted) -> Missing:
     return replace(missing, first=replace(missing.first, parameters=estimates_of(fit, at))) if at else missing
 
 
-def _told(missing: Missing, finding: Finding) -> str:
-    """The sentence of evidence, where the engine has not written one."""
+def _told(missing: Missing, finding: Finding, count: int) -> str:
+    """The sentence of evidence, where the engine has not written one; of several answers, what all do together."""
     if missing.evidence:
         return missing.evidence
-    of = finding.error, finding.held_out
-    return sentence(missing.first.phrase, finding.records, *of, in_turn=finding.in_turn)
+    of, name = (finding.error, finding.held_out), missing.first.phrase if count == 1 else "all that was found"
+    return sentence(name, finding.records, *of, in_turn=finding.in_turn)

@@ -287,8 +287,7 @@ def mismatch(records: Sequence[FrfRecord]) -> Figure:
 
     Colour: RMS of the residual in standard deviations of the noise; one is noise alone.
     """
-    stages: tuple[Stage, Stage] = ("before", "after")
-    first = records[0]
+    stages, first = _told_apart(records), records[0]
     low, high = (f(r.frequency[i] for r in records) for f, i in ((min, 0), (max, -1)))
     edges = _edges(low, high, max(len(r.frequency) for r in records), _BANDS)
     over_bands = {s: np.array([_banded(r, s, edges) for r in records]) for s in stages}
@@ -298,7 +297,7 @@ def mismatch(records: Sequence[FrfRecord]) -> Figure:
     nr, ne = first.measured.shape[1:]
     ratio = [max(2.2, 0.36 * len(records)), max(1.4, 0.3 * nr)]
     figure = Figure(figsize=(11.5, 2.0 + sum(ratio)), layout="constrained")
-    axes = figure.subplots(2, 2, gridspec_kw={"height_ratios": ratio}, squeeze=False)
+    axes = figure.subplots(2, len(stages), gridspec_kw={"height_ratios": ratio}, squeeze=False)
     for column, stage in enumerate(stages):
         ax = axes[0, column]
         image = ax.pcolormesh(edges, np.arange(len(records) + 1), over_bands[stage], norm=norm, cmap="magma_r")
@@ -330,7 +329,7 @@ def mismatch(records: Sequence[FrfRecord]) -> Figure:
 
 def mismatch_map(records: Sequence[FrfRecord]) -> Map:
     """The same to zoom: all postures, every posture by channel, and sensor × hammer point; before and after."""
-    stages: tuple[Stage, Stage] = ("before", "after")
+    stages = _told_apart(records)
     panels: dict[str, Grid] = {}
     frequency, noise = "frequency, Hz", "residual over noise"
 
@@ -366,6 +365,12 @@ def mismatch_map(records: Sequence[FrfRecord]) -> Map:
     )
     colours = [to_hex(colormaps["magma_r"](_DARKEST * k / (_COLOURS - 1))) for k in range(_COLOURS)]
     return Map(caption, noise, panels, (0.7, max(10.0, top)), colours)
+
+
+def _told_apart(records: Sequence[FrfRecord]) -> tuple[Stage, ...]:
+    """Before and after; before alone where nothing was found."""
+    same = all(np.array_equal(r.predicted["before"], r.predicted["after"]) for r in records)
+    return ("before",) if same else ("before", "after")
 
 
 def _edges(low: float, high: float, lines: int, bands: int = _FINE_BANDS) -> np.ndarray:
@@ -827,7 +832,7 @@ def _location_text(finding: Finding) -> str:
     at = f" at {band[0]:.3g}–{band[1]:.3g} Hz" if band else ""
     channels = f", mostly on {', '.join(spot['channels'])}" if spot.get("channels") else ""
     there = f"{spot['share']:.0%} of its weighted misfit"
-    return f"The refitted model misses most in '{where}'{at}{channels}: {there} is there."
+    return f"Of the data used, the refitted model misses most in '{where}'{at}{channels}: {there} is there."
 
 
 def _edit_table(edit: Mapping[str, Any]) -> Table:
