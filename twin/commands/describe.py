@@ -82,8 +82,9 @@ class Described(Result):
 
     def __str__(self) -> str:
         robot = self.robot
-        mass = robot.base.mass + sum(link.inertial[0] for link in robot.links)
-        lines = [f"{robot.name} · {robot.axis_count} axes · {mass:.4g} kg · {len(self.assumed)} numbers assumed"]
+        base, links = robot.base.mass, sum(link.inertial[0] for link in robot.links)
+        mass = f"{base + links:.4g} kg" + (f", {base:.4g} kg of them the base" if base else "")
+        lines = [f"{robot.name} · {robot.axis_count} axes · {mass} · {len(self.assumed)} numbers assumed"]
         for table in self.tables():
             lines.append(f"  {table.title}")
             for name, value, unit, within, source in table.rows:
