@@ -388,14 +388,18 @@ def test_lobes_say_how_sure_they_are_only_where_it_is_known(tmp_path: Path) -> N
     assert len(measured.tables()[0].rows) > 2
 
 
+SHEAR = {"kt_n_per_m2": 6e8, "kr_n_per_m2": 1.8e8}
+
+
 @pytest.mark.parametrize(
     ("cut", "line"),
     [
         ({"depth_max_m": -0.001}, "depth_max_m: input should be greater than or equal to"),
-        ({"coefficients": {"kt_n_per_m2": 600}}, "kt_n_per_m2: expected N/m².*multiply it by 1e6"),
-        ({"coefficients": {"kt_n_per_m2": 6e8, "kte_n_per_m": 12}}, "kte_n_per_m: expected N/m, .*multiply it by 1e3"),
-        ({"coefficients": {"kt_n_per_m2": 6e8, "process_damping_n_per_m": 600}}, "g_n_per_m: expected N/m, .*1e3"),
-        ({"coefficients": {"kt_n_per_m2": 6e8, "process_damping_n_per_m": -1}}, "g_n_per_m: input should"),
+        ({"coefficients": {"kt_n_per_m2": 600, "kr_n_per_m2": 200}}, "kt_n_per_m2: expected N/m².*multiply it by 1e6"),
+        ({"coefficients": {"kt_n_per_m2": 6e8}}, "coefficients.kr_n_per_m2: missing"),
+        ({"coefficients": {**SHEAR, "kte_n_per_m": 12}}, "kte_n_per_m: expected N/m, .*multiply it by 1e3"),
+        ({"coefficients": {**SHEAR, "process_damping_n_per_m": 600}}, "g_n_per_m: expected N/m, .*1e3"),
+        ({"coefficients": {**SHEAR, "process_damping_n_per_m": -1}}, "g_n_per_m: input should"),
         ({"coefficients": "unobtainium"}, "no published coefficients 'unobtainium'"),
         ({"tool": {"diameter_m": 16}}, "diameter_m: expected metres, found 16; is it in mm"),
         ({"tool": {"overhang_m": 1.9, "direction": [0, -1, 0]}}, "below the table"),

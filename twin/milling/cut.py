@@ -31,6 +31,7 @@ from twin.yamlfile import read_yaml
 SHEAR_RANGE = (5e6, 2e10)  # N/m²
 EDGE_RANGE = (200.0, 1e6)  # N/m
 FLANK_RANGE = (5e3, 1e8)  # N/m, of process damping
+PUBLISHED_PERCENT = 15.0  # by which published shear coefficients differ: the least that ``coefficients.yaml`` states
 
 
 class ToolMode(Data):
@@ -134,18 +135,19 @@ class Coefficients(Data):
         process_damping_n_per_m: force of the flank against motion into the work, N/m. It is per depth and per ratio of
             that motion's speed to the cutting speed. ``process_friction``: tangential over radial part of it.
         deviation_percent: standard deviation of each shear coefficient; edge coefficients do not move the limit.
+            Published ones' where it is not stated.
         source: where they come from.
     """
 
     kt_n_per_m2: Number
-    kr_n_per_m2: Number = 0.0
+    kr_n_per_m2: Number
     ka_n_per_m2: Number = 0.0
     kte_n_per_m: Number = 0.0
     kre_n_per_m: Number = 0.0
     kae_n_per_m: Number = 0.0
     process_damping_n_per_m: NonNegative = 0.0
     process_friction: Annotated[Number, Field(ge=0, le=1)] = 0.0
-    deviation_percent: Annotated[Number, Field(ge=0, le=100)] = 0.0
+    deviation_percent: Annotated[Number, Field(ge=0, le=100)] = PUBLISHED_PERCENT
     source: str = ""
 
     @model_validator(mode="after")
@@ -343,6 +345,7 @@ def _usual(cut: Cut) -> list[tuple[str, str]]:
     known = published_coefficients().items()
     name = next((name for name, values in known if values == cut.coefficients), "")
     found = [("coefficients", name), ("immersion", f"{cut.immersion:g}"), ("milling", cut.milling)]
+    found += [("coefficients.deviation_percent", f"{cut.coefficients.deviation_percent:g}")]
     found += [("tool.diameter_m", f"{cut.tool.diameter_m:g}"), ("tool.teeth", f"{cut.tool.teeth}")]
     return found + ([] if cut.tool.tip_m is not None else [("tool.overhang_m", f"{cut.tool.overhang_m:g}")])
 
