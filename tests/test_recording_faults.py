@@ -195,6 +195,11 @@ def test_a_failed_check_is_told_once_for_all_postures() -> None:
     pair = "21X+/21Z+ and 21Z+/21X+"
     checks = [Check("reciprocity", pair, value, False) for value in (0.2, 0.334, 0.3)]
     found = Triage({}, (), (*checks, Check("driving point", "7Z+/7Z+", 0.4, False)), False)
+    levels = Check("linearity", "a (100 N) and a (600 N)", 9.0, False)
+    one, other = replace(found, checks=(*found.checks, levels), nonlinear=True).warnings
+    assert "driving point 7Z+/7Z+" in one  # a robot with play is not reciprocal: no channel is blamed
+    assert (one.severity, other.severity) == ("warning", "fail")
+    assert "depend on the force" in other
     assert found.warnings == [
         f"reciprocity {pair}: the two differ by 33% of their mean in the worst of 3 postures where this fails",
         "driving point 7Z+/7Z+: 60% of its energy has the wrong sign",

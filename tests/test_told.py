@@ -135,6 +135,7 @@ def test_what_no_machine_has_and_what_contradicts_itself_is_refused(
         (SIMULATE, "two.yaml", "factor: 2.0", "factor: 2000", "priors[0].factor"),
         (SIMULATE, "two.yaml", "name: two", "gravity: [0, 0, -1.62]\nname: two", "gravity"),
         (SIMULATE, "posture.yaml", "  coefficients: aluminium_7075\n", "", "coefficients aluminium_7075"),
+        (SIMULATE, "posture.yaml", "[10, 40]", "[0.17, 0.7]", "below 3.2 degrees"),
         (("describe", "arm.urdf", "--sheet", "sheet.yaml"), "sheet.yaml", "[330, ", "[0.33, ", "max_torque[0]"),
         (("describe", "arm.urdf", "--sheet", "sheet.yaml"), "sheet.yaml", "payload: 5", "reach: 40", "reach"),
         (("describe", "arm.urdf", "--sheet", "sheet.yaml"), "sheet.yaml", "payload: 5", "mass: 9000", "mass"),

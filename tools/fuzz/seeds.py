@@ -49,7 +49,7 @@ cut:
   spindle_rpm: [1000, 12000]
 """
 CUT = """tool: {diameter_m: 0.016, teeth: 2, overhang_m: 0.25, mass_kg: 12}
-coefficients: {kt_n_per_m2: 6.0e+8, kr_n_per_m2: 1.8e+8}
+coefficients: {kt_n_per_m2: 6.0e+8, kr_n_per_m2: 1.8e+8, deviation_percent: 10}
 immersion: 0.5
 milling: up
 feed_direction: [0.3, 1, 0.2]

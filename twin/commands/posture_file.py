@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.measure.campaign import FASTEST_SAMPLES_HZ, LONGEST_PULSE_S, LONGEST_RECORD_S
 from twin.measure.motion_log import MotionLog, read_motion_log
 from twin.milling.cut import Cut, read_cut
@@ -158,6 +158,8 @@ def _checked(
             f"expected {loaded.axis_count} values for robot {loaded.name}, found {len(content.posture.q_deg)}",
         )  # fmt: skip
     q = loaded.check_posture(loaded.angles(content.posture.q_deg), str(path), "posture.q_deg")
+    if _like_radians(loaded, content.posture.q_deg):
+        tell(path, "posture.q_deg", "all angles are below 3.2 degrees: are they in radians?")
     if content.hammer:
         _check_hammer(path, content.hammer)
     log, source = _trajectory(path, trajectory if trajectory is not None else content.replay)
@@ -168,6 +170,12 @@ def _checked(
         loaded, content.posture.name, q, list(content.posture.q_deg), content.posture.brakes, content.hammer, log,
         cut, inputs,
     )  # fmt: skip
+
+
+def _like_radians(robot: Robot, q_deg: Sequence[float]) -> bool:
+    """Whether angles look like radians: several of them, none above π, and not whole degrees."""
+    angles = [abs(v) for v, axis in zip(q_deg, robot.axes, strict=True) if axis.type == "revolute" and v]
+    return len(angles) > 1 and max(angles) < 3.2 and any(v != round(v) for v in angles)
 
 
 def _check_hammer(path: Path, hammer: Hammer) -> None:

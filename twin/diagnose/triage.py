@@ -58,8 +58,19 @@ class Triage:
         for check in self.checks:
             if not check.passed:
                 failed.setdefault((check.kind, check.subject), []).append(check)
-        notes = [Note(_told(some), kind.replace(" ", "_"), "fail") for (kind, _), some in failed.items()]
-        return [*notes, *self.assumed]
+        linear = [key for key in failed if key[0] != "linearity"]
+        notes = [] if self.nonlinear else [_note(failed[key]) for key in linear]
+        if linear and self.nonlinear:
+            text = (
+                f"{len(linear)} checks that hold for linear robots fail: {', '.join(' '.join(key) for key in linear)}. "
+                "That is ordinary where FRFs depend on the force. A fault of a sensor shows at the lowest force, too"
+            )
+            notes.append(Note(text, "reciprocity", "warning"))
+        return [*notes, *(_note(some) for key, some in failed.items() if key not in linear), *self.assumed]
+
+
+def _note(some: Sequence[Check]) -> Note:
+    return Note(_told(some), some[0].kind.replace(" ", "_"), "fail")
 
 
 def _told(some: Sequence[Check]) -> str:

@@ -86,7 +86,9 @@ def read_modal_table(path: str | Path) -> ModalTable:
     content = read_yaml(path)
     _tell_unknown(path, "", content, ("robot", "postures"))
     if not isinstance(content.get("postures"), dict) or not content["postures"]:
-        raise InputError(path, "postures", "expected a mapping of posture names to q_deg and modes")
+        kinds = {"links": "a robot description", "posture": "a posture file", "coefficients": "a cut"}
+        kind = next((f", found {what}" for key, what in kinds.items() if key in content), "")
+        raise InputError(path, "postures", f"expected a mapping of posture names to q_deg and modes{kind}")
     for name in content["postures"]:
         if problem := ill_named(str(name)):
             raise InputError(path, "postures", problem)
