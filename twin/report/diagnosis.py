@@ -414,7 +414,10 @@ def overlay(records: Sequence[FrfRecord]) -> Figure:
         *(Line2D([], [], color=COLOURS[s], linewidth=1.3, label=NAMES[s]) for s in stages),
         Line2D([], [], color="#c9ced6", linewidth=5, label="noise (RMS)"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=8.5, columnspacing=1.2,
+        handlelength=1.6,
+    )  # fmt: skip
     figure.align_ylabels()
     return figure
 
