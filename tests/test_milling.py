@@ -416,3 +416,9 @@ def test_a_fault_of_the_cut_is_told_in_one_line(cut: dict[str, object], line: st
     with pytest.raises(InputError, match=line) as error:
         twin.lobes([0, 70, -100], robot="kr90", cut=cut)
     assert "\n" not in str(error.value)
+
+
+def test_a_cut_in_the_place_of_a_posture_is_told(tmp_path: Path) -> None:
+    (tmp_path / "cut.yaml").write_text("tool: {teeth: 2}\n")
+    with pytest.raises(InputError, match="is a cut: give it as --cut"):
+        twin.lobes(tmp_path / "cut.yaml")

@@ -392,6 +392,8 @@ def _opened(given: Given) -> Recording | Robot | Path | Mapping[str, Any] | Sequ
             return path
         if "postures" in content:
             raise InputError(path, "postures", "is a modal table; lobes need a model, or the FRFs of the tool's point")
+        if "axes" not in content and ("tool" in content or "coefficients" in content):
+            raise InputError(path, "", "is a cut: give it as --cut, beside a posture or a robot")
         return load_robot(path)
     if path.suffix.lower() in (".urdf", ".xml", "") or not path.is_file():
         return load_robot(given)
