@@ -82,6 +82,8 @@ def test_a_turn_that_the_data_hardly_know_is_no_finding(kr90: Robot) -> None:
     first = len(fit.z) - len(at)
     information[first, first] = (10 / 8.1) ** 2
     assert allowed(replace(fit, information=information), kr90) == (group,)
+    information[first + 1 : first + 3, first + 1 : first + 3] += 1e30  # a record without noise knows their sum
+    assert allowed(replace(fit, information=information), kr90) == (group,)
 
 
 def test_laws_that_cannot_be_off_cast_no_doubt(kr90: Robot) -> None:

@@ -54,11 +54,18 @@ def astray(fit: Fitted, own: np.ndarray, tolerance: FloatArray) -> float:
     some = [fit.parameters[k] for k in own]
     width = np.maximum(tolerance, 1e-300) / [p.mean if p.log else 1.0 for p in some]
     x = (fit.parameters.root @ fit.z)[own]
-    both = max(1.0, fit.misfit) * np.linalg.inv(fit.covariance[np.ix_(own, own)])  # of the data and of the prior
+    both = _inverse(fit.covariance[np.ix_(own, own)] / max(1.0, fit.misfit))  # of the data and of the prior
     data = both - np.diag([p.deviation**-2 for p in some])
     information, axes = np.linalg.eigh(data * np.outer(width, width))
     pull, known = axes.T @ (width * (both @ x)), information > 1e-9
     return float(np.sum(pull[known] ** 2 / (information * (information + 1))[known]))
+
+
+def _inverse(covariance: FloatArray, least: float = 1e-12) -> FloatArray:
+    """Of a covariance whose correlations rounding may have made singular: to ``least`` of a variance they hold."""
+    scale = np.sqrt(np.diag(covariance))
+    share, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray((axes / np.maximum(share, least)) @ axes.T / np.outer(scale, scale))
 
 
 def most_astray(count: int, among: int = 1) -> float:
