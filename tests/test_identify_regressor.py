@@ -17,6 +17,7 @@ from twin.model.regressor import (
     body_of,
     inertial_vector,
     link_regressor,
+    link_torque,
     pseudo_inertia,
     rotor_body_regressor,
 )
@@ -285,3 +286,13 @@ def test_what_has_no_column_goes_through_the_gears_too(kr90: Robot) -> None:
     ours = link_regressor(robot, motion) @ links
     # a rotor's mass is a small ball to MuJoCo and a point here
     np.testing.assert_allclose(ours, rigid_torque(robot, motion), atol=1e-4 * np.abs(ours).max())
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_torque_of_links_at_once_is_that_by_columns(name: str | Path) -> None:
+    """Outward and back, over hinges and slides; the columns are Pinocchio's."""
+    robot = load_robot(name)
+    motion = random_motion(robot)
+    links = np.random.default_rng(0).normal(size=(robot.axis_count, 10))
+    expected = link_regressor(robot, motion) @ links.ravel()
+    np.testing.assert_allclose(link_torque(robot, motion, links), expected, atol=1e-9)

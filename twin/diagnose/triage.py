@@ -18,6 +18,7 @@ from twin.robot.description import Robot
 POOLED_LINES = 5  # lines over which disagreement is pooled
 INDEPENDENT_LINES = 25  # of a record whose error is not noise
 HOMOGENEOUS = 2.0  # linear robots reach 1.4
+OF_LINEAR = ("driving point", "reciprocity")  # checks that hold for a linear robot alone
 REPEAT = "repeat"  # the name of a check of a posture recorded again, nobody knows how hard
 
 
@@ -58,7 +59,7 @@ class Triage:
         for check in self.checks:
             if not check.passed:
                 failed.setdefault((check.kind, check.subject), []).append(check)
-        linear = [key for key in failed if key[0] != "linearity"]
+        linear = [key for key in failed if key[0] in OF_LINEAR]
         notes = [] if self.nonlinear else [_note(failed[key]) for key in linear]
         if linear and self.nonlinear:
             text = (

@@ -41,7 +41,7 @@ def allowed(fit: Fitted, robot: Robot) -> tuple[Hypothesis, ...]:
     return tuple(found)
 
 
-def astray(fit: Fitted, own: np.ndarray, tolerance: FloatArray) -> float:
+def astray(fit: Fitted, own: np.ndarray, tolerance: FloatArray, nothing: float = 1e-9) -> float:
     """χ² of a fit's numbers about their description: how far off the data alone have them, doubt of both beside.
 
     A number that the data hardly know may come out far off under its wide prior, and says nothing.
@@ -50,6 +50,7 @@ def astray(fit: Fitted, own: np.ndarray, tolerance: FloatArray) -> float:
         fit: under priors wider than the tolerances.
         own: (k,) indices of the numbers, which have independent priors.
         tolerance: (k,) in their units, one standard deviation.
+        nothing: information per tolerance², of which rounding leaves so much where the data hold none.
     """
     some = [fit.parameters[k] for k in own]
     width = np.maximum(tolerance, 1e-300) / [p.mean if p.log else 1.0 for p in some]
@@ -57,7 +58,7 @@ def astray(fit: Fitted, own: np.ndarray, tolerance: FloatArray) -> float:
     both = _inverse(fit.covariance[np.ix_(own, own)] / max(1.0, fit.misfit))  # of the data and of the prior
     data = both - np.diag([p.deviation**-2 for p in some])
     information, axes = np.linalg.eigh(data * np.outer(width, width))
-    pull, known = axes.T @ (width * (both @ x)), information > 1e-9
+    pull, known = axes.T @ (width * (both @ x)), information > nothing
     return float(np.sum(pull[known] ** 2 / (information * (information + 1))[known]))
 
 
