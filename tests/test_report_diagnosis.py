@@ -237,6 +237,16 @@ def test_every_kind_of_recording_is_drawn_and_every_figure_is_in_the_page(kr90: 
         assert "payload at flange" in diagnosis.lead(verdict)
 
 
+def test_where_nothing_was_found_the_mismatch_is_drawn_once() -> None:
+    """Two alike panels were titled before and after."""
+    H = oscillators(11.0, 20.0)
+    alike, found = record(1.1 * H, 1.1 * H, H), record(1.1 * H, H, H)
+    for one, names in ((alike, {"before"}), (found, {"before", "after"})):
+        assert len(diagnosis.mismatch([one]).axes) == 2 * len(names) + 1  # and a bar of colours
+        drawn = {name.rpartition(", ")[2].partition(":")[0] for name in diagnosis.mismatch_map([one]).panels}
+        assert drawn == names
+
+
 def test_the_mismatch_map_is_one_where_the_residual_is_noise() -> None:
     rng = np.random.default_rng(1)
     H = np.repeat(oscillators(11.0), 30, axis=2)
