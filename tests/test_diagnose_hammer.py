@@ -383,25 +383,72 @@ def test_what_a_model_predicts_counts_as_much_as_if_it_had_been_fitted_to(tmp_pa
     assert judge(decision) == "ambiguous"
 
 
-def test_a_posture_left_out_is_predicted_better_with_what_is_there_and_with_nothing_else(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def tilted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Case, Fitted, dict[str, Fitted]]:
+    """A foundation that tilts: the base model, and fits with a tilt that is there and one that is not."""
     effect = "base_compliance@base.rx:stiffness=2.5e9,damping=1e6"
-    case = recorded(tmp_path, "--seed", "13", "--postures", "4", "--effect", effect)
-    base = converge(case.base, case.free, case.sample).base
-    found = {}
+    case = recorded(tmp_path_factory.mktemp("tilted"), "--seed", "13", "--postures", "4", "--effect", effect)
+    base, found = converge(case.base, case.free, case.sample).base, {}
     for site in ("base.rx", "base.rz"):
         tilt = next(h for h, *_ in looked_at(case, "base_compliance") if h.site == site)
         start = tilt.of_size(base.z, 0.01)
-        fit = descend(case.base, tilt, tilt.parameters(case.free), case.sample, start, tempered=0, tolerance=1e-3)
-        found[site] = left_out(case.base, base, fit, case.sample, case.found.kept, 1)
-        alone = Sample(case.sample.recordings[:1])
-        assert left_out(case.base, base, fit, alone, case.found.kept, 1) is None  # nothing is left to fit to
-    there, elsewhere = found["base.rx"], found["base.rz"]
+        found[site] = descend(
+            case.base, tilt, tilt.parameters(case.free), case.sample, start, tempered=0, tolerance=1e-3
+        )
+    return case, base, found
+
+
+def test_a_blow_left_out_is_predicted_better_with_what_is_there_and_with_nothing_else(
+    tilted: tuple[Case, Fitted, dict[str, Fitted]],
+) -> None:
+    case, base, found = tilted
+    there, elsewhere = (left_out(case.base, base, found[site], case.sample) for site in ("base.rx", "base.rz"))
     assert there is not None
     assert elsewhere is not None
-    assert set(there.names) == set(case.campaign.postures)
+    assert there.names == case.campaign.excitation.label
     assert there.gain > 30
     assert there.error[1] < there.error[0]
     assert elsewhere.gain < 2
+
+
+def test_a_blow_left_out_is_missed_as_by_a_fit_to_the_others(
+    monkeypatch: pytest.MonkeyPatch, tilted: tuple[Case, Fitted, dict[str, Fitted]]
+) -> None:
+    case, base, _ = tilted
+    monkeypatch.setattr(sys.modules[left_out.__module__], "OF_RECORDINGS", ())
+    few, missed, data = case.sample.thin(20), 0.0, 0.0
+    base = descend(case.base, base.hypothesis, base.parameters, few, base.z, tempered=0, tolerance=1e-4)
+    told = left_out(case.base, base, base, few)
+    assert told is not None
+    for blow in range(len(told.names)):
+        rest, own = [], []
+        for r in few.recordings:
+            here = np.arange(r.frf.shape[2]) == blow
+            rest.append(replace(r, variance=np.where(here, np.inf, r.variance)))
+            own.append(replace(r, variance=np.where(here, r.variance, np.inf)))
+        fit = descend(case.base, base.hypothesis, base.parameters, Sample(tuple(rest), few.repeat), base.z, tempered=0)
+        judged = Objective(base.hypothesis.robot(case.base), base.parameters, Sample(tuple(own), few.repeat))
+        residual = judged.residual(fit.z)
+        missed += float(residual @ residual)
+        data += sum(float(np.sum(np.abs(r.frf * w) ** 2)) for r, w in zip(own, judged.weight, strict=True))
+    assert told.error[0] == pytest.approx(float(np.sqrt(missed / data)), rel=0.02)
+
+
+def test_fewer_than_three_blows_are_not_left_out(tilted: tuple[Case, Fitted, dict[str, Fitted]]) -> None:
+    case, base, found = tilted
+
+    def of(channels: Channels, count: int) -> Channels:
+        return Channels(*(getattr(channels, name)[:count] for name in ("label", "body", "position", "direction")))
+
+    def with_blows(count: int) -> Sample:
+        setups = [r.setup for r in case.sample.recordings]
+        setups = [replace(s, response=of(s.response, 1), excitation=of(s.excitation, count)) for s in setups]
+        parts = zip(case.sample.recordings, setups, strict=True)
+        few = [replace(r, setup=s, frf=r.frf[:, :1, :count], variance=r.variance[:, :1, :count]) for r, s in parts]
+        return Sample(tuple(few))
+
+    assert left_out(case.base, base, found["base.rx"], with_blows(2)) is None
+    assert left_out(case.base, base, found["base.rx"], with_blows(3)) is not None
 
 
 @pytest.mark.parametrize(("bare", "named", "told"), [(1.126, 1.122, False), (5.0, 4.0, True)])

@@ -17,7 +17,7 @@ from twin.diagnose.frf_off import data_cost, off_description
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, about, settled_with, shared
 from twin.diagnose.joint_reaction import blows
-from twin.diagnose.left_out import left_out
+from twin.diagnose.left_out import LeftOut, left_out
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
@@ -193,8 +193,11 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
         before = _weighed(told_by, without_limits(given), answer.base, sample, seed)
         told_by.missing = [_borne_out(m, answer.best) for m in told_by.missing]
     finding = _finding(given, source, found, search, answer, before)
-    if finding.missing and found.kept and not falls(finding) and not told_by:  # less than noise there, or nothing
-        finding = _left_out(finding, base, before, answer, sample, found.kept, processes)
+    if not found.kept or (finding.missing and not falls(finding) and not told_by):
+        each = left_out(base, before, answer.best, sample)
+        told = _judged(finding, each, answer) if each else finding
+        if not found.kept or (each and each.gain >= calibration()["seen"] and falls(told)):
+            finding = told
     few, blow = sample.thin(SCREEN_LINES), blows(campaign)
     laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
@@ -208,22 +211,11 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     return finding
 
 
-def _left_out(
-    finding: Finding,
-    base: Robot,
-    before: Fitted,
-    answer: "_Answer",
-    sample: Sample,
-    kept: list[Recorded],
-    processes: int,
-) -> Finding:
-    """The finding with the error on every posture left out in turn, if that falls with the answer."""
-    each = left_out(base, before, answer.best, sample, kept, processes)
-    if each is None or each.gain < calibration()["tie"]:
-        return finding
+def _judged(finding: Finding, each: LeftOut, answer: "_Answer") -> Finding:
+    """The finding with what blows left out in turn are missed by as its held-out error."""
     told = finding.with_each(each.names, each.error, None)
     told.missing = [replace(m, evidence=_told(m, told, len(answer.missing))) for m in answer.missing]
-    return told if falls(told) else finding
+    return told
 
 
 def _misses(search: Search, found: Triage) -> bool:

@@ -1,29 +1,31 @@
-"""Every posture of a hammer test left out in turn: whether an answer predicts postures that it was not fitted to.
+"""Every blow of a hammer test left out in turn: whether an answer predicts FRFs that it was not fitted to.
 
-What a faint thing adds to one posture that was kept aside may be less than noise there, and chance decides whether the
-error falls. Left out in turn, every posture is predicted by a fit to the others, without and with the answer (Stone,
-Cross-validatory choice and assessment of statistical predictions, J. R. Stat. Soc. B 36, 111, 1974).
+One or two postures are too few to keep one aside. What a faint thing adds to one that was kept aside may be less than
+what is in doubt there: noise, and numbers of the robot that the other postures hardly hold. Then chance would decide
+whether the error falls. So every blow's FRFs are predicted by a fit to those of all others, without and with the answer
+(Stone, Cross-validatory choice and assessment of statistical predictions, J. R. Stat. Soc. B 36, 111, 1974). Where
+sensors rove instead of blows, every sensor is left out.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.refit import Fitted, descend, recorded_energy
-from twin.identify.objective import Sample
+from twin.diagnose.refit import Fitted
+from twin.identify.objective import Objective, Sample, channels
 from twin.measure.campaign import FloatArray
-from twin.model.recorded import Recorded
-from twin.parallel import spread
 from twin.robot.description import Robot
+
+FEW = 3  # blows: of fewer none is left out
+OF_RECORDINGS = ("posture", "gain", "point", "direction")  # kinds of parameters that say nothing of the robot
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What two models miss of postures that neither was fitted to.
+    """What two models miss of blows that neither was fitted to.
 
     Attributes:
-        names: the postures.
+        names: labels of the blows, or of the sensors.
         error: (2,) RMS of residual over RMS of data, weighted, without and with the answer.
         gain: ½ χ² that the answer takes away.
     """
@@ -33,36 +35,43 @@ class LeftOut:
     gain: float
 
 
-def left_out(
-    base: Robot, before: Fitted, after: Fitted, sample: Sample, kept: Sequence[Recorded], processes: int
-) -> LeftOut | None:
-    """Every posture of a sample left out in turn, and those that were kept aside; ``None`` where it has but one.
+def left_out(base: Robot, before: Fitted, after: Fitted, sample: Sample) -> LeftOut | None:
+    """Every blow of a sample left out in turn, in all postures; ``None`` where there are fewer than ``FEW``.
+
+    The fits move by so little without one of them that they are linear. With residual r, slopes J of the prediction and
+    A = JᵀJ + 1, a fit to all but part k misses that part by r_k + J_k (A − J_kᵀJ_k)⁻¹ J_kᵀ r_k: Allen's prediction sum
+    of squares (Technometrics 16, 125, 1974), by blocks. What belongs to the recordings themselves, as angles of
+    postures and places of nodes, stays as all blows have it.
 
     Args:
         base: the description that the fits' hypotheses are added to.
         before, after: fitted to ``sample``, without and with the answer.
     """
-    names = list(dict.fromkeys(r.setup.name for r in sample.recordings))
-    if len(names) < 2:
+    names = tuple(dict.fromkeys(label for r in sample.recordings for label in channels(r)[1]))
+    if len(names) < FEW:
         return None
-    pairs = [(name, fit) for name in names for fit in (before, after)]
+    missed, data = zip(*(_missed(base, fit, sample) for fit in (before, after)), strict=True)
+    without, with_answer = (float(np.sqrt(energy / data[0])) for energy in missed)
+    return LeftOut(names, (without, with_answer), 0.5 * (missed[0] - missed[1]))
 
-    def missed(number: int) -> FloatArray:
-        name, fit = pairs[number]
-        rest = tuple(r for r in sample.recordings if r.setup.name != name)
-        again = descend(
-            base, fit.hypothesis, fit.parameters, Sample(rest, sample.repeat), fit.z, tempered=0, tolerance=0.02
-        )
-        return np.array(recorded_energy(again.robot, [r for r in sample.recordings if r.setup.name == name])[:2])
 
-    found = list(spread(missed, len(pairs), processes))
-    each = [found[0::2], found[1::2]]
-    if kept:
-        for some, fit in zip(each, (before, after), strict=True):
-            some.append(np.array(recorded_energy(fit.robot, kept)[:2]))
-    residual, data = np.array(each).sum(axis=1).T
-    told = dict.fromkeys([*names, *(r.setup.name for r in kept)])
-    error = np.sqrt(residual / data)
-    return LeftOut(
-        tuple(told), (float(error[0]), float(error[1])), 0.5 * float(residual[0] - residual[1]) * sample.repeat
-    )
+def _missed(base: Robot, fit: Fitted, sample: Sample) -> tuple[float, float]:
+    """χ² of all blows, each predicted by a fit to the others, and the sum of squares of their data."""
+    n, data = len(fit.z), 0.0
+    pull, held, energy = dict[str, FloatArray](), dict[str, FloatArray](), dict[str, float]()
+    objective = Objective(fit.hypothesis.robot(base), fit.parameters, sample)
+    for name, felt in objective.by_channel(fit.z):
+        own = held.setdefault(name, np.zeros((n, n)))
+        own[np.ix_(felt.moves, felt.moves)] += felt.slopes @ felt.slopes.T
+        pull.setdefault(name, np.zeros(n))[felt.moves] += felt.slopes @ felt.rest
+        energy[name] = energy.get(name, 0.0) + float(felt.rest @ felt.rest)
+        data += felt.data
+    robot = [k for k, p in enumerate(fit.parameters) if p.kind not in OF_RECORDINGS]
+    some = np.ix_(robot, robot)
+    whole = np.eye(len(robot)) + sum(own[some] for own in held.values())
+    missed = 0.0
+    for name, own in held.items():
+        g = pull[name][robot]
+        step = np.linalg.solve(whole - own[some], g)
+        missed += energy[name] + 2 * float(g @ step) + float(step @ own[some] @ step)
+    return missed, data

@@ -17,6 +17,7 @@ SHIFT = 0.004  # of a peak's frequency: less is told by its height
 BETWEEN = 0.25  # lines, to which a peak between them is interpolated
 LOUD_PEAK = 0.005  # of the loudest line: less is hard to see
 HEIGHT = np.log(1.05)
+LISTED = 8  # names of what was held out: of more the first and the last are told
 
 
 @dataclass(frozen=True)
@@ -160,11 +161,16 @@ def fall(errors: dict[str, Any], held_out: Sequence[str], floor: float | None = 
     if before["held_out"] is not None:
         was, now = percents(before["held_out"], after["held_out"], 2)
         unused = "each left out in turn" if in_turn else "not used"
-        held = f", and on {', '.join(held_out)}, {unused}, {was} → {now}"
+        held = f", and on {listed(held_out)}, {unused}, {was} → {now}"
     noise = "" if floor is None else f" (noise alone {floor:.2%})"
     was, now = percents(before["train"], after["train"], 2)
     verb = "falls" if after["train"] < before["train"] else "does not fall:"
     return f"The error on what was used {verb} {was} → {now}{held}{noise}."
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a, b, c``; of more than ``LISTED`` names the first, the last and how many."""
+    return ", ".join(names) if len(names) <= LISTED else f"{names[0]} to {names[-1]} ({len(names)})"
 
 
 def percents(one: float, other: float, digits: int) -> tuple[str, str]:

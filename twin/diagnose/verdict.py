@@ -17,6 +17,7 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
+from twin.diagnose.sentences import listed
 from twin.identify.damping_transfer import Transfer
 from twin.identify.descent import ASTRAY
 from twin.identify.uncertainty import beside_prior, interval
@@ -134,7 +135,7 @@ class Finding:
             where this one then has it.
         bare: the same as ``following`` of a log's base model: without the log's names.
         error: ``as_given``, ``before``, ``after`` → ``train``, ``held_out``; ``noise_floor``.
-        held_out: names of postures or runs not used; ``in_turn``: each was left out once, and used otherwise.
+        held_out: names of postures, runs or blows not used; ``in_turn``: each was left out once, and used otherwise.
         records: the recording beside the three models.
         location: where the base model misses, as in diagnosis.json.
         sites: site → what freeing it alone would gain, in ln likelihood or evidence.
@@ -186,11 +187,14 @@ class Finding:
     alone: dict[str, Any] | None = None
 
     def with_each(self, names: Sequence[str], error: tuple[float, float], gain: float | None) -> "Finding":
-        """The same with what every posture or run left out in turn is missed by, before and after, held out.
+        """The same with what every posture, run or blow left out in turn is missed by, before and after, held out.
 
-        ``gain``: of a log, the fall of ½ χ² over the noise of each joint.
+        ``gain``: of a log, the fall of ½ χ² over the noise of each joint. The description as it came was fitted to
+        none of them.
         """
         errors = {**self.error}
+        if errors["as_given"]["held_out"] is None:
+            errors["as_given"] = {**errors["as_given"], "held_out": errors["as_given"]["train"]}
         for stage, value in zip(("before", "after"), error, strict=True):
             errors[stage] = {**errors[stage], "held_out": value}
         gained = self.gain if gain is None else gain
@@ -359,7 +363,7 @@ class Verdict(Result):
                 lines.append(f"  error {stage.replace('_', ' '):9s} {item['train']:.2%}{held}")
             floor = finding.error["noise_floor"]
             noise, turn = "unknown" if floor is None else f"{floor:.2%}", " in turn" if finding.in_turn else ""
-            lines.append(f"  noise floor {noise}; held out{turn}: {', '.join(finding.held_out) or 'nothing'}")
+            lines.append(f"  noise floor {noise}; held out{turn}: {listed(finding.held_out) or 'nothing'}")
         if self.next_test:
             lines.append(f"  next test: {self.next_test['description']}")
         lines += [f"  triage: {text}" for finding in self.findings for text in finding.warnings]

@@ -245,6 +245,18 @@ class Objective(Cost):
             information[np.ix_(moves, moves)] += G @ G.T
         return cost, gradient, information
 
+    def by_channel(self, z: FloatArray) -> Iterator[tuple[str, "Felt"]]:
+        """What every channel of every recording says at z: channels are blows, or sensors where there are more."""
+        for r, w, sloping, moves in self._sloping(z):
+            side, labels = channels(r)
+            H, dH = sloping()
+            dH *= w
+            for k, label in enumerate(labels):
+                e = np.ascontiguousarray(((r.frf - H) * w).take(k, side)).reshape(-1).view(float)
+                G = np.ascontiguousarray(dH.take(k, side + 1)).reshape(len(moves), -1).view(float)
+                data = float(np.sum(np.abs((r.frf * w).take(k, side)) ** 2))
+                yield label, Felt(moves, e, G, data)
+
     def bend(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
         """Gᵀ ∂²e/∂step² (n,) of the linear residual e at z, where this was called last; ``None`` if it is not known."""
         if not self.rows:
@@ -319,6 +331,28 @@ class Objective(Cost):
             moved = [one + (change @ slope.reshape(len(slope), -1)).reshape(one.shape) for one, slope in pairs]
             found.append((Observed.of((*moved, *seen.arrays()[5:])), model))
         return found
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What one channel of a recording says of the parameters.
+
+    Attributes:
+        moves: (m,) the coordinates that move it.
+        rest: (d,) weighted residual, measured minus predicted; ``slopes`` (m, d) of the prediction.
+        data: sum of squares of the weighted data.
+    """
+
+    moves: NDArray[np.intp]
+    rest: FloatArray
+    slopes: FloatArray
+    data: float
+
+
+def channels(r: Recorded) -> tuple[int, tuple[str, ...]]:
+    """Axis of the FRFs (nf, nr, ne) along which a test roves, and its labels: blows, or sensors if they are more."""
+    roving_sensors = r.frf.shape[1] > r.frf.shape[2]
+    return (1, r.setup.response.label) if roving_sensors else (2, r.setup.excitation.label)
 
 
 def drawn(says: FloatArray, count: int) -> tuple[NDArray[np.intp], FloatArray]:

@@ -22,7 +22,7 @@ from matplotlib.ticker import (
 )
 
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, Stage, pooled_floor
-from twin.diagnose.sentences import Spot, best_spot, off_by
+from twin.diagnose.sentences import Spot, best_spot, listed, off_by
 from twin.diagnose.verdict import MEANING, Finding, Verdict, parameter_rows
 from twin.measure.campaign import QUANTITIES
 from twin.physics import CATALOGUE
@@ -798,7 +798,7 @@ def _split(row: str) -> tuple[str, str]:
 
 
 def _error_text(finding: Finding, answered: bool) -> str:
-    held = ", ".join(finding.held_out) or "nothing"
+    held = listed(finding.held_out) or "nothing"
     turn = ", each in turn" if finding.in_turn else ""
     after = "with the answer" if answered else "the same, because nothing is added"
     return (
