@@ -48,7 +48,7 @@ def described(free: Parameters) -> list[Hypothesis]:
 def geometry(
     robot: Robot, response: Channels, excitation: Channels, free: Container[str] = ()
 ) -> list[list[Hypothesis]]:
-    """Numbers that fits take as described: lengths and twists of axes, positions of nodes, one by one and all nodes.
+    """Numbers that fits take as described: lengths and twists of axes, positions of nodes, one by one and all.
 
     The zero of an axis is an effect. ``free`` has the names of what every fit has free all the same.
 
@@ -67,11 +67,12 @@ def geometry(
     for node, some in variants.items():
         freed = [_freed(f"{node}.position", own) for own in some.values()]
         nodes.append(freed[1:] if len(freed) == 2 else freed)  # one channel group at the node: the two are the same
-    axes = [[_freed(p.name, [p])] for p in axis_parameters(robot) if p.quantity != "theta" and p.name not in free]
+    lengths = [p for p in axis_parameters(robot) if p.quantity != "theta" and p.name not in free]
+    axes = [[_freed(p.name, [p])] for p in lengths]
     turns = [*direction_parameters(robot, response, "response"), *direction_parameters(robot, excitation, "excitation")]
     everywhere = [_freed("node:*.position", [*sensors, *blows]), _freed("node:*.direction", turns)]
-    found = [*axes, *nodes, *([group] for group in everywhere)]
-    return [some for some in found if all(p.deviation > 0 for p in some[0].own)]  # else it is known exactly
+    found = [*axes, *nodes, *([group] for group in (*everywhere, _freed("axis*", lengths)))]
+    return [some for some in found if some[0].own and all(p.deviation > 0 for p in some[0].own)]  # else known exactly
 
 
 def _freed(site: str, own: Iterable[Parameter]) -> Hypothesis:

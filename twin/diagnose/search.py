@@ -142,7 +142,7 @@ def explain(
 ) -> Search:
     """Everything that may be missing, alone and together."""
     progress = progress or (lambda description, total: lambda count: None)
-    best = search.base
+    best = _within_tolerances(robot, search, sample, suspects)
     for number in range(2 * MISSING_AT_ONCE):
         if number - len(allowed(best, robot)) >= MISSING_AT_ONCE:
             break
@@ -343,29 +343,55 @@ def _taken_out(search: Search, fit: Fitted, piece: Hypothesis) -> tuple[Hypothes
     return rest, fit.z[[k for k, p in enumerate(fit.parameters) if p.name in names]]
 
 
+def _loose(suspects: Sequence[Sequence[Hypothesis]], fit: Fitted) -> list[Hypothesis]:
+    """All positions of nodes, all directions, all axes, and all of these at once, but for what a fit has free.
+
+    Every node is somewhat elsewhere than a file says, and turned, and so is every axis. What that leaves would pass for
+    a kind of spring, or for a wrong mass.
+    """
+    freed = {p.name for p in fit.hypothesis.own}
+    groups = [v[0] for v in suspects if v[0].law is None and v[0].own and "*" in v[0].site]
+    groups = [replace(one, own=tuple(p for p in one.own if p.name not in freed)) for one in groups]
+    groups = [one for one in groups if one.own and one.key not in fit.hypothesis.identity]
+    return [*groups, together(*groups)] if len(groups) > 1 else groups
+
+
+def _beside(search: Search, fit: Fitted, more: Hypothesis, far: bool = False) -> "_Place":
+    """Where a fit goes on with more numbers free."""
+    hypothesis = together(fit.hypothesis, more)
+    start = np.concatenate([fit.z, np.zeros(len(more.own))])
+    return _Place(hypothesis, hypothesis.parameters(search.base.parameters), (start,), far)
+
+
+def _within_tolerances(
+    robot: Robot, search: Search, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
+) -> Fitted:
+    """The base model, or that with all nodes and axes free if so it predicts the recordings and all are allowed."""
+    loose = _loose(suspects, search.base)
+    if not (search.error and loose):
+        return search.base
+    (fit,) = _refits(robot, search, [_beside(search, search.base, loose[-1], far=True)], sample)
+    explained = worth(search.base, fit, search) and not inflation(fit, robot, sample.thin(REFIT_LINES))
+    return fit if explained and len(allowed(fit, robot)) == len(fit.hypothesis.pieces) else search.base
+
+
 def _all_at_once(
     robot: Robot, search: Search, found: Sequence[Fitted], sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
 ) -> Fitted:
-    """The best of some fits that miss by more than noise, with all nodes where the recordings have them, if that pays.
+    """The best of some fits that miss by more than noise, with what is :func:`_loose` free, if that pays.
 
-    Every node is somewhat elsewhere than a file says, and turned, and what that leaves would pass for a kind of spring.
     Fits come with most evidence first; rivals of the first are freed with it.
     """
     best, fits = found[0], list(found)
-    groups = [v[0] for v in suspects if v[0].law is None and v[0].own and "*" in v[0].site]
     while inflation(best, robot, sample.thin(REFIT_LINES)):
         near = best.evidence() - WITHIN * max(1.0, best.misfit)
-        places = []
-        for fit in [fit for fit in fits if fit.evidence() > near]:
-            for group in [one for one in groups if one.key not in fit.hypothesis.identity]:
-                hypothesis = together(fit.hypothesis, group)
-                parameters = hypothesis.parameters(search.base.parameters)
-                places.append(_Place(hypothesis, parameters, (np.concatenate([fit.z, np.zeros(len(group.own))]),)))
+        likely = [fit for fit in fits if fit.evidence() > near]
+        places = [_beside(search, fit, group) for fit in likely for group in _loose(suspects, fit)]
         fits = _refits(robot, search, places, sample)
-        freed = max([best, *fits], key=lambda fit: fit.evidence())
-        if not worth(best, freed, search):
+        richer = max([best, *fits], key=lambda fit: fit.evidence())
+        if not worth(best, richer, search):
             break
-        best = freed
+        best = richer
     return best
 
 

@@ -22,7 +22,8 @@ from twin.physics.chain import node_of
 from twin.robot.description import Robot
 
 WORDS = {"response": "sensor", "excitation": "blow", "position": "node"}
-EVERY_NODE = {f"node:*.{what}": f"{what}s of sensors and blows" for what in ("position", "direction")}
+EVERY = {f"node:*.{what}": f"{what}s of sensors and blows" for what in ("position", "direction")}
+EVERY["axis*"] = "lengths and twists of axes"
 LISTED = 3  # points that a note lists
 RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
 
@@ -75,16 +76,17 @@ def most_astray(count: int, among: int = 1) -> float:
 
 
 def members(fit: Fitted, piece: Hypothesis) -> list[Hypothesis]:
-    """Of a piece that frees all nodes: each node that is farther astray than so many nodes within tolerance would be.
+    """Of a piece that frees all nodes or axes: what is farther astray than so many within tolerance would be.
 
-    Alone, and beside the others, which are then free in a piece of their own.
+    That is a node, or one number of an axis. Alone, and beside the others, which are then free in a piece of their own.
     """
-    if piece.law is not None or not piece.own or "node:*" not in piece.site:
+    if piece.site not in EVERY:
         return []
-    found, nodes = [], _by_node(piece.own)
-    for node, own in nodes.items():
-        if _node_astray(fit, own) > most_astray(len(own), len(nodes)):
-            alone = replace(piece, site=piece.site.replace("node:*", node), own=tuple(own))
+    found, parts = [], _by_node(piece.own) if "node:*" in piece.site else {p.name: [p] for p in piece.own}
+    for part, own in parts.items():
+        if _astray(fit, own) > most_astray(len(own), len(parts)):
+            site = piece.site.replace("node:*", part).replace("axis*", part)
+            alone = replace(piece, site=site, own=tuple(own))
             rest = tuple(p for p in piece.own if p not in own)
             found += [alone, together(alone, replace(piece, own=rest))] if rest else [alone]
     return found
@@ -97,8 +99,8 @@ def _by_node(own: Iterable[Parameter]) -> dict[str, list[Parameter]]:
     return nodes
 
 
-def _node_astray(fit: Fitted, own: Sequence[Parameter]) -> float:
-    """:func:`astray` of the numbers of a node that a hypothesis frees."""
+def _astray(fit: Fitted, own: Sequence[Parameter]) -> float:
+    """:func:`astray` of numbers that a hypothesis frees."""
     names = fit.parameters.names
     return astray(fit, np.array([names.index(p.name) for p in own]), np.array([p.deviation for p in own]) / DOUBT)
 
@@ -142,7 +144,7 @@ def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
     if not pieces:
         return []
     sites = [piece.site if piece.law is None else piece.key for piece in pieces]
-    names = ", ".join(f"{EVERY_NODE[site]} ({site})" if site in EVERY_NODE else site for site in sites)
+    names = ", ".join(f"{EVERY[site]} ({site})" if site in EVERY else site for site in sites)
     text = f"{names}: a little off, within the description's tolerances. Every fit took that into account: no finding"
     places = [piece for piece in pieces if piece.law is None and piece.site.endswith(".position")]
     return [Note(text, "description", "note"), *filter(None, (_farthest(piece, fit) for piece in places))]
