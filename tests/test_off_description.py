@@ -126,7 +126,7 @@ def test_loads_that_show_nothing_else_are_asked_beside_an_answer(monkeypatch: py
         "decide": Decision([shows], [0.98], 0.01, 0.01), "same_axes": {}, "judge": "named",  # type: ignore[list-item]
     }.items():  # fmt: skip
         monkeypatch.setattr(hammer, name, lambda *_, _told=told, **__: _told)
-    monkeypatch.setattr(hammer, "sifted", lambda decision, base: (decision, ()))
+    monkeypatch.setattr(hammer, "sifted", lambda decision, base: (decision, None))
     monkeypatch.setattr(hammer, "_or_its_link", lambda decision, settled, base: (decision, frozenset()))
     monkeypatch.setattr(hammer, "off_description", off_description)
     found, sample = SimpleNamespace(kept=[]), SimpleNamespace(recordings=[], repeat=1.0, band_hz=(5.0, 100.0))

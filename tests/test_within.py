@@ -146,7 +146,7 @@ def test_answers_that_differ_in_what_is_allowed_are_one(kr90: Robot) -> None:
     assert decision.none == pytest.approx(0.09)
     assert decision.alike == pytest.approx(0.8)
     same = Decision(ranked[1:3], [0.6, 0.3], 0.05, 0.05)
-    assert sifted(same, kr90) == (same, ())
+    assert sifted(same, kr90) == (same, None)
 
 
 @pytest.mark.parametrize(("takes_off", "stays"), [(2.0, False), (20.0, True)])

@@ -276,8 +276,10 @@ def _lawless(
     return float(np.logaddexp.reduce(found) + np.log((1 - numbers["none"]) / (effects + 1))) if found else -np.inf
 
 
-def sifted(decision: Decision, robot: Robot) -> tuple[Decision, tuple[Hypothesis, ...]]:
-    """A decision between answers alone, and what the description allows beside the likeliest (:func:`allowed`).
+def sifted(decision: Decision, robot: Robot) -> tuple[Decision, Fitted | None]:
+    """A decision between answers alone, and the fit of the likeliest if it holds what the description allows, too.
+
+    See :func:`allowed`.
 
     Hypotheses that differ in what is allowed are one. One that holds nothing else says that nothing is missing.
     """
@@ -286,7 +288,7 @@ def sifted(decision: Decision, robot: Robot) -> tuple[Decision, tuple[Hypothesis
         fit = replace(fit, allowed=allowed(fit, robot))
         groups.setdefault(fit.hypothesis.identity - {piece.key for piece in fit.allowed}, []).append((fit, p))
     if not any(fit.allowed for some in groups.values() for fit, _ in some):
-        return decision, ()
+        return decision, None
     nothing = groups.pop(frozenset(), [])
     left = [(some[0][0], sum(p for _, p in some)) for some in groups.values()]
     none = decision.none + sum(p for _, p in nothing)
@@ -295,7 +297,7 @@ def sifted(decision: Decision, robot: Robot) -> tuple[Decision, tuple[Hypothesis
     same = left and left[0][0].hypothesis is decision.ranked[0].hypothesis
     alike = max(decision.alike, left[0][1]) if same else 0.0
     told = replace(decision, ranked=[f for f, _ in left], probability=[p for _, p in left], none=none, alike=alike)
-    return told, beside.allowed
+    return told, beside if beside.allowed else None
 
 
 def that_show(fits: Sequence[Fitted], band_hz: tuple[float, float] = (0.0, np.inf)) -> list[Fitted]:

@@ -335,9 +335,10 @@ def _decided(
             fits, settled, looked_at, kept=unseen, axes=axes, processes=search.processes,
             unnamed=lambda fit: of_likeliest() if fit is likeliest else search.lawless(fit, sample),
         )  # fmt: skip
-    decision, doubts = sifted(decision, base)
-    if doubts:
-        settled = base_with(base, search.base.parameters, settled, doubts, sample, sample.thin(REFIT_LINES))
+    decision, beside = sifted(decision, base)
+    doubts = beside.allowed if beside else ()
+    if beside:
+        settled = base_with(base, search.base.parameters, settled, beside, sample, sample.thin(REFIT_LINES))
         decision = in_doubt_beside(at_noise(decision, settled), settled, unseen)
     links: frozenset[str] = frozenset()
     if judge(decision) in ("named", "ambiguous"):

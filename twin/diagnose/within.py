@@ -17,7 +17,7 @@ from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
-from twin.model.parameters import Parameter, Parameters
+from twin.model.parameters import Parameter, Parameters, written_names
 from twin.physics.chain import node_of
 from twin.robot.description import Robot
 
@@ -113,19 +113,25 @@ def _tolerance(piece: Hypothesis, parameter: Parameter, robot: Robot) -> float |
     return allows.get(parameter.quantity.partition("[")[0])
 
 
-def base_with(
-    robot: Robot, free: Parameters, settled: Fitted, pieces: tuple[Hypothesis, ...], sample: Sample, few: Sample
-) -> Fitted:
-    """The base model with what the description allows free within its tolerance."""
+def base_with(robot: Robot, free: Parameters, settled: Fitted, beside: Fitted, sample: Sample, few: Sample) -> Fitted:
+    """The base model with what the description allows free within its tolerance.
+
+    Args:
+        settled: the base model without that; ``beside``: a fit that has it free (``allowed``), wider. It ends at the
+            better optimum of those that the two lead to.
+    """
     narrow = [
         replace(piece, own=tuple(replace(p, deviation=_tolerance(piece, p, robot) or p.deviation) for p in piece.own))
-        for piece in pieces
+        for piece in beside.allowed
     ]
     hypothesis = together(*narrow)
     parameters = hypothesis.parameters(free)
-    z = np.concatenate([settled.z[: len(free)], np.zeros(len(hypothesis.own))])
-    near = descend(robot, hypothesis, parameters, few, z, tempered=0)
-    return descend(robot, hypothesis, parameters, sample, near.z, tempered=0, tolerance=0.02)
+    known = dict(zip(written_names(beside.parameters).names, beside.values, strict=True))
+    values = [known.get(name, p.mean) for name, p in zip(written_names(parameters).names, parameters, strict=True)]
+    starts = [parameters.coordinates(np.array(values)), np.concatenate([settled.z, np.zeros(len(hypothesis.own))])]
+    near = [descend(robot, hypothesis, parameters, few, z, tempered=0) for z in starts]
+    best = min(near, key=lambda fit: fit.cost)
+    return descend(robot, hypothesis, parameters, sample, best.z, tempered=0, tolerance=0.02)
 
 
 def without(robot: Robot, pieces: tuple[Hypothesis, ...]) -> Robot:
