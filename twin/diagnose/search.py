@@ -343,56 +343,57 @@ def _taken_out(search: Search, fit: Fitted, piece: Hypothesis) -> tuple[Hypothes
     return rest, fit.z[[k for k, p in enumerate(fit.parameters) if p.name in names]]
 
 
-def _loose(suspects: Sequence[Sequence[Hypothesis]], fit: Fitted) -> list[Hypothesis]:
-    """All positions of nodes, all directions, all axes, and all of these at once, but for what a fit has free.
+def _loosened(
+    robot: Robot,
+    search: Search,
+    fits: Sequence[Fitted],
+    sample: Sample,
+    suspects: Sequence[Sequence[Hypothesis]],
+    far: bool = False,
+) -> list[Fitted]:
+    """Fits with all positions of nodes, all directions and all axes free that are not; ``far`` as of :class:`_Place`.
 
     Every node is somewhat elsewhere than a file says, and turned, and so is every axis. What that leaves would pass for
-    a kind of spring, or for a wrong mass.
+    a kind of spring, or for a wrong mass. All at once, as one without the others makes up for them.
     """
-    freed = {p.name for p in fit.hypothesis.own}
-    groups = [v[0] for v in suspects if v[0].law is None and v[0].own and "*" in v[0].site]
-    groups = [replace(one, own=tuple(p for p in one.own if p.name not in freed)) for one in groups]
-    groups = [one for one in groups if one.own and one.key not in fit.hypothesis.identity]
-    return [*groups, together(*groups)] if len(groups) > 1 else groups
-
-
-def _beside(search: Search, fit: Fitted, more: Hypothesis, far: bool = False) -> "_Place":
-    """Where a fit goes on with more numbers free."""
-    hypothesis = together(fit.hypothesis, more)
-    start = np.concatenate([fit.z, np.zeros(len(more.own))])
-    return _Place(hypothesis, hypothesis.parameters(search.base.parameters), (start,), far)
+    groups, places = [v[0] for v in suspects if v[0].law is None and v[0].own and "*" in v[0].site], []
+    for fit in fits:
+        freed = {p.name for p in fit.hypothesis.own}
+        more = [replace(one, own=tuple(p for p in one.own if p.name not in freed)) for one in groups]
+        more = [one for one in more if one.own and one.key not in fit.hypothesis.identity]
+        if more:
+            hypothesis = together(fit.hypothesis, *more)
+            start = np.concatenate([fit.z, np.zeros(len(hypothesis.own) - len(fit.hypothesis.own))])
+            parameters = hypothesis.parameters(search.base.parameters)
+            places.append(_Place(hypothesis, parameters, (start,), far))
+    return _refits(robot, search, places, sample) if places else []
 
 
 def _within_tolerances(
     robot: Robot, search: Search, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
 ) -> Fitted:
     """The base model, or that with all nodes and axes free if so it predicts the recordings and all are allowed."""
-    loose = _loose(suspects, search.base)
-    if not (search.error and loose):
-        return search.base
-    (fit,) = _refits(robot, search, [_beside(search, search.base, loose[-1], far=True)], sample)
-    explained = worth(search.base, fit, search) and not inflation(fit, robot, sample.thin(REFIT_LINES))
-    return fit if explained and len(allowed(fit, robot)) == len(fit.hypothesis.pieces) else search.base
+    for fit in _loosened(robot, search, [search.base], sample, suspects, far=True) if search.error else ():
+        explained = worth(search.base, fit, search) and not inflation(fit, robot, sample.thin(REFIT_LINES))
+        if explained and len(allowed(fit, robot)) == len(fit.hypothesis.pieces):
+            return fit
+    return search.base
 
 
 def _all_at_once(
     robot: Robot, search: Search, found: Sequence[Fitted], sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
 ) -> Fitted:
-    """The best of some fits that miss by more than noise, with what is :func:`_loose` free, if that pays.
+    """The best of some fits, or if it misses by more than noise the best of them :func:`_loosened`, if that pays.
 
-    Fits come with most evidence first; rivals of the first are freed with it.
+    Fits come with most evidence first; rivals of the first are loosened with it.
     """
-    best, fits = found[0], list(found)
-    while inflation(best, robot, sample.thin(REFIT_LINES)):
-        near = best.evidence() - WITHIN * max(1.0, best.misfit)
-        likely = [fit for fit in fits if fit.evidence() > near]
-        places = [_beside(search, fit, group) for fit in likely for group in _loose(suspects, fit)]
-        fits = _refits(robot, search, places, sample)
-        richer = max([best, *fits], key=lambda fit: fit.evidence())
-        if not worth(best, richer, search):
-            break
-        best = richer
-    return best
+    best = found[0]
+    if not inflation(best, robot, sample.thin(REFIT_LINES)):
+        return best
+    near = best.evidence() - WITHIN * max(1.0, best.misfit)
+    fits = _loosened(robot, search, [fit for fit in found if fit.evidence() > near], sample, suspects)
+    richer = max([best, *fits], key=lambda fit: fit.evidence())
+    return richer if worth(best, richer, search) else best
 
 
 def _everywhere(
