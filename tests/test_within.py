@@ -161,8 +161,8 @@ def test_tension_alone_names_nothing_beside_a_name(kr90: Robot, takes_off: float
     one, two = (
         replace(f, cost=0.5 * float(f.z @ f.z) + missed) for f, missed in ((one, 100.0), (two, 100 - takes_off))
     )
-    assert that_show([two, one]) == ([two, one] if stays else [one])
-    assert that_show([two]) == [two]  # nothing to compare it with
+    assert that_show([two, one], kr90) == ([two, one] if stays else [one])
+    assert that_show([two], kr90) == [two]  # nothing to compare it with
 
 
 @pytest.mark.parametrize(("frequency_hz", "heard"), [(20.0, True), (101.0, True), (126.6, False), (1.0, False)])
@@ -173,8 +173,8 @@ def test_a_mode_that_no_line_holds_is_no_answer(kr90: Robot, frequency_hz: float
         {"mass": 1.0, "frequency_hz": 20.0, "damping_ratio": 0.02, "axis": "y", "position": [0.5, 0.0, 0.0]},
     )  # fmt: skip
     fit = fitted(kr90, hose, np.array([1.0, frequency_hz, 0.02, 0.5, 0.0, 0.0]))
-    assert that_show([fit], (5.0, 100.0)) == ([fit] if heard else [])
-    assert that_show([fit]) == [fit]
+    assert that_show([fit], kr90, (5.0, 100.0)) == ([fit] if heard else [])
+    assert that_show([fit], kr90) == [fit]
 
 
 @pytest.mark.parametrize(("place_m", "there"), [(0.2, True), (-3.5, False)])
@@ -185,7 +185,7 @@ def test_a_mass_metres_off_its_link_is_no_answer(kr90: Robot, place_m: float, th
         {"mass": 0.5, "frequency_hz": 15.0, "damping_ratio": 0.03, "axis": "x", "position": [0.5, 0.0, 0.0]},
     )  # fmt: skip
     fit = fitted(kr90, hose, np.array([0.5, 15.0, 0.03, 0.9, place_m, 0.0]))
-    assert that_show([fit]) == ([fit] if there else [])
+    assert that_show([fit], kr90) == ([fit] if there else [])
 
 
 @pytest.mark.parametrize(("misfit", "none"), [(1.0, 0.99), (1.5, 0.05)])

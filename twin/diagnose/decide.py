@@ -110,13 +110,15 @@ def decide(
         left = _left(base.misfit, best_misfit, noise)
         if unseen and len(order) and nothing < 0.5:
             bare, named = (unseen(k) for k in (len(fits), int(order[0])))
-            left = max(left, _left(_misfit(bare), _misfit(named), numbers["held_out_misfit"] + _scatter(named)))
+            left = max(
+                left, _left(misfit_unseen(bare), misfit_unseen(named), numbers["held_out_misfit"] + _scatter(named))
+            )
         other = _other(left, numbers)
     none, known, nameless = (1 - other) * float(nothing), (1 - other) * names, (1 - other) * nameless
     alike = (1 - other) * float(together[order[0]]) if len(order) else 0.0
     other += nameless
     if none > 0.5 and (
-        base.misfit > 2 * noise or (unseen and _misfit(unseen(len(fits))) > numbers["held_out_adequate"])
+        base.misfit > 2 * noise or (unseen and misfit_unseen(unseen(len(fits))) > numbers["held_out_adequate"])
     ):  # a mismatch that nothing here explains
         none, other = 0.0, other + none
     return Decision([fits[k] for k in order], [float(known[k]) for k in order], none, float(other), nameless, alike)
@@ -242,7 +244,7 @@ def _scatter(fit: Fitted) -> float:
     return 2 * float(np.sqrt(2 / max(fit.data, 1)))
 
 
-def _misfit(unseen: Fitted) -> float:
+def misfit_unseen(unseen: Fitted) -> float:
     """χ² per datum of recordings that were not fitted to, doubt of the fit's parameters beside their noise."""
     return 2 * unseen.cost / unseen.data
 
@@ -300,10 +302,11 @@ def sifted(decision: Decision, robot: Robot) -> tuple[Decision, Fitted | None]:
     return told, beside if beside.allowed else None
 
 
-def that_show(fits: Sequence[Fitted], band_hz: tuple[float, float] = (0.0, np.inf)) -> list[Fitted]:
+def that_show(fits: Sequence[Fitted], robot: Robot, band_hz: tuple[float, float] = (0.0, np.inf)) -> list[Fitted]:
     """The fits without those of which a piece takes next to nothing off what the recordings are missed by.
 
-    Beside the other pieces it only relieves numbers far from their description, and tension alone names nothing. What
+    Beside the other answers it only relieves numbers far from their description, and tension alone names no second
+    thing. Pieces that the description allows are no answers (:func:`allowed`). What
     adds a mode that is nowhere in the recorded band does not show either: it is a mass or a spring there, or an error.
     What would hang ``far`` deviations of its prior off its link cannot be what it is called: a rotor on a soft shaft
     passes for a small mass metres away.
@@ -333,8 +336,12 @@ def that_show(fits: Sequence[Fitted], band_hz: tuple[float, float] = (0.0, np.in
         angles = any(name.startswith("posture.") for name, _ in piece.scale)  # recorded less exactly than was stated
         return angles or rest is None or missed(rest) - missed(fit) >= least
 
-    several = [fit for fit in fits if len(fit.hypothesis.pieces) > 1]
-    dumb = {id(fit) for fit in several if not all(shows(fit, piece) for piece in fit.hypothesis.pieces)}
+    dumb = set[int]()
+    for fit in [fit for fit in fits if len(fit.hypothesis.pieces) > 1]:
+        loose = allowed(fit, robot)
+        answers = [piece for piece in fit.hypothesis.pieces if piece not in loose]
+        if len(answers) > 1 and not all(shows(fit, piece) for piece in answers):
+            dumb.add(id(fit))
     for said in (heard, there):
         dumb |= {id(fit) for fit in fits if not all(said(fit, piece) for piece in fit.hypothesis.pieces)}
     return [fit for fit in fits if id(fit) not in dumb]
@@ -367,7 +374,7 @@ def in_doubt_beside(decision: Decision, base: Fitted, kept: Sample | None) -> De
     left = _left(base.misfit, best.misfit, numbers["noise_misfit"] + _scatter(base))
     if kept:
         bare, named = (foreseen(fit, kept) for fit in (base, best))
-        left = max(left, _left(_misfit(bare), _misfit(named), numbers["held_out_misfit"] + _scatter(named)))
+        left = max(left, _left(misfit_unseen(bare), misfit_unseen(named), numbers["held_out_misfit"] + _scatter(named)))
     other = _other(left, numbers)
     if other <= decision.other:
         return decision

@@ -8,7 +8,16 @@ import numpy as np
 
 from twin.diagnose.borne_out import falls, gained
 from twin.diagnose.calibration import calibration
-from twin.diagnose.decide import Decision, at_noise, decide, finalists, in_doubt_beside, sifted, that_show
+from twin.diagnose.decide import (
+    Decision,
+    at_noise,
+    decide,
+    finalists,
+    in_doubt_beside,
+    misfit_unseen,
+    sifted,
+    that_show,
+)
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import put_right, without_hum
@@ -23,12 +32,13 @@ from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
 from twin.diagnose.many_postures import apart, judged
 from twin.diagnose.next_test import WEIGH, next_test, smallest_visible
-from twin.diagnose.records import FrfRecord, frf_records
-from twin.diagnose.refit import NONE, Fitted, descend, in_doubt_of_size, recorded_error
+from twin.diagnose.note import Note
+from twin.diagnose.records import FrfRecord, frf_records, pooled_floor
+from twin.diagnose.refit import NONE, Fitted, descend, foreseen, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
 from twin.diagnose.sensor_weight import weightless
-from twin.diagnose.sentences import sentence
+from twin.diagnose.sentences import listed, sentence
 from twin.diagnose.states import sorted_out
 from twin.diagnose.struck import moved_far, without_laws
 from twin.diagnose.triage import Triage, triage
@@ -198,6 +208,8 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
         told = _judged(finding, each, answer) if each else finding
         if not found.kept or (each and each.gain >= calibration()["seen"] and falls(told)):
             finding = told
+    unseen = Sample(tuple(found.kept), sample.repeat)
+    finding.warnings = [*finding.warnings, *_not_known_well(finding, answer.best, unseen)]
     few, blow = sample.thin(SCREEN_LINES), blows(campaign)
     laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
@@ -216,6 +228,22 @@ def _judged(finding: Finding, each: LeftOut, answer: "_Answer") -> Finding:
     told = finding.with_each(each.names, each.error, None)
     told.missing = [replace(m, evidence=_told(m, told, len(answer.missing))) for m in answer.missing]
     return told
+
+
+def _not_known_well(finding: Finding, fit: Fitted, kept: Sample) -> list[Note]:
+    """Why postures kept aside are missed by more than noise, where the doubt of a fit's numbers explains it."""
+    unseen = [r for r in finding.records if r.held_out]
+    if finding.in_turn or finding.word == "unexplained" or not unseen:
+        return []
+    error, floor = finding.error["after"]["held_out"], pooled_floor(unseen) or 0.0
+    most = calibration()["held_out_adequate"]
+    if error**2 <= most * floor**2 or misfit_unseen(foreseen(fit, kept)) > most:
+        return []
+    text = (
+        f"{listed(finding.held_out)}, not used, is missed by {error:.2%}, {error / floor:.1f} times the noise. The "
+        "doubt of the fitted numbers explains that, and no physics need be missing. More postures would make it less"
+    )
+    return [Note(text, "held_out", "note")]
 
 
 def _misses(search: Search, found: Triage) -> bool:
@@ -326,7 +354,7 @@ def _decided(
     possible_base: Callable[[], Fitted],
 ) -> _Answer:  # fmt: skip
     *others, settled = settle(base, search, sample)
-    fits = that_show(others, sample.band_hz)
+    fits = that_show(others, base, sample.band_hz)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     likeliest = fits[0] if fits else settled
