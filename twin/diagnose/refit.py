@@ -31,6 +31,7 @@ ANY_SIZE = 16.0  # times the usual width, of the logarithm of a mass: from a spe
 FIXED = 1e-3  # times the usual width: a mass that is held where it is
 STRIDE, STRIDES = 4.0, 12  # between masses that are tried, and how many: lever and mass twice and a quarter, and so on
 SETBACKS = 1  # times in a row that the evidence may fall before a walk ends
+LOST = 40.0  # in ln evidence below the best: a mass that is so well known lies in no valley
 HELD_MASS = 1e-3  # of a prior's variance: a mass known to 4 % lies in no valley
 SILENT = 1e-9  # of a prior's variance: data that take less of it say nothing
 REFIT_TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
@@ -246,7 +247,7 @@ def _walked(
             elsewhere[place] = [usual[k] for k in place]
             evidence, at = held(there, elsewhere)
             falls = falls + 1 if evidence < before else 0
-            if falls > SETBACKS:
+            if falls > SETBACKS or evidence < best - LOST:
                 break
             before = evidence
             best, found = max((best, found), (evidence, at), key=lambda end: end[0])
