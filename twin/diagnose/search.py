@@ -344,14 +344,9 @@ def _taken_out(search: Search, fit: Fitted, piece: Hypothesis) -> tuple[Hypothes
 
 
 def _loosened(
-    robot: Robot,
-    search: Search,
-    fits: Sequence[Fitted],
-    sample: Sample,
-    suspects: Sequence[Sequence[Hypothesis]],
-    far: bool = False,
-) -> list[Fitted]:
-    """Fits with all positions of nodes, all directions and all axes free that are not; ``far`` as of :class:`_Place`.
+    search: Search, fits: Sequence[Fitted], suspects: Sequence[Sequence[Hypothesis]], far: bool = False
+) -> list["_Place"]:
+    """Fits with all positions of nodes, all directions and all axes free that are not: where they go on.
 
     Every node is somewhat elsewhere than a file says, and turned, and so is every axis. What that leaves would pass for
     a kind of spring, or for a wrong mass. All at once, as one without the others makes up for them.
@@ -366,16 +361,20 @@ def _loosened(
             start = np.concatenate([fit.z, np.zeros(len(hypothesis.own) - len(fit.hypothesis.own))])
             parameters = hypothesis.parameters(search.base.parameters)
             places.append(_Place(hypothesis, parameters, (start,), far))
-    return _refits(robot, search, places, sample) if places else []
+    return places
 
 
 def _within_tolerances(
     robot: Robot, search: Search, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]
 ) -> Fitted:
     """The base model, or that with all nodes and axes free if so it predicts the recordings and all are allowed."""
-    for fit in _loosened(robot, search, [search.base], sample, suspects, far=True) if search.error else ():
-        explained = worth(search.base, fit, search) and not inflation(fit, robot, sample.thin(REFIT_LINES))
-        if explained and len(allowed(fit, robot)) == len(fit.hypothesis.pieces):
+    few = sample.thin(REFIT_LINES)
+    for place in _loosened(search, [search.base], suspects, far=True) if search.error else ():
+        near = _nearly(robot, place, few, np.inf)
+        if inflation(near, robot, few):
+            continue  # something else is missing
+        (fit,) = _refits(robot, search, [replace(place, starts=(near.z,), far=False)], sample)
+        if worth(search.base, fit, search) and len(allowed(fit, robot)) == len(fit.hypothesis.pieces):
             return fit
     return search.base
 
@@ -391,7 +390,8 @@ def _all_at_once(
     if not inflation(best, robot, sample.thin(REFIT_LINES)):
         return best
     near = best.evidence() - WITHIN * max(1.0, best.misfit)
-    fits = _loosened(robot, search, [fit for fit in found if fit.evidence() > near], sample, suspects)
+    places = _loosened(search, [fit for fit in found if fit.evidence() > near], suspects)
+    fits = _refits(robot, search, places, sample) if places else []
     richer = max([best, *fits], key=lambda fit: fit.evidence())
     return richer if worth(best, richer, search) else best
 
