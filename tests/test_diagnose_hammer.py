@@ -12,7 +12,7 @@ import pytest
 from tools.large import hammer_test
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, _of_sites, decide
-from twin.diagnose.described import described
+from twin.diagnose.described import described, geometry
 from twin.diagnose.hammer import _or_its_link
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.left_out import left_out
@@ -30,9 +30,19 @@ from twin.diagnose.screen import (
     _signed_gain,
     _Tangent,
 )
-from twin.diagnose.search import Search, _best_of_each, _in_its_stead, _taken_over, converge, explain, settle
+from twin.diagnose.search import (
+    Search,
+    _best_of_each,
+    _in_its_stead,
+    _taken_over,
+    _within_tolerances,
+    converge,
+    explain,
+    settle,
+)
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import elsewhere, estimates, estimates_of, judge, missing_of, moved_most, rival_of, strained
+from twin.diagnose.within import members
 from twin.errors import InputError
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample, factors
@@ -396,6 +406,46 @@ def tilted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Case, Fitted, dict
             case.base, tilt, tilt.parameters(case.free), case.sample, start, tempered=0, tolerance=1e-3
         )
     return case, base, found
+
+
+def test_nodes_and_axes_that_are_off_within_tolerance_explain_and_numbers_of_links_stay(tmp_path: Path) -> None:
+    """The description is drawn about the truth. One by one, such numbers had been made up for by masses."""
+    case = recorded(tmp_path, "--seed", "13", "--postures", "3")
+    rng, allows = np.random.default_rng(3), case.base.tolerances
+    axes = [case.base.axes[0]]
+    for axis in case.base.axes[1:]:
+        a, d, alpha = rng.normal(size=3) * [allows.length, allows.length, allows.angle_deg]
+        changed = {"a": axis.a + a, "d": axis.d + d, "alpha_deg": axis.alpha_deg + alpha}
+        axes.append(axis.model_copy(update=changed))
+    base = case.base.model_copy(update={"axes": axes})
+    blows = case.campaign.excitation
+    blows = replace(blows, position=blows.position + allows.position * rng.normal(size=blows.position.shape))
+    campaign = replace(case.campaign, excitation=blows)
+    used = tuple(triage(campaign, base, "c.h5", None).used)
+    free = free_parameters(base, dict.fromkeys(r.setup.name for r in used), campaign.response.label)
+    sample, brakes = Sample(used), [r.setup.brakes for r in used]
+    search = converge(base, free, sample)
+    everything = [
+        *suspects(base, campaign.response, campaign.excitation, brakes, (5.0, 29.0)),
+        *geometry(base, campaign.response, campaign.excitation, free.names),
+    ]
+    assert search.base.misfit > 10
+    fit = _within_tolerances(base, search, sample, everything)
+    assert fit.misfit < 1.05
+    assert fit.hypothesis.identity == {f"parameter@{s}" for s in ("node:*.position", "node:*.direction", "axis*")}
+    links = [k for k, p in enumerate(fit.parameters) if p.kind == "link"]
+    assert np.abs(fit.z[links]).max() < 3
+    assert members(fit, next(piece for piece in fit.hypothesis.pieces if piece.site == "axis*")) == []
+
+
+def test_a_foundation_that_tilts_is_not_taken_for_nodes_and_axes(
+    tilted: tuple[Case, Fitted, dict[str, Fitted]],
+) -> None:
+    case, base, _ = tilted
+    channels = case.campaign.response, case.campaign.excitation
+    everything = [*looked_at(case), *geometry(case.base, *channels, case.free.names)]
+    search = Search(base, [], base.z, 0.1)
+    assert _within_tolerances(case.base, search, case.sample, everything) is base
 
 
 def test_a_blow_left_out_is_predicted_better_with_what_is_there_and_with_nothing_else(
