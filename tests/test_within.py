@@ -71,6 +71,21 @@ def test_one_node_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:
     assert members(unknown, group) == []
 
 
+def test_one_twist_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:
+    group = next(v[0] for v in geometry(kr90, SENSORS, BLOWS) if v[0].site == "axis*")
+    at = np.array([p.mean for p in group.own])
+    twist = np.array([p.name == "axis3.alpha" for p in group.own]) * np.deg2rad(kr90.tolerances.angle_deg)
+    far, near = (fitted(kr90, group, at + times * twist) for times in (6.0, 1.0))
+    alone, beside = members(far, group)
+    assert alone.key == "parameter@axis3.alpha"
+    assert [p.name for p in alone.own] == ["axis3.alpha"]
+    assert beside.identity == {"parameter@axis3.alpha", "parameter@axis*"}
+    assert len({p.name for p in beside.own}) == len(beside.own) == len(group.own)
+    assert members(near, group) == []
+    (note,) = taken_in((group,), near)
+    assert note.startswith("lengths and twists of axes (axis*): a little off")
+
+
 def test_a_turn_that_the_data_hardly_know_is_no_finding(kr90: Robot) -> None:
     """It came out 6.6 tolerances off, known to eight: a seven-axis arm got a name for it beside its soft base."""
     group = nodes(kr90, "direction")
