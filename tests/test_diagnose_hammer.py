@@ -13,7 +13,7 @@ from tools.large import hammer_test
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, _of_sites, decide
 from twin.diagnose.described import described, geometry
-from twin.diagnose.hammer import _or_its_link
+from twin.diagnose.hammer import _or_its_link, diagnose_campaign
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.left_out import left_out
 from twin.diagnose.locate import free_laws, mismatch
@@ -459,6 +459,28 @@ def test_a_blow_left_out_is_predicted_better_with_what_is_there_and_with_nothing
     assert there.gain > 30
     assert there.error[1] < there.error[0]
     assert elsewhere.gain < 2
+
+
+def test_three_blows_in_one_posture_show_a_name_on_what_was_not_used(tmp_path: Path) -> None:
+    """A test at the tool alone: what is named predicts each blow from the two others."""
+    path = tmp_path / "c.h5"
+    effect = "structural_damping@joint2.z:loss_factor=0.08"
+    assert truth(["campaign", "--out", str(path), *SHORT, "--seed", "9", "--postures", "1", "--effect", effect]) == 0
+    campaign = read_campaign(path)
+    few = Channels(*(value[-3:] for value in vars(campaign.excitation).values()))
+    postures = {
+        name: replace(p, frf=p.frf[:, :, -3:], coherence=p.coherence[:, :, -3:], hits=None)
+        for name, p in campaign.postures.items()
+        if p.coherence is not None
+    }
+    found = diagnose_campaign(replace(campaign, excitation=few, postures=postures), load_robot("kr90"), "c.h5")
+    assert [m.first.key for m in found.missing] == ["structural_damping@joint2.z"]
+    assert found.in_turn
+    assert found.held_out == list(few.label)
+    error, floor = found.error, found.error["noise_floor"]
+    assert error["as_given"]["held_out"] == error["as_given"]["train"]
+    assert error["after"]["held_out"] < 1.2 * floor < 0.5 * error["before"]["held_out"]
+    assert f"on {', '.join(few.label)}, each left out in turn" in found.missing[0].evidence
 
 
 def test_a_blow_left_out_is_missed_as_by_a_fit_to_the_others(

@@ -1,5 +1,6 @@
 """What is off by no more than the description allows is no finding, and stays in the fits."""
 
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from twin.diagnose.decide import Decision, at_noise, in_doubt_beside, sifted, th
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
+from twin.diagnose.left_out import that_foretell
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.search import Search, _stand_ins, inexact
 from twin.diagnose.within import allowed, members, taken_in, without
@@ -163,6 +165,29 @@ def test_answers_that_differ_in_what_is_allowed_are_one(kr90: Robot) -> None:
     assert decision.alike == pytest.approx(0.8)
     same = Decision(ranked[1:3], [0.6, 0.3], 0.05, 0.05)
     assert sifted(same, kr90) == (same, None)
+
+
+@pytest.mark.parametrize(("missed", "stays"), [(99.0, True), (101.0, False)])
+def test_a_second_effect_that_foretells_no_blow_is_no_answer(
+    kr90: Robot, monkeypatch: pytest.MonkeyPatch, missed: float, stays: bool
+) -> None:
+    """One posture, three blows: a bending link stood at 0.98 beside the right loss factor, and foretold them worse."""
+    lossy = entry_hypothesis(kr90, "structural_damping", "joint2.z", {"loss_factor": 0.1})
+    soft, turned = entry_hypothesis(kr90, "servo_compliance", "joint2", SERVO), nodes(kr90, "direction")
+    loss, spring, turn = [0.1], list(SERVO.values()), [0.1] * len(turned.own)
+    fits = [
+        fitted(kr90, together(lossy, soft), np.array(loss + spring)),
+        fitted(kr90, together(lossy, turned), np.array(loss + turn)), fitted(kr90, lossy, np.array(loss)),
+    ]  # fmt: skip
+    both, beside, alone = fits
+    energy, module = {id(both): missed, id(beside): 200.0, id(alone): 100.0}, sys.modules[that_foretell.__module__]
+    monkeypatch.setattr(module, "_missed", lambda base, fit, sample: (energy[id(fit)], 1))
+    monkeypatch.setattr(module, "_names", lambda sample: ("1", "2", "3"))
+    kept = that_foretell(kr90, fits, Sample(()), 1e9)
+    assert kept == ([both, beside, alone] if stays else [beside, alone])  # a turned sensor is of the test alone
+    assert that_foretell(kr90, [beside, both, alone], Sample(()), -1e9) == [beside, both, alone]
+    monkeypatch.setattr(module, "_names", lambda sample: ("1", "2"))
+    assert that_foretell(kr90, fits, Sample(()), 1e9) == fits  # too few to leave one out
 
 
 @pytest.mark.parametrize(("takes_off", "stays"), [(2.0, False), (20.0, True)])

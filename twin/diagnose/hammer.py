@@ -26,7 +26,7 @@ from twin.diagnose.frf_off import data_cost, off_description
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, about, settled_with, shared
 from twin.diagnose.joint_reaction import blows
-from twin.diagnose.left_out import LeftOut, left_out
+from twin.diagnose.left_out import LeftOut, left_out, that_foretell
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
 from twin.diagnose.locate import mismatch
@@ -36,7 +36,7 @@ from twin.diagnose.note import Note
 from twin.diagnose.records import FrfRecord, frf_records, pooled_floor
 from twin.diagnose.refit import NONE, Fitted, descend, foreseen, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import FAR, inflation
-from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, Search, converge, explain, settle
+from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, WITHIN, Search, converge, explain, settle
 from twin.diagnose.sensor_weight import weightless
 from twin.diagnose.sentences import listed, sentence
 from twin.diagnose.states import sorted_out
@@ -354,7 +354,7 @@ def _decided(
     possible_base: Callable[[], Fitted],
 ) -> _Answer:  # fmt: skip
     *others, settled = settle(base, search, sample)
-    fits = that_show(others, base, sample.band_hz)
+    fits = that_foretell(base, that_show(others, base, sample.band_hz), sample, WITHIN)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     likeliest = fits[0] if fits else settled

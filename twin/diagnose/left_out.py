@@ -7,6 +7,7 @@ whether the error falls. So every blow's FRFs are predicted by a fit to those of
 sensors rove instead of blows, every sensor is left out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,12 +48,44 @@ def left_out(base: Robot, before: Fitted, after: Fitted, sample: Sample) -> Left
         base: the description that the fits' hypotheses are added to.
         before, after: fitted to ``sample``, without and with the answer.
     """
-    names = tuple(dict.fromkeys(label for r in sample.recordings for label in channels(r)[1]))
+    names = _names(sample)
     if len(names) < FEW:
         return None
     missed, data = zip(*(_missed(base, fit, sample) for fit in (before, after)), strict=True)
     without, with_answer = (float(np.sqrt(energy / data[0])) for energy in missed)
     return LeftOut(names, (without, with_answer), 0.5 * (missed[0] - missed[1]))
+
+
+def that_foretell(base: Robot, fits: Sequence[Fitted], sample: Sample, reach: float) -> list[Fitted]:
+    """The fits without those of several effects of which one makes the prediction of blows that were left out worse.
+
+    Such an effect relieves numbers far from their description, or follows noise. What belongs to the test alone, as the
+    turn of one blow, is nothing that other blows could foretell.
+
+    Args:
+        fits: most evidence first.
+        reach: ln evidence behind the first from which a fit is not looked at, and stays.
+    """
+    known, missed = {fit.hypothesis.identity: fit for fit in fits}, dict[int, float]()
+
+    def of(fit: Fitted) -> float:
+        if id(fit) not in missed:
+            missed[id(fit)] = _missed(base, fit, sample)[0]
+        return missed[id(fit)]
+
+    def worse(fit: Fitted) -> bool:
+        laws = [piece for piece in fit.hypothesis.pieces if not piece.exact]
+        if len(laws) < 2 or fits[0].evidence() - fit.evidence() > reach:
+            return False
+        simpler = [known.get(fit.hypothesis.identity - {piece.key}) for piece in laws]
+        return any(of(fit) > of(rest) for rest in simpler if rest)
+
+    return [fit for fit in fits if not worse(fit)] if len(_names(sample)) >= FEW else list(fits)
+
+
+def _names(sample: Sample) -> tuple[str, ...]:
+    """Labels of all blows, or sensors."""
+    return tuple(dict.fromkeys(label for r in sample.recordings for label in channels(r)[1]))
 
 
 def _missed(base: Robot, fit: Fitted, sample: Sample) -> tuple[float, float]:
