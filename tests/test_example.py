@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -107,3 +108,16 @@ def test_a_summary_names_what_is_opened_first() -> None:
 def test_nothing_to_do_shows_no_bar_of_nothing() -> None:
     with progress() as bars:
         bars("nothing", 0)(0)
+
+
+def test_a_file_gets_a_line_of_progress_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter([0.0, 30.0, 61.0, 90.0, 200.0])
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    with progress() as bars:
+        tick = bars("speeds", 40)
+        for _ in range(4):
+            tick(10)
+    told = capsys.readouterr().err.splitlines()
+    assert told == ["twin: speeds 20 of 40 after 61 s", "twin: speeds 40 of 40 after 200 s"]
