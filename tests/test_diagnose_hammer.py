@@ -452,7 +452,7 @@ def test_a_blow_left_out_is_predicted_better_with_what_is_there_and_with_nothing
     tilted: tuple[Case, Fitted, dict[str, Fitted]],
 ) -> None:
     case, base, found = tilted
-    there, elsewhere = (left_out(case.base, base, found[site], case.sample) for site in ("base.rx", "base.rz"))
+    there, elsewhere = (left_out(base, found[site], case.sample) for site in ("base.rx", "base.rz"))
     assert there is not None
     assert elsewhere is not None
     assert there.names == case.campaign.excitation.label
@@ -490,7 +490,7 @@ def test_a_blow_left_out_is_missed_as_by_a_fit_to_the_others(
     monkeypatch.setattr(sys.modules[left_out.__module__], "OF_RECORDINGS", ())
     few, missed, data = case.sample.thin(20), 0.0, 0.0
     base = descend(case.base, base.hypothesis, base.parameters, few, base.z, tempered=0, tolerance=1e-4)
-    told = left_out(case.base, base, base, few)
+    told = left_out(base, base, few)
     assert told is not None
     for blow in range(len(told.names)):
         rest, own = [], []
@@ -519,8 +519,8 @@ def test_fewer_than_three_blows_are_not_left_out(tilted: tuple[Case, Fitted, dic
         few = [replace(r, setup=s, frf=r.frf[:, :1, :count], variance=r.variance[:, :1, :count]) for r, s in parts]
         return Sample(tuple(few))
 
-    assert left_out(case.base, base, found["base.rx"], with_blows(2)) is None
-    assert left_out(case.base, base, found["base.rx"], with_blows(3)) is not None
+    assert left_out(base, found["base.rx"], with_blows(2)) is None
+    assert left_out(base, found["base.rx"], with_blows(3)) is not None
 
 
 @pytest.mark.parametrize(("bare", "named", "told"), [(1.126, 1.122, False), (5.0, 4.0, True)])

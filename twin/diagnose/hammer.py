@@ -204,7 +204,7 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
         told_by.missing = [_borne_out(m, answer.best) for m in told_by.missing]
     finding = _finding(given, source, found, search, answer, before)
     if not found.kept or (finding.missing and not falls(finding) and not told_by):
-        each = left_out(base, before, answer.best, sample)
+        each = left_out(before, answer.best, sample)
         told = _judged(finding, each, answer) if each else finding
         if not found.kept or (each and each.gain >= calibration()["seen"] and falls(told)):
             finding = told
@@ -235,9 +235,8 @@ def _not_known_well(finding: Finding, fit: Fitted, kept: Sample) -> list[Note]:
     unseen = [r for r in finding.records if r.held_out]
     if finding.in_turn or finding.word == "unexplained" or not unseen:
         return []
-    error, floor = finding.error["after"]["held_out"], pooled_floor(unseen) or 0.0
-    most = calibration()["held_out_adequate"]
-    if error**2 <= most * floor**2 or misfit_unseen(foreseen(fit, kept)) > most:
+    error, floor, most = finding.error["after"]["held_out"], pooled_floor(unseen), calibration()["held_out_adequate"]
+    if not floor or error**2 <= most * floor**2 or misfit_unseen(foreseen(fit, kept)) > most:
         return []
     text = (
         f"{listed(finding.held_out)}, not used, is missed by {error:.2%}, {error / floor:.1f} times the noise. The "
@@ -354,7 +353,7 @@ def _decided(
     possible_base: Callable[[], Fitted],
 ) -> _Answer:  # fmt: skip
     *others, settled = settle(base, search, sample)
-    fits = that_foretell(base, that_show(others, base, sample.band_hz), sample, WITHIN)
+    fits = that_foretell(that_show(others, base, sample.band_hz), sample, WITHIN)
     unseen = Sample(tuple(found.kept), sample.repeat) if found.kept else None
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     likeliest = fits[0] if fits else settled

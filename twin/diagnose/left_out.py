@@ -15,7 +15,6 @@ import numpy as np
 from twin.diagnose.refit import Fitted
 from twin.identify.objective import Objective, Sample, channels
 from twin.measure.campaign import FloatArray
-from twin.robot.description import Robot
 
 FEW = 3  # blows: of fewer none is left out
 OF_RECORDINGS = ("posture", "gain", "point", "direction")  # kinds of parameters that say nothing of the robot
@@ -36,7 +35,7 @@ class LeftOut:
     gain: float
 
 
-def left_out(base: Robot, before: Fitted, after: Fitted, sample: Sample) -> LeftOut | None:
+def left_out(before: Fitted, after: Fitted, sample: Sample) -> LeftOut | None:
     """Every blow of a sample left out in turn, in all postures; ``None`` where there are fewer than ``FEW``.
 
     The fits move by so little without one of them that they are linear. With residual r, slopes J of the prediction and
@@ -45,18 +44,17 @@ def left_out(base: Robot, before: Fitted, after: Fitted, sample: Sample) -> Left
     postures and places of nodes, stays as all blows have it.
 
     Args:
-        base: the description that the fits' hypotheses are added to.
         before, after: fitted to ``sample``, without and with the answer.
     """
     names = _names(sample)
     if len(names) < FEW:
         return None
-    missed, data = zip(*(_missed(base, fit, sample) for fit in (before, after)), strict=True)
+    missed, data = zip(*(_missed(fit, sample) for fit in (before, after)), strict=True)
     without, with_answer = (float(np.sqrt(energy / data[0])) for energy in missed)
     return LeftOut(names, (without, with_answer), 0.5 * (missed[0] - missed[1]))
 
 
-def that_foretell(base: Robot, fits: Sequence[Fitted], sample: Sample, reach: float) -> list[Fitted]:
+def that_foretell(fits: Sequence[Fitted], sample: Sample, reach: float) -> list[Fitted]:
     """The fits without those of several effects of which one makes the prediction of blows that were left out worse.
 
     Such an effect relieves numbers far from their description, or follows noise. What belongs to the test alone, as the
@@ -70,7 +68,7 @@ def that_foretell(base: Robot, fits: Sequence[Fitted], sample: Sample, reach: fl
 
     def of(fit: Fitted) -> float:
         if id(fit) not in missed:
-            missed[id(fit)] = _missed(base, fit, sample)[0]
+            missed[id(fit)] = _missed(fit, sample)[0]
         return missed[id(fit)]
 
     def worse(fit: Fitted) -> bool:
@@ -88,12 +86,11 @@ def _names(sample: Sample) -> tuple[str, ...]:
     return tuple(dict.fromkeys(label for r in sample.recordings for label in channels(r)[1]))
 
 
-def _missed(base: Robot, fit: Fitted, sample: Sample) -> tuple[float, float]:
+def _missed(fit: Fitted, sample: Sample) -> tuple[float, float]:
     """χ² of all blows, each predicted by a fit to the others, and the sum of squares of their data."""
     n, data = len(fit.z), 0.0
     pull, held, energy = dict[str, FloatArray](), dict[str, FloatArray](), dict[str, float]()
-    objective = Objective(fit.hypothesis.robot(base), fit.parameters, sample)
-    for name, felt in objective.by_channel(fit.z):
+    for name, felt in Objective(fit.robot, fit.parameters, sample).by_channel(fit.z):
         own = held.setdefault(name, np.zeros((n, n)))
         own[np.ix_(felt.moves, felt.moves)] += felt.slopes @ felt.slopes.T
         pull.setdefault(name, np.zeros(n))[felt.moves] += felt.slopes @ felt.rest
