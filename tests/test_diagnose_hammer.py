@@ -487,7 +487,7 @@ def test_a_blow_left_out_is_missed_as_by_a_fit_to_the_others(
     monkeypatch: pytest.MonkeyPatch, tilted: tuple[Case, Fitted, dict[str, Fitted]]
 ) -> None:
     case, base, _ = tilted
-    monkeypatch.setattr(sys.modules[left_out.__module__], "OF_RECORDINGS", ())
+    monkeypatch.setattr(sys.modules["twin.identify.left_out"], "OF_RECORDINGS", ())
     few, missed, data = case.sample.thin(20), 0.0, 0.0
     base = descend(case.base, base.hypothesis, base.parameters, few, base.z, tempered=0, tolerance=1e-4)
     told = left_out(base, base, few)

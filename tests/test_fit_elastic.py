@@ -342,6 +342,16 @@ def test_compare_takes_modal_tables_and_universal_files(measured: SimpleNamespac
     assert all(Path(file).is_file() for file in both["files"])
 
 
+def test_of_one_posture_every_blow_is_left_out_in_turn(measured: SimpleNamespace) -> None:
+    one = replace(measured.campaign, postures={"milling": measured.campaign.postures["milling"]})
+    found = fit([one], starts=1)
+    labels = list(measured.campaign.excitation.label)
+    assert found.data()["held_out"] == labels
+    error, floor = found.error, found.expected["noise_floor"]
+    assert error["train"] < error["held_out"] < 1.3 * floor
+    assert f"held out in turn: {labels[0]} to {labels[-1]} ({len(labels)})" in str(found)
+
+
 def test_command_writes_a_robot_that_loads_and_fits(measured: SimpleNamespace, tmp_path: Path) -> None:
     few = {name: measured.campaign.postures[name] for name in ("milling", "rigid", "upright")}
     write_campaign(tmp_path / "robot.h5", replace(measured.campaign, postures=few))

@@ -182,11 +182,11 @@ def test_a_second_effect_that_foretells_no_blow_is_no_answer(
     both, beside, alone = fits
     energy, module = {id(both): missed, id(beside): 200.0, id(alone): 100.0}, sys.modules[that_foretell.__module__]
     monkeypatch.setattr(module, "_missed", lambda fit, sample: (energy[id(fit)], 1))
-    monkeypatch.setattr(module, "_names", lambda sample: ("1", "2", "3"))
+    monkeypatch.setattr(module, "blows_of", lambda sample: ("1", "2", "3"))
     kept = that_foretell(fits, Sample(()), 1e9)
     assert kept == ([both, beside, alone] if stays else [beside, alone])  # a turned sensor is of the test alone
     assert that_foretell([beside, both, alone], Sample(()), -1e9) == [beside, both, alone]
-    monkeypatch.setattr(module, "_names", lambda sample: ("1", "2"))
+    monkeypatch.setattr(module, "blows_of", lambda sample: ())
     assert that_foretell(fits, Sample(()), 1e9) == fits  # too few to leave one out
 
 

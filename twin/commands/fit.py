@@ -17,7 +17,7 @@ from twin.model.recorded import within_limits
 from twin.parallel import Progress, one_thread_each, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import check_band, check_count
-from twin.result import Result, no_model, written
+from twin.result import Result, listed, no_model, written
 from twin.robot.description import Robot, save_robot
 from twin.robot.mechanism import assemble
 from twin.robot.mjcf import build_spec, lit, save_mjcf
@@ -70,7 +70,7 @@ class FitResult(Fitting, Result):
             "parameters": parameters,
             "links": links,
             "recording": recording,
-            "held_out": self.held_out,
+            "held_out": self.held_out or self.in_turn,
             "error": self.error,
             "expected": self.expected,
             "leave_one_out": self.left_out,
@@ -126,7 +126,8 @@ class FitResult(Fitting, Result):
         )
         floor = self.expected.get("held_out")
         lines.append(f"  error: {errors}" + (f"  (noise and tolerances explain {floor:.2%})" if floor else ""))
-        lines.append(f"  held out: {', '.join(self.held_out) or 'nothing'}")
+        turn = " in turn" if self.in_turn else ""
+        lines.append(f"  held out{turn}: {listed(self.held_out or self.in_turn) or 'nothing'}")
         if self.left_out:
             left = "  ".join(f"{name} {value:.2%}" for name, value in self.left_out.items())
             lines.append(f"  each posture left out in turn: {left}")

@@ -38,7 +38,7 @@ from twin.diagnose.refit import NONE, Fitted, descend, foreseen, in_doubt_of_siz
 from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, WITHIN, Search, converge, explain, settle
 from twin.diagnose.sensor_weight import weightless
-from twin.diagnose.sentences import listed, sentence
+from twin.diagnose.sentences import sentence
 from twin.diagnose.states import sorted_out
 from twin.diagnose.struck import moved_far, without_laws
 from twin.diagnose.triage import Triage, triage
@@ -67,6 +67,7 @@ from twin.model.parameters import Parameters, free_parameters, require_springs, 
 from twin.model.recorded import Recorded, base_name, prepare, without_limits
 from twin.parallel import Progress, ahead
 from twin.physics import CATALOGUE
+from twin.result import listed
 from twin.robot.description import Robot
 from twin.robot.physical import as_written, physical
 

@@ -1,10 +1,8 @@
-"""Every blow of a hammer test left out in turn: whether an answer predicts FRFs that it was not fitted to.
+"""Blows of a hammer test left out in turn: whether an answer predicts FRFs that it was not fitted to.
 
-One or two postures are too few to keep one aside. What a faint thing adds to one that was kept aside may be less than
-what is in doubt there: noise, and numbers of the robot that the other postures hardly hold. Then chance would decide
-whether the error falls. So every blow's FRFs are predicted by a fit to those of all others, without and with the answer
-(Stone, Cross-validatory choice and assessment of statistical predictions, J. R. Stat. Soc. B 36, 111, 1974). Where
-sensors rove instead of blows, every sensor is left out.
+What a faint thing adds to a posture that was kept aside may be less than what is in doubt there: noise, and numbers of
+the robot that the other postures hardly hold. Then chance would decide whether the error falls. Blows that are left out
+decide (:mod:`twin.identify.left_out`).
 """
 
 from collections.abc import Sequence
@@ -13,11 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.diagnose.refit import Fitted
-from twin.identify.objective import Objective, Sample, channels
-from twin.measure.campaign import FloatArray
-
-FEW = 3  # blows: of fewer none is left out
-OF_RECORDINGS = ("posture", "gain", "point", "direction")  # kinds of parameters that say nothing of the robot
+from twin.identify.left_out import blows_of, missed_in_turn
+from twin.identify.objective import Sample
 
 
 @dataclass(frozen=True)
@@ -36,18 +31,12 @@ class LeftOut:
 
 
 def left_out(before: Fitted, after: Fitted, sample: Sample) -> LeftOut | None:
-    """Every blow of a sample left out in turn, in all postures; ``None`` where there are fewer than ``FEW``.
-
-    The fits move by so little without one of them that they are linear. With residual r, slopes J of the prediction and
-    A = JᵀJ + 1, a fit to all but part k misses that part by r_k + J_k (A − J_kᵀJ_k)⁻¹ J_kᵀ r_k: Allen's prediction sum
-    of squares (Technometrics 16, 125, 1974), by blocks. What belongs to the recordings themselves, as angles of
-    postures and places of nodes, stays as all blows have it.
+    """Every blow of a sample left out in turn, in all postures; ``None`` where there are too few.
 
     Args:
         before, after: fitted to ``sample``, without and with the answer.
     """
-    names = _names(sample)
-    if len(names) < FEW:
+    if not (names := blows_of(sample)):
         return None
     missed, data = zip(*(_missed(fit, sample) for fit in (before, after)), strict=True)
     without, with_answer = (float(np.sqrt(energy / data[0])) for energy in missed)
@@ -78,30 +67,8 @@ def that_foretell(fits: Sequence[Fitted], sample: Sample, reach: float) -> list[
         simpler = [known.get(fit.hypothesis.identity - {piece.key}) for piece in laws]
         return any(of(fit) > of(rest) for rest in simpler if rest)
 
-    return [fit for fit in fits if not worse(fit)] if len(_names(sample)) >= FEW else list(fits)
-
-
-def _names(sample: Sample) -> tuple[str, ...]:
-    """Labels of all blows, or sensors."""
-    return tuple(dict.fromkeys(label for r in sample.recordings for label in channels(r)[1]))
+    return [fit for fit in fits if not worse(fit)] if blows_of(sample) else list(fits)
 
 
 def _missed(fit: Fitted, sample: Sample) -> tuple[float, float]:
-    """χ² of all blows, each predicted by a fit to the others, and the sum of squares of their data."""
-    n, data = len(fit.z), 0.0
-    pull, held, energy = dict[str, FloatArray](), dict[str, FloatArray](), dict[str, float]()
-    for name, felt in Objective(fit.robot, fit.parameters, sample).by_channel(fit.z):
-        own = held.setdefault(name, np.zeros((n, n)))
-        own[np.ix_(felt.moves, felt.moves)] += felt.slopes @ felt.slopes.T
-        pull.setdefault(name, np.zeros(n))[felt.moves] += felt.slopes @ felt.rest
-        energy[name] = energy.get(name, 0.0) + float(felt.rest @ felt.rest)
-        data += felt.data
-    robot = [k for k, p in enumerate(fit.parameters) if p.kind not in OF_RECORDINGS]
-    some = np.ix_(robot, robot)
-    whole = np.eye(len(robot)) + sum(own[some] for own in held.values())
-    missed = 0.0
-    for name, own in held.items():
-        g = pull[name][robot]
-        step = np.linalg.solve(whole - own[some], g)
-        missed += energy[name] + 2 * float(g @ step) + float(step @ own[some] @ step)
-    return missed, data
+    return missed_in_turn(fit.robot, fit.parameters, fit.z, sample)

@@ -8,6 +8,7 @@ import numpy as np
 
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, pooled_floor
 from twin.measure.campaign import FloatArray
+from twin.result import listed
 
 PROMINENCE = np.log(2.0)  # of a peak above the valleys beside it
 SHOULDER = np.log(1.25)  # of a measured peak that a model's may belong to, though it is not one to be told
@@ -17,7 +18,6 @@ SHIFT = 0.004  # of a peak's frequency: less is told by its height
 BETWEEN = 0.25  # lines, to which a peak between them is interpolated
 LOUD_PEAK = 0.005  # of the loudest line: less is hard to see
 HEIGHT = np.log(1.05)
-LISTED = 8  # names of what was held out: of more the first and the last are told
 
 
 @dataclass(frozen=True)
@@ -166,11 +166,6 @@ def fall(errors: dict[str, Any], held_out: Sequence[str], floor: float | None = 
     was, now = percents(before["train"], after["train"], 2)
     verb = "falls" if after["train"] < before["train"] else "does not fall:"
     return f"The error on what was used {verb} {was} → {now}{held}{noise}."
-
-
-def listed(names: Sequence[str]) -> str:
-    """``a, b, c``; of more than ``LISTED`` names the first, the last and how many."""
-    return ", ".join(names) if len(names) <= LISTED else f"{names[0]} to {names[-1]} ({len(names)})"
 
 
 def percents(one: float, other: float, digits: int) -> tuple[str, str]:

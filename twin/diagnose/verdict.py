@@ -17,12 +17,11 @@ from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
 from twin.diagnose.refit import Fitted
-from twin.diagnose.sentences import listed
 from twin.identify.damping_transfer import Transfer
 from twin.identify.descent import ASTRAY
 from twin.identify.uncertainty import beside_prior, interval
 from twin.model.parameters import Parameter
-from twin.result import Result, no_model, written
+from twin.result import Result, listed, no_model, written
 from twin.robot.description import Robot
 from twin.table import Table
 

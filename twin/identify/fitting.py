@@ -22,6 +22,8 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
+from twin.identify.left_out import blows_of, missed_in_turn
+from twin.identify.objective import Sample
 from twin.identify.posterior import Posterior
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
@@ -62,6 +64,7 @@ class Fitting:
         robot: the fitted description.
         fit: the optimum; ``estimates`` every parameter with interval.
         error: ``train`` and ``held_out`` as the contract defines them; ``None`` where nothing was held out.
+        in_turn: labels of blows (or sensors) that were left out in turn, of one or two postures: the held-out error.
         expected: the held-out error that noise and tolerances explain, and the noise floor alone.
         postures: per posture role, model's modes and, where there are any, measured ones.
         left_out: posture → error when only that posture was not used.
@@ -78,6 +81,7 @@ class Fitting:
     expected: dict[str, float | None]
     postures: dict[str, dict[str, Any]]
     warnings: list[str]
+    in_turn: list[str] = field(default_factory=list)
     left_out: dict[str, float] = field(default_factory=dict)
     comparisons: dict[str, Comparison] = field(default_factory=dict)
     profiles: dict[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
@@ -127,6 +131,10 @@ def fit_campaign(
         comparisons["held out"] = comparison(final, judge(final, rest), source)
         error["held_out"] = comparisons["held out"].error
         expected["held_out"] = expected_error(final, fitted, rest) if noise_stated(recordings) else None
+    in_turn = blows_of(Sample(tuple(train))) if not rest else ()
+    if in_turn:
+        missed, data = missed_in_turn(fitted.robot, fitted.parameters, fitted.z, Sample(tuple(train)))
+        error["held_out"] = float(np.sqrt(missed / data))
     left_out = {}
     for name in left:
         other = run([r for r in recordings if r.setup.name != name])
@@ -136,7 +144,8 @@ def fit_campaign(
     found = estimates(fitted)
     result = Fitting(
         source, final, fitted, found, combinations(fitted), held, error, expected,
-        _campaign_modes(campaign, recordings, final, held, band_hz, progress), [], left_out, comparisons,
+        _campaign_modes(campaign, recordings, final, held, band_hz, progress), [],
+        list(in_turn), left_out, comparisons,
     )  # fmt: skip
     unseen = [r for r in recordings if r.setup.name in result.held_out]
     result.damping = transfer(misses_of_frf(result.robot, Posterior.of(result.fit), unseen))
@@ -274,7 +283,7 @@ def fit_table(
         source, final, fitted, estimates(fitted), combinations(fitted), held, error, {"held_out": None},
         {name: _paired(described, posture, [m for m in paired if m.posture == name], name in held)
          for name, posture in measured.items()},
-        [], left_out,
+        [], left_out=left_out,
     )  # fmt: skip
     result.damping = transfer(misses)
     result.warnings = _warnings(result)

@@ -22,7 +22,7 @@ from matplotlib.ticker import (
 )
 
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, ModalRecord, Record, Stage, pooled_floor
-from twin.diagnose.sentences import Spot, best_spot, listed, off_by
+from twin.diagnose.sentences import Spot, best_spot, off_by
 from twin.diagnose.verdict import MEANING, Finding, Verdict, parameter_rows
 from twin.measure.campaign import QUANTITIES
 from twin.physics import CATALOGUE
@@ -30,6 +30,7 @@ from twin.report.figures import UNITS
 from twin.report.html import Grid, Map, Panel, Plot, Section, Table, pick
 from twin.report.motion_figures import axis_units
 from twin.report.plots import frf_panels, frf_plot, torque_panels, torque_plot
+from twin.result import listed
 from twin.robot.description import Robot
 
 COLOURS: dict[Stage, str] = {"as_given": "#8a8f98", "before": "#e8590c", "after": "#1f4e9c"}

@@ -13,6 +13,7 @@ from twin.model.recorded import Recorded
 from twin.report import figures, fit_figures
 from twin.report.html import Panel, Plot, Section, Table, pick
 from twin.report.plots import frf_panels, frf_plot
+from twin.result import listed
 
 if TYPE_CHECKING:
     from twin.commands.fit import FitResult
@@ -72,7 +73,8 @@ def lead(found: "FitResult") -> str:
     """The result in a sentence."""
     parts = [f"error {found.error['train']:.2%} on what was fitted"]
     if found.error["held_out"] is not None:
-        parts.append(f"{found.error['held_out']:.2%} on {', '.join(found.held_out)}, not used")
+        unused = "each left out in turn" if found.in_turn else "not used"
+        parts.append(f"{found.error['held_out']:.2%} on {listed(found.held_out or found.in_turn)}, {unused}")
     held = sum(e.identifiable for e in found.estimates)
     return "; ".join(parts) + f"; {held} of {len(found.estimates)} numbers held by the data"
 
