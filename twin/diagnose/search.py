@@ -168,7 +168,7 @@ def explain(
         again = number == 1 or best.hypothesis.pieces[-1] not in allowed(best, robot)
         if number and small and again:
             best = _reconsider(robot, search, best, sample, suspects, progress)
-    best = _needed(robot, search, best, sample)
+    best = _needed(robot, search, max([best, *search.finalists], key=lambda fit: fit.evidence()), sample)
     there = _where_it_is(robot, search, best, sample, suspects, progress)
     if worth(best, there, search):
         _needed(robot, search, there, sample)
@@ -351,7 +351,7 @@ def _loosened(
     Every node is somewhat elsewhere than a file says, and turned, and so is every axis. What that leaves would pass for
     a kind of spring, or for a wrong mass. All at once, as one without the others makes up for them.
     """
-    groups, places = [v[0] for v in suspects if v[0].law is None and v[0].own and "*" in v[0].site], []
+    groups, places = [variants[0] for variants in suspects if _everything(variants[0])], []
     for fit in fits:
         freed = {p.name for p in fit.hypothesis.own}
         more = [replace(one, own=tuple(p for p in one.own if p.name not in freed)) for one in groups]
@@ -362,6 +362,11 @@ def _loosened(
             parameters = hypothesis.parameters(search.base.parameters)
             places.append(_Place(hypothesis, parameters, (start,), far))
     return places
+
+
+def _everything(one: Hypothesis) -> bool:
+    """Whether a suspect is all nodes or all axes."""
+    return one.law is None and bool(one.own) and "*" in one.site
 
 
 def _within_tolerances(
@@ -475,6 +480,8 @@ def _round(
     if error > 0:
         z, *_ = minimise(setting.objective(hypothesis), z, 8, 0.05)
         setting = replace(setting, z=z)
+    if error > 0:  # all nodes would outrun the one of them that is off: they are tried by themselves
+        suspects = [variants for variants in suspects if not _everything(variants[0])]
     promises = screen(setting, suspects, progress("screen", len(suspects)), search.processes)
     thinned = lines.repeat / sample.repeat  # fewer lines promise as many times the noise
     least = max(SLIGHT * thinned, RACE * promises[0].gain)
