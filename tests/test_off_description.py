@@ -122,7 +122,8 @@ def test_loads_that_show_nothing_else_are_asked_beside_an_answer(monkeypatch: py
         raise InterruptedError
 
     for name, told in {
-        "settle": [shows, relieves, bare], "that_show": [shows], "missing_of": [], "in_doubt_of_size": shows,
+        "settle": [shows, relieves, bare], "that_show": [], "that_foretell": [shows], "missing_of": [],
+        "in_doubt_of_size": shows,
         "decide": Decision([shows], [0.98], 0.01, 0.01), "same_axes": {}, "judge": "named",  # type: ignore[list-item]
     }.items():  # fmt: skip
         monkeypatch.setattr(hammer, name, lambda *_, _told=told, **__: _told)
