@@ -13,6 +13,7 @@ from tools.large import hammer_test
 from tools.truth.__main__ import main as truth
 from twin.diagnose.decide import Decision, _of_sites, decide
 from twin.diagnose.described import described, geometry
+from twin.diagnose.frf_faults import understated
 from twin.diagnose.hammer import _or_its_link, diagnose_campaign
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, suspects, together
 from twin.diagnose.left_out import left_out
@@ -487,7 +488,7 @@ def test_a_blow_left_out_is_missed_as_by_a_fit_to_the_others(
     monkeypatch: pytest.MonkeyPatch, tilted: tuple[Case, Fitted, dict[str, Fitted]]
 ) -> None:
     case, base, _ = tilted
-    monkeypatch.setattr(sys.modules["twin.identify.left_out"], "OF_RECORDINGS", ())
+    monkeypatch.setattr(sys.modules["twin.identify.press"], "OF_RECORDINGS", ())
     few, missed, data = case.sample.thin(20), 0.0, 0.0
     base = descend(case.base, base.hypothesis, base.parameters, few, base.z, tempered=0, tolerance=1e-4)
     told = left_out(base, base, few)
@@ -504,6 +505,16 @@ def test_a_blow_left_out_is_missed_as_by_a_fit_to_the_others(
         missed += float(residual @ residual)
         data += sum(float(np.sum(np.abs(r.frf * w) ** 2)) for r, w in zip(own, judged.weight, strict=True))
     assert told.error[0] == pytest.approx(float(np.sqrt(missed / data)), rel=0.02)
+
+
+def test_noise_that_is_estimated_is_not_thought_too_small() -> None:
+    """Its variance is 6.25 times what is stated: found so or larger in 19 of 20, as two deviations promise."""
+    found, rng = [], np.random.default_rng(0)
+    for _ in range(40):
+        noise = 2.5 * (rng.normal(size=(120, 3, 20)) + 1j * rng.normal(size=(120, 3, 20)))
+        found.append(understated([SimpleNamespace(frf=noise, variance=np.ones(noise.shape))]))  # type: ignore[list-item]
+    assert np.mean(np.array(found) >= 6.25) >= 0.9
+    assert np.mean(found) < 1.2 * 6.25
 
 
 def test_fewer_than_three_blows_are_not_left_out(tilted: tuple[Case, Fitted, dict[str, Fitted]]) -> None:

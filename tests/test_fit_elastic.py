@@ -352,6 +352,16 @@ def test_of_one_posture_every_blow_is_left_out_in_turn(measured: SimpleNamespace
     assert f"held out in turn: {labels[0]} to {labels[-1]} ({len(labels)})" in str(found)
 
 
+def test_one_blow_and_three_sensors_are_fitted(measured: SimpleNamespace) -> None:
+    """With fewer blows than sensors the slopes go another way, and one blow ended in a traceback."""
+    campaign, posture = measured.campaign, measured.campaign.postures["milling"]
+    last = Channels(*(value[-1:] for value in vars(campaign.excitation).values()))
+    one = replace(posture, frf=posture.frf[:, :, -1:], coherence=posture.coherence[:, :, -1:], hits=None)
+    found = fit([replace(campaign, excitation=last, postures={"milling": one})], starts=1)
+    assert found.in_turn == list(campaign.response.label)
+    assert found.error["train"] < 1.1 * found.expected["noise_floor"]
+
+
 def test_command_writes_a_robot_that_loads_and_fits(measured: SimpleNamespace, tmp_path: Path) -> None:
     few = {name: measured.campaign.postures[name] for name in ("milling", "rigid", "upright")}
     write_campaign(tmp_path / "robot.h5", replace(measured.campaign, postures=few))

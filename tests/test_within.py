@@ -71,6 +71,8 @@ def test_one_node_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:
     assert len(taken_in((group,), near)) == 1  # of three coordinates, each as far off as its tolerance
     unknown = fitted(kr90, group, at + 0.021 * blow, known=1.02)
     assert members(unknown, group) == []
+    turned = nodes(kr90, "direction")  # one blow off its axis is an effect
+    assert members(fitted(kr90, turned, np.append(0.1, np.zeros(len(turned.own) - 1))), turned) == []
 
 
 def test_one_twist_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:

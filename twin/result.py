@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-LISTED = 8  # names of what was held out: of more the first and the last are told
+HELD_OUT = 8  # names of what was held out: of more the first and the last are told
 NAMED = 4  # of the files written, how many a summary names
 _FIRST = (".html", ".yaml", ".xml", ".h5", ".csv", ".json")  # what is opened first
 
@@ -29,8 +29,8 @@ def written(files: Sequence[str | Path]) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """``a, b, c``; of more than ``LISTED`` names the first, the last and how many."""
-    return ", ".join(names) if len(names) <= LISTED else f"{names[0]} to {names[-1]} ({len(names)})"
+    """``a, b, c``; of more than ``HELD_OUT`` names the first, the last and how many."""
+    return ", ".join(names) if len(names) <= HELD_OUT else f"{names[0]} to {names[-1]} ({len(names)})"
 
 
 def no_model() -> dict[str, str | None]:

@@ -306,10 +306,9 @@ def that_show(fits: Sequence[Fitted], robot: Robot, band_hz: tuple[float, float]
     """The fits without those of which a piece takes next to nothing off what the recordings are missed by.
 
     Beside the other answers it only relieves numbers far from their description, and tension alone names no second
-    thing. Pieces that the description allows are no answers (:func:`allowed`). What
-    adds a mode that is nowhere in the recorded band does not show either: it is a mass or a spring there, or an error.
-    What would hang ``far`` deviations of its prior off its link cannot be what it is called: a rotor on a soft shaft
-    passes for a small mass metres away.
+    thing. Pieces that the description allows are no answers (:func:`allowed`). What adds a mode that is nowhere in the
+    recorded band does not show either: it is a mass or a spring there, or an error. What would hang ``far`` deviations
+    of its prior off its link cannot be what it is called: a rotor on a soft shaft passes for a small mass metres away.
     """
     known, least = {fit.hypothesis.identity: fit for fit in fits}, calibration()["seen"]
 

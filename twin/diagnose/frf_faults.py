@@ -137,8 +137,9 @@ def understated(recordings: Iterable[Recorded]) -> float:
     ratio = np.concatenate(parts) if parts else np.zeros(0)
     if not ratio.size:
         return 1.0
-    smooth, middle = np.quantile(ratio, [0.1, 0.5]) / -np.log1p(-np.array([0.1, 0.5]))
-    doubt = np.sqrt(0.1 / 0.9 / (ratio.size / 4)) / -np.log1p(-0.1)  # four differences share a line
+    few = 0.1
+    smooth, middle = np.quantile(ratio, [few, 0.5]) / -np.log1p(-np.array([few, 0.5]))
+    doubt = np.sqrt(few / (1 - few) / (ratio.size / 4)) / -np.log1p(-few)  # four differences share a line
     return float(smooth * (1 + 2 * doubt)) if smooth > ROUGH and middle < NOISY * smooth else 1.0
 
 

@@ -2,7 +2,7 @@
 
 What a faint thing adds to a posture that was kept aside may be less than what is in doubt there: noise, and numbers of
 the robot that the other postures hardly hold. Then chance would decide whether the error falls. Blows that are left out
-decide (:mod:`twin.identify.left_out`).
+decide (:mod:`twin.identify.press`).
 """
 
 from collections.abc import Sequence
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.diagnose.refit import Fitted
-from twin.identify.left_out import blows_of, missed_in_turn
 from twin.identify.objective import Sample
+from twin.identify.press import blows_of, press
 
 
 @dataclass(frozen=True)
@@ -71,4 +71,4 @@ def that_foretell(fits: Sequence[Fitted], sample: Sample, reach: float) -> list[
 
 
 def _missed(fit: Fitted, sample: Sample) -> tuple[float, float]:
-    return missed_in_turn(fit.robot, fit.parameters, fit.z, sample)
+    return press(fit.robot, fit.parameters, fit.z, sample)

@@ -79,8 +79,9 @@ def members(fit: Fitted, piece: Hypothesis) -> list[Hypothesis]:
     """Of a piece that frees all nodes or axes: what is farther astray than so many within tolerance would be.
 
     That is a node, or one number of an axis. Alone, and beside the others, which are then free in a piece of their own.
+    A single sensor or blow that points elsewhere is an effect, and no number of the description.
     """
-    if piece.site not in EVERY:
+    if piece.site not in EVERY or piece.site.endswith(".direction"):
         return []
     found, parts = [], _by_node(piece.own) if "node:*" in piece.site else {p.name: [p] for p in piece.own}
     for part, own in parts.items():

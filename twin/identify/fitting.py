@@ -22,9 +22,9 @@ from twin.identify.elastic_modal import (
     modal_postures,
     predict_modes,
 )
-from twin.identify.left_out import blows_of, missed_in_turn
 from twin.identify.objective import Sample
 from twin.identify.posterior import Posterior
+from twin.identify.press import blows_of, press
 from twin.identify.uncertainty import (
     LARGE_DRIFT,
     Combination,
@@ -133,7 +133,7 @@ def fit_campaign(
         expected["held_out"] = expected_error(final, fitted, rest) if noise_stated(recordings) else None
     in_turn = blows_of(Sample(tuple(train))) if not rest else ()
     if in_turn:
-        missed, data = missed_in_turn(fitted.robot, fitted.parameters, fitted.z, Sample(tuple(train)))
+        missed, data = press(fitted.robot, fitted.parameters, fitted.z, Sample(tuple(train)))
         error["held_out"] = float(np.sqrt(missed / data))
     left_out = {}
     for name in left:

@@ -975,7 +975,7 @@ def _stiffness_slopes(rate: Observed, s: ComplexArray, pull: ComplexArray, X_e: 
             found = (flat @ by).reshape(len(left), nr * n, nv) @ right
         else:
             flat = np.concatenate([factor[some] * right for _, factor in parts], axis=1).transpose(1, 0, 2)
-            moved = by @ flat.reshape(-1, len(left) * ne).view(float)
+            moved = by @ np.ascontiguousarray(flat.reshape(-1, len(left) * ne)).view(float)
             found = left @ moved.view(complex).reshape(n, nv, -1, ne).transpose(2, 1, 0, 3).reshape(-1, nv, n * ne)
         out[felt, some] = found.reshape(-1, nr, n, ne).transpose(2, 0, 1, 3)
     return out

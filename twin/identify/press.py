@@ -1,4 +1,4 @@
-"""Every blow of a hammer test left out in turn: how well a fit to the others predicts its FRFs.
+"""PRESS of a hammer test: every blow left out in turn, and predicted by a fit to the others.
 
 One or two postures are too few to keep one aside. So every blow's FRFs are predicted by a fit to those of all others
 (Stone, Cross-validatory choice and assessment of statistical predictions, J. R. Stat. Soc. B 36, 111, 1974). Where
@@ -22,7 +22,7 @@ def blows_of(sample: Sample) -> tuple[str, ...]:
     return names if len(names) >= FEW else ()
 
 
-def missed_in_turn(robot: Robot, parameters: Parameters, z: FloatArray, sample: Sample) -> tuple[float, float]:
+def press(robot: Robot, parameters: Parameters, z: FloatArray, sample: Sample) -> tuple[float, float]:
     """χ² of all blows, each predicted by a fit to the others, and the sum of squares of their data over the noise.
 
     A fit moves by so little without one of them that it is linear. With residual r, slopes J of the prediction and
