@@ -34,7 +34,7 @@ from twin.diagnose.many_postures import apart, judged
 from twin.diagnose.next_test import WEIGH, next_test, smallest_visible
 from twin.diagnose.note import Note
 from twin.diagnose.records import FrfRecord, frf_records, pooled_floor
-from twin.diagnose.refit import NONE, Fitted, descend, foreseen, in_doubt_of_size, recorded_error
+from twin.diagnose.refit import CRAWLING, NONE, Fitted, descend, foreseen, in_doubt_of_size, recorded_error
 from twin.diagnose.screen import FAR, inflation
 from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, WITHIN, Search, converge, explain, settle
 from twin.diagnose.sensor_weight import weightless
@@ -71,7 +71,6 @@ from twin.result import listed
 from twin.robot.description import Robot
 from twin.robot.physical import as_written, physical
 
-CRAWLING = 4  # steps that hardly lower a cost far above noise: links as described have no better numbers
 ABOUT = 2  # times that knowledge of moments is made linear where a fit ends: the second moves it by little
 
 

@@ -33,6 +33,7 @@ STRIDE, STRIDES = 4.0, 12  # between masses that are tried, and how many: lever 
 SETBACKS = 1  # times in a row that the evidence may fall before a walk ends
 LOST = 40.0  # in ln evidence below the best: a mass that is so well known lies in no valley
 HELD_MASS = 1e-3  # of a prior's variance: a mass known to 4 % lies in no valley
+CRAWLING = 4  # steps in turn that hardly lower a cost far above noise: a model that lacks something is not at its end
 SILENT = 1e-9  # of a prior's variance: data that take less of it say nothing
 REFIT_TEMPERS = (0.1, 0.02)  # relative model error assumed on the way from logarithmic to linear residual
 

@@ -367,9 +367,9 @@ def _beyond_promise(setting: Setting, hypothesis: Hypothesis, suspect: Hypothesi
     room = ROOM if law.ridged else 1.0
     least = min(cost for cost, _ in ends)
     z = next(z for cost, z in reversed(ends) if cost <= room * least)
-    few = setting.objective(hypothesis, setting.few)
-    z, cost, _, _ = minimise(few, z, BEYOND, 0.5)
-    gain = setting.floor - cost - setting.overfit(len(own))
+    few, enough = setting.objective(hypothesis, setting.few), setting.floor - setting.overfit(len(own))
+    z, cost, _, _ = minimise(few, z, BEYOND, 0.5, hopeless=enough - SLIGHT)
+    gain = enough - cost
     return Promise(hypothesis, suspect, objective.parameters, gain, z, z)
 
 

@@ -16,7 +16,7 @@ from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.parted import divided
-from twin.diagnose.refit import NONE, Fitted, descend, of_its_size
+from twin.diagnose.refit import CRAWLING, NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
 from twin.diagnose.sensor_weight import weightless
 from twin.diagnose.within import allowed, members
@@ -41,6 +41,7 @@ THINNED_COST = 1.05  # on few lines a cost differs from that on all by so much
 SHORT = 0.2  # of what another has gained: less promised is not refitted
 ABREAST = 2  # refits side by side, on however many cores: what is found must not depend on them
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
+TO_THE_END = 60  # iterations for what a long valley has held up
 LIKELY = 16.0  # ln evidence behind the best within which a fit may be a rival
 
 
@@ -808,7 +809,13 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
     fits, free = search.finalists, search.base.parameters
     axes = same_axes(robot, [r.setup.q for r in sample.recordings])
     near = [fit for fit in fits if fits[0].evidence() - fit.evidence() < WITHIN]
-    sized = list(spread(lambda k: of_its_size(robot, free, near[k], sample), len(near), search.processes))
+
+    def at_size(number: int) -> Fitted:
+        fit = near[number]
+        fit = of_its_size(robot, free, fit, sample) if _may_be_seen(fit, search) else fit
+        return fit if fit.converged else _to_its_end(robot, fit, sample)
+
+    sized = list(spread(at_size, len(near), search.processes))
     far = [
         fit
         for k, fit in enumerate(fits[len(near) :], len(near))
@@ -818,6 +825,29 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
     ]
     sized = [fit for fit in sized if not fit.too_heavy]  # under a wider prior a mass may grow
     return [*sorted(sized, key=lambda fit: -fit.evidence()), *far, search.base]
+
+
+def _to_its_end(robot: Robot, fit: Fitted, sample: Sample) -> Fitted:
+    """A fit that a long valley has held up, followed on: 19 in ln evidence and the truth lay along one of them."""
+    return descend(
+        robot, fit.hypothesis, fit.parameters, sample, fit.z,
+        tempered=0, linear=TO_THE_END, tolerance=0.02, patience=CRAWLING,
+    )  # fmt: skip
+
+
+def _may_be_seen(fit: Fitted, search: Search) -> bool:
+    """Whether every piece of a fit could gain what it takes to be named, if its size cost nothing.
+
+    A size drawn far from its usual value has a tension, and that is all another width of its prior takes away.
+    """
+    least, at = calibration()["seen"], len(fit.z) - len(fit.hypothesis.own)
+    for piece in fit.hypothesis.pieces:
+        rest = search.fits.get(fit.hypothesis.identity - {piece.key}) if len(fit.hypothesis.pieces) > 1 else search.base
+        tension = 0.5 * float(fit.z[at]) ** 2 if piece.own and piece.own[0].log else 0.0
+        if rest is not None and rest.cost - fit.cost + tension < least:
+            return False
+        at += len(piece.own)
+    return True
 
 
 def _varied(promises: Sequence[Promise], count: int) -> list[Promise]:

@@ -12,7 +12,6 @@ physics entries are differentiated by central differences of these small matrice
 matrices by MuJoCo.
 """
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -90,10 +89,11 @@ class Structure:
         body, local = self.carried_points(channels)
         return body, _wrench(self.rotation[body], self.origin[body], local, direction)
 
-    def row_slopes(self, wrenches: tuple[list[int], FloatArray], axis: int, screw: FloatArray) -> FloatArray:
-        """Derivative (n, nv) of :meth:`rows` where all from a zero-based axis on moves along a screw (6,)."""
+    def row_slopes(self, wrenches: tuple[list[int], FloatArray], axes: Sequence[int], screws: FloatArray) -> FloatArray:
+        """Derivatives (m, n, nv) of :meth:`rows` where all from zero-based axes (m,) on moves along screws (m, 6)."""
         body, wrench = wrenches
-        return np.asarray(wrench @ self.turned(axis, screw).T * self.path[body] * self.moved[axis, body][:, None])
+        moved = self.moved[np.ix_(axes, body)][:, :, None]
+        return np.asarray(wrench @ self.turned(axes, screws).swapaxes(1, 2) * self.path[body] * moved)
 
     def carried_points(self, channels: Channels) -> tuple[list[int], FloatArray]:
         """The body that carries every point, and where it lies in that body's own frame (n, 3)."""
@@ -122,29 +122,32 @@ class Structure:
             return np.concatenate([np.zeros(3), along])
         return np.concatenate([along, _cross(through, along)])
 
-    def turned(self, axis: int, screw: FloatArray) -> FloatArray:
-        """Rates (nv, 6) of the screws inboard of an axis, seen from what moves along a screw (6,) with that axis."""
-        omega = _cross(screw[:3], self.screw[:, :3])
-        v = _cross(screw[:3], self.screw[:, 3:]) + _cross(screw[3:], self.screw[:, :3])
-        return -np.concatenate([omega, v], axis=-1) * (1 - self.carried[axis])[:, None]
+    def turned(self, axes: Sequence[int], screws: FloatArray) -> FloatArray:
+        """Rates (m, nv, 6) of the screws inboard of axes (m,), seen from what moves along screws (m, 6) with them."""
+        along = screws[:, None]
+        omega = _cross(along[..., :3], self.screw[:, :3])
+        v = _cross(along[..., :3], self.screw[:, 3:]) + _cross(along[..., 3:], self.screw[:, :3])
+        return -np.concatenate([omega, v], axis=-1) * (1 - self.carried[axes])[:, :, None]
 
-    def placed_slopes(self, axis: int, screw: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of M and K (nv, nv) where all from a zero-based axis on moves along a screw (6,)."""
-        weight = (self.path * self.moved[axis][:, None])[:, :, None]
-        turned = self.turned(axis, screw)
-        S, dS = self.screw * weight, turned * weight
-        inertial = self.spatial @ S.swapaxes(1, 2)
-        dM = (dS @ inertial).sum(axis=0)
-        momentum = inertial[:, 3:].sum(axis=0)
-        momentum_rate = (self.spatial[:, 3:] @ dS.swapaxes(1, 2)).sum(axis=0)
-        omega, omega_rate = self.screw[:, :3], turned[:, :3]
-        turned_gravity = -_cross(screw[:3], self.gravity)
+    def placed_slopes(self, axes: Sequence[int], screws: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of M and K (m, nv, nv) where all from zero-based axes (m,) on moves along screws (m, 6)."""
+        turned = self.turned(axes, screws)
+        S = self.screw * self.path[:, :, None]
+        inertial = self.spatial @ S.swapaxes(1, 2)  # (nb, 6, nv)
+        reached = turned[:, None] * self.path[:, :, None] * self.moved[axes][:, :, None, None]  # (m, nb, nv, 6)
+        m, nb, nv, _ = reached.shape
+        dM = reached.swapaxes(1, 2).reshape(m * nv, nb * 6) @ inertial.reshape(nb * 6, nv)
+        dM = dM.reshape(m, nv, nv)
+        momentum = np.tensordot(self.moved[axes], inertial[:, 3:], 1)
+        momentum_rate = (self.spatial[:, 3:] @ reached.swapaxes(2, 3)).sum(axis=1)
+        omega, omega_rate = self.screw[:, :3], turned[..., :3]
+        turned_gravity = -_cross(screws[:, None, :3], self.gravity)
         dK = (
             _hessian(omega, momentum, turned_gravity, self.inboard)
             + _hessian(omega_rate, momentum, self.gravity, self.inboard)
             + _hessian(omega, momentum_rate, self.gravity, self.inboard)
         )
-        return dM + dM.T, dK
+        return dM + dM.swapaxes(1, 2), dK
 
     def inertial_slopes(self, body: str, local: FloatArray) -> tuple[FloatArray, FloatArray]:
         """∂M and ∂K (n, nv, nv) for changes (n, 6, 6) of a body's spatial inertia about, and in, its own frame."""
@@ -570,8 +573,8 @@ def slopes(
     out = Observed.of(np.zeros((len(among), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
     chain: MeasurementChain | None = None
-    wrenches: list[tuple[list[int], FloatArray]] = []
     links: dict[str, list[tuple[int, int]]] = {}
+    moves: list[tuple[int, int, FloatArray]] = []
     turns: list[tuple[int, int]] = []
     for row, p in enumerate(among):
         parameter, (site, what) = parameters[p], parameters.parts[p]
@@ -592,14 +595,7 @@ def slopes(
         elif parameter.kind == "axis" or (parameter.kind == "posture" and site == f"posture.{setup.name}"):
             axis = int((what if parameter.kind == "posture" else site).lstrip("axisq")) - 1
             screw = model.command[axis] if parameter.kind == "posture" else model.placement(axis, what)
-            chain = chain or recording_chain(robot, setup.response, setup.excitation)
-            if not wrenches:
-                wrenches = [
-                    model.wrenches(setup.response, chain.response_direction),
-                    model.wrenches(setup.excitation, chain.excitation_direction),
-                ]
-            out.M[row], out.K[row] = model.placed_slopes(axis, screw)
-            out.J_r[row], out.J_e[row] = (model.row_slopes(one, axis, screw) for one in wrenches)
+            moves.append((row, axis, screw))
         elif parameter.kind == "sag" and seen.sag is not None:
             for target, rate in zip(out.arrays(), seen.sag.arrays(), strict=True):
                 target[row] = rate
@@ -618,6 +614,9 @@ def slopes(
             changes[block] = np.array([_link_slope(inertial, parameters[p].name) for _, p in own])
         rows = [row for row, _ in own]
         out.M[rows], out.K[rows] = model.inertial_slopes(body, changes[block])
+    if moves:
+        chain = chain or recording_chain(robot, setup.response, setup.excitation)
+        _apply_moves(out, moves, chain, setup, model)
     if turns:
         _apply_turns(out, turns, parameters, values, robot, stated, setup, model)
     return out
@@ -631,6 +630,16 @@ def _apply_spring(out: Observed, row: int, what: str, k: int, model: Structure) 
         out.integral[row, k, k] = model.integral[k, k] / model.strain[k]
     else:
         out.C[row, k, k] = 1.0
+
+
+def _apply_moves(
+    out: Observed, moves: Sequence[tuple[int, int, FloatArray]], chain: MeasurementChain, setup: Setup, model: Structure
+) -> None:
+    """Of axes that stand elsewhere or at another angle: rows, zero-based axes and the screws (6,) they move along."""
+    rows, axes, screws = [row for row, _, _ in moves], [axis for _, axis, _ in moves], np.array([s for *_, s in moves])
+    out.M[rows], out.K[rows] = model.placed_slopes(axes, screws)
+    out.J_r[rows] = model.row_slopes(model.wrenches(setup.response, chain.response_direction), axes, screws)
+    out.J_e[rows] = model.row_slopes(model.wrenches(setup.excitation, chain.excitation_direction), axes, screws)
 
 
 def sag_slopes(
@@ -866,16 +875,19 @@ def moving(rate: Observed) -> NDArray[np.intp]:
 
 
 def contract(slopes_: Observed, transform: FloatArray) -> Observed:
-    """Derivatives along other coordinates: ``transform`` (n, m) holds ∂ value / ∂ coordinate."""
-    arrays = slopes_.arrays()
-    sizes = [math.prod(array.shape[1:]) for array in arrays]
-    rows = [array.reshape(len(array), size) for array, size in zip(arrays, sizes, strict=True)]
-    flat = transform.T @ np.concatenate(rows, axis=1)  # in one product
-    ends = np.cumsum([0, *sizes])
-    return Observed.of(
-        flat[:, a:b].reshape(len(flat), *array.shape[1:])
-        for array, a, b in zip(arrays, ends[:-1], ends[1:], strict=True)
-    )
+    """Derivatives along other coordinates: ``transform`` (n, m) holds ∂ value / ∂ coordinate.
+
+    Every array is moved by some values only, and those by some coordinates: the rest stays zero.
+    """
+    found = []
+    for array in slopes_.arrays():
+        out = np.zeros((transform.shape[1], *array.shape[1:]))
+        rows = np.flatnonzero(array.any(axis=tuple(range(1, array.ndim))))
+        columns = np.flatnonzero(transform[rows].any(axis=0))
+        if columns.size:
+            out[columns] = np.tensordot(transform[np.ix_(rows, columns)].T, array[rows], 1)
+        found.append(out)
+    return Observed.of(found)
 
 
 def frf(seen: Observed, s: ComplexArray, power: int) -> ComplexArray:
