@@ -16,7 +16,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
 from twin.diagnose.search import WITHIN, in_doubt
-from twin.diagnose.within import allowed
+from twin.diagnose.within import allowed, excused
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.parallel import spread
@@ -281,25 +281,31 @@ def _lawless(
 def sifted(decision: Decision, robot: Robot) -> tuple[Decision, Fitted | None]:
     """A decision between answers alone, and the fit of the likeliest if it holds what the description allows, too.
 
-    See :func:`allowed`.
-
-    Hypotheses that differ in what is allowed are one. One that holds nothing else says that nothing is missing.
+    See :func:`allowed` and :func:`excused`. Hypotheses that differ in what is allowed are one. The likeliest of them
+    that needs no excuse stands for them. One that holds nothing else says that nothing is missing.
     """
-    groups: dict[frozenset[str], list[tuple[Fitted, float]]] = {}
+    groups: dict[frozenset[str], list[tuple[Fitted, float, bool]]] = {}
     for fit, p in zip(decision.ranked, decision.probability, strict=True):
-        fit = replace(fit, allowed=allowed(fit, robot))
-        groups.setdefault(fit.hypothesis.identity - {piece.key for piece in fit.allowed}, []).append((fit, p))
-    if not any(fit.allowed for some in groups.values() for fit, _ in some):
+        loose = allowed(fit, robot)
+        off = [piece for piece in excused(fit, decision.ranked, robot) if piece not in loose]
+        fit = replace(fit, allowed=(*loose, *off))
+        groups.setdefault(fit.hypothesis.identity - {piece.key for piece in fit.allowed}, []).append((fit, p, not off))
+    if not any(fit.allowed for some in groups.values() for fit, *_ in some):
         return decision, None
+    same = bool(next(iter(groups)))  # what is likeliest of all is an answer
     nothing = groups.pop(frozenset(), [])
-    left = [(some[0][0], sum(p for _, p in some)) for some in groups.values()]
-    none = decision.none + sum(p for _, p in nothing)
-    beside = nothing[0][0] if nothing and none > max((p for _, p in left), default=0.0) else left[0][0]
+    left = [(_excusing(some), sum(p for _, p, _ in some)) for some in groups.values()]
+    none = decision.none + sum(p for _, p, _ in nothing)
+    beside = _excusing(nothing) if nothing and none > max((p for _, p in left), default=0.0) else left[0][0]
     left[1:] = sorted(left[1:], key=lambda pair: -pair[1])
-    same = left and left[0][0].hypothesis is decision.ranked[0].hypothesis
     alike = max(decision.alike, left[0][1]) if same else 0.0
     told = replace(decision, ranked=[f for f, _ in left], probability=[p for _, p in left], none=none, alike=alike)
     return told, beside if beside.allowed else None
+
+
+def _excusing(some: Sequence[tuple[Fitted, float, bool]]) -> Fitted:
+    """The likeliest of some fits all of whose pieces that are allowed are so in itself; else the likeliest."""
+    return max(some, key=lambda one: one[2])[0]
 
 
 def that_show(fits: Sequence[Fitted], robot: Robot, band_hz: tuple[float, float] = (0.0, np.inf)) -> list[Fitted]:

@@ -174,7 +174,24 @@ def explain(
     if worth(best, there, search):
         _needed(robot, search, there, sample)
     _in_its_stead(robot, search, sample)
+    _beside_each_other(robot, search, sample, suspects)
     return search
+
+
+def _beside_each_other(robot: Robot, search: Search, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]) -> None:
+    """Fits the likely answers that have all nodes or all axes off with every other such group free, too.
+
+    One group takes up what the others leave that are off by no more than is allowed: nodes off by millimetres pass for
+    sensors turned by a degree. What is off has to be off beside the others (:func:`twin.diagnose.within.excused`).
+    """
+    least = max((fit.evidence() for fit in search.finalists), default=0.0) - LIKELY
+    off = [
+        fit
+        for fit in search.finalists
+        if fit.evidence() > least
+        and any(_everything(p) and p not in allowed(fit, robot) for p in fit.hypothesis.pieces)
+    ]
+    _refits(robot, search, _loosened(search, off, suspects), sample)
 
 
 def _without_weight(robot: Robot, search: Search, best: Fitted, sample: Sample) -> tuple[Fitted, Sample]:

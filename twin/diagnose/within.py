@@ -25,6 +25,7 @@ WORDS = {"response": "sensor", "excitation": "blow", "position": "node"}
 EVERY = {f"node:*.{what}": f"{what}s of sensors and blows" for what in ("position", "direction")}
 EVERY["axis*"] = "lengths and twists of axes"
 LISTED = 3  # points that a note lists
+STATED = 2.0  # times a tolerance that nobody states more exactly: how all nodes scatter shows it to a tenth
 RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
 
 
@@ -37,9 +38,23 @@ def allowed(fit: Fitted, robot: Robot) -> tuple[Hypothesis, ...]:
         if not width or None in width:
             continue
         own = np.arange(at - len(piece.own), at)
-        if astray(fit, own, np.array(width, float)) <= most_astray(len(own)):
+        doubt = STATED if piece.site in EVERY else 1.0
+        if astray(fit, own, doubt * np.array(width, float)) <= most_astray(len(own)):
             found.append(piece)
     return tuple(found)
+
+
+def excused(fit: Fitted, others: Sequence[Fitted], robot: Robot) -> tuple[Hypothesis, ...]:
+    """The pieces of a fit that are :func:`allowed` in another one which has more such groups free, and else the same.
+
+    A group that alone is off takes up what the others leave, which are off by as much as the description allows.
+    """
+    keys = set[str]()
+    for other in others:
+        more = [piece for piece in other.hypothesis.pieces if piece.key not in fit.hypothesis.identity]
+        if fit.hypothesis.identity < other.hypothesis.identity and all(piece.site in EVERY for piece in more):
+            keys |= {piece.key for piece in allowed(other, robot) if piece.site in EVERY}
+    return tuple(piece for piece in fit.hypothesis.pieces if piece.key in keys)
 
 
 def astray(fit: Fitted, own: np.ndarray, tolerance: FloatArray, nothing: float = 1e-9) -> float:
