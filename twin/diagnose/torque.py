@@ -496,7 +496,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         if step.effect.part == "law":
             found = _with_formula(found, step.first)
         missing += _with_coulomb(search, step, found, settled) if step.effect.memory else [found]
-    missing = [_or_slip(search, one, missing) for one in missing]
+    missing = [_or_presliding(search, _or_slip(search, one, missing), settled) for one in missing]
     if search.law:
         _, _, fit = search.law
         (found,) = missing_of(Decision([fit], [other], 0.0, other), search.after)
@@ -572,6 +572,26 @@ def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Miss
     others = tuple((c, p) for c, p in found.alternatives if c.key != slip.key)
     half = 0.5 * (found.probability + sum(p for c, p in found.alternatives if c.key == slip.key))
     return replace(found, probability=half, alternatives=((slip, half), *others))
+
+
+def _or_presliding(search: Search, found: Missing, settled: Fitted) -> Missing:
+    """Slip whose torque is a part of the dry friction that is described, beside presliding of another travel.
+
+    Both are slip elements. Slip that is missing adds its torque to friction. If the sum of both is nearer to what is
+    described than friction without slip, friction may only turn round over another travel here than at other joints.
+    """
+    effect, joint = effect_named(found.first.effect), found.first.site.partition(".")[0]
+    dry, names = effect_of("dry"), settled.parameters.names
+    level = f"{dry.name}@{joint}.{dry.parameters[0].name}"
+    if not effect.memory or level not in names:
+        return found
+    described, fitted_level = (settled.parameters[names.index(level)].mean, settled.values[names.index(level)])
+    whole = fitted_level + sum(found.first.parameters["yield_torque"]["value"])
+    if abs(whole - described) >= abs(fitted_level - described):
+        return found
+    half = 0.5 * found.probability
+    presliding = replace(found.first, effect=effect_of("slip").name, site=joint)
+    return replace(found, probability=half, alternatives=((presliding, half), *found.alternatives))
 
 
 def _at_rest(search: Search) -> list[Step]:

@@ -65,6 +65,8 @@ def decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], su
     numbers = [_numbers(f.hypothesis) for f in fits]
     near = [k for k, gain in enumerate(gains) if gain > calibration()["simpler"] * best and k not in later]
     handicap = [_richer(k, fits, numbers, near) * max(best, 0.0) for k in range(len(fits))]
+    for k, less in _recorded_alike(fits, gains, near, max(best, 0.0)):
+        handicap[k] = less
     further = calibration()["further"]
     for k, first in later.items():
         handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + further)
@@ -76,13 +78,26 @@ def _richer(k: int, fits: Sequence[Fitted], numbers: Sequence[int], near: Sequen
     """The share of the best gain that a fit must have more than those with fewer numbers near the best.
 
     Laws of the robot are not exact, and one more number fits what they are off by. How torque is recorded, late or
-    low-passed, is exact: there a share that laws in the model may be off by is enough.
+    low-passed, is exact.
     """
     fewer = [i for i in near if numbers[i] < numbers[k]]
-    if not fewer:
+    if not fewer or all(effect_named(fits[i].hypothesis.effect).records_torque for i in (k, *fewer)):
         return 0.0
-    recorders = all(effect_named(fits[i].hypothesis.effect).records_torque for i in (k, *fewer))
-    return calibration()["inexact"] if recorders else 1 - calibration()["simpler"]
+    return 1 - calibration()["simpler"]
+
+
+def _recorded_alike(
+    fits: Sequence[Fitted], gains: FloatArray, near: Sequence[int], best: float
+) -> list[tuple[int, float]]:
+    """Index and handicap of ways in which torque may be recorded that differ by less than other laws may be off by.
+
+    A delay and a low-pass above the motion's band differ in the third digit of what they explain. The robot's friction
+    is not known so exactly: they are as likely then.
+    """
+    ways = [k for k in near if effect_named(fits[k].hypothesis.effect).records_torque]
+    most = max((gains[k] for k in ways), default=0.0)
+    alike = [k for k in ways if gains[k] >= most - calibration()["inexact"] * best]
+    return [(k, float(gains[k] - min(gains[i] for i in alike))) for k in alike]
 
 
 def _outermost(system: System, fits: Sequence[Fitted]) -> list[Fitted]:

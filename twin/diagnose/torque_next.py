@@ -28,6 +28,7 @@ ADVICE: dict[Test, str] = {
 """Tests, the most telling first."""
 
 OTHERWISE = "the same trajectories at half the speed, with standstills of a second"
+HELD = "a hammer test of the joint with its brake on, at two force levels: the gear slips there, a held rotor does not"
 OFF: tuple[Test, ...] = ("mass", "sweep")  # what shows a number of the description that is off: it is a mass or a load
 
 
@@ -38,15 +39,18 @@ def next_log(missing: Missing) -> dict[str, Any]:
     load = any(c.effect in CATALOGUE and CATALOGUE[c.effect].lever for c in pair)
     load = load and any(c.effect not in CATALOGUE and c.site.startswith("link") for c in pair)
     return {
-        "description": WEIGH if load else _advice({first.effect, rival.effect}),
+        "description": WEIGH if load else _advice(first.effect, rival.effect),
         "separates": [first.key, rival.key],
         "posture_deg": None,
     }
 
 
-def _advice(names: set[str]) -> str:
+def _advice(*names: str) -> str:
     """What a test shows of one alone tells it from the other; some need both to show, each in its own way."""
-    shown = [CATALOGUE[name].log_tests if name in CATALOGUE else OFF for name in names]
+    laws = [CATALOGUE[name] for name in names if name in CATALOGUE]
+    shown = [law.log_tests for law in laws] + [OFF] * (len(names) - len(laws))
+    if shown[0] == shown[-1] and sum("levels" in law.seen_in for law in laws) == 1:  # no log tells
+        return HELD
     some = {test for tests in shown for test in tests}
     both = {test for test in some if all(test in tests for tests in shown)}
     useful = (some - {"jerk", "reversals", "speeds", "mass"}) | both

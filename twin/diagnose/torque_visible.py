@@ -18,9 +18,10 @@ def smallest_visible(
 ) -> list[dict[str, Any]]:
     """The size of each suspect from which it would be named: its evidence then outweighs that nothing is missing.
 
-    Other numbers of the entry are free beside it; a list's are taken in proportion. A slip element is given by the
-    torque it yields at. One that no size a robot can have would show is left out. What a model misses, ``misfit``
-    times noise in power, hides as noise does. The work is spread over ``processes``.
+    Other numbers of the entry are free beside it. Of its other sizes, a list's are taken in proportion, and the rest as
+    is usual beside the first, or as none. A slip element is given by the torque it yields at. One that no size a robot
+    can have would show is left out. What a model misses, ``misfit`` times noise in power, hides as noise does. The work
+    is spread over ``processes``.
     """
     suspects = [s for s in suspects if s.effect.part != "law"]
     sizes = spread(lambda number: _visible_size(system, suspects, number, misfit), len(suspects), processes)
@@ -33,8 +34,11 @@ def _visible_size(system: System, suspects: Sequence[Suspect], number: int, misf
     hypothesis, own = suspect.hypothesis, suspect.hypothesis.own
     values = suspect.starts[len(suspect.starts) // 2].copy()
     u = own_prior(own, values)
-    u[list(suspect.sizes)] += 0.3
     first = suspect.sizes[0] if suspect.sizes else 0
+    quantity = own[first].quantity.partition("[")[0]
+    u[[k for k in suspect.sizes if own[k].quantity.partition("[")[0] == quantity]] += 0.3
+    usual = suspect.effect.given_size(system.base.regressor.robot, hypothesis.site, float(own_values(own, u)[first]))
+    u = own_prior(own, np.array([usual.get(p.quantity, x) for p, x in zip(own, own_values(own, u), strict=True)]))
     others = [k for k in range(len(own)) if k != first and k not in suspect.sizes]
     trial = evaluate(system, suspect, u, slopes=bool(others))
     information, _ = system.projected(trial.column)
@@ -53,6 +57,6 @@ def _visible_size(system: System, suspects: Sequence[Suspect], number: int, misf
     parameter, value = own[first], own_values(own, u)[first]
     size = abs(value - null) * ratio if suspect.sizes else abs(value) * ratio
     return {
-        "effect": hypothesis.effect, "site": hypothesis.site, "parameter": parameter.quantity.partition("[")[0],
+        "effect": hypothesis.effect, "site": hypothesis.site, "parameter": quantity,
         "value": float(size), "unit": parameter.unit,
     }  # fmt: skip
