@@ -22,7 +22,7 @@ from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_left_out import left_out_runs, without_run
-from twin.diagnose.torque_look import decided, in_its_link, look, number_groups
+from twin.diagnose.torque_look import _recorded_alike, decided, in_its_link, look, number_groups
 from twin.diagnose.torque_nearest import nearest, step_nearer
 from twin.diagnose.torque_noise import _likelihoods
 from twin.diagnose.torque_off import as_described
@@ -40,6 +40,7 @@ from twin.diagnose.torque_system import (
     relinearised,
     system_of,
 )
+from twin.diagnose.torque_visible import smallest_visible
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.model.torque_signal import Prepared, prepare
@@ -417,3 +418,23 @@ def test_a_number_of_a_find_is_no_number_of_the_description() -> None:
     both = SimpleNamespace(names=(*described, of_find))
     system = SimpleNamespace(parameters=both, base=SimpleNamespace(parameters=SimpleNamespace(names=tuple(described))))
     assert sorted(number_groups(system).values()) == [[0], [1]]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("behind", "alike"), [(1.0, True), (55.0, False)])
+def test_ways_of_recording_that_differ_by_less_than_laws_are_off_by_are_alike(behind: float, alike: bool) -> None:
+    """A filter of 60 Hz was a delay with 0.99: the two explained 14754.8 and 14755.7 of ln evidence."""
+    names = ("time_delay", "torque_filter", "joint_coupling")
+    fits: Any = [SimpleNamespace(hypothesis=Hypothesis(name, "log")) for name in names]
+    gains = np.array([14755.7, 14755.7 - behind, 870.0])
+    handicap = dict(_recorded_alike(fits, gains, [0, 1], 14755.7))
+    assert handicap == pytest.approx({0: behind, 1: 0.0} if alike else {0: 0.0})
+
+
+def test_a_difference_of_coulomb_friction_hides_in_a_free_offset(slow: tuple[Prepared, list[Suspect], System]) -> None:
+    """While an axis moves it is one, but for standstills; the viscous difference that may go with it is not."""
+    _, suspects, system = slow
+    (uneven,) = (s for s in suspects if s.name == "asymmetric_friction@joint1")
+    (size,) = smallest_visible(system, [uneven])
+    assert size["parameter"] == "torque_difference"
+    alone = evaluate(system, uneven, np.array([size["value"] / uneven.hypothesis.own[0].deviation, 0.0]), slopes=False)
+    assert 5 < 0.5 * float(system.projected(alone.column)[0][0, 0]) < 50  # ln likelihood that a name takes

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +18,14 @@ from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.next_test import WEIGH
 from twin.diagnose.refit import NONE, descend
-from twin.diagnose.torque import _finding, base_system, diagnose_log, searched
+from twin.diagnose.torque import _finding, _or_presliding, base_system, diagnose_log, searched
 from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_off import numbers_of_answer, taken_back
 from twin.diagnose.torque_system import with_wider
 from twin.diagnose.verdict import Candidate, Finding, Missing, far_off
 from twin.measure.motion_log import MotionLog
+from twin.model.parameters import Parameter, independent
 from twin.model.torque_signal import prepare
 from twin.robot.description import Robot, load_robot
 
@@ -182,3 +184,26 @@ def test_a_filter_and_a_delay_differ_in_fast_torque(kr90: Robot) -> None:
     first, rival, slip = (Candidate(effect, site, 1.0, kr90, {}) for effect, site in sites)
     assert "jerk" in next_log(Missing(first, 0.7, ((rival, 0.3),), ""))["description"]
     assert "jerk" not in next_log(Missing(slip, 0.7, ((rival, 0.3),), ""))["description"]
+
+
+def test_no_log_tells_slip_of_a_gear_from_presliding(kr90: Robot) -> None:
+    """A brake does: it holds the rotor, and the gear still slips."""
+    slip, rival = (
+        Candidate(e, site, 1.0, kr90, {}) for e, site in (("hysteresis", "joint1.z"), ("presliding", "joint1"))
+    )
+    assert "brake" in next_log(Missing(slip, 0.5, ((rival, 0.5),), ""))["description"]
+
+
+@pytest.mark.parametrize(("friction", "ambiguous"), [(60.0, True), (102.0, False)])
+def test_slip_that_is_a_part_of_described_friction_may_be_presliding(
+    kr90: Robot, friction: float, ambiguous: bool
+) -> None:
+    """100 N·m are described: 60 beside 38 of slip are as much; 102 beside 38 are more than that."""
+    numbers = {"yield_torque": {"value": [38.0], "unit": "N·m", "interval90": [[35.0, 41.0]]}}
+    slip = Missing(Candidate("hysteresis", "joint2.z", 500.0, kr90, numbers), 0.99, (), "")
+    described = Parameter("coulomb_friction@joint2.torque", "N·m", "entry", False, 100.0, 20.0)
+    settled: Any = SimpleNamespace(parameters=independent([described]), values=np.array([friction]))
+    told = _or_presliding(slip, settled)
+    assert [(c.key, p) for c, p in told.rivals] == ([("presliding@joint2", 0.495)] if ambiguous else [])
+    assert told.probability == (0.495 if ambiguous else 0.99)
+    assert _or_presliding(replace(slip, first=replace(slip.first, site="joint3.z")), settled).rivals == []

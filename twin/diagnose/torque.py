@@ -496,7 +496,7 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         if step.effect.part == "law":
             found = _with_formula(found, step.first)
         missing += _with_coulomb(search, step, found, settled) if step.effect.memory else [found]
-    missing = [_or_presliding(search, _or_slip(search, one, missing), settled) for one in missing]
+    missing = [_or_presliding(_or_slip(search, one, missing), settled) for one in missing]
     if search.law:
         _, _, fit = search.law
         (found,) = missing_of(Decision([fit], [other], 0.0, other), search.after)
@@ -574,7 +574,7 @@ def _or_slip(search: Search, found: Missing, missing: Sequence[Missing]) -> Miss
     return replace(found, probability=half, alternatives=((slip, half), *others))
 
 
-def _or_presliding(search: Search, found: Missing, settled: Fitted) -> Missing:
+def _or_presliding(found: Missing, settled: Fitted) -> Missing:
     """Slip whose torque is a part of the dry friction that is described, beside presliding of another travel.
 
     Both are slip elements. Slip that is missing adds its torque to friction. If the sum of both is nearer to what is
