@@ -70,7 +70,8 @@ def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
     with them: numbers make up for physics that is missing.
 
     Args:
-        refused: effects that explain no more than these numbers do. A load is a rival, see :func:`_loads`.
+        refused: effects that explain no more than these numbers do. A load is a rival, see :func:`_loads`. One that has
+            more evidence than the numbers comes first, and they stand for it.
     """
     if search.other[1] > 0.5:
         return search
@@ -83,12 +84,16 @@ def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:
     chance = calibration()["told"]
     share = chance / (1 + len(rivals))
     other = calibration()["least_other"]
-    decision = Decision([fit, *rivals], [share] * (1 + len(rivals)), 1 - chance - other, other)
-    step = Step(system, base_fit(system), decision, {}, accepted=True)
+    trials = {key: trial for last in search.steps[-1:] if last.system is system for key, trial in last.trials.items()}
+    load = next((r for r in rivals if r.hypothesis.key in trials and r.evidence() > fit.evidence()), None)
+    ranked = [load, fit, *(r for r in rivals if r is not load)] if load else [fit, *rivals]
+    decision = Decision(ranked, [share] * len(ranked), 1 - chance - other, other)
+    step = Step(system, base_fit(system), decision, trials if load else {}, accepted=True)
     steps = [*search.found, step, *(s for s in search.steps if not s.accepted)]
     after = accepted(system, step)
     first = search.first if search.found else step
-    found = replace(search, first=first, steps=steps, system=after, after=base_fit(after))
+    numbers = (hypothesis,) if load else ()
+    found = replace(search, first=first, steps=steps, system=after, after=base_fit(after), stand_ins=numbers)
     if search.judge is not None:
         found.held_out_misfit = search.judge.misfit(after, found.after)
     if found.held_out_misfit > calibration()["held_out_adequate"]:
