@@ -18,10 +18,13 @@ from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.next_test import WEIGH
 from twin.diagnose.refit import NONE, descend
-from twin.diagnose.torque import _finding, _or_presliding, base_system, diagnose_log, searched
+from twin.diagnose.torque import _answer, _finding, _or_presliding, base_system, diagnose_log, searched
 from twin.diagnose.torque_fit import base_fit
+from twin.diagnose.torque_look import look
 from twin.diagnose.torque_next import next_log
-from twin.diagnose.torque_off import numbers_of_answer, taken_back
+from twin.diagnose.torque_off import numbers_of_answer, taken_back, told
+from twin.diagnose.torque_search import Search
+from twin.diagnose.torque_suspects import log_suspects
 from twin.diagnose.torque_system import with_wider
 from twin.diagnose.verdict import Candidate, Finding, Missing, far_off
 from twin.measure.motion_log import MotionLog
@@ -101,6 +104,24 @@ def test_a_load_that_makes_no_prediction_better_is_one_of_two(tmp_path: Path, kr
     assert falls(finding)
 
 
+def test_a_load_with_more_evidence_comes_before_the_numbers_of_its_link(tmp_path: Path, kr90: Robot) -> None:
+    """Runs kept aside may refuse the load, and numbers stand in for it: what is told is a body that can exist."""
+    log = log_of(tmp_path, "--effect", "payload@flange:mass=190,com=1.2|-0.1|0.1")
+    system = base_system(prepare(log, kr90, "log.h5"))
+    some = [s for s in log_suspects(kr90, system.base.runs) if s.name == "payload@flange"]
+    step = look(system, some, lambda count: None, 1)
+    refused = Search(system, step, [step], system, base_fit(system), np.zeros(3), np.zeros(3))
+    assert not step.accepted
+    search = told(refused)
+    (first,) = search.found
+    load, numbers = first.decision.ranked
+    assert (load.hypothesis.key, numbers.hypothesis.key) == ("payload@flange", "parameter@link3.mass")
+    assert load.evidence() > numbers.evidence()
+    assert search.stand_ins == (numbers.hypothesis,)
+    (missing,) = _answer(search)[1]
+    assert missing.first.parameters["mass"]["value"] == pytest.approx(190, rel=0.05)
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_load_is_weighed_whichever_of_it_and_its_link_comes_first(kr90: Robot, turned: bool) -> None:
     """Not where both are loads: weighing does not tell on which link one hangs."""
@@ -123,12 +144,12 @@ def test_loads_that_show_nothing_else_are_asked_beside_an_answer(monkeypatch: py
         asked.append(arguments[4])
         raise InterruptedError
 
-    for name, told in {
+    for name, stub in {
         "settle": [shows, relieves, bare], "that_show": [], "that_foretell": [shows], "missing_of": [],
         "in_doubt_of_size": shows,
         "decide": Decision([shows], [0.98], 0.01, 0.01), "same_axes": {}, "judge": "named",  # type: ignore[list-item]
     }.items():  # fmt: skip
-        monkeypatch.setattr(hammer, name, lambda *_, _told=told, **__: _told)
+        monkeypatch.setattr(hammer, name, lambda *_, _told=stub, **__: _told)
     monkeypatch.setattr(hammer, "sifted", lambda decision, base: (decision, None))
     monkeypatch.setattr(hammer, "_or_its_link", lambda decision, settled, base: (decision, frozenset()))
     monkeypatch.setattr(hammer, "off_description", off_description)
@@ -203,7 +224,7 @@ def test_slip_that_is_a_part_of_described_friction_may_be_presliding(
     slip = Missing(Candidate("hysteresis", "joint2.z", 500.0, kr90, numbers), 0.99, (), "")
     described = Parameter("coulomb_friction@joint2.torque", "N·m", "entry", False, 100.0, 20.0)
     settled: Any = SimpleNamespace(parameters=independent([described]), values=np.array([friction]))
-    told = _or_presliding(slip, settled)
-    assert [(c.key, p) for c, p in told.rivals] == ([("presliding@joint2", 0.495)] if ambiguous else [])
-    assert told.probability == (0.495 if ambiguous else 0.99)
+    found = _or_presliding(slip, settled)
+    assert [(c.key, p) for c, p in found.rivals] == ([("presliding@joint2", 0.495)] if ambiguous else [])
+    assert found.probability == (0.495 if ambiguous else 0.99)
     assert _or_presliding(replace(slip, first=replace(slip.first, site="joint3.z")), settled).rivals == []
