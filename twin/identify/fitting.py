@@ -49,6 +49,7 @@ from twin.robot.mechanism import assemble
 
 LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
+SOME_MISFIT = 1.2  # from here on a tenth of what is missed is no noise
 SATURATED_TOLD = 8  # numbers that a warning lists; more are counted
 CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
 LARGE_CORRELATION = 0.95
@@ -155,7 +156,12 @@ def fit_campaign(
         for k in weakest:
             tick(1)
             result.profiles[fitted.parameters.names[k]] = profile(described, train, fitted, found[k])
-    result.warnings = _warnings(result, _perfect_misfit(campaign)) + _data_warnings(campaign, recordings)
+    perfect = _perfect_misfit(campaign)
+    result.warnings = [
+        *_warnings(result, perfect),
+        *_held_nodes(fitted, perfect),
+        *_data_warnings(campaign, recordings),
+    ]
     return result
 
 
@@ -415,6 +421,16 @@ def _perfect_misfit(campaign: Campaign) -> float:
     n = min(averages)
     variance = gammaincinv(n - 1, (np.arange(1000) + 0.5) / 1000) / n  # chi-squared, 2 (n − 1) degrees of freedom
     return float(np.mean(1 / np.maximum(variance, np.quantile(variance, VARIANCE_FLOOR_QUANTILE))))
+
+
+def _held_nodes(fit: Fit, perfect_misfit: float) -> list[str]:
+    """What a fit that misses a little more than noise has not free; where it misses much, something else is wrong."""
+    if not SOME_MISFIT < fit.misfit / perfect_misfit <= LARGE_MISFIT:
+        return []
+    return [
+        f"χ² per datum is {fit.misfit:.2f}: the model misses a little more than noise. Positions and directions of sensors "
+        "and blows are not free in a fit, and its intervals do not include their tolerances. `twin diagnose` frees them"
+    ]
 
 
 def _data_warnings(campaign: Campaign, recordings: Sequence[Recorded]) -> list[str]:
