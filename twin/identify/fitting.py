@@ -428,8 +428,9 @@ def _held_nodes(fit: Fit, perfect_misfit: float) -> list[str]:
     if not SOME_MISFIT < fit.misfit / perfect_misfit <= LARGE_MISFIT:
         return []
     return [
-        f"χ² per datum is {fit.misfit:.2f}: the model misses a little more than noise. Positions and directions of sensors "
-        "and blows are not free in a fit, and its intervals do not include their tolerances. `twin diagnose` frees them"
+        f"χ² per datum is {fit.misfit:.2f}: the model misses a little more than noise. Positions and directions of "
+        "sensors and blows are not free in a fit, and its intervals do not include their tolerances. `twin diagnose` "
+        "frees them"
     ]
 
 
