@@ -527,7 +527,8 @@ def _round(
         tick(len(places))
     found.sort(key=lambda fit: -fit.evidence())
     led: set[frozenset[str]] = set()
-    while found[0].evidence() > current.evidence() and found[0].hypothesis.identity not in led:
+    least = current.evidence() + (SLIGHT if current.hypothesis.pieces else 0.0)  # beside an answer, less is noise
+    while found[0].evidence() > least and found[0].hypothesis.identity not in led:
         led.add(found[0].hypothesis.identity)
         found += _accompany(robot, search, found[0], sample)
         found = [search.fits[identity] for identity in dict.fromkeys(fit.hypothesis.identity for fit in found)]
@@ -829,7 +830,9 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
 
     def at_size(number: int) -> Fitted:
         fit = near[number]
-        fit = of_its_size(robot, free, fit, sample) if _may_be_seen(fit, search) else fit
+        own = fit.z[len(fit.z) - len(fit.hypothesis.own) :]
+        in_reach = fit.evidence() + 0.5 * float(own @ own) > fits[0].evidence() - LIKELY
+        fit = of_its_size(robot, free, fit, sample) if in_reach and _may_be_seen(fit, search) else fit
         return fit if fit.converged else _to_its_end(robot, fit, sample)
 
     sized = list(spread(at_size, len(near), search.processes))
