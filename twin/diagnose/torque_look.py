@@ -66,7 +66,7 @@ def decided(system: System, trials: dict[str, Trial], fits: Sequence[Fitted], su
     near = [k for k, gain in enumerate(gains) if gain > calibration()["simpler"] * best and k not in later]
     handicap = [_richer(k, fits, numbers, near) * max(best, 0.0) for k in range(len(fits))]
     for k, less in _recorded_alike(fits, gains, near, max(best, 0.0)):
-        handicap[k] = less
+        handicap[k] = max(handicap[k], less)
     further = calibration()["further"]
     for k, first in later.items():
         handicap[k] = max(0.0, gains[k] - gains[first] + handicap[first] + further)
