@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
 from twin.diagnose.left_out import that_foretell
 from twin.diagnose.refit import NONE, Fitted
-from twin.diagnose.search import Search, _stand_ins, inexact
+from twin.diagnose.search import Search, _may_be_seen, _stand_ins, inexact
 from twin.diagnose.within import allowed, excused, members, taken_in, without
 from twin.identify.objective import Sample
 from twin.measure.campaign import Channels
@@ -119,6 +120,17 @@ def test_a_group_that_is_off_alone_is_excused_beside_the_others(kr90: Robot) -> 
     assert (decision.ranked, decision.none) == ([], pytest.approx(0.99))
     assert beside is not None
     assert beside.hypothesis is both.hypothesis
+
+
+@pytest.mark.parametrize(("gain", "deviations", "may"), [(5.0, 1.0, False), (9.0, 1.0, True), (-17.0, 7.1, True)])
+def test_a_size_is_sought_where_it_could_get_a_name(kr90: Robot, gain: float, deviations: float, may: bool) -> None:
+    """What a fit gains and the tension of its size are all that a wider prior could give: 8 in ln likelihood names."""
+    soft = entry_hypothesis(kr90, "servo_compliance", "joint2", SERVO)
+    bare, fit = fitted(kr90, NONE, np.zeros(0)), fitted(kr90, soft, np.array(list(SERVO.values())))
+    z = fit.z.copy()
+    z[len(z) - len(soft.own)] = deviations
+    search: Any = SimpleNamespace(base=replace(bare, cost=100.0), fits={})
+    assert _may_be_seen(replace(fit, z=z, cost=100.0 - gain), search) is may
 
 
 def test_laws_that_cannot_be_off_cast_no_doubt(kr90: Robot) -> None:
