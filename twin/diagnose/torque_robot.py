@@ -56,7 +56,7 @@ def with_presliding(system: System, z: FloatArray, robot: Robot, slight: float =
         own = z[alone + j * travels : alone + (j + 1) * travels]
         moved = np.concatenate([r.motion.velocity[:, j] for r in base.runs])
         here = [e for e in found if axis_of(e.site) == j]
-        level = base.sliding[j] + sum(CATALOGUE[e.effect].turning(e.values, moved) for e in here)
+        level = base.sliding[j] - sum(CATALOGUE[e.effect].part_of_dry(e.values, moved) for e in here)
         share = max(level, 0.0) * (PRESLIDING * z[first : first + travels] + base.apart[j] * own)
         ends, torque = _slip_elements(PRESLIDING_TRAVELS[base.regressor.robot.axes[j].type], share)
         coulomb = dry_level(physics[dry])

@@ -205,7 +205,7 @@ class System:
         """What entries add (m, n), run by run; a coupled drive's friction may turn round ``at_once``, to begin with."""
         out = []
         for run, state in zip(self.base.runs, self.state, strict=True):
-            known = replace(state, shares=np.zeros_like(state.shares)) if at_once else state
+            known = replace(state, at_once=at_once)
             parts = [entry_torque(run, known, e, e.values) for e in entries]
             out.append(parts[0] if len(parts) == 1 else sum(parts, np.zeros_like(run.torque)))
         return out

@@ -32,7 +32,9 @@ class State:
         excess: (n,) N·m (N), dry friction of the model less that, of which no law that varies with load or time knows.
         uneven: (m, n) the same of what friction has alike in both directions, per unit: at rest it holds, too.
         travels: (n, t) rad or m, over which bristles of a joint's drive turn round; ``shares`` (n, t) of dry friction.
-        both: by drive, axis and ratio, how that turns round (m,) where the two meet, per N·m of the drive's.
+        both: by drive, axis and ratio, how that turns round (m,) where the two meet, per N·m of the drive's;
+            ``at_once``: it does so at once.
+        late: by drive, how dry friction turns round (nt,) on the dense clock, less the sign, per N·m.
         gain, delay, lag: of the recording: torque constants (n,), or (m, n) of motors that warm; lateness s; time
             constant of a low-pass of first order, s.
     """
@@ -46,6 +48,8 @@ class State:
     uneven: FloatArray = field(default_factory=lambda: np.zeros(1))
     travels: FloatArray = field(default_factory=lambda: np.ones((1, 0)))
     both: dict[tuple[int, int, float], FloatArray] = field(default_factory=dict)
+    at_once: bool = False
+    late: dict[int, FloatArray] = field(default_factory=dict)
     shares: FloatArray = field(default_factory=lambda: np.zeros((1, 0)))
     gain: FloatArray = field(default_factory=lambda: np.ones(1))
     delay: float = 0.0
@@ -129,7 +133,11 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
         level = state.excess[axis] + effect.turning_under(values, rows, entry.site, dry)
     elif effect.role == "friction":
         axis = axis_of(entry.site)
-        level = effect.turning(values, run.motion.velocity[:, axis])
+        level = -effect.part_of_dry(values, run.motion.velocity[:, axis])
+        if effect.fades_over:  # it has faded in part before an axis has turned round
+            late = _late(run, state, axis)
+            for k, torque in effect.felt(replace(motion, sign=lambda _: late), entry.site, values).items():
+                out[:, k] += run.filtered(torque)
         if even := effect.uneven(values):
             out[:, axis] += even * state.uneven[:, axis]
     elif effect.role == "drive":
@@ -139,11 +147,20 @@ def _law_torque(run: Run, state: State, entry: Entry, values: Values) -> FloatAr
     return out
 
 
+def _late(run: Run, state: State, drive: int) -> FloatArray:
+    """How a drive's dry friction turns round (nt,) on the dense clock, less the sign of its speed, per N·m."""
+    if drive not in state.late:
+        shares = state.shares[drive]
+        bristles, sign = _bristles(run, {drive: 1.0}, state.travels[drive], shares[:, None])
+        state.late[drive] = bristles[:, 0] - shares.sum() * sign
+    return state.late[drive]
+
+
 def _turn_with_both(
     out: FloatArray, run: Run, state: State, drive: int, axis: int, ratio: float, dry: float
 ) -> None:  # fmt: skip
     """Add to a torque (m, n) how dry friction turns round that a drive has where its axis and another meet, N·m."""
-    if not (ratio and dry and state.sliding[drive] and np.any(shares := state.shares[drive])):
+    if state.at_once or not (ratio and dry and state.sliding[drive] and np.any(shares := state.shares[drive])):
         return
     if (drive, axis, ratio) not in state.both:
         if len(state.both) >= KEPT:

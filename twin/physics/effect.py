@@ -391,10 +391,10 @@ class Effect:
         """Own numbers (m,) of a suspect that mean the same in the form in which they are told."""
         return values
 
-    def turning(self, values: Values, velocity: np.ndarray) -> float:
-        """Dry friction, N·m (N), that turns round as the joint's other friction does, with the entry more than without.
+    def part_of_dry(self, values: Values, velocity: np.ndarray) -> float:
+        """What of the entry, N·m (N), is in a joint's dry friction that was found without it.
 
-        Without it, that is what friction is at rest by a parabola in speed; ``velocity`` (m,) is of the joint.
+        That is what friction is at rest by a parabola in speed; ``velocity`` (m,) is of the joint.
         """
         return 0.0
 

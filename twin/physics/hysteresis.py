@@ -188,9 +188,9 @@ class Hysteresis(Effect):
         starts = [[usual, usual / (travel * max(half, 1e-3))] for travel in np.geomspace(3e-5, 3e-2, 7)]
         return [Suspected({"yield_torque": [usual], "stiffness": [middle]}, own, starts, ())]
 
-    def turning(self, values: Values, velocity: np.ndarray) -> float:
-        """Slip is a part of dry friction that turns round in its own way."""
-        return -float(np.sum(values["yield_torque"]))
+    def part_of_dry(self, values: Values, velocity: np.ndarray) -> float:
+        """All of it: slip is a part of dry friction that turns round in its own way."""
+        return float(np.sum(values["yield_torque"]))
 
     def travel(self, elements: np.ndarray) -> np.ndarray:
         torque, stiffness = elements.T

@@ -47,15 +47,15 @@ class StribeckFriction(Effect):
         starts = [[0.0, factor * middle] for factor in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)]
         return [Suspected({"static_excess": 0.0, "velocity": middle}, own, starts, passive=True)]
 
-    def turning(self, values: Values, velocity: np.ndarray) -> float:
-        """What a parabola in speed misses of the excess at rest."""
+    def part_of_dry(self, values: Values, velocity: np.ndarray) -> float:
+        """What a parabola in speed has of the excess at rest."""
         speed = np.abs(velocity)
         fastest = float(speed.max(initial=0.0))
         speed = speed[speed > 0.01 * fastest]  # slower rows tell nothing of how friction depends on it
         if len(speed) < 4:
-            return 0.0
+            return float(values["static_excess"])
         excess = np.exp(-((speed / values["velocity"]) ** 2))
-        return float(values["static_excess"] * (1 - np.polynomial.polynomial.polyfit(speed / fastest, excess, 2)[0]))
+        return float(values["static_excess"] * np.polynomial.polynomial.polyfit(speed / fastest, excess, 2)[0])
 
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)
