@@ -13,6 +13,7 @@ from test_diagnose_logs import recorded as log_of
 from twin.diagnose import hammer
 from twin.diagnose.borne_out import falls
 from twin.diagnose.decide import Decision
+from twin.diagnose.departures import far_off
 from twin.diagnose.frf_off import off_description
 from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.hypotheses import Hypothesis
@@ -26,7 +27,7 @@ from twin.diagnose.torque_off import numbers_of_answer, taken_back, told
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_suspects import log_suspects
 from twin.diagnose.torque_system import with_wider
-from twin.diagnose.verdict import Candidate, Finding, Missing, far_off
+from twin.diagnose.verdict import Candidate, Finding, Missing
 from twin.measure.motion_log import MotionLog
 from twin.model.parameters import Parameter, independent
 from twin.model.torque_signal import prepare

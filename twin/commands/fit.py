@@ -11,6 +11,7 @@ from twin.identify.descent import ASTRAY
 from twin.identify.elastic_modal import ModalObjective
 from twin.identify.fitting import Fitting, correlated, fit_campaign, fit_table
 from twin.identify.posterior import FILE, Posterior, save_posterior
+from twin.identify.press import OF_RECORDINGS
 from twin.identify.uncertainty import Estimate
 from twin.measure.recordings import Given, read_one, traced
 from twin.model.recorded import within_limits
@@ -58,7 +59,7 @@ class FitResult(Fitting, Result):
                 "identifiable": e.identifiable, "data_share": e.share, "drift": e.drift,
                 "prior": {"value": e.parameter.mean, "deviation": e.parameter.deviation, "log": e.parameter.log},
             }  # fmt: skip
-            if e.parameter.kind in ("posture", "sag", "gain"):
+            if e.parameter.kind in OF_RECORDINGS or e.parameter.kind == "sag":
                 recording[e.parameter.name] = entry
             elif e.parameter.kind == "link":
                 links.setdefault(_site(e), {})[_quantity(e)] = entry

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.diagnose.calibration import calibration
+from twin.diagnose.departures import far_off
 from twin.diagnose.described import DOUBT, described
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.refit import Fitted, descend, recorded_error
 from twin.diagnose.search import REFIT_LINES
-from twin.diagnose.verdict import Missing, candidate, far_off
+from twin.diagnose.verdict import Missing, candidate
 from twin.identify.objective import Sample
 from twin.model.parameters import Parameters, written_names
 from twin.model.recorded import Recorded

@@ -18,6 +18,7 @@ from twin.diagnose.decide import (
     sifted,
     that_show,
 )
+from twin.diagnose.departures import STRAINED
 from twin.diagnose.described import described, geometry
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import put_right, without_hum
@@ -43,7 +44,6 @@ from twin.diagnose.states import sorted_out
 from twin.diagnose.struck import moved_far, without_laws
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import (
-    STRAINED,
     Candidate,
     Finding,
     Missing,

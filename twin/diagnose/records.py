@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from twin.diagnose.refit import Fitted, placed
+from twin.diagnose.refit import Fitted
 from twin.identify.elastic_compare import judge, relative_error
 from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import QUANTITIES, Brakes, Channels, ComplexArray, FloatArray, Quantity
-from twin.model.recorded import Recorded
+from twin.model.recorded import Recorded, placed
 from twin.parallel import spread
 from twin.robot.description import Robot
 from twin.robot.physical import physical
@@ -195,7 +195,7 @@ def frf_records(
         if not some:
             return [], [], None
         robot = physical(robot)
-        there = placed(fit, Sample(tuple(some))).recordings if fit else some
+        there = placed(some, fit.parameters, fit.values) if fit else some
         if fit is None or late or robot is not fit.robot:
             judged = judge(robot, there, stated=_as_recorded(fit) if fit else ())
             return list(judged.predicted), list(judged.angles), judged.error
@@ -209,7 +209,7 @@ def frf_records(
         predicted[stage], angles[stage] = [*train[0], *rest[0]], [*train[1], *rest[1]]
         errors[stage] = {"train": train[2], "held_out": rest[2]}
     records, width = [], np.deg2rad(given.tolerances.posture_deg) or np.inf
-    for k, r in enumerate(placed(after, Sample((*used, *kept))).recordings):
+    for k, r in enumerate(placed((*used, *kept), after.parameters, after.values)):
         records.append(
             FrfRecord(
                 r.group, r.setup.name, k >= len(used), r.setup.q, r.setup.brakes, r.setup.response, r.setup.excitation,

@@ -18,7 +18,7 @@ from twin.identify.descent import ASTRAY, minimise
 from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameters, independent, join, recording_parameters
-from twin.model.recorded import Recorded
+from twin.model.recorded import Recorded, placed
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
@@ -363,7 +363,8 @@ def foreseen(fit: Fitted, kept: Sample) -> Fitted:
     all recordings (the chain rule of probability), and nothing is fitted to both. Angles of the postures are their own.
     """
     stay = [k for k, p in enumerate(fit.parameters) if p.kind != "posture"]
-    covariance, kept = _within_a_bend(fit).covariance, placed(fit, kept)
+    covariance = _within_a_bend(fit).covariance
+    kept = replace(kept, recordings=placed(kept.recordings, fit.parameters, fit.values))
     own = recording_parameters(fit.robot, dict.fromkeys(r.setup.name for r in kept.recordings), ())
     own = [p for p in own if p.kind == "posture"]
 
@@ -389,10 +390,3 @@ def _within_a_bend(fit: Fitted) -> Fitted:
             information[at, at] += max((piece.own[0].deviation / usual) ** 2, 1.0) - 1.0
         at += len(piece.own)
     return replace(fit, information=information)
-
-
-def placed(fit: Fitted, sample: Sample) -> Sample:
-    """Recordings with the nodes of their channels where a fit has them."""
-    setups = [r.setup.placed(fit.parameters, fit.values) for r in sample.recordings]
-    moved = (replace(r, setup=setup) for r, setup in zip(sample.recordings, setups, strict=True))
-    return replace(sample, recordings=tuple(moved))

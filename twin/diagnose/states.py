@@ -12,10 +12,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from twin.diagnose.calibration import calibration
+from twin.diagnose.departures import STRAINED
 from twin.diagnose.note import Note
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.search import SCREEN_LINES
-from twin.diagnose.verdict import STRAINED, strained
+from twin.diagnose.verdict import strained
 from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.parameters import Parameters, free_parameters, independent

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin.diagnose.calibration import calibration
+from twin.diagnose.departures import STRAINED
 from twin.diagnose.torque_fit import base_fit, evaluate, settle, start
 from twin.diagnose.torque_judge import Judge
 from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, extended, relinearised, unshrunk
-from twin.diagnose.verdict import STRAINED
 from twin.measure.campaign import FloatArray
 from twin.physics.effect import axis_of
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
+from twin.diagnose.departures import STRAINED
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import base_fit
@@ -21,7 +22,7 @@ from twin.diagnose.torque_robot import robot_of
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_step import Step, accepted, possible, too_narrow
 from twin.diagnose.torque_system import System, relinearised, with_wider
-from twin.diagnose.verdict import STRAINED, estimates
+from twin.diagnose.verdict import estimates
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.model.regressor import body_of

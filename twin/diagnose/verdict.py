@@ -13,6 +13,7 @@ import numpy as np
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision
+from twin.diagnose.departures import STRAINED, departures, far_off
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, Record
@@ -33,7 +34,6 @@ Word = Literal["adequate", "named", "ambiguous", "located", "unexplained"]
 Source = Literal["frf-campaign", "modal-table", "motion-log"]
 
 PARTS = ("train", "held_out")
-STRAINED = 3.5  # prior deviations
 MOVED = 2.0  # of them: what is told though the description allows it
 MOVED_TIMES = 1.5  # the same of a number whose tolerance the description does not state; by eye
 SAME_SPRING = 0.01  # of the logarithm of a stiffness
@@ -666,28 +666,6 @@ def off_descriptions(fit: Fitted, numbers: Sequence[tuple[int, float]]) -> list[
         )
         notes.append(Note(text, "description", sites=names))
     return notes
-
-
-def far_off(fit: Fitted) -> list[tuple[int, float, float]]:
-    """Described numbers that a fit takes much further than their description allows, as :func:`departures`."""
-    return [one for one in departures(fit) if one[2] > STRAINED]
-
-
-def departures(fit: Fitted) -> list[tuple[int, float, float]]:
-    """How far a fit takes every number of the description, farthest first.
-
-    Index, change (of a logarithm where the number has one) and standard deviations. Answers are left out, all but
-    angles of postures.
-    """
-    found = []
-    answered = dict(fit.hypothesis.scale)
-    base = list(zip(fit.parameters, fit.values, strict=True))[: len(fit.z) - len(fit.hypothesis.own)]
-    for k, (p, value) in enumerate(base):
-        if p.kind == "sag" or (p.name in answered and p.kind != "posture"):
-            continue
-        change = float(np.log(value / p.mean)) if p.log else float(value - p.mean)
-        found.append((k, change, abs(change) / p.deviation * answered.get(p.name, 1.0)))
-    return sorted(found, key=lambda one: -one[2])
 
 
 def _elsewhere_hit(p: Parameter, change: float, off: float, answered: bool) -> Note:

@@ -15,6 +15,7 @@ from twin.diagnose.described import DOUBT
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
+from twin.identify.elastic import RARE, STATED
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, Parameters, written_names
@@ -25,8 +26,6 @@ WORDS = {"response": "sensor", "excitation": "blow", "position": "node"}
 EVERY = {f"node:*.{what}": f"{what}s of sensors and blows" for what in ("position", "direction")}
 EVERY["axis*"] = "lengths and twists of axes"
 LISTED = 3  # points that a note lists
-STATED = 2.0  # times a tolerance that nobody states more exactly: how all nodes scatter shows it to a tenth
-RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
 
 
 def allowed(fit: Fitted, robot: Robot) -> tuple[Hypothesis, ...]:

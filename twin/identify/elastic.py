@@ -12,12 +12,22 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from twin.identify.covering import covering, many
 from twin.identify.descent import minimise
 from twin.identify.objective import Objective, Sample
-from twin.measure.campaign import FloatArray
-from twin.model.parameters import Parameters, free_parameters
+from twin.measure.campaign import Channels, FloatArray
+from twin.model.parameters import (
+    Parameter,
+    Parameters,
+    Side,
+    direction_parameters,
+    free_parameters,
+    independent,
+    join,
+    point_parameters,
+)
 from twin.model.recorded import Recorded, noise_stated, without_limits
 from twin.robot.description import Robot
 
@@ -25,6 +35,8 @@ EVERY_LINE = 8  # starts see every eighth line, and at least COARSE_LINES
 COARSE_LINES = 25
 LINES = 300  # drawn of every recording for the Gauss–Newton matrix of many: of 800 its eigenvalues are right to a half
 FIT_TEMPERS = (0.1, 0.01)  # relative model error assumed on the way from logarithmic to linear residual
+STATED = 2.0  # times a tolerance that nobody states more exactly: how all nodes scatter shows it to a tenth
+RARE = 0.01  # share of numbers within their tolerance that are taken to be beyond it
 SAME_END = 0.1  # prior deviations: starts that end nearer than that in every number agree, however exact the data are
 AGREEMENT = 4.0  # starts agree whose costs differ by less (2Δ = 8), by themselves and in the best one's quadratic model
 
@@ -144,7 +156,7 @@ def fit_frf(
         )
     chosen = nearby(recordings)
     first = parameters.select(sorted({k for r in chosen for k in parameters.seen_in(r.setup.name)}))
-    few, lines = coarse(chosen), LINES if len(chosen) < len(recordings) else None
+    few = coarse(chosen)
     ends = []
     for z in drawn_starts(first, starts, seed):
         z, *_ = minimise(Objective(robot, first, few, logarithmic=True), z, 25, 0.1, bound=first.bound)
@@ -156,12 +168,24 @@ def fit_frf(
             progress(1)
     ends.sort(key=lambda end: end.cost)
     agreeing, rival = agreement(ends)
-    whole, misfit = Sample(tuple(recordings)), 2 * ends[0].cost / max(1, _data(few.recordings))
+    misfit = 2 * ends[0].cost / max(1, _data(few.recordings))
     z = ends[0].z
     if not ends[0].converged:  # as of a model that lacks something: farther on few lines, an eighth of the time
         z, *_ = minimise(Objective(robot, first, few), z, 60, 0.05, bound=first.bound, patience=10)
     known = dict(zip(first.names, z, strict=True))
     z = np.array([known.get(name, 0.0) for name in parameters.names])
+    found = _ended(robot, parameters, recordings, z, misfit, (tuple(ends), agreeing, rival))
+    if progress:
+        progress(1)
+    return found
+
+
+def _ended(
+    robot: Robot, parameters: Parameters, recordings: Sequence[Recorded], z: FloatArray, misfit: float,
+    starts: tuple[tuple[Start, ...], int, float | None],
+) -> Fit:  # fmt: skip
+    """The fit on all lines from z (n,), which misses by ``misfit`` or so; ``starts``, how many agree, and the rival."""
+    whole, lines = Sample(tuple(recordings)), LINES if len(nearby(recordings)) < len(recordings) else None
     for finer, patience in ((0.1, 10), (1e-3, 4)):  # again from its end: the sag's slopes are of where it began
         objective = Objective(robot, parameters, whole, exact=True, lines=lines)
         z, cost, information, converged = minimise(
@@ -170,15 +194,51 @@ def fit_frf(
     if lines:
         objective.lines = None
         information = objective(z)[2]
-    if progress:
-        progress(1)
     data = _data(recordings)
     values = parameters.values(z)
     return Fit(
         parameters, z, values, parameters.apply(robot, values), cost, (2 * cost - float(z @ z)) / max(data, 1),
-        information - np.eye(len(z)), tuple(ends), agreeing, data, converged, noise_stated(recordings),
-        rival,
+        information - np.eye(len(z)), starts[0], starts[1], data, converged, noise_stated(recordings), starts[2],
     )  # fmt: skip
+
+
+def with_nodes(described: Robot, recordings: Sequence[Recorded], fit: Fit, perfect: float = 1.0) -> Fit:
+    """The fit with nodes and directions of all sensors and blows free within their tolerances.
+
+    They belong to the recordings, like angles of postures. It is the fit as it was where that has no less evidence, or
+    where they would be farther off than tolerances allow: they stand for something that the model lacks.
+
+    Args:
+        described: the description that was fitted, whose values are the prior means.
+        recordings: what was fitted to, their nodes as stated.
+        perfect: χ² per datum of a perfect model under the noise as stated.
+    """
+    own, setup = list[Parameter](), recordings[0].setup
+    sides: tuple[tuple[Channels, Side], ...] = (setup.response, "response"), (setup.excitation, "excitation")
+    for channels, side in sides:
+        own += point_parameters(described, channels, side) + direction_parameters(described, channels, side)
+    own = [p for p in own if p.deviation > 0]
+    if not own:
+        return fit
+    robot, parameters = without_limits(described), join(fit.parameters, independent(own))
+    most = STATED**2 * 2 * gammaincinv(len(own) / 2, 1 - RARE)
+
+    def allowed(z: FloatArray) -> bool:
+        return bool(np.sum(z[len(fit.z) :] ** 2) <= most)
+
+    z = np.concatenate([fit.z, np.zeros(len(own))])
+    z, *_ = minimise(Objective(robot, parameters, coarse(nearby(recordings))), z, 30, 0.1, bound=parameters.bound)
+    if not allowed(z):
+        return fit
+    found = _ended(robot, parameters, recordings, z, 1.0, (fit.starts, fit.agreeing, fit.rival))
+    return found if allowed(found.z) and _energy(found, perfect) < _energy(fit, perfect) else fit
+
+
+def _energy(fit: Fit, noise: float) -> float:
+    """Less the logarithm of a fit's evidence (Laplace), the variance of its data being ``noise`` times as stated."""
+    prior = 0.5 * float(fit.z @ fit.z)
+    narrower = np.linalg.slogdet(fit.fisher / noise + np.eye(len(fit.z)))[1]
+    return (fit.cost - prior) / noise + prior + 0.5 * float(narrower)
 
 
 def agreement(starts: Sequence[Start]) -> tuple[int, float | None]:

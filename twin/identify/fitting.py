@@ -11,7 +11,7 @@ from scipy.special import gammaincinv
 from twin.errors import InputError
 from twin.identify.damping_transfer import Miss, Transfer, damping_doubt, misses_of_frf, transfer
 from twin.identify.descent import ASTRAY
-from twin.identify.elastic import Fit, fit_frf
+from twin.identify.elastic import Fit, fit_frf, with_nodes
 from twin.identify.elastic_compare import Comparison, comparison, expected_error, judge
 from twin.identify.elastic_modal import (
     ModalObjective,
@@ -41,7 +41,7 @@ from twin.measure.shapes import mac
 from twin.model.linear import linearise
 from twin.model.modes import Modes, modes
 from twin.model.parameters import SATURATED, Parameters, free_parameters, require_springs
-from twin.model.recorded import Recorded, base_name, noise_stated, prepare, without_limits
+from twin.model.recorded import Recorded, base_name, noise_stated, placed, prepare, without_limits
 from twin.model.sensitivity import Structure, structure
 from twin.parallel import Progress
 from twin.robot.description import Robot, parse_robot
@@ -49,7 +49,7 @@ from twin.robot.mechanism import assemble
 
 LOW_COHERENCE = 0.6  # of the channels' median, below which a band is named
 LARGE_MISFIT = 2.0  # χ² per datum
-SOME_MISFIT = 1.2  # from here on a tenth of what is missed is no noise
+BEYOND_NOISE = 3.0  # deviations of a perfect model's χ² per datum
 SATURATED_TOLD = 8  # numbers that a warning lists; more are counted
 CLOSE_RIVAL = 3.0  # cost above the best of another minimum that is still to be reckoned with
 LARGE_CORRELATION = 0.95
@@ -117,21 +117,32 @@ def fit_campaign(
     left = names if leave_one_out and len(names) > 1 else []
     tick = progress("fit", (starts + 1) * (1 + len(left)))
 
+    perfect = _perfect_misfit(campaign)
+
     def run(used: list[Recorded]) -> Fit:
         free = free_parameters(
             described, dict.fromkeys(r.setup.name for r in used), campaign.response.label, tolerances=tolerances
         )
-        return fit_frf(described, used, free, starts=starts, seed=seed, progress=tick)
+        found = fit_frf(described, used, free, starts=starts, seed=seed, progress=tick)
+        noise = perfect * (1 + BEYOND_NOISE * np.sqrt(2 / max(found.data, 1)))
+        missed = tolerances and found.noise_known and found.misfit > noise
+        return with_nodes(described, used, found, perfect) if missed else found
 
     fitted = run(train)
     final = _checked(fitted.parameters.apply(described, fitted.values))
-    comparisons = {"fitted": comparison(final, judge(final, train), source)}
+
+    def where(some: list[Recorded], found: Fit) -> tuple[Recorded, ...]:
+        """Recordings with their nodes where a fit has them."""
+        return placed(some, found.parameters, found.values)
+
+    comparisons = {"fitted": comparison(final, judge(final, where(train, fitted)), source)}
     error: dict[str, float | None] = {"train": comparisons["fitted"].error, "held_out": None}
     expected: dict[str, float | None] = {"noise_floor": comparisons["fitted"].noise_floor, "held_out": None}
     if rest:
-        comparisons["held out"] = comparison(final, judge(final, rest), source)
+        unseen = where(rest, fitted)
+        comparisons["held out"] = comparison(final, judge(final, unseen), source)
         error["held_out"] = comparisons["held out"].error
-        expected["held_out"] = expected_error(final, fitted, rest) if noise_stated(recordings) else None
+        expected["held_out"] = expected_error(final, fitted, unseen) if noise_stated(recordings) else None
     in_turn = blows_of(Sample(tuple(train))) if not rest else ()
     if in_turn:
         missed, data = press(fitted.robot, fitted.parameters, fitted.z, Sample(tuple(train)))
@@ -140,28 +151,23 @@ def fit_campaign(
     for name in left:
         other = run([r for r in recordings if r.setup.name != name])
         changed = other.parameters.apply(described, other.values)
-        judged = comparison(changed, judge(changed, [r for r in recordings if r.setup.name == name]), source)
+        alone = [r for r in recordings if r.setup.name == name]
+        judged = comparison(changed, judge(changed, where(alone, other)), source)
         left_out[name] = judged.error
     found = estimates(fitted)
     result = Fitting(
         source, final, fitted, found, combinations(fitted), held, error, expected,
-        _campaign_modes(campaign, recordings, final, held, band_hz, progress), [],
+        _campaign_modes(campaign, where(recordings, fitted), final, held, band_hz, progress), [],
         list(in_turn), left_out, comparisons,
     )  # fmt: skip
-    unseen = [r for r in recordings if r.setup.name in result.held_out]
-    result.damping = transfer(misses_of_frf(result.robot, Posterior.of(result.fit), unseen))
+    result.damping = transfer(misses_of_frf(result.robot, Posterior.of(fitted), where(rest, fitted)))
     if profiled:
         weakest = _weakest(found)
         tick = progress("profiles", len(weakest))
         for k in weakest:
             tick(1)
             result.profiles[fitted.parameters.names[k]] = profile(described, train, fitted, found[k])
-    perfect = _perfect_misfit(campaign)
-    result.warnings = [
-        *_warnings(result, perfect),
-        *_held_nodes(fitted, perfect),
-        *_data_warnings(campaign, recordings),
-    ]
+    result.warnings = [*_warnings(result, perfect), *_freed_nodes(fitted), *_data_warnings(campaign, recordings)]
     return result
 
 
@@ -423,14 +429,21 @@ def _perfect_misfit(campaign: Campaign) -> float:
     return float(np.mean(1 / np.maximum(variance, np.quantile(variance, VARIANCE_FLOOR_QUANTILE))))
 
 
-def _held_nodes(fit: Fit, perfect_misfit: float) -> list[str]:
-    """What a fit that misses a little more than noise has not free; where it misses much, something else is wrong."""
-    if not SOME_MISFIT < fit.misfit / perfect_misfit <= LARGE_MISFIT:
+def _freed_nodes(fit: Fit) -> list[str]:
+    """That nodes were freed, and which is farthest off."""
+    points: dict[str, float] = {}
+    for p, value in zip(fit.parameters, fit.values, strict=True):
+        if p.kind == "point":
+            node, side, _ = p.name.removeprefix("node:").split(".")
+            name = f"{'sensor' if side == 'response' else 'blow'} {node}"
+            points[name] = float(np.hypot(points.get(name, 0.0), value - p.mean))
+    if not points:
         return []
+    farthest = max(points, key=lambda name: points[name])
     return [
-        f"χ² per datum is {fit.misfit:.2f}: the model misses a little more than noise. Positions and directions of "
-        "sensors and blows are not free in a fit, and its intervals do not include their tolerances. `twin diagnose` "
-        "frees them"
+        "the FRFs show that sensors and blows are not quite where and along which the file says. Their positions and "
+        f"directions are free within tolerance, and intervals include that: {farthest} is farthest, by "
+        f"{1e3 * points[farthest]:.1f} mm"
     ]
 
 

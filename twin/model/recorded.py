@@ -17,6 +17,7 @@ from twin.measure.campaign import (
     frf_variance,
     laplace,
 )
+from twin.model.parameters import Parameters
 from twin.model.sensitivity import Observed, Setup, Structure, frf, frf_slopes
 from twin.ranges import FARTHEST_M
 from twin.robot.description import Robot
@@ -141,6 +142,11 @@ def measured_variance(posture: PostureFRF) -> tuple[FloatArray, bool]:
     variance = np.broadcast_to(UNKNOWN_NOISE**2 * power, posture.frf.shape).copy()
     variance[:, dead_channels(posture)] = np.inf
     return variance, False
+
+
+def placed(recordings: Sequence[Recorded], parameters: Parameters, values: FloatArray) -> tuple[Recorded, ...]:
+    """Recordings with the nodes of their channels where parameters have them."""
+    return tuple(replace(r, setup=r.setup.placed(parameters, values)) for r in recordings)
 
 
 def noise_stated(recordings: Sequence[Recorded]) -> bool:
