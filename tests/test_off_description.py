@@ -10,6 +10,7 @@ import pytest
 from test_diagnose_hammer import recorded as hammer_test
 from test_diagnose_logs import recorded as log_of
 
+from twin.commands.diagnose import diagnose
 from twin.diagnose import hammer
 from twin.diagnose.borne_out import falls
 from twin.diagnose.decide import Decision
@@ -229,3 +230,22 @@ def test_slip_that_is_a_part_of_described_friction_may_be_presliding(
     assert [(c.key, p) for c, p in found.rivals] == ([("presliding@joint2", 0.495)] if ambiguous else [])
     assert found.probability == (0.495 if ambiguous else 0.99)
     assert _or_presliding(replace(slip, first=replace(slip.first, site="joint3.z")), settled).rivals == []
+
+
+@pytest.mark.slow
+def test_links_that_stand_for_a_missing_bearing_do_not_hide_it(tmp_path: Path) -> None:
+    """A six-axis arm without a bearing: the base model has link 1 seven tolerances off, and two things are told for it.
+
+    Screened where links are as described, the bearing comes fourth, and alone explains more than those two.
+    """
+    from tools.trials import wrong
+    from tools.truth.wrong import record
+
+    seed = 965412364  # of a case that was opened
+    world, (effect,), without, _ = wrong.case("nothing", "hammer", "light", seed, True)
+    record(world, tmp_path, np.random.default_rng([seed, 3]))
+    wrong.write_description(world.machine, tmp_path / "light.yaml")
+    found = diagnose(tmp_path / "frf.h5", robot=tmp_path / "light.yaml", without=without)
+    assert [f"{e['effect']}@{e['site']}" for e in found.data()["effects"]] == [f"{effect.kind}@{effect.site}"]
+    stiffness = found.data()["effects"][0]["parameters"]["stiffness"]
+    assert stiffness["interval90"][0] < effect.parameters["stiffness"] < stiffness["interval90"][1]

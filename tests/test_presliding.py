@@ -6,11 +6,12 @@ import pytest
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import scatter
 from twin.model.regressor import Regressor
-from twin.model.torque_base import base_of
-from twin.model.torque_laws import _bristles, reversals
+from twin.model.torque_base import PRESLIDING, base_of
+from twin.model.torque_laws import _bristles, entry_torque, reversals
 from twin.model.torque_rows import Bands
 from twin.model.torque_signal import Run, run_of
-from twin.robot.description import Robot, parse_robot
+from twin.physics import CATALOGUE
+from twin.robot.description import Entry, Robot, parse_robot
 
 BANDS = Bands((8.0, 10.0), (12.0, 15.0))
 TRAVELS = np.geomspace(3e-5, 5e-3, 5)
@@ -82,3 +83,29 @@ def test_noise_is_told_from_motion_that_is_sampled_slowly() -> None:
     time = np.arange(0, 20, 0.02)
     noise = 1e-5 * np.random.default_rng(2).normal(size=(len(time), 1))
     assert scatter(np.sin(4 * np.pi * time)[:, None] + noise)[0] < 5e-5
+
+
+def test_friction_that_fades_turns_round_at_the_speed_it_has_then(kr90: Robot) -> None:
+    """Stribeck's excess beside bristles: less of it is left when they have turned round. Bristles of the truth code."""
+    from tools.truth.motion import _bristles as bristles
+
+    time = np.arange(0, 12, 1 / 250.0)
+    position = 0.3 * np.sin(2.0 * time)[:, None] * [1.0, 0.8, 0.6]
+    torque = np.random.default_rng(1).normal(size=position.shape)
+    run = run_of(Regressor(kr90), MotionRun("turns", time, position, 250.0, torque), BANDS)
+    base = base_of(Regressor(kr90), [run])
+    z, travel = np.zeros(len(base.parameters)), base.travels[0, 3]
+    z[base.spread.shape[1] + 3] = 1 / PRESLIDING  # all of dry friction turns round over this travel
+    values = {"static_excess": 40.0, "velocity": 0.03}
+    entry = Entry.model_validate({"effect": "stribeck_friction", "site": "joint1", **values})
+    found = entry_torque(run, base.state(0, z), entry, values)
+    fine = np.arange(0, 12, 1e-4)
+    turned = np.interp(run.dense.time, fine, bristles(0.3 * np.sin(2.0 * fine), travel))
+    excess = 40.0 * np.exp(-((0.6 * np.cos(2.0 * run.dense.time) / 0.03) ** 2))
+    sign = run.dense.sign(run.dense.velocity[:, 0])
+    part = CATALOGUE["stribeck_friction"].part_of_dry(values, run.motion.velocity[:, 0])
+    expected = run.filtered(excess * turned - part * (turned - sign))
+    rms = np.sqrt(np.mean(expected[run.valid] ** 2))
+    assert np.sqrt(np.mean((found[run.valid, 0] - expected[run.valid]) ** 2)) < 0.03 * rms
+    at_once = run.filtered(excess * sign)  # what it were without bristles
+    assert np.sqrt(np.mean((at_once[run.valid] - expected[run.valid]) ** 2)) > 0.3 * rms
