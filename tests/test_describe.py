@@ -259,7 +259,13 @@ def test_a_track_a_changer_and_a_tool_by_mesh(tmp_path: Path) -> None:
         ],
     )  # fmt: skip
     track = [{"type": "prismatic", "axis": [1, 0, 0], "mass": 300, "position": [0, 4], "velocity": 1, "torque": 900}]
+    rubs = [{**track[0], "friction": 120, "damping": 40}]
     path = urdf(tmp_path, ARM)
+    with pytest.warns(match="joint1: a linear axis without friction"):
+        twin.describe(path, sheet=sheet(tmp_path, "still.yaml", mount=track))
+    entries = twin.describe(path, sheet=sheet(tmp_path, "rubs.yaml", mount=rubs)).robot.physics
+    values = {e.effect: next(iter(e.values.values())) for e in entries if e.site == "joint1"}
+    assert values == {"coulomb_friction": 120, "viscous_friction": 40}
     bare = twin.describe(path).robot
     robot = twin.describe(path, sheet=sheet(tmp_path, mount=track), tool=tool, out=tmp_path / "out").robot
     assert [axis.type for axis in robot.axes] == ["prismatic", "revolute", "revolute"]

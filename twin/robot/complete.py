@@ -313,10 +313,13 @@ def _drives(filler: Filler, peak: np.ndarray) -> np.ndarray:
 
 
 def _friction(filler: Filler, peak: np.ndarray, ratio: np.ndarray) -> None:
-    """Friction of the motors at the gears' outputs, where the file gives none."""
+    """Friction of the motors at the gears' outputs, where the file gives none. No values of linear axes were found."""
     laws = (("viscous", "motor_viscous", ratio**2), ("dry", "motor_coulomb", ratio))
     for i, (joint, turning) in enumerate(zip(filler.joints, filler.turning, strict=True)):
-        if joint.damping > 0 or joint.friction > 0 or not turning:
+        if joint.damping > 0 or joint.friction > 0:
+            continue
+        if not turning:
+            tell(filler.source, f"joint{i + 1}", "a linear axis without friction: state it, or record a motion log")
             continue
         for part, law, factor in laws:
             effect = effect_of("viscous" if part == "viscous" else "dry")

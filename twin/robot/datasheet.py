@@ -16,6 +16,7 @@ from twin.robot.description import (
     Acceleration,
     Assumed,
     Coupling,
+    Damping,
     Data,
     Density,
     Inertia,
@@ -52,7 +53,8 @@ Gear = Literal["cycloidal", "strain_wave"]
 class Mount(Data):
     """A linear track or a turntable that carries the robot: an axis before the first, and the mass that it moves.
 
-    kg, m and N·m (N); ``position`` rad (m) and ``velocity`` rad/s (m/s).
+    kg, m and N·m (N); ``position`` rad (m) and ``velocity`` rad/s (m/s). ``friction``, N·m (N), is dry, ``damping``
+    viscous, N·m·s/rad (N·s/m).
     """
 
     type: Literal["prismatic", "revolute"]
@@ -63,6 +65,8 @@ class Mount(Data):
     position: tuple[Length, Length] | None = None
     velocity: Speed | None = None
     torque: Torque | None = None
+    friction: Torque | None = None
+    damping: Damping = 0.0
 
 
 class Sheet(Data):
@@ -200,6 +204,7 @@ def stand_on(tree: Tree, mounts: list[Mount], path: str | Path) -> None:
             Joint(
                 carriage, mount.type if mount.position or mount.type == "prismatic" else "continuous", ground, carriage,
                 np.eye(4), axis / np.linalg.norm(axis), mount.position, mount.velocity, mount.torque,
+                mount.damping, mount.friction or 0.0,
             )
         )  # fmt: skip
         foot = np.eye(4)
