@@ -152,7 +152,7 @@ def explain(
         if not search.weighed:
             best, sample = _without_weight(robot, search, best, sample)
         found = _round(robot, search, best, sample, suspects, progress)
-        if best is search.base and _strained(best) and (not found or _stands_in(found[0])):
+        if best is search.base and _strained(best):
             more = _round(robot, search, best, sample, suspects, progress, held=True)
             found = sorted([*found, *more], key=lambda fit: -fit.evidence())
         if found and found[0].evidence() <= best.evidence():  # no one thing helps: a whole kind may be missing
@@ -174,7 +174,9 @@ def explain(
         again = number == 1 or best.hypothesis.pieces[-1] not in allowed(best, robot)
         if number and small and again:
             best = _reconsider(robot, search, best, sample, suspects, progress)
-    best = _needed(robot, search, max([best, *search.finalists], key=lambda fit: fit.evidence()), sample)
+    richest = max([best, *search.finalists], key=lambda fit: fit.evidence())
+    best = _needed(robot, search, richest, sample)
+    best = _rivals_without(robot, search, richest, best, sample)
     there = _where_it_is(robot, search, best, sample, suspects, progress)
     if worth(best, there, search):
         _needed(robot, search, there, sample)
@@ -186,11 +188,6 @@ def explain(
 def _strained(fit: Fitted) -> bool:
     """Whether a fit has numbers of links farther off than a description allows."""
     return any(fit.parameters[k].kind == "link" for k, _, _ in far_off(fit))
-
-
-def _stands_in(fit: Fitted) -> bool:
-    """Whether a fit needs numbers of the description off: they may stand for what is missing."""
-    return _strained(fit) or any(piece.law is None for piece in fit.hypothesis.pieces)
 
 
 def _beside_each_other(robot: Robot, search: Search, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]) -> None:
@@ -492,6 +489,25 @@ def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitte
         if not worth(known, best, search):
             return _needed(robot, search, known, sample)
     return best
+
+
+def _rivals_without(robot: Robot, search: Search, richest: Fitted, best: Fitted, sample: Sample) -> Fitted:
+    """The best of a fit that does without some of its pieces, and of its rivals without the same.
+
+    Each piece costs evidence. Rivals that keep what the best was relieved of would all be out of the race.
+    """
+    gone = richest.hypothesis.identity - best.hypothesis.identity
+    places = []
+    for fit in search.finalists if gone else ():
+        pieces = [piece for piece in fit.hypothesis.pieces if piece.key not in gone]
+        if fit is richest or fit.evidence() < richest.evidence() - WITHIN or not gone < fit.hypothesis.identity:
+            continue
+        rest = together(*pieces)
+        parameters = rest.parameters(search.base.parameters)
+        names = set(parameters.names)
+        z = fit.z[[k for k, p in enumerate(fit.parameters) if p.name in names]]
+        places.append(_Place(rest, parameters, (z,), far=True))
+    return max([best, *_refits(robot, search, places, sample)], key=lambda fit: fit.evidence())
 
 
 def _round(
