@@ -249,3 +249,20 @@ def test_links_that_stand_for_a_missing_bearing_do_not_hide_it(tmp_path: Path) -
     assert [f"{e['effect']}@{e['site']}" for e in found.data()["effects"]] == [f"{effect.kind}@{effect.site}"]
     stiffness = found.data()["effects"][0]["parameters"]["stiffness"]
     assert stiffness["interval90"][0] < effect.parameters["stiffness"] < stiffness["interval90"][1]
+
+
+@pytest.mark.slow
+def test_rivals_are_relieved_of_what_the_best_does_without(tmp_path: Path) -> None:
+    """A bearing that alone is likelier than a link that bends alone, which is likelier beside all nodes.
+
+    The link had been relieved of the nodes and named with 0.99, and the bearing kept what they cost.
+    """
+    from tools.trials.cases import case
+    from tools.trials.make import write_case
+
+    found = case("single", "hammer", 1196373522, 253)  # of a split that was opened
+    write_case(found, tmp_path)
+    (effect,) = found.effects
+    told = diagnose(tmp_path / "frf.h5", without=found.without).data()["effects"]
+    assert [f"{e['effect']}@{e['site']}" for e in told] == [f"{effect.kind}@{effect.site}"]
+    assert told[0]["probability"] > 0.9
