@@ -462,6 +462,7 @@ def test_a_blow_left_out_is_predicted_better_with_what_is_there_and_with_nothing
     assert elsewhere.gain < 2
 
 
+@pytest.mark.slow
 def test_three_blows_in_one_posture_show_a_name_on_what_was_not_used(tmp_path: Path) -> None:
     """A test at the tool alone: what is named predicts each blow from the two others."""
     path = tmp_path / "c.h5"

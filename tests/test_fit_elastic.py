@@ -285,6 +285,7 @@ def test_bounded_descent_ends_where_bounded_least_squares_does() -> None:
         assert cost == pytest.approx(lsq_linear(A, b, (-1, 1), tol=1e-12).cost, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_raw_hits_and_one_channel_pair_are_fitted(tmp_path: Path, kr90: Robot) -> None:
     """Time records alone, through the file; and a single FRF per posture, which holds springs but few dampers."""
     options = ("--seed", "6", "--postures", "2", "--lines", "180", "--hits", "4")
