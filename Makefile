@@ -20,7 +20,7 @@ lint: install
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile --durations=10
 
-# Whole diagnoses of rarer cases, the tutorials and the first screen of the README, half an hour.
+# Whole diagnoses of rarer cases, the tutorials and the first screen of the README, three quarters of an hour.
 test-slow: install
 	$(BIN)/python -m pytest -n 2 --durations=10 -m slow
 
