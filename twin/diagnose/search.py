@@ -152,8 +152,9 @@ def explain(
         if not search.weighed:
             best, sample = _without_weight(robot, search, best, sample)
         found = _round(robot, search, best, sample, suspects, progress)
-        if best is search.base and _strained(best):
-            more = _round(robot, search, best, sample, suspects, progress, held=True)
+        if best is search.base and _strained(best) and (not found or _stands_in(found[0])):
+            springs = [variants for variants in suspects if variants[0].law and variants[0].law.sprung]
+            more = _round(robot, search, best, sample, springs, progress, held=True)
             found = sorted([*found, *more], key=lambda fit: -fit.evidence())
         if found and found[0].evidence() <= best.evidence():  # no one thing helps: a whole kind may be missing
             everywhere = _everywhere(robot, search, found, sample, suspects)
@@ -188,6 +189,11 @@ def explain(
 def _strained(fit: Fitted) -> bool:
     """Whether a fit has numbers of links farther off than a description allows."""
     return any(fit.parameters[k].kind == "link" for k, _, _ in far_off(fit))
+
+
+def _stands_in(fit: Fitted) -> bool:
+    """Whether a fit needs numbers of the description off: they may stand for what is missing."""
+    return _strained(fit) or any(piece.law is None for piece in fit.hypothesis.pieces)
 
 
 def _beside_each_other(robot: Robot, search: Search, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]) -> None:
@@ -524,9 +530,9 @@ def _round(
 
     Args:
         every: whatever little it promises.
-        held: screened and begun where links are within ``HELD`` tolerances, with a residual tempered at first. Links
-            that stand for something missing leave too little for it to explain. A fit that begins there does not find
-            its way back.
+        held: screened and begun where links are within ``HELD`` tolerances, with a residual tempered at first. In a
+            band of frequencies a link that is off moves as one behind a spring that is missing. It leaves too little
+            for the spring to explain, and a fit that begins there does not find its way back.
     """
     free, hypothesis = search.base.parameters, current.hypothesis
     error = search.error if hypothesis is NONE else inflation(current, robot, sample.thin(REFIT_LINES))
