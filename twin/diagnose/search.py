@@ -43,7 +43,7 @@ SHORT = 0.2  # of what another has gained: less promised is not refitted
 ABREAST = 2  # refits side by side, on however many cores: what is found must not depend on them
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
 TO_THE_END = 60  # iterations for what a long valley has held up
-HELD = 2.0  # deviations, within which 19 in 20 numbers are that are as described
+HELD_LINKS = 2.0  # deviations, within which 19 in 20 numbers are that are as described
 LIKELY = 16.0  # ln evidence behind the best within which a fit may be a rival
 
 
@@ -530,8 +530,8 @@ def _round(
 
     Args:
         every: whatever little it promises.
-        held: screened and begun where links are within ``HELD`` tolerances, with a residual tempered at first. In a
-            band of frequencies a link that is off moves as one behind a spring that is missing. It leaves too little
+        held: screened and begun where links are within ``HELD_LINKS`` tolerances, with a residual tempered at first. In
+            a band of frequencies a link that is off moves as one behind a spring that is missing. It leaves too little
             for the spring to explain, and a fit that begins there does not find its way back.
     """
     free, hypothesis = search.base.parameters, current.hypothesis
@@ -542,7 +542,7 @@ def _round(
     setting = Setting(robot, free, hypothesis, z, lines, sample.thin(SCREEN_LINES), error, far)
     if error > 0 or held:
         own = hypothesis.parameters(free)
-        bound = np.array([HELD if p.kind == "link" and held else np.inf for p in own])
+        bound = np.array([HELD_LINKS if p.kind == "link" and held else np.inf for p in own])
         z = np.clip(z, -bound, bound)
         z, *_ = minimise(setting.objective(hypothesis), z, 30 if held else 8, 0.05, bound=bound if held else None)
         setting = replace(setting, z=z)

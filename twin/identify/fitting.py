@@ -130,16 +130,11 @@ def fit_campaign(
 
     fitted = run(train)
     final = _checked(fitted.parameters.apply(described, fitted.values))
-
-    def where(some: list[Recorded], found: Fit) -> tuple[Recorded, ...]:
-        """Recordings with their nodes where a fit has them."""
-        return placed(some, found.parameters, found.values)
-
-    comparisons = {"fitted": comparison(final, judge(final, where(train, fitted)), source)}
+    comparisons = {"fitted": comparison(final, judge(final, _where(train, fitted)), source)}
     error: dict[str, float | None] = {"train": comparisons["fitted"].error, "held_out": None}
     expected: dict[str, float | None] = {"noise_floor": comparisons["fitted"].noise_floor, "held_out": None}
     if rest:
-        unseen = where(rest, fitted)
+        unseen = _where(rest, fitted)
         comparisons["held out"] = comparison(final, judge(final, unseen), source)
         error["held_out"] = comparisons["held out"].error
         expected["held_out"] = expected_error(final, fitted, unseen) if noise_stated(recordings) else None
@@ -152,15 +147,15 @@ def fit_campaign(
         other = run([r for r in recordings if r.setup.name != name])
         changed = other.parameters.apply(described, other.values)
         alone = [r for r in recordings if r.setup.name == name]
-        judged = comparison(changed, judge(changed, where(alone, other)), source)
+        judged = comparison(changed, judge(changed, _where(alone, other)), source)
         left_out[name] = judged.error
     found = estimates(fitted)
     result = Fitting(
         source, final, fitted, found, combinations(fitted), held, error, expected,
-        _campaign_modes(campaign, where(recordings, fitted), final, held, band_hz, progress), [],
+        _campaign_modes(campaign, _where(recordings, fitted), final, held, band_hz, progress), [],
         list(in_turn), left_out, comparisons,
     )  # fmt: skip
-    result.damping = transfer(misses_of_frf(result.robot, Posterior.of(fitted), where(rest, fitted)))
+    result.damping = transfer(misses_of_frf(result.robot, Posterior.of(fitted), _where(rest, fitted)))
     if profiled:
         weakest = _weakest(found)
         tick = progress("profiles", len(weakest))
@@ -169,6 +164,11 @@ def fit_campaign(
             result.profiles[fitted.parameters.names[k]] = profile(described, train, fitted, found[k])
     result.warnings = [*_warnings(result, perfect), *_freed_nodes(fitted), *_data_warnings(campaign, recordings)]
     return result
+
+
+def _where(some: Sequence[Recorded], fit: Fit) -> tuple[Recorded, ...]:
+    """Recordings with their nodes where a fit has them."""
+    return placed(some, fit.parameters, fit.values)
 
 
 def _campaign_modes(
