@@ -5,7 +5,7 @@ as long as the evidence grows. Then every thing found is taken out in turn, and 
 place. One thing may have been found instead of another. All finalists end on all lines, at convergence.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -361,7 +361,7 @@ def _reconsider(
     for piece in best.hypothesis.pieces[:-1]:
         if piece not in best.hypothesis.pieces or piece in allowed(best, robot):
             continue
-        rest, z = _taken_out(search, best, piece)
+        rest, z = _taken_out(search, best, {piece.key})
         current = search.fits.get(rest.identity)
         if current is None:
             parameters = rest.parameters(search.base.parameters)
@@ -372,9 +372,9 @@ def _reconsider(
     return best
 
 
-def _taken_out(search: Search, fit: Fitted, piece: Hypothesis) -> tuple[Hypothesis, FloatArray]:
-    """The other things of a hypothesis, and where they are in the fit of all."""
-    rest = together(*(p for p in fit.hypothesis.pieces if p is not piece))
+def _taken_out(search: Search, fit: Fitted, gone: Container[str]) -> tuple[Hypothesis, FloatArray]:
+    """The other things of a hypothesis than those of some keys, and where they are in the fit of all."""
+    rest = together(*(p for p in fit.hypothesis.pieces if p.key not in gone))
     names = set(rest.parameters(search.base.parameters).names)
     return rest, fit.z[[k for k, p in enumerate(fit.parameters) if p.name in names]]
 
@@ -484,7 +484,7 @@ def _needed(robot: Robot, search: Search, best: Fitted, sample: Sample) -> Fitte
     near = best.cost + WITHIN
 
     def left(number: int) -> Fitted:
-        rest, z = _taken_out(search, best, pieces[number])
+        rest, z = _taken_out(search, best, {pieces[number].key})
         parameters = rest.parameters(search.base.parameters)
         return descend(robot, rest, parameters, sample, z, tempered=0, linear=20, tolerance=0.02, hopeless=near)
 
@@ -505,14 +505,10 @@ def _rivals_without(robot: Robot, search: Search, richest: Fitted, best: Fitted,
     gone = richest.hypothesis.identity - best.hypothesis.identity
     places = []
     for fit in search.finalists if gone else ():
-        pieces = [piece for piece in fit.hypothesis.pieces if piece.key not in gone]
         if fit is richest or fit.evidence() < richest.evidence() - WITHIN or not gone < fit.hypothesis.identity:
             continue
-        rest = together(*pieces)
-        parameters = rest.parameters(search.base.parameters)
-        names = set(parameters.names)
-        z = fit.z[[k for k, p in enumerate(fit.parameters) if p.name in names]]
-        places.append(_Place(rest, parameters, (z,), far=True))
+        rest, z = _taken_out(search, fit, gone)
+        places.append(_Place(rest, rest.parameters(search.base.parameters), (z,), far=True))
     return max([best, *_refits(robot, search, places, sample)], key=lambda fit: fit.evidence())
 
 

@@ -25,6 +25,7 @@ from twin.robot.description import (
     MassIfAny,
     Moment,
     Name,
+    NonNegative,
     Placement,
     Position,
     Positive,
@@ -65,7 +66,7 @@ class Mount(Data):
     position: tuple[Length, Length] | None = None
     velocity: Speed | None = None
     torque: Torque | None = None
-    friction: Torque | None = None
+    friction: NonNegative = 0.0
     damping: Damping = 0.0
 
 
@@ -204,7 +205,7 @@ def stand_on(tree: Tree, mounts: list[Mount], path: str | Path) -> None:
             Joint(
                 carriage, mount.type if mount.position or mount.type == "prismatic" else "continuous", ground, carriage,
                 np.eye(4), axis / np.linalg.norm(axis), mount.position, mount.velocity, mount.torque,
-                mount.damping, mount.friction or 0.0,
+                mount.damping, mount.friction,
             )
         )  # fmt: skip
         foot = np.eye(4)
