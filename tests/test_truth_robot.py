@@ -244,12 +244,22 @@ def test_a_bending_link_swings_its_far_half_alone():
     rigid = replace(KR90, stiffness=np.full((3, 3), np.inf))
     structure = assemble(rigid, MILLING, (parse("link_flexibility@link3.z:stiffness=1e7,damping=0"),), sag=False)
     middle = KR90.flange / 2
-    _, far = slabs(KR90.links[2], [middle[0]])
+    length = float(np.linalg.norm(KR90.flange))
+    _, far = slabs(KR90.links[2], [length / 2], KR90.flange / length)
     lever = far.com - middle
     inertia = far.inertia[2, 2] + far.mass * (lever[0] ** 2 + lever[1] ** 2)
     assert structure.mass[0, 0] == pytest.approx(inertia, rel=1e-12)
     assert structure.row("link3", np.array([0.5, 0.1, 0.0]), AXES["y"])[0] == 0
     assert structure.row("link3", np.array([1.2, 0.1, 0.0]), AXES["y"])[0] == pytest.approx(1.2 - middle[0], rel=1e-12)
+
+
+def test_a_link_is_cut_across_the_way_to_its_next_joint():
+    """A forearm whose next joint lies along y: what is beyond half that way swings, whatever its x."""
+    side = replace(KR90, stiffness=np.full((3, 3), np.inf), flange=np.array([0.15, 0.84, 0.0]))
+    structure = assemble(side, MILLING, (parse("link_flexibility@link3.z:stiffness=1e7,damping=0"),), sag=False)
+    near, beyond = np.array([0.2, 0.2, 0.0]), np.array([-0.1, 0.7, 0.0])
+    assert structure.row("link3", near, AXES["x"])[0] == 0
+    assert structure.row("link3", beyond, AXES["x"])[0] == pytest.approx(-(0.7 - 0.42), rel=1e-12)
 
 
 def test_a_link_of_many_segments_is_a_cantilever():
@@ -262,7 +272,8 @@ def test_a_link_of_many_segments_is_a_cantilever():
     deflection = row @ np.linalg.solve(np.diag(np.full(20, 20 * 1e7)), row)
     assert deflection == pytest.approx(length**3 / (3 * 1e7 * length), rel=1e-3)
     heights = [length * (i + 0.5) / 20 for i in range(20)]
-    assert sum(part.mass for part in slabs(KR90.links[2], heights)) == pytest.approx(KR90.links[2].mass, rel=1e-12)
+    parts = slabs(KR90.links[2], heights, AXES["x"])
+    assert sum(part.mass for part in parts) == pytest.approx(KR90.links[2].mass, rel=1e-12)
     assert np.linalg.eigvalsh(structure.mass)[0] > 0
 
 
@@ -295,11 +306,13 @@ def test_a_single_hinge_has_the_closed_form_of_its_law(text, stiffness):
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
-def test_a_cut_link_is_the_link_and_both_parts_are_bodies():
-    link, height = KR90.links[1], 0.675
-    near, far = slabs(link, [height])
+@pytest.mark.parametrize("normal", [(1.0, 0.0, 0.0), (0.6, 0.8, 0.0), (0.0, -0.6, 0.8)])
+def test_a_cut_link_is_the_link_and_both_parts_are_bodies(normal):
+    link, normal = KR90.links[1], np.array(normal)
+    height = float(normal @ link.com) + 0.1
+    near, far = slabs(link, [height], normal)
     points = np.random.default_rng(0).multivariate_normal(link.com, second_moments(link.inertia) / link.mass, 400_000)
-    beyond = points[points[:, 0] > height]
+    beyond = points[points @ normal > height]
     assert far.mass / link.mass == pytest.approx(len(beyond) / len(points), rel=0.01)
     np.testing.assert_allclose(far.com, beyond.mean(0), atol=0.005)
     np.testing.assert_allclose(second_moments(far.inertia) / far.mass, np.cov(beyond.T), atol=0.005)

@@ -72,9 +72,7 @@ class Structure:
         if not on:
             return felt
         parts = [self.zones[int(bodies[k].removeprefix("link")) - 1] for k in on]
-        frames = [
-            next(zone.frame for zone in zones if positions[k, 0] < zone.end) for k, zones in zip(on, parts, strict=True)
-        ]
+        frames = [_carrier(zones, positions[k]) for k, zones in zip(on, parts, strict=True)]
         turn, origin = np.array([f.turn for f in frames]), np.array([f.origin for f in frames])
         place = origin + np.einsum("mij,mj->mi", turn, positions[on])
         along = np.einsum("mij,mj->mi", turn, directions[on])
@@ -112,10 +110,16 @@ class Frame(NamedTuple):
 
 
 class Zone(NamedTuple):
-    """The part of a link up to x = `end` of its frame that moves as one body."""
+    """The part of a link up to `end` along a unit vector of its frame that moves as one body."""
 
     end: float
     frame: Frame
+    along: Array
+
+
+def _carrier(zones: Sequence[Zone], position: Array) -> Frame:
+    """What carries a point of a link."""
+    return next(zone.frame for zone in zones if position @ zone.along < zone.end)
 
 
 class _Builder:
@@ -314,8 +318,8 @@ def _servo(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple
 def _link(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple[Effect, ...], end: Array) -> list[Zone]:
     """The link's bodies: one, or the parts between its bending hinges, each with the payloads placed on it.
 
-    A link bends in one hinge half-way, or as a beam in `segments` equal ones, each in the middle of a segment and
-    as many times stiffer: a moment turns the end by the same angle.
+    A link bends in one hinge half-way to the next joint, or as a beam in `segments` equal ones, each in the middle of
+    a segment and as many times stiffer: a moment turns the end by the same angle. It is cut across that way.
     """
     bends: dict[float, list[tuple[Effect, int, int]]] = {}
     for e in effects:
@@ -323,21 +327,21 @@ def _link(builder: _Builder, frame: Frame, chain: Chain, i: int, effects: tuple[
             count = int(e.parameters.get("segments", 1))  # type: ignore[arg-type]
             for number in range(count):
                 bends.setdefault((number + 0.5) / count, []).append((e, count, number))
-    if bends and not abs(end[0]) > 0:
-        raise TruthError(
-            f"link_flexibility@link{i + 1}: expected a link with a length along x: the next joint is at {end}"
-        )
+    length = float(np.linalg.norm(end))
+    if bends and not length:
+        raise TruthError(f"link_flexibility@link{i + 1}: expected a length; the next joint is in its origin")
+    along = end / length if length else AXES["x"]
     places = sorted(bends)
-    limits = [-np.inf, *(end[0] * place for place in places), np.inf]
+    limits = [-np.inf, *(length * place for place in places), np.inf]
     zones: list[Zone] = []
-    parts = slabs(chain.links[i], limits[1:-1])
+    parts = slabs(chain.links[i], limits[1:-1], along)
     for part, place, (start, stop) in zip(parts, [0.0, *places], pairwise(limits), strict=True):
         for e, count, number in bends.get(place, []):
             name = e.site + (f"#{number + 1}" if count > 1 else "")
             k, c = count * e["stiffness"], count * e["damping"]
             frame = builder.hinge(frame, name, AXES[e.axis], k, c, at=place * end)
-        zones.append(Zone(stop, frame))
-        here = [e for e in effects if e.kind == "payload" and start <= e.array("com")[0] < stop]
+        zones.append(Zone(stop, frame, along))
+        here = [e for e in effects if e.kind == "payload" and start <= e.array("com") @ along < stop]
         builder.bodies.append((loaded(part, i, chain, here), frame))
     return zones
 
@@ -346,7 +350,7 @@ def _resonators(builder: _Builder, zones: list[Zone], i: int, effects: tuple[Eff
     for e in effects:
         if e.kind == "attached_resonator" and e.joint == i:
             position, axis = e.array("position"), str(e.parameters["axis"])
-            trunk = next(zone.frame for zone in zones if position[0] < zone.end)
+            trunk = _carrier(zones, position)
             w = 2 * np.pi * e["frequency_hz"]
             k, c = e["mass"] * w**2, 2 * e["damping_ratio"] * e["mass"] * w
             frame = builder.slide(trunk, f"resonator@{e.site}.{axis}", AXES[axis], k, c)
@@ -390,8 +394,8 @@ def body_of(moments: Array) -> Link:
     return Link(mass, com, inertia_from(moments[1:, 1:] - mass * np.outer(com, com)))
 
 
-def slabs(link: Link, heights: list[float]) -> list[Link]:
-    """The parts of a link between the planes x = heights (rising), from the near end.
+def slabs(link: Link, heights: list[float], normal: Array) -> list[Link]:
+    """The parts of a link between planes at heights (rising) along their normal, from the near end.
 
     The link's mass is spread as the normal density with its mass, centre of mass and inertia, and cut there: the
     parts add up to the link exactly, and each is a physical body.
@@ -400,9 +404,10 @@ def slabs(link: Link, heights: list[float]) -> list[Link]:
         return [link]
     beyond = [moments_of(link)]
     spread = second_moments(link.inertia) / link.mass
-    along = spread[0] / np.sqrt(spread[0, 0])
+    deviation = float(np.sqrt(normal @ spread @ normal))
+    along = spread @ normal / deviation
     for height in heights:
-        depth = (height - link.com[0]) / np.sqrt(spread[0, 0])
+        depth = (height - normal @ link.com) / deviation
         share = ndtr(-depth)
         mills = np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi) / share
         second = spread - np.outer(along, along) * mills * (mills - depth)
