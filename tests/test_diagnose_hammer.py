@@ -364,6 +364,24 @@ def test_what_is_left_at_size_nought_has_no_smallest_size() -> None:
     assert left / 2 == pytest.approx(SEEN, rel=0.1)
 
 
+def test_what_the_model_imitates_shows_where_its_numbers_leave_their_prior() -> None:
+    """A foundation that turns about joint 1's own axis, damped as its gear, is that gear, softer: k²/k_b and k c/k_b.
+
+    No data tell them apart, however little noise they have. It shows where both have moved too far to be believed.
+    """
+    robot = load_robot("kr90_six")
+    free, recorded = free_parameters(robot), prepare(hammer_test(2, 60, 2), robot).values()
+    sample = Sample(tuple(replace(r, variance=1e-2 * r.variance) for r in recorded))
+    gear: Any = robot.axes[0]
+    soft = {"stiffness": 1e8, "damping": 1e8 * gear.damping / gear.stiffness}
+    fit: Any = SimpleNamespace(parameters=free, z=np.zeros(len(free)))
+    (seen,) = smallest_visible(robot, fit, sample, [[entry_hypothesis(robot, "base_compliance", "base.rz", soft)]])
+    own = {p.name: p.deviation for p in free if p.name.startswith("joint1.z.")}
+    tension = sum(1 / deviation**2 for deviation in own.values())
+    assert len(own) == 2
+    assert seen["value"] == pytest.approx(gear.stiffness * np.sqrt(tension / (2 * SEEN)), rel=0.01)
+
+
 def test_what_a_model_predicts_counts_as_much_as_if_it_had_been_fitted_to(tmp_path: Path) -> None:
     """ln p(used) + ln p(held out | used) = ln p(all): of a tilt that two postures hardly show, the third tells."""
     found = {}

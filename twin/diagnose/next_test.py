@@ -13,14 +13,17 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis, same_axes
 from twin.diagnose.refit import Fitted
+from twin.diagnose.screen import Linear
 from twin.errors import InputError
 from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import Brakes, FloatArray
 from twin.model.sensitivity import Setup, frf, observe
+from twin.ranges import implausible
 from twin.robot.description import Robot
 
 SEEN = 8.0  # ln Bayes factor from which an effect would be seen
 SLOPE_SIZE = 1e-4  # of the usual size, where the derivative is taken
+ROUNDING = 1e-12  # share of the square of a signature that is known to a millionth
 PLACES_TRIED = 24
 MANY = 1000  # ln evidence beyond which a number says no more
 
@@ -32,12 +35,10 @@ def smallest_visible(
 
     The signature is the derivative with respect to the size; a spring's size is its compliance. A difference would also
     count the curvature of what a refit absorbs. Then a payload of grams would seem to show. The first parameter of the
-    entry is given.
+    entry is given. One that no size a robot can have would show is left out.
     """
-    objective = Objective(robot, fit.parameters, sample)
-    residual, J = objective.jacobian(fit.z)
-    inverse = np.linalg.inv(J @ J.T + np.eye(len(J)))
-    found = []
+    linear = Linear(Objective(robot, fit.parameters, sample), fit.z)
+    residual, found = linear.residual, []
     for variants in (some for some in suspects if some[0].law):
         hypothesis = variants[len(variants) // 2]
         first = hypothesis.own[0]
@@ -48,13 +49,17 @@ def smallest_visible(
         if np.linalg.norm(two - one) < np.linalg.norm(one) / 2:
             continue  # something is left at size nought: a slab without mass still stands on its springs
         tangent = (4 * one - two) / (2 * SLOPE_SIZE)  # one-sided: a size has a sign
-        across = J @ tangent
-        energy = float(tangent @ tangent - across @ inverse @ across)
-        size = float(np.sqrt(2 * SEEN / max(energy, 1e-300)))
+        whole, share = float(tangent @ tangent), linear.share(tangent)
+        energy = whole - float(share @ share)
+        if energy <= ROUNDING * whole:
+            continue
+        size = float(np.sqrt(2 * SEEN / energy))
         if first.log:
             value = first.mean / size if first.quantity == "stiffness" else first.mean * size
         else:
             value = first.deviation * size
+        if implausible(value, first.unit, first.log):
+            continue
         found.append(
             {
                 "effect": hypothesis.effect, "site": hypothesis.site,
