@@ -19,7 +19,7 @@ from tools.truth.__main__ import main as truth
 from tools.truth.recording import draw_truth
 from tools.truth.robots import machines, write_description
 from twin import diagnose
-from twin.diagnose import engine, torque
+from twin.diagnose import engine, torque, torque_search
 from twin.diagnose.borne_out import falls
 from twin.diagnose.calibration import calibration
 from twin.diagnose.joint import followed
@@ -950,3 +950,24 @@ def test_ten_seconds_of_an_arm_that_carries_a_load_show_it_and_nothing_else(tmp_
     (missing,) = diagnose_log(log, robot).missing
     assert missing.first.key == "payload@flange"
     assert holds(missing.first, load.mass)
+
+
+def test_a_load_whose_inertia_would_come_out_below_zero_is_told_with_none(tmp_path: Path) -> None:
+    """Friction that gives way before it slips passes for less inertia about joint 6; the load was then told as none."""
+    ((robot, log, load),) = cases("six", tmp_path, range(7, 8), seed=5)
+    (missing,) = diagnose_log(log, robot).missing
+    assert missing.first.key == "payload@flange"
+    assert holds(missing.first, load.mass)
+    ends = np.array(missing.first.parameters["inertia"]["interval90"])
+    assert (ends[:, 1] > 0).all()
+
+
+def test_what_can_only_be_explained_by_what_cannot_be_is_not_adequate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A load with a moment of inertia below zero halves the error kept aside: no load, but not nothing either."""
+    monkeypatch.setattr(torque_search, "bounded", lambda steps, system: system)
+    ((robot, log, _),) = cases("six", tmp_path, range(7, 8), seed=5)
+    finding = diagnose_log(log, robot)
+    assert (finding.word, finding.missing) == ("unexplained", [])
+    assert finding.other == 1.0

@@ -254,7 +254,11 @@ def searched(
 ) -> tuple[Search, list[Suspect]]:
     """What is missing, and what was suspected: what drives have, as the log shows it."""
     suspects = log_suspects(base_fit(system).robot, prepared.used)
-    return told(explain(system, prepared.kept, suspects, progress, processes)), suspects
+    search = told(explain(system, prepared.kept, suspects, progress, processes))
+    if search.found and not any(possible(search.system, step) for step in search.found):
+        numbers = told(bare(search))  # numbers of the description may be what no effect can be: a link that is lighter
+        search = numbers if numbers.found else search
+    return search, suspects
 
 
 def predicted_runs(prepared: Prepared, search: Search) -> list[FloatArray]:
@@ -506,6 +510,8 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     if missing and (left := search.unexplained) > calibration()["mostly"]:
         return "unexplained", missing, 0.0, max(other, min(left, 0.99))
     if not missing and max(search.held_out_misfit, search.after.misfit) > calibration()["held_out_adequate"]:
+        return "unexplained", [], 0.0, 1.0
+    if not missing and search.found:  # what predicts better has numbers that nothing of its name can have
         return "unexplained", [], 0.0, 1.0
     if not missing and word_of(first) not in ("adequate", "unexplained"):
         return "adequate", [], 1 - first.other, first.other  # what was named first was taken back, and nothing lacks

@@ -21,7 +21,7 @@ from twin.diagnose.torque_discover import discover, unnamed
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, from_every_start, refine, settle, start, worth
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_look import decided, look, nothing_of
-from twin.diagnose.torque_revise import all_grown, one_for_two, pruned, revised
+from twin.diagnose.torque_revise import all_grown, bounded, one_for_two, pruned, revised
 from twin.diagnose.torque_step import REFITTED, Step, accepted, left_out, what_is_left, with_step
 from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, Trial, extended, relinearised, unshrunk, with_doubts, with_wider
@@ -180,7 +180,7 @@ def _found(
         system = with_doubts(all_grown(steps, system, judge))
     first = steps[0]  # beside the base model alone; what takes its place later stands beside other finds
     system = pruned(steps, revised(steps, system, suspects, judge), last=True)
-    system = with_doubts(all_grown(steps, system, judge))
+    system = with_doubts(bounded(steps, all_grown(steps, system, judge)))
     left = free_gains(system, processes, judge)
     search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)
     if judge:

@@ -253,8 +253,13 @@ def unshrunk(trial: "Trial") -> "Trial":
 
     How probable it is was decided before; the usual size would only draw the numbers towards it.
     """
+    own = trial.suspect.hypothesis.own
+    return rescaled(trial, np.array([1.0 if p.log else max(1.0, abs(u)) for p, u in zip(own, trial.u, strict=True)]))
+
+
+def rescaled(trial: "Trial", scale: FloatArray) -> "Trial":
+    """The trial with the priors of its numbers so many times (m,) as wide."""
     hypothesis = trial.suspect.hypothesis
-    scale = np.array([1.0 if p.log else max(1.0, abs(u)) for p, u in zip(hypothesis.own, trial.u, strict=True)])
     own = tuple(replace(p, deviation=p.deviation * s) for p, s in zip(hypothesis.own, scale, strict=True))
     slopes = replace(trial.slopes, rows=trial.slopes.rows * scale)
     suspect = replace(trial.suspect, hypothesis=replace(hypothesis, own=own))
