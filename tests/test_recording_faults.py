@@ -175,6 +175,29 @@ def test_a_hammer_in_another_unit_is_seen_in_all_channels(channels: list[int], t
     assert [note.kind for note in notes] == told
 
 
+@pytest.mark.parametrize(
+    ("times", "kind", "said"),
+    [(-1.0, "reversed_channel", "struck the other way"), (4.4482216, "unit", "in lbf"), (9.80665, "unit", "in kgf")],
+)
+def test_one_blow_in_another_unit_or_from_the_other_side_is_put_right(
+    times: float, kind: str, said: str, tmp_path: Path
+) -> None:
+    world, *_ = case("nothing", "hammer", "arm", 942, False)
+    record(world, tmp_path, np.random.default_rng(942))
+    write_description(machines()["arm"], tmp_path / "robot.yaml")
+    campaign, robot = read_campaign(tmp_path / "frf.h5"), without_limits(load_robot(tmp_path / "robot.yaml"))
+    untouched, notes = put_right(campaign, robot, "frf.h5")
+    assert notes == []
+    factor = np.ones(len(campaign.excitation.label))
+    factor[2] = times
+    wrong = {name: replace(p, frf=p.frf * factor) for name, p in campaign.postures.items()}
+    right, (note,) = put_right(replace(campaign, postures=wrong), robot, "frf.h5")
+    assert (note.kind, note.channels) == (kind, campaign.excitation.label[2:3])
+    assert said in note
+    for name, posture in right.postures.items():
+        np.testing.assert_allclose(posture.frf, untouched.postures[name].frf, rtol=1e-12)
+
+
 def test_sensors_share_their_unit_where_the_phase_of_one_is_not_plain(tmp_path: Path) -> None:
     """All in mm/s²; the described modes of one direction are elsewhere, so that its phase says little."""
     world, *_ = case("nothing", "hammer", "arm", 942, False)

@@ -1,5 +1,5 @@
-"""What is wrong with a hammer test itself: channels in another unit, reversed or exchanged, noise that is larger than
-stated, mains hum.
+"""What is wrong with a hammer test itself: channels or blows in another unit or reversed, channels exchanged, too much
+noise for what is stated, mains hum.
 
 Channels are compared with those of the description. What counts is phase, averaged over all lines, and the median of
 the ratio of sizes, so that the description's modes may be elsewhere. A fault that is found is put right, with a note.
@@ -7,6 +7,7 @@ the ratio of sizes, so that the description's modes may be elsewhere. A fault th
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted
 from twin.errors import tell
 from twin.identify.objective import Objective, Sample
-from twin.measure.campaign import Campaign, FloatArray
+from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.parameters import independent, require_springs
 from twin.model.recorded import Recorded, prepare, without_limits
 from twin.robot.description import Robot
@@ -24,6 +25,8 @@ from twin.robot.description import Robot
 UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}
 """What FRFs in other units are over those in m/s² per newton."""
 OF_FORCE = ("m/s² per lbf",)  # a unit of the hammer, which all channels share
+FORCES = {"lbf": 4.4482216, "kgf": 9.80665}
+"""What FRFs of blows whose force has another unit are over those per newton."""
 IN_PHASE = 0.5  # mean cosine of the phase between a channel and the one it is; of robots as described 0.5 to 0.95
 NEAR_UNIT = 0.5  # in ln size: so near a unit's factor a channel is in that unit
 
@@ -64,13 +67,40 @@ def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, 
             of = tuple(labels[k] for k in inside)
             text = f"recorded in {unit}, it seems: {', '.join(of)}; FRFs are {times:.4g} times those in m/s² per newton"
             notes.append(Note(f"{text}; they were divided by that", "unit", "fail", of))
-    if not notes:
-        return campaign, []
     postures = {}
     for name, posture in campaign.postures.items():
         frf = (sign / factor)[:, None] * posture.frf[:, order]
         coherence = None if posture.coherence is None else posture.coherence[:, order]
         postures[name] = replace(posture, frf=frf, coherence=coherence, hits=None)
+    campaign = replace(campaign, postures=postures) if notes else campaign
+    campaign, of_blows = _with_blows(campaign, robot, source)
+    return campaign, [*notes, *of_blows]
+
+
+def _with_blows(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, list[Note]]:
+    """A campaign with blows put right that were struck the other way, or whose force has a unit of its own.
+
+    A blow that the described robot hardly answers says nothing: neither its phase nor its size is clear.
+    """
+    pairs, labels = _compared(campaign, robot, source), campaign.excitation.label
+    phase, size = np.array([_likeness(pairs, np.s_[:, :, k], np.s_[:, :, k]) for k in range(len(labels))]).T
+    clear = np.abs(phase) > IN_PHASE
+    factor, notes = np.where(phase < -IN_PHASE, -1.0, 1.0), []
+    if turned := [labels[k] for k in np.flatnonzero(factor < 0)]:
+        text = f"{', '.join(turned)}: the blow was struck the other way; its FRFs were turned round"
+        notes.append(Note(text, "reversed_channel", "fail", tuple(turned)))
+    off = size - np.median(size[clear]) if clear.any() else size
+    away = np.abs(off - np.log([*FORCES.values()])[:, None])
+    for number, (unit, times) in enumerate(FORCES.items()):
+        inside = clear & (away.argmin(axis=0) == number) & (away[number] < NEAR_UNIT)
+        if inside.any() and inside.sum() < 0.5 * clear.sum():
+            factor[inside] /= times
+            of = tuple(labels[k] for k in np.flatnonzero(inside))
+            text = f"the force of {', '.join(of)} is recorded in {unit}, it seems: FRFs are {times:.4g} times those of"
+            notes.append(Note(f"{text} the other blows; they were divided by that", "unit", "fail", of))
+    if not notes:
+        return campaign, []
+    postures = {name: replace(p, frf=p.frf * factor, hits=None) for name, p in campaign.postures.items()}
     return replace(campaign, postures=postures), notes
 
 
@@ -84,22 +114,34 @@ def sound(campaign: Campaign, robot: Robot, source: str) -> Campaign:
 
 
 def _alike(campaign: Campaign, robot: Robot, source: str) -> tuple[FloatArray, FloatArray]:
-    """Mean cosine of the phase between recorded and described channels, and the median of ln |H|/|Ĥ|, both (nr, nr)."""
+    """:func:`_likeness` of recorded and described channels, (nr, nr) both."""
+    pairs, channels = _compared(campaign, robot, source), range(len(campaign.response.label))
+    both = np.array([[_likeness(pairs, np.s_[:, i], np.s_[:, k]) for k in channels] for i in channels])
+    return both[..., 0], both[..., 1]
+
+
+def _compared(campaign: Campaign, robot: Robot, source: str) -> list[tuple[Recorded, ComplexArray]]:
+    """Every recording with the FRFs (nf, nr, ne) of the robot as described."""
     recordings = tuple(prepare(campaign, robot, source).values())
     model = Objective(robot, independent([]), Sample(recordings)).predicted(np.zeros(0))
-    nr = len(campaign.response.label)
-    phase, size = np.zeros((nr, nr)), np.zeros((nr, nr))
-    for i in range(nr):
-        for k in range(nr):
-            cosine, ratio = [], []
-            for r, H in zip(recordings, model, strict=True):
-                both = np.abs(r.frf[:, i]) * np.abs(H[:, k])
-                some = np.isfinite(r.variance[:, i]) & (both > 0)
-                cosine.append(np.real(r.frf[:, i] * np.conj(H[:, k]))[some] / both[some])
-                ratio.append(np.log(np.abs(r.frf[:, i])[some] / np.abs(H[:, k])[some]))
-            if sum(part.size for part in cosine):
-                phase[i, k], size[i, k] = np.concatenate(cosine).mean(), np.median(np.concatenate(ratio))
-    return phase, size
+    return list(zip(recordings, model, strict=True))
+
+
+def _likeness(pairs: Iterable[tuple[Recorded, ComplexArray]], seen: Any, described: Any) -> tuple[float, float]:
+    """Mean cosine of the phase between some recorded FRFs and some described ones, and the median of ln |H|/|Ĥ|.
+
+    Both are zero where nothing is recorded.
+    """
+    cosine, ratio = [], []
+    for r, model in pairs:
+        H, as_described = r.frf[seen], model[described]
+        both = np.abs(H) * np.abs(as_described)
+        some = np.isfinite(r.variance[seen]) & (both > 0)
+        cosine.append(np.real(H * np.conj(as_described))[some] / both[some])
+        ratio.append(np.log(np.abs(H)[some] / np.abs(as_described)[some]))
+    if not sum(part.size for part in cosine):
+        return 0.0, 0.0
+    return float(np.concatenate(cosine).mean()), float(np.median(np.concatenate(ratio)))
 
 
 def _order(phase: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
