@@ -1,5 +1,6 @@
 """A name stays only where the recordings are predicted better with it."""
 
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.diagnose.borne_out import borne_out, gained, rises
+from twin.diagnose.borne_out import all_predict, borne_out, gained, rises
 from twin.diagnose.records import STAGES, FrfRecord
 from twin.diagnose.verdict import Candidate, Finding, Missing, Verdict
 from twin.measure.campaign import Channels
@@ -84,6 +85,36 @@ def test_a_name_that_misleads_on_what_was_held_out_goes(kr90: Robot, rng: np.ran
     found = borne_out(given)
     assert (found.word, found.missing) == ("unexplained", [])
     assert found.other == 1.0
+
+
+def test_a_name_that_misleads_leaves_an_adequate_model_adequate(kr90: Robot, rng: np.random.Generator) -> None:
+    """It was `unexplained` with each recording `adequate` in the same report."""
+    found = borne_out(verdict(kr90, record(rng, 0.0, 0.0, False), record(rng, 0.0, 3.0, True)))
+    assert (found.word, found.missing, found.other) == ("adequate", [], 0.05)
+
+
+@pytest.mark.parametrize(("held_out", "stays"), [((0.16, 0.17), False), ((0.2, 0.16), True)])
+def test_each_of_several_effects_has_to_make_the_prediction_better(
+    held_out: tuple[float, float], stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A resonator of 0.9 kg was named with 0.99 beside a wrong zero, and the error kept aside rose with it."""
+    asked = []
+
+    def errors(base: object, before: Any, after: Any, *_: object) -> tuple[list[Any], dict[str, Any]]:
+        asked.append((before, after))
+        return [], {"before": {"held_out": held_out[0]}, "after": {"held_out": held_out[1]}}
+
+    monkeypatch.setattr(sys.modules["twin.diagnose.borne_out"], "frf_records", errors)
+    monkeypatch.setattr(sys.modules["twin.diagnose.borne_out"], "allowed", lambda fit, robot: ())
+    pieces = [SimpleNamespace(key=key, exact=key == "zero") for key in ("zero", "resonator")]
+
+    def fit(*some: Any) -> Any:
+        return SimpleNamespace(hypothesis=SimpleNamespace(pieces=some, identity=frozenset(p.key for p in some)))
+
+    best, alone, found = fit(*pieces), fit(pieces[0]), SimpleNamespace(used=[], kept=["p1"], shared=1.0)
+    assert all_predict(best, [best, alone], None, found) is stays  # type: ignore[arg-type]
+    assert asked == [(alone, best)]
+    assert all_predict(alone, [best, alone], None, found)  # type: ignore[arg-type]  # by itself: judged by the verdict
 
 
 def test_recordings_that_no_one_model_does_for_are_said_so(kr90: Robot, rng: np.random.Generator) -> None:

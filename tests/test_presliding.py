@@ -37,6 +37,34 @@ def test_friction_keeps_what_it_holds_through_a_standstill(kr90: Robot, noise: f
     np.testing.assert_allclose(held, 1.0, atol=1e-3)
 
 
+@pytest.mark.parametrize("noise", [1e-6, 1e-5])
+def test_an_axis_that_starts_slowly_has_turned_by_all_of_its_way(kr90: Robot, noise: float) -> None:
+    """What it moves before it is told from noise turns its friction round, too: 1e-5 rad of noise hide 8e-5 rad."""
+    rate, rng = 125.0, np.random.default_rng(3)
+    time = np.arange(0, 6, 1 / rate)
+    s = np.clip((time - 2.0) / 3.0, 0, 1)
+    path = 0.4 * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    position = path[:, None] * [1.0, -0.8, 0.5] + noise * rng.normal(size=(len(time), 3))
+    run = run_of(Regressor(kr90), MotionRun("start", time, position, rate, rng.normal(size=(len(time), 3))), BANDS)
+    middle = np.abs(run.dense.time - 3.5) < 0.2  # symmetric about half of the way
+    assert run.turned[middle, 0].mean() - run.turned[run.dense.time < 1.5, 0].mean() == pytest.approx(0.2, abs=noise)
+
+
+def test_what_is_recorded_before_the_first_motion_does_not_count(kr90: Robot) -> None:
+    """Dry friction may then hold anything up to its size, in either direction."""
+    time = np.arange(0, 8, 1 / 250)
+    s = np.clip((time - 3.0) / 4.0, 0, 1)
+    path = 0.4 * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    noise = np.random.default_rng(4).normal(size=(2, len(time), 3))
+    still, moving = path[:, None] * [1.0, -0.8, 0.5] + 3e-6 * noise[0], np.cumsum(np.full((len(time), 3), 1e-3), axis=0)
+    begins = []
+    for position in (still, moving):
+        run = run_of(Regressor(kr90), MotionRun("run", time, position, 250.0, noise[1]), BANDS)
+        begins.append(float(run.time[run.valid][0]))
+    assert 3.0 < begins[0] < 3.8
+    assert begins[1] < 0.5
+
+
 def test_a_drive_that_turns_with_two_axes_turns_round_where_they_do_together(kr90: Robot) -> None:
     run = stopping(kr90, noise=3e-6)
     together, _ = _bristles(run, {2: 1.0, 1: 0.5}, TRAVELS, np.eye(5))

@@ -12,8 +12,11 @@ from typing import Any
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
-from twin.diagnose.records import FrfRecord, LogRecord, Record
+from twin.diagnose.records import FrfRecord, LogRecord, Record, frf_records
+from twin.diagnose.refit import Fitted
+from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Verdict, Word
+from twin.diagnose.within import allowed
 from twin.physics import effect_named
 from twin.robot.description import Robot
 
@@ -56,6 +59,29 @@ def falls(finding: Finding) -> bool:
     if records and fall <= calibration()["tie"]:
         return False
     return bool(after[part] < before[part])
+
+
+def all_predict(best: Fitted, fits: Sequence[Fitted], base: Robot, found: Triage, processes: int = 1) -> bool:
+    """Whether each of several effects makes the error on postures kept aside fall, beside the others.
+
+    One that does not only relieves numbers far from their description, or follows what no effect explains.
+
+    Args:
+        best: with several effects; ``fits`` those without one of them among others.
+        base: the description, its limits taken off.
+        found: which postures are kept aside.
+    """
+    allowed_ones = allowed(best, base)
+    answers = [piece for piece in best.hypothesis.pieces if piece not in allowed_ones]
+    known = {fit.hypothesis.identity: fit for fit in fits}
+    for piece in answers if len(answers) > 1 and found.kept else ():
+        rest = None if piece.exact else known.get(best.hypothesis.identity - {piece.key})
+        if rest is None:
+            continue
+        _, error = frf_records(base, rest, best, found.used, found.kept, found.shared, processes)
+        if error["after"]["held_out"] >= error["before"]["held_out"]:
+            return False
+    return True
 
 
 def explains(finding: Finding) -> bool:
@@ -108,7 +134,8 @@ def borne_out(verdict: Verdict) -> Verdict:
     findings = [_without(finding) for finding in verdict.findings]
     findings[0].warnings = [*findings[0].warnings, note]
     words = [finding.word for finding in findings]
-    word: Word = "unexplained" if worse or "unexplained" in words else "adequate"
+    apart = worse and len(findings) > 1  # no one model fits them all
+    word: Word = "unexplained" if apart or "unexplained" in words else "adequate"
     none, other = (
         (0.0, 1.0) if word == "unexplained" else (min(f.none for f in findings), max(f.other for f in findings))
     )
@@ -163,5 +190,6 @@ def _without(finding: Finding) -> Finding:
     return replace(
         finding, word="unexplained" if missed else "adequate", missing=[], none=0.0 if missed else 1 - finding.other,
         other=1.0 if missed else finding.other, robot=finding.base, written=None, next_test=None, apart={},
+        fits=finding.fits and (finding.fits[0], finding.fits[0]),
         error={**finding.error, "after": before}, records=records,
     )  # fmt: skip

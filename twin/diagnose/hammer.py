@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.borne_out import falls, gained
+from twin.diagnose.borne_out import all_predict, falls, gained
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import (
     Decision,
@@ -358,10 +358,17 @@ def _decided(
     axes = same_axes(base, [r.setup.q for r in sample.recordings])
     likeliest = fits[0] if fits else settled
     with ahead(lambda: search.lawless(likeliest, sample), search.processes) as of_likeliest:
-        decision = decide(
-            fits, settled, looked_at, kept=unseen, axes=axes, processes=search.processes,
-            unnamed=lambda fit: of_likeliest() if fit is likeliest else search.lawless(fit, sample),
-        )  # fmt: skip
+
+        def among(some: Sequence[Fitted]) -> Decision:
+            return decide(
+                some, settled, looked_at, kept=unseen, axes=axes, processes=search.processes,
+                unnamed=lambda fit: of_likeliest() if fit is likeliest else search.lawless(fit, sample),
+            )  # fmt: skip
+
+        decision, left = among(fits), list(fits)
+        while decision.ranked and not all_predict(decision.ranked[0], fits, base, found, search.processes):
+            left = [fit for fit in left if fit.hypothesis.identity != decision.ranked[0].hypothesis.identity]
+            decision = among(left)
     decision, beside = sifted(decision, base)
     doubts = beside.allowed if beside else ()
     if beside:
@@ -452,7 +459,8 @@ def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _
     records = with_modes(records, physical(before.robot), physical(best.robot))
     errors["noise_floor"] = noise_floor(sample.recordings)
     where = mismatch(settled, sample.thin(REFIT_LINES))
-    site = best.hypothesis.site or next(iter(where.sites), "")
+    doubts = {doubt.key for doubt in answer.doubts}
+    site = "+".join(p.site for p in best.hypothesis.pieces if p.key not in doubts) or next(iter(where.sites), "")
     written = [as_written(without(fit.robot, answer.doubts), given) for fit in (before, best)]
     finding = Finding(
         source, "frf-campaign", answer.word, answer.missing, decision.none, decision.other,

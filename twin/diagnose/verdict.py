@@ -344,7 +344,7 @@ class Verdict(Result):
             lines += [f"  or {rival.title}   probability {p:.2f}" for rival, p in missing.rivals]
             sentences = [text for text in _SENTENCES.split(missing.evidence) if text not in said]
             said.update(sentences)  # the error of a recording is told once
-            lines.append(f"  {' '.join(sentences)}")
+            lines += [f"  {' '.join(sentences)}"] if sentences else []
         first = f" (likeliest {self.likeliest})" if self.likeliest else ""
         unclear = f"something known but not clear {self.unclear:.2f}{first}, " if self.unclear else ""
         lines.append(f"  nothing missing {self.none:.2f}, {unclear}something else {self.other:.2f}")

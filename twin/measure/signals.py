@@ -181,3 +181,12 @@ def resting(position: FloatArray, rate_hz: float, about_s: float = 0.1) -> np.nd
     around = max(2 * round(0.5 * about_s * rate_hz) + 1, 3)
     high, low = (f(position, around, axis=0) for f in (maximum_filter1d, minimum_filter1d))
     return np.asarray(maximum_filter1d(high - low <= stillness(position), around, axis=0))
+
+
+def first_motion(position: FloatArray, rate_hz: float) -> int:
+    """The sample from which some axis of positions (nt, n) moves; the last where none does.
+
+    What dry friction holds before that is unknown: up to its size, in either direction.
+    """
+    moves = ~resting(position, rate_hz).all(axis=1)
+    return int(np.argmax(moves)) if moves.any() else len(position) - 1

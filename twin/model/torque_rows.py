@@ -12,7 +12,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, check_against, require_axes, saturated
-from twin.measure.signals import advance, differentiate, lowpass, resting
+from twin.measure.signals import advance, differentiate, first_motion, lowpass, resting
 from twin.model.regressor import Regressor, rotor_body_regressor
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
@@ -145,15 +145,16 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
     bands, rows_per_hz = bands.within(rate), rows_per_hz / (1 if count <= 10 * part else 2)
     step = max(1, int(rate / (rows_per_hz * bands.fit[1])))
     cut, rest = run.time[saturated(run).any(axis=1)], resting(run.position, rate)
+    begin = float(run.time[first_motion(run.position, rate)])
     if count <= part:
-        return _rows_of(regressor, run, bands, step, cut, rest)
+        return _rows_of(regressor, run, bands, step, begin, cut, rest)
     block, overlap = part // step * step, int(np.ceil(10 * rate / (bands.fit[1] - bands.fit[0]) / step)) * step
     rows: list[Rows] = []
     for first in range(0, count, block):
         low, high = max(first - overlap, 0), min(first + block + overlap, count)
         some: dict[str, Any] = {f.name: getattr(run, f.name) for f in fields(run)}
         some = {key: x[low:high] if isinstance(x, np.ndarray) else x for key, x in some.items()}
-        here = _rows_of(regressor, MotionRun(**some), bands, step, cut, rest[low:high])
+        here = _rows_of(regressor, MotionRun(**some), bands, step, begin, cut, rest[low:high])
         keep = slice((first - low) // step, (min(first + block, count) - low - 1) // step + 1)
         series = ("time", "position", "velocity", "acceleration", "torque", "known", "matrix", "turning", "valid")
         rows.append(replace(here, **{key: getattr(here, key)[keep].copy() for key in series}))
@@ -162,9 +163,13 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
 
 
 def _rows_of(
-    regressor: Regressor, run: MotionRun, bands: Bands, step: int, cut: FloatArray, rest: np.ndarray
+    regressor: Regressor, run: MotionRun, bands: Bands, step: int, begin: float, cut: FloatArray, rest: np.ndarray
 ) -> Rows:  # fmt: skip
-    """Every ``step``-th sample as a row; none counts near where torque was ``cut`` off, s. Axes ``rest`` (nt, n)."""
+    """Every ``step``-th sample as a row. Axes ``rest`` (nt, n).
+
+    None counts before the first motion begins, s, nor near where torque was ``cut`` off, s: what dry friction holds
+    before is unknown.
+    """
     assert run.torque is not None
     rate = run.sample_rate_hz
 
@@ -198,7 +203,7 @@ def _rows_of(
     at = slice(None, None, coarse * step)
     time = motion.time[at]
     trim = 6 / bands.motion[1]
-    valid = (time > time[0] + trim) & (time < time[-1] - trim)
+    valid = (time > max(time[0], begin) + trim) & (time < time[-1] - trim)
     for instant in cut:
         valid &= np.abs(time - instant) > 1 / (bands.fit[1] - bands.fit[0])
     return Rows(

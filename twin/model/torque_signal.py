@@ -16,7 +16,7 @@ import scipy.signal
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion, saturated
-from twin.measure.signals import lowpass, resting
+from twin.measure.signals import first_motion, lowpass, resting
 from twin.model.regressor import Regressor
 from twin.model.torque_rows import Bands, joint_run, motion_of_run, split
 from twin.model.torque_rows import Rows as _Rows
@@ -134,7 +134,8 @@ def run_of(
     thinned = np.zeros((count, flat.shape[1]))
     thinned[:, used] = lowpass(flat[:, used], rows_hz * coarse, *bands.fit, every=coarse)
     trim = 3 / stop
-    valid = (rows.time > run.time[0] + trim) & (rows.time < run.time[-1] - trim)
+    begin = run.time[first_motion(run.position, rate)]  # what dry friction holds before is unknown
+    valid = (rows.time > begin + trim) & (rows.time < run.time[-1] - trim)
     cut = saturated(run).any(axis=1)
     for instant in run.time[cut]:
         valid &= np.abs(rows.time - instant) > 1 / (bands.fit[1] - bands.fit[0])
@@ -146,11 +147,20 @@ def run_of(
 
 
 def _turned(run: MotionRun, dense: Motion) -> FloatArray:
-    """How far (nt, n) drives have turned on the dense clock: the low-passed motion, without what it does at a rest."""
+    """How far (nt, n) drives have turned on the dense clock: the low-passed motion, without what it does at a rest.
+
+    An axis that begins to move is told from noise after a while only. It has then turned by as much as it has left the
+    middle of its rest: friction turns round over that.
+    """
     drives = run.position if dense.coupling is None else run.position @ dense.coupling.T
     sample = np.clip(np.round((dense.time - run.time[0]) * run.sample_rate_hz).astype(int), 0, len(run.time) - 1)
     rest = resting(drives, run.sample_rate_hz)[sample]
     steps = np.where(rest[1:] & rest[:-1], 0.0, np.diff(dense.position, axis=0))
+    for axis, still in enumerate(rest.T):
+        edges = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0))
+        for first, end in zip(edges[::2], edges[1::2], strict=True):
+            if end < len(still):
+                steps[end - 1, axis] = dense.position[end, axis] - np.median(dense.position[first:end, axis])
     return np.asarray(dense.position[0] + np.concatenate([np.zeros((1, rest.shape[1])), np.cumsum(steps, axis=0)]))
 
 
