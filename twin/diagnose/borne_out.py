@@ -185,11 +185,11 @@ def _without(finding: Finding) -> Finding:
     missed = floor is not None and error > numbers["held_out_misfit"] * floor
     if finding.held_out_misfit:  # a log's error counts what its model does not know exactly as missed
         missed = finding.held_out_misfit > numbers["held_out_adequate"]
+    other = 1.0 if missed else finding.other if finding.other < 0.5 else numbers["least_other"]
     records: list[Any] = [*finding.records]
     records = [replace(r, predicted={**r.predicted, "after": r.predicted["before"]}) for r in records]
     return replace(
-        finding, word="unexplained" if missed else "adequate", missing=[], none=0.0 if missed else 1 - finding.other,
-        other=1.0 if missed else finding.other, robot=finding.base, written=None, next_test=None, apart={},
-        fits=finding.fits and (finding.fits[0], finding.fits[0]),
-        error={**finding.error, "after": before}, records=records,
+        finding, word="unexplained" if missed else "adequate", missing=[], none=1 - other, other=other,
+        robot=finding.base, written=None, next_test=None, apart={}, error={**finding.error, "after": before},
+        records=records, fits=finding.fits and (finding.fits[0], finding.fits[0]),
     )  # fmt: skip

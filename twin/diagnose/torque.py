@@ -244,9 +244,17 @@ def _sound(
     told = unit_note(*(np.concatenate(some) for some in (needed, [run.torque for run in runs])))
     rates = clock_rates(runs, needed)
     if rates:
-        log = on_time(log, rates)
-        prepared = prepare(log, robot, source, hold_out, bands)
+        punctual = prepare(on_time(log, rates), robot, source, hold_out, bands)
+        if _cost(prepared) - _cost(punctual) > calibration()["first"]:
+            log, prepared = on_time(log, rates), punctual
+        else:  # numbers of the description that are a little off made torque late
+            rates = {}
     return log, prepared, [*faults, *filter(None, [told])], rates
+
+
+def _cost(prepared: Prepared) -> float:
+    """Of the base model fitted to all runs."""
+    return base_fit(base_system(replace(prepared, used=_runs(prepared)))).cost
 
 
 def searched(
@@ -514,7 +522,8 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     if not missing and search.found:  # what predicts better has numbers that nothing of its name can have
         return "unexplained", [], 0.0, 1.0
     if not missing and word_of(first) not in ("adequate", "unexplained"):
-        return "adequate", [], 1 - first.other, first.other  # what was named first was taken back, and nothing lacks
+        least = calibration()["least_other"]  # what was named first was taken back, and nothing lacks
+        return "adequate", [], 1 - least, least
     if not missing:
         return word_of(first), [], first.none, first.other
     word: Word = "ambiguous" if any(m.rivals for m in missing) else "named"
