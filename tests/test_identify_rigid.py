@@ -550,6 +550,26 @@ def test_axes_that_need_no_torque_tell_no_unit() -> None:
     assert "is 20 times what the robot" in str(unit_note(described, 20 * recorded))
 
 
+def test_axes_that_stand_still_bring_no_parameters_of_their_own(kr90: Robot) -> None:
+    """Noise of their encoders passed for motion: a rotor of 2.5e6 kg·m², ± 4e6, and a link of 2.7e5 kg·m²."""
+    time, rng = np.arange(0, 12, 1 / 250), np.random.default_rng(2)
+    turn = 2 * np.pi * 0.4
+    q, still = 1.2 + 0.4 * np.sin(turn * time), np.zeros_like(time)
+    position = np.column_stack([still + 0.3, q, still - 1.4])
+    velocity = np.column_stack([still, 0.4 * turn * np.cos(turn * time), still])
+    acceleration = np.column_stack([still, -0.4 * turn**2 * np.sin(turn * time), still])
+    torque = inverse_dynamics(kr90, Motion(time, position, velocity, acceleration))
+    noisy = position + 1e-5 * rng.normal(size=position.shape)
+    log = MotionLog({"one": MotionRun("one", time, noisy, 250.0, torque + rng.normal(size=torque.shape))})
+    found = identify(log, kr90)
+    (told,) = (note for note in found.notes if "still throughout" in note)
+    assert told.startswith("joint1, joint3 stand still")
+    base = found.estimate.base
+    names = [base.columns[k].name for k in base.kept]
+    assert not any(name.startswith(("drive1.", "drive3.", "viscous_friction@joint1")) for name in names)
+    assert np.abs(found.estimate.value).max() < 1e4
+
+
 def test_a_log_that_no_parameters_predict_is_told(kr90: Robot, log: MotionLog, found: Identification) -> None:
     assert not any("Do not rely on them" in note for note in found.notes)
     rng, runs = np.random.default_rng(0), {}

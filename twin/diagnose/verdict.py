@@ -46,6 +46,9 @@ MEANING: dict[Word, str] = {
     "located": "located: the site is clear, no known effect fits",
     "unexplained": "unexplained: a mismatch beyond noise that no known effect explains",
 }
+PARTLY = (
+    "unexplained: what follows explains a part; beyond it and noise a mismatch is left that no known effect explains"
+)
 
 
 @dataclass(frozen=True)
@@ -335,7 +338,7 @@ class Verdict(Result):
         return [table for table in found if table.rows]
 
     def __str__(self) -> str:
-        lines, said = [MEANING[self.word]], set[str]()
+        lines, said = [PARTLY if self.missing and self.word == "unexplained" else MEANING[self.word]], set[str]()
         for missing in self.missing:
             lines.append(f"  {missing.first.title}   probability {missing.probability:.2f}")
             lines += [f"      {row}" for row in parameter_rows(missing.first.parameters)]
@@ -611,7 +614,7 @@ def moved_most(fit: Fitted, most: int = 3) -> list[Note]:
         p = fit.parameters[k]
         if p.kind not in ("spring", "link") or off > STRAINED:  # what is strained has a sentence of its own
             continue
-        far = "which states no tolerance" if p.source == "usual" else f"{off:.1f} standard deviations off"
+        far = "without a stated tolerance" if p.source == "usual" else f"{off:.1f} standard deviations off"
         told = f"{p.name} is {fit.values[k]:.4g}{_unit(p.unit)} (described {p.mean:.4g}, {far})"
         if p.source == "usual" and p.quantity == "stiffness" and abs(change) > np.log(MOVED_TIMES):
             names.append(told)

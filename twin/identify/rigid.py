@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
-from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion
+from twin.measure.motion_log import LEAST_MOTION, MotionLog, MotionRun, refuse_saturated, refuse_without_motion
 from twin.measure.torque_unit import unit_note
 from twin.model.base_parameters import BaseParameters, base_parameters, structural_base
 from twin.model.regressor import Regressor, inertial_vector, pseudo_inertia
@@ -22,6 +22,7 @@ from twin.model.torque_rows import (
     Split,
     joint_run,
     lost_rotor_terms,
+    parked,
     relative_error,
     rows_of,
     split,
@@ -107,8 +108,9 @@ def least_squares(
     covariance = covariance + np.outer(turned, turned)
     deviation = np.sqrt(np.diag(covariance))
     passed = np.max([r.passed[base.kept] for r in rows], axis=0)
-    strength = np.sqrt(np.mean(np.square(A), axis=0)).max(axis=0)  # torque per unit, on the joint that shows it most
-    scale_of = np.maximum(np.abs(value), 0.1 * np.abs(torque).max() / np.maximum(strength, 1e-300))
+    shares = np.sqrt(np.mean(np.square(A), axis=0)) / np.maximum(np.abs(torque).max(axis=0), 1e-300)[:, None]
+    strength = shares.max(axis=0)  # of a joint's torque per unit, on the joint that shows it most
+    scale_of = np.maximum(np.abs(value), 0.1 / np.maximum(strength, 1e-300))
     identifiable = (passed > PASSED) & (deviation < scale_of)
     rms = np.sqrt(np.mean(residual**2, axis=0))
     return Estimate(base, value, covariance, rms, np.full(n, m), effective, identifiable)
@@ -385,7 +387,7 @@ def identify(
     found = Identification(
         regressor, estimate, parameters, regressor.robot_with(parameters), parts, bands, notes
     )  # fmt: skip
-    notes += [*_unlike_described(found), *_poorly_predicted(found)]
+    notes += [*_standing_still(found), *_unlike_described(found), *_poorly_predicted(found)]
     return found
 
 
@@ -455,7 +457,7 @@ def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list
                 f"runs/{name}: torque of joint{i + 1} is cut off at {np.abs(run.torque[cut[:, i], i]).max():.4g} for "
                 f"{cut[:, i].sum() / run.sample_rate_hz:.2g} s; left out with the filter's memory around it"
             )
-        made = rows_of(regressor, joint_run(regressor.robot, run), bands)
+        made = rows_of(regressor, parked(joint_run(regressor.robot, run)), bands)
         if not made.valid.any():
             notes.append(f"runs/{name}: {TOO_SHORT.format(run.time[-1] - run.time[0])}; left out")
             continue
@@ -516,13 +518,30 @@ def _unlike_described(found: Identification, times: float = 2.0, least: float = 
     ]
 
 
+def _standing(parts: Split) -> NDArray[np.bool_]:
+    """Joints (n,) that never move."""
+    return np.all([np.ptp(rows.position, axis=0) < LEAST_MOTION for rows in (*parts.train, *parts.held_out)], axis=0)
+
+
+def _standing_still(found: Identification) -> list[str]:
+    """Joints that never move, in words."""
+    still = [f"joint{j + 1}" for j in np.flatnonzero(_standing(found.split))]
+    if not still:
+        return []
+    return [
+        f"{', '.join(still)} stand{'s' if len(still) == 1 else ''} still throughout: this log shows no friction and no "
+        "rotor there, and of the links only what the other axes move. `twin excite` plans a motion of all axes"
+    ]
+
+
 def _poorly_predicted(found: Identification, most: float = 0.2) -> list[str]:
     """Joints whose torque no set of parameters predicts: held out, least squares miss more than ``most`` of it.
 
     Identified robots of the literature miss 3 to 15 %.
     """
     free, _ = relative_error(found.split.held_out, found.least_squares_parameters())
-    poor = [f"joint{j + 1} {missed:.0%}" for j, missed in enumerate(free) if missed > most]
+    still = _standing(found.split)
+    poor = [f"joint{j + 1} {missed:.0%}" for j, missed in enumerate(free) if missed > most and not still[j]]
     if not poor:
         return []
     return [
@@ -538,5 +557,5 @@ def _lost_terms(robot: Robot, run: MotionRun, bands: Bands) -> list[str]:
         f"{term}: not identifiable, the low-pass leaves {share:.0%} of its torque, a sine of twice the motor's angle"
         if share < PASSED
         else f"{term}: not modelled, though {share:.0%} of its torque passes, a sine of twice the motor's angle"
-        for term, share in lost_rotor_terms(robot, joint_run(robot, run), bands).items()
+        for term, share in lost_rotor_terms(robot, parked(joint_run(robot, run)), bands).items()
     ]

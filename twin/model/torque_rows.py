@@ -115,10 +115,10 @@ def in_joints(log: MotionLog, robot: Robot) -> MotionLog:
     return turned
 
 
-def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1, still: float = 4.0) -> Motion:
+def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1, slowest: float = 4.0) -> Motion:
     """Position, velocity and acceleration of a run in joint coordinates, low-passed, ``upsample`` times as dense.
 
-    An axis slower than ``still`` standard deviations of its velocity's noise stands still: its friction has no sign.
+    An axis slower than ``slowest`` standard deviations of its velocity's noise stands still: its friction has no sign.
     """
     rate = run.sample_rate_hz
     band = bands.within(rate).motion
@@ -127,8 +127,10 @@ def motion_of_run(run: MotionRun, bands: Bands, upsample: int = 1, still: float 
         v = lowpass(run.velocity, rate, *band, 0, upsample)
     if run.acceleration is not None:
         a = lowpass(run.acceleration, rate, *band, 0, upsample)
+    still = np.ptp(run.position, axis=0) == 0
+    v, a = np.where(still, 0.0, v), np.where(still, 0.0, a)
     noise = np.std(run.position - q[::upsample], axis=0)
-    slow = still * float(np.max(noise)) * 2 * np.pi * band[1] * np.sqrt(2 * band[1] / (3 * rate))
+    slow = slowest * float(np.max(noise)) * 2 * np.pi * band[1] * np.sqrt(2 * band[1] / (3 * rate))
     time = run.time[0] + np.arange(len(q)) / (rate * upsample)
     return Motion(time, q, v, a, sign=lambda speed: np.where(np.abs(speed) > slow, np.sign(speed), 0.0))
 
@@ -210,6 +212,14 @@ def _rows_of(
         run.name, time, motion.position[at], motion.velocity[at], motion.acceleration[at], torque - known, known,
         matrix, turning, valid, after / np.where(before > 0, before, 1), rate / step,
     )  # fmt: skip
+
+
+def parked(run: MotionRun) -> MotionRun:
+    """A run in which axes that never move stand where they do in the mean: an encoder's noise is no motion."""
+    still = resting(run.position, run.sample_rate_hz).all(axis=0)
+    if not still.any():
+        return run
+    return replace(run, position=np.where(still, run.position.mean(axis=0), run.position))
 
 
 def holding(motion: Motion, rest: np.ndarray) -> Motion:

@@ -221,7 +221,7 @@ def prepare(
     seconds = sum(float(run.time[-1] - run.time[0]) for run in log.runs.values())
     if seconds * bands.fit[1] < shortest:
         least = shortest / bands.fit[1]
-        raise InputError(source, "runs", f"too short to judge: {seconds:.2g} s in all, expected {least:.2g} s or more")
+        raise InputError(source, "runs", f"too short to judge: {seconds:.3g} s in all, expected {least:.3g} s or more")
     for name, run in log.runs.items():
         if run.torque is None:
             raise InputError(source, f"runs/{name}/torque", "missing: a trajectory cannot be diagnosed")
