@@ -571,6 +571,11 @@ def test_a_guessed_map_takes_points_and_units_from_names(tmp_path: Path) -> None
     assert found["time"] == {"channels": ["t_s"], "unit": "s"}
     assert (found["position"]["unit"], found["torque"]["unit"]) == ("deg", "Nm")
     assert found["torque"]["channels"] == ["rax_1_trq_Nm"]
+    (tmp_path / "plain.csv").write_text(f"t [s],A1 [deg],v1 [deg/s],I1 [A]\n{rows}\n")
+    found = guess_map([tmp_path / "plain.csv"])  # names that tell nothing, beside units that do
+    assert (found["position"]["channels"], found["position"]["unit"]) == (["A1"], "deg")
+    assert (found["velocity"]["channels"], found["velocity"]["unit"]) == (["v1"], "deg/s")
+    assert (found["torque"]["channels"], found["torque"]["unit"]) == (["I1"], "ask")
 
 
 def test_a_hammer_of_the_other_sign_is_told(cell: Recorded, tmp_path: Path, twin: Callable[..., Any]) -> None:

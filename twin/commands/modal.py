@@ -18,7 +18,7 @@ from twin.model.modes import Modes
 from twin.parallel import Progress, silent
 from twin.provenance import provenance, write_json
 from twin.ranges import RANGES, check_count
-from twin.result import Result, written
+from twin.result import Result, listed, written
 from twin.robot.description import Robot
 from twin.robot.mechanism import Mechanism
 from twin.table import Table
@@ -209,6 +209,7 @@ def _robot(given: Recording, robot: Robot | str | Path | None, without: list[str
 
 def _place_shapes(found: ModalAnalysis, robot: Robot | None) -> None:
     """Shapes on the robot, as far as the recording says where its points are on it; else as a wire frame."""
+    told: dict[str, list[str]] = {}
     for name, result in found.results.items():
         if not result.modes:
             continue
@@ -219,12 +220,13 @@ def _place_shapes(found: ModalAnalysis, robot: Robot | None) -> None:
                 continue
             except InputError as error:
                 reason = ": ".join(part for part in (error.field, error.expected) if part)
-                found.notes.append(f"{name}: shapes are not drawn on the robot: {reason}")
+                told.setdefault(f"shapes are not drawn on the robot: {reason}", []).append(name)
         frame = wireframe(roving, result.shapes, found.campaign.lines)
         if isinstance(frame, str):
-            found.notes.append(f"{name}: shapes are not drawn: {frame}")
+            told.setdefault(f"shapes are not drawn: {frame}", []).append(name)
         else:
             found.frames[name] = frame
+    found.notes += [f"{listed(names)}: {reason}" for reason, names in told.items()]
 
 
 def _write(found: ModalAnalysis, robot: str | None, name: Outputs) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from twin.errors import InputError
 from twin.importing.tables import Table, joined, natural
-from twin.measure.units import ASK, known
+from twin.measure.units import ASK, known, measure
 
 CLOCK = re.compile(r"(?i)^(time(stamp)?|t|zeit|.*\.(time|t))([_ ]?(s|sec|ms|us|ns))?$")
 HAMMER = re.compile(r"(?i)hammer|force|kraft|impact")
@@ -23,6 +23,11 @@ SERIES = {  # in the order they are looked for; what others call them: URScript'
     "position": re.compile(r"(?i)pos|(^|_|\.)q([_.]?\d+)?$|axis|angle|achs|winkel"),
 }
 ENDING = re.compile(r"[_ ](s|ms|us|ns|deg|rad|mm|m|Nm|N|g)$")  # a unit as names end with it
+MEASURED = {  # what an axis' channel is whose name does not tell, by its unit
+    "angle": "position", "length": "position", "angular velocity": "velocity", "velocity": "velocity",
+    "angular acceleration": "acceleration", "torque": "torque",
+}  # fmt: skip
+CURRENT = ("A", "mA")  # of a motor: its torque, once the user says how much it makes
 POINT = re.compile(r"(?i)(\d+)[_ ]?([xyz])([+-]?)$")  # node and axis, as A3X, 12Y-, p1_h2Z
 COMMANDED = re.compile(r"(?i)target|soll|command|cmd")
 
@@ -48,7 +53,7 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
         return _hits(first, tables, names, hammers[0])
     series: dict[str, list[str]] = {}
     for name in sorted((name for name in names if not CLOCK.match(name)), key=natural):
-        if kind := _kind(name):
+        if kind := _kind(first, name):
             series.setdefault(kind, []).append(name)
     if "position" not in series:
         raise InputError(first.name, "channels", f"no name tells a hammer or positions: {', '.join(names[:12])}")
@@ -64,15 +69,21 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
     return found
 
 
-def _kind(name: str) -> str | None:
-    return next((kind for kind, pattern in SERIES.items() if pattern.search(name)), None)
+def _kind(table: Table, name: str) -> str | None:
+    """Which series a channel is of, by its name, or else by its unit."""
+    unit, kind = table.channels[name].unit, next((k for k, pattern in SERIES.items() if pattern.search(name)), None)
+    if kind or not unit or CLOCK.match(name):
+        return kind
+    if unit in CURRENT:
+        return "torque"
+    return MEASURED.get(measure(unit)[0]) if known(unit) else None
 
 
 def _kinds(table: Table) -> set[str]:
     """Of which quantities a table has channels; blows and FRFs are ``other``, they belong to no run."""
     names = [name for name in table.channels if not COMMANDED.search(name)]
     other = {"other"} if any(HAMMER.search(name) or FRF.search(name) for name in names) else set[str]()
-    return other | {kind for name in names if (kind := _kind(name))}
+    return other | {kind for name in names if (kind := _kind(table, name))}
 
 
 def _taken(table: Table, names: list[str]) -> dict[str, Any]:

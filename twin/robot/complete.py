@@ -198,7 +198,12 @@ def _masses(filler: Filler, payload: float, reach: float) -> None:
         mass = filler.say(f"links[{number - 1}].mass", per_share * share[number - 1], "kg", why, "torque log")
         _scale(links[number - 1], mass)
     if sheet.mass is not None and known:
-        factor = (sheet.mass - base["mass"]) / sum(link["mass"] for link in links)
+        held = sum(link["mass"] for link in links)
+        factor = (sheet.mass - base["mass"]) / held
+        if len(known) == len(links) and abs(factor - 1) > UNEQUAL:
+            base_too = f", its base's {base['mass']:.4g} among them" if base["mass"] else ""
+            text = f"links of {held:.4g} kg are made {factor:.3g} times as heavy: the sheet says {sheet.mass:g} kg"
+            tell(filler.source, "mass", text + base_too)
         for link in links:
             _scale(link, factor * link["mass"])
 
