@@ -11,12 +11,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.interpolate
+import scipy.ndimage
 import scipy.signal
 
 from twin.errors import InputError
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, refuse_saturated, refuse_without_motion, saturated
-from twin.measure.signals import first_motion, lowpass, resting
+from twin.measure.signals import first_motion, lowpass, resting, scatter, stillness
 from twin.model.regressor import Regressor
 from twin.model.torque_rows import Bands, joint_run, motion_of_run, split
 from twin.model.torque_rows import Rows as _Rows
@@ -147,21 +148,40 @@ def run_of(
 
 
 def _turned(run: MotionRun, dense: Motion) -> FloatArray:
-    """How far (nt, n) drives have turned on the dense clock: the low-passed motion, without what it does at a rest.
+    """How far (nt, n) drives have turned on the dense clock: the low-passed motion, and at a rest :func:`_crept`.
 
-    An axis that begins to move is told from noise after a while only. It has then turned by as much as it has left the
-    middle of its rest: friction turns round over that.
+    The low-pass rings where an axis stops, by more than friction turns round over.
     """
     drives = run.position if dense.coupling is None else run.position @ dense.coupling.T
-    sample = np.clip(np.round((dense.time - run.time[0]) * run.sample_rate_hz).astype(int), 0, len(run.time) - 1)
-    rest = resting(drives, run.sample_rate_hz)[sample]
-    steps = np.where(rest[1:] & rest[:-1], 0.0, np.diff(dense.position, axis=0))
-    for axis, still in enumerate(rest.T):
-        edges = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0))
+    steps, still = np.diff(dense.position, axis=0), resting(drives, run.sample_rate_hz)
+    noise, least = scatter(drives), stillness(drives)
+    least = np.where(8 * noise < least, least, 0.0)  # an encoder that is coarser than its noise tells nothing between
+    for axis, position in enumerate(drives.T):
+        edges = np.flatnonzero(np.diff(still[:, axis].astype(int), prepend=0, append=0))
         for first, end in zip(edges[::2], edges[1::2], strict=True):
-            if end < len(still):
-                steps[end - 1, axis] = dense.position[end, axis] - np.median(dense.position[first:end, axis])
-    return np.asarray(dense.position[0] + np.concatenate([np.zeros((1, rest.shape[1])), np.cumsum(steps, axis=0)]))
+            time = run.time[first:end]
+            here = np.flatnonzero((dense.time >= time[0]) & (dense.time <= time[-1]))
+            if here.size > 1:
+                moved = _crept(position[first:end], run.sample_rate_hz, float(noise[axis]), float(least[axis]))
+                x = np.interp(dense.time[here], time, moved)
+                steps[here[:-1], axis] = np.diff(x)
+                if here[-1] < len(steps):
+                    steps[here[-1], axis] = dense.position[here[-1] + 1, axis] - x[-1]
+    return np.asarray(dense.position[0] + np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)]))
+
+
+def _crept(
+    position: FloatArray, rate_hz: float, noise: float, least: float, about_s: float = 0.1, sure: float = 5.0
+) -> FloatArray:
+    """Where an axis is (nt,) while it seems to rest: at the median, but for what is more than the noise of a mean.
+
+    An axis that starts slowly turns its friction round before a sample tells it from noise; the mean of a tenth of a
+    second does. It may be off by ``least`` in any case, rad or m.
+    """
+    count, middle = min(max(1, round(about_s * rate_hz)), len(position)), float(np.median(position))
+    off = scipy.ndimage.uniform_filter1d(position - middle, count, mode="nearest")
+    hidden = max(sure * noise / np.sqrt(count), least)
+    return np.asarray(middle + np.sign(off) * np.maximum(np.abs(off) - hidden, 0.0))
 
 
 def _at(time: FloatArray, signal: FloatArray, instants: FloatArray) -> FloatArray:
