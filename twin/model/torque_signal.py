@@ -160,13 +160,13 @@ def _turned(run: MotionRun, dense: Motion) -> FloatArray:
         edges = np.flatnonzero(np.diff(still[:, axis].astype(int), prepend=0, append=0))
         for first, end in zip(edges[::2], edges[1::2], strict=True):
             time = run.time[first:end]
-            here = np.flatnonzero((dense.time >= time[0]) & (dense.time <= time[-1]))
-            if here.size > 1:
+            a, b = np.searchsorted(dense.time, time[0]), np.searchsorted(dense.time, time[-1], side="right")
+            if b - a > 1:
                 moved = _crept(position[first:end], run.sample_rate_hz, float(noise[axis]), float(least[axis]))
-                x = np.interp(dense.time[here], time, moved)
-                steps[here[:-1], axis] = np.diff(x)
-                if here[-1] < len(steps):
-                    steps[here[-1], axis] = dense.position[here[-1] + 1, axis] - x[-1]
+                x = np.interp(dense.time[a:b], time, moved)
+                steps[a : b - 1, axis] = np.diff(x)
+                if b <= len(steps):
+                    steps[b - 1, axis] = dense.position[b, axis] - x[-1]
     return np.asarray(dense.position[0] + np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)]))
 
 
