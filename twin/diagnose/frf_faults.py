@@ -28,6 +28,7 @@ OF_FORCE = ("m/s² per lbf",)  # a unit of the hammer, which all channels share
 FORCES = {"lbf": 4.4482216, "kgf": 9.80665}
 """What FRFs of blows whose force has another unit are over those per newton."""
 IN_PHASE = 0.5  # mean cosine of the phase between a channel and the one it is; of robots as described 0.5 to 0.95
+MOST = 0.8  # of the blows must be as described for the others to be faults; by eye
 NEAR_UNIT = 0.5  # in ln size: so near a unit's factor a channel is in that unit
 
 ROUGH = 4.0  # times the stated variance: rougher FRFs have more noise than stated; sound ones came to 2.3 at most
@@ -80,20 +81,24 @@ def put_right(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, 
 def _with_blows(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign, list[Note]]:
     """A campaign with blows put right that were struck the other way, or whose force has a unit of its own.
 
-    A blow that the described robot hardly answers says nothing: neither its phase nor its size is clear.
+    A blow that the described robot hardly answers says nothing: neither its phase nor its size is clear. If many blows
+    are answered otherwise, or some by other factors, the robot is not as described, and no blow is blamed.
     """
     pairs, labels = _compared(campaign, robot, source), campaign.excitation.label
     phase, size = np.array([_likeness(pairs, np.s_[:, :, k], np.s_[:, :, k]) for k in range(len(labels))]).T
-    clear = np.abs(phase) > IN_PHASE
-    factor, notes = np.where(phase < -IN_PHASE, -1.0, 1.0), []
+    clear, turned_round, notes = np.abs(phase) > IN_PHASE, phase < -IN_PHASE, []
+    few = turned_round.sum() < (1 - MOST) * clear.sum()
+    factor = np.where(turned_round & few, -1.0, 1.0)
     if turned := [labels[k] for k in np.flatnonzero(factor < 0)]:
         text = f"{', '.join(turned)}: the blow was struck the other way; its FRFs were turned round"
         notes.append(Note(text, "reversed_channel", "fail", tuple(turned)))
     off = size - np.median(size[clear]) if clear.any() else size
     away = np.abs(off - np.log([*FORCES.values()])[:, None])
-    for number, (unit, times) in enumerate(FORCES.items()):
-        inside = clear & (away.argmin(axis=0) == number) & (away[number] < NEAR_UNIT)
-        if inside.any() and inside.sum() < 0.5 * clear.sum():
+    as_others = clear & (np.abs(off) < NEAR_UNIT)
+    odd = [clear & (away.argmin(axis=0) == number) & (away[number] < NEAR_UNIT) for number in range(len(FORCES))]
+    plain = bool((as_others | np.any(odd, axis=0))[clear].all()) and as_others.sum() > MOST * clear.sum()
+    for inside, (unit, times) in zip(odd, FORCES.items(), strict=True):
+        if inside.any() and plain:  # else the robot is not as described, and answers some blows more than others
             factor[inside] /= times
             of = tuple(labels[k] for k in np.flatnonzero(inside))
             text = f"the force of {', '.join(of)} is recorded in {unit}, it seems: FRFs are {times:.4g} times those of"
