@@ -19,6 +19,7 @@ from twin.diagnose.verdict import Verdict
 from twin.identify.objective import Sample
 from twin.measure.campaign import read_campaign
 from twin.measure.spectra import Check
+from twin.measure.units import POUND_FORCE_N, STANDARD_GRAVITY
 from twin.model.recorded import without_limits
 from twin.robot.description import load_robot
 
@@ -178,7 +179,11 @@ def test_a_hammer_in_another_unit_is_seen_in_all_channels(channels: list[int], t
 
 @pytest.mark.parametrize(
     ("times", "kind", "said"),
-    [(-1.0, "reversed_channel", "struck the other way"), (4.4482216, "unit", "in lbf"), (9.80665, "unit", "in kgf")],
+    [
+        (-1.0, "reversed_channel", "struck the other way"),
+        (POUND_FORCE_N, "unit", "in lbf"),
+        (STANDARD_GRAVITY, "unit", "in kgf"),
+    ],
 )
 def test_one_blow_in_another_unit_or_from_the_other_side_is_put_right(
     times: float, kind: str, said: str, tmp_path: Path

@@ -18,14 +18,15 @@ from twin.diagnose.refit import Fitted
 from twin.errors import tell
 from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray
+from twin.measure.units import POUND_FORCE_N, STANDARD_GRAVITY
 from twin.model.parameters import independent, require_springs
 from twin.model.recorded import Recorded, prepare, without_limits
 from twin.robot.description import Robot
 
-UNITS = {"g": 1 / 9.80665, "mm/s²": 1e3, "m/s² per lbf": 4.4482216}
+UNITS = {"g": 1 / STANDARD_GRAVITY, "mm/s²": 1e3, "m/s² per lbf": POUND_FORCE_N}
 """What FRFs in other units are over those in m/s² per newton."""
 OF_FORCE = ("m/s² per lbf",)  # a unit of the hammer, which all channels share
-FORCES = {"lbf": 4.4482216, "kgf": 9.80665}
+FORCES = {"lbf": POUND_FORCE_N, "kgf": STANDARD_GRAVITY}
 """What FRFs of blows whose force has another unit are over those per newton."""
 IN_PHASE = 0.5  # mean cosine of the phase between a channel and the one it is; of robots as described 0.5 to 0.95
 MOST = 0.8  # of the blows must be as described for the others to be faults; by eye
