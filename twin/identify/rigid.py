@@ -22,7 +22,6 @@ from twin.model.torque_rows import (
     Split,
     joint_run,
     lost_rotor_terms,
-    parked,
     relative_error,
     rows_of,
     split,
@@ -457,7 +456,7 @@ def _usable_rows(log: MotionLog, regressor: Regressor, bands: Bands, notes: list
                 f"runs/{name}: torque of joint{i + 1} is cut off at {np.abs(run.torque[cut[:, i], i]).max():.4g} for "
                 f"{cut[:, i].sum() / run.sample_rate_hz:.2g} s; left out with the filter's memory around it"
             )
-        made = rows_of(regressor, parked(joint_run(regressor.robot, run)), bands)
+        made = rows_of(regressor, joint_run(regressor.robot, run), bands)
         if not made.valid.any():
             notes.append(f"runs/{name}: {TOO_SHORT.format(run.time[-1] - run.time[0])}; left out")
             continue
@@ -557,5 +556,5 @@ def _lost_terms(robot: Robot, run: MotionRun, bands: Bands) -> list[str]:
         f"{term}: not identifiable, the low-pass leaves {share:.0%} of its torque, a sine of twice the motor's angle"
         if share < PASSED
         else f"{term}: not modelled, though {share:.0%} of its torque passes, a sine of twice the motor's angle"
-        for term, share in lost_rotor_terms(robot, parked(joint_run(robot, run)), bands).items()
+        for term, share in lost_rotor_terms(robot, joint_run(robot, run), bands).items()
     ]

@@ -143,7 +143,7 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
     before it was thinned out; laws that step are then evaluated at 200 Hz. Longer runs are taken in parts of so many
     samples, which overlap by the memory of the low-pass; ten times longer ones keep half the rows.
     """
-    rate, count = run.sample_rate_hz, len(run.time)
+    run, rate, count = parked(run), run.sample_rate_hz, len(run.time)
     bands, rows_per_hz = bands.within(rate), rows_per_hz / (1 if count <= 10 * part else 2)
     step = max(1, int(rate / (rows_per_hz * bands.fit[1])))
     cut, rest = run.time[saturated(run).any(axis=1)], resting(run.position, rate)
@@ -246,7 +246,7 @@ def lost_rotor_terms(robot: Robot, run: MotionRun, bands: Bands) -> dict[str, fl
     """
     if any(axis.type == "prismatic" for axis in robot.axes) or any(drive.coupling for drive in robot.drives):
         return {}
-    motion = motion_of_run(run, bands)
+    motion = motion_of_run(parked(run), bands)
     Y = rotor_body_regressor(robot, motion)
     left = {}
     for i, drive in enumerate(robot.drives):
