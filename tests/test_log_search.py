@@ -14,13 +14,13 @@ from test_diagnose_logs import recorded
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose import torque_faults, torque_search, torque_step
+from twin.diagnose import torque_faults, torque_revise, torque_search, torque_step
 from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.torque import _strained, base_system, diagnose_log, log_records, pooled, searched
 from twin.diagnose.torque_faults import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
-from twin.diagnose.torque_judge import Judge, free_gains, vibration
+from twin.diagnose.torque_judge import Judge, Told, free_gains, vibration
 from twin.diagnose.torque_left_out import left_out_runs, without_run
 from twin.diagnose.torque_look import _recorded_alike, decided, in_its_link, look, number_groups
 from twin.diagnose.torque_nearest import nearest, step_nearer
@@ -396,6 +396,23 @@ def found(joint: int, part: str = "other") -> SimpleNamespace:
     return SimpleNamespace(joints=(joint,), effect=SimpleNamespace(part=part))
 
 
+def test_what_does_not_predict_beside_later_finds_is_out_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eleven effects were named in a minute of a robot's log; the error of two of its joints was larger with them."""
+    steps = [SimpleNamespace(accepted=True, key=key) for key in "abc"]
+    rises = {"abc": {"a": 9.0, "b": -30.0, "c": -1.0}, "ac": {"a": 9.0, "c": 4.0}}
+    monkeypatch.setattr(torque_revise, "left_out", lambda system, step, iterations: system.replace(step.key, ""))
+    monkeypatch.setattr(torque_revise, "relinearised", lambda system: system)
+    monkeypatch.setattr(torque_revise, "with_doubts", lambda system: system)
+
+    def keeps(rest: str, system: str, step: SimpleNamespace) -> Told:
+        rise = rises[system][step.key]
+        return Told(rise, rise > 0, rise > 0)
+
+    judge = SimpleNamespace(keeps=keeps)
+    assert torque_revise.foretelling(steps, "abc", judge) == "ac"  # type: ignore[arg-type,comparison-overlap]
+    assert [step.key for step in steps if step.accepted] == ["a", "c"]
+
+
 def test_three_names_at_one_joint_stand_for_a_law_without_a_name() -> None:
     """A one-sided spring was told as a ripple, a cable and a compensator, 0.99 each."""
     several = [found(2), found(2), found(2), found(1), found(2, "dry")]
@@ -404,11 +421,17 @@ def test_three_names_at_one_joint_stand_for_a_law_without_a_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bare", "left", "share"), [(5600.0, 5500.0, 0.982), (50.0, 2.3, 0.0), (50.0, 10.0, 0.2), (0.0, 9.0, 0.0)]
-)
-def test_names_must_explain_most_of_what_a_log_is_missed_by(bare: float, left: float, share: float) -> None:
-    """One took 0.1 of 22.8 % off and was named with 0.99."""
-    search = SimpleNamespace(bare=bare, held_out_misfit=left, after=SimpleNamespace(misfit=1.0))
+    ("bare", "left", "missed", "share"),
+    [
+        (5600.0, 5500.0, 0.98, 0.982), (50.0, 2.3, 0.6, 0.0), (50.0, 10.0, 0.1, 0.2), (0.0, 9.0, 0.9, 0.0),
+        (7.5, 3.5, 0.6, 0.6),
+    ],
+)  # fmt: skip
+def test_names_must_explain_most_of_what_a_log_is_missed_by(
+    bare: float, left: float, missed: float, share: float
+) -> None:
+    """One took 0.1 of 22.8 % off and was named with 0.99; eleven took 9 of 48 %, and doubt hid the rest."""
+    search = SimpleNamespace(bare=bare, held_out_misfit=left, missed=missed, after=SimpleNamespace(misfit=1.0))
     assert Search.unexplained.fget(search) == pytest.approx(share, abs=1e-3)  # type: ignore[attr-defined]
 
 

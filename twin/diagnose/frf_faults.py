@@ -29,7 +29,7 @@ OF_FORCE = ("m/s² per lbf",)  # a unit of the hammer, which all channels share
 FORCES = {"lbf": POUND_FORCE_N, "kgf": STANDARD_GRAVITY}
 """What FRFs of blows whose force has another unit are over those per newton."""
 IN_PHASE = 0.5  # mean cosine of the phase between a channel and the one it is; of robots as described 0.5 to 0.95
-MOST = 0.8  # of the blows must be as described for the others to be faults; by eye
+NEARLY_ALL = 0.8  # of the blows must be as described for the others to be faults; by eye
 NEAR_UNIT = 0.5  # in ln size: so near a unit's factor a channel is in that unit
 
 ROUGH = 4.0  # times the stated variance: rougher FRFs have more noise than stated; sound ones came to 2.3 at most
@@ -88,7 +88,7 @@ def _with_blows(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign
     pairs, labels = _compared(campaign, robot, source), campaign.excitation.label
     phase, size = np.array([_likeness(pairs, np.s_[:, :, k], np.s_[:, :, k]) for k in range(len(labels))]).T
     clear, turned_round, notes = np.abs(phase) > IN_PHASE, phase < -IN_PHASE, []
-    few = turned_round.sum() < (1 - MOST) * clear.sum()
+    few = turned_round.sum() < (1 - NEARLY_ALL) * clear.sum()
     factor = np.where(turned_round & few, -1.0, 1.0)
     if turned := [labels[k] for k in np.flatnonzero(factor < 0)]:
         text = f"{', '.join(turned)}: the blow was struck the other way; its FRFs were turned round"
@@ -97,7 +97,7 @@ def _with_blows(campaign: Campaign, robot: Robot, source: str) -> tuple[Campaign
     away = np.abs(off - np.log([*FORCES.values()])[:, None])
     as_others = clear & (np.abs(off) < NEAR_UNIT)
     odd = [clear & (away.argmin(axis=0) == number) & (away[number] < NEAR_UNIT) for number in range(len(FORCES))]
-    plain = bool((as_others | np.any(odd, axis=0))[clear].all()) and as_others.sum() > MOST * clear.sum()
+    plain = bool((as_others | np.any(odd, axis=0))[clear].all()) and as_others.sum() > NEARLY_ALL * clear.sum()
     for inside, (unit, times) in zip(odd, FORCES.items(), strict=True):
         if inside.any() and plain:  # else the robot is not as described, and answers some blows more than others
             factor[inside] /= times

@@ -10,7 +10,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_noise import span_of
-from twin.diagnose.torque_step import REFITTED
+from twin.diagnose.torque_step import REFITTED, Step
 from twin.diagnose.torque_system import Columns, System, Trial, extended, linearised, refer, relinearised, with_wider
 from twin.measure.campaign import FloatArray
 from twin.model.torque_base import Base, base_of
@@ -86,6 +86,20 @@ def free_function(system: System, joint: int) -> FreeFunction:
     return FreeFunction(joint, gain, span, scale * c, moved)
 
 
+@dataclass(frozen=True)
+class Told:
+    """What rows kept aside say of one thing more in a model.
+
+    Attributes:
+        rise: of the ln predictive density, over Birge's ratio; ``enough`` to believe it.
+        falls: the error of the joints it acts on falls; of what relieves numbers of the description, it does not rise.
+    """
+
+    rise: float
+    enough: bool
+    falls: bool
+
+
 class Judge:
     """Rows kept aside, whitened as those used; the offsets of their runs are their own.
 
@@ -128,6 +142,12 @@ class Judge:
         """χ² per datum of the rows kept aside, what the fit does not know of its numbers beside their noise."""
         return self._on_kept(system, fit)[1] / (self.system.count * float(self.system.level.sum()))
 
+    def left(self, plain: System, base: Fitted, system: System, fit: Fitted) -> float:
+        """Share of the squares of a base model's error beyond noise that a fit leaves."""
+        noise = self.system.count * float(self.system.level.sum())
+        before, after = (float(np.sum(self.rest(*one)[0] ** 2)) - noise for one in ((plain, base), (system, fit)))
+        return max(after, 0.0) / max(before, after, 1e-300)
+
     def _on_kept(
         self, system: System, fit: Fitted, beside: FloatArray | float = 0.0
     ) -> tuple[FloatArray, float, float]:
@@ -164,7 +184,6 @@ class Judge:
 
     def gain(self, system: System, fit: Fitted, trial: Trial | None) -> tuple[float, bool]:
         """Rise of the ln predictive density over Birge's ratio, and whether it is enough to believe the fit."""
-        base = base_fit(system)
         wide, settled = with_wider(system, fit.hypothesis) if fit.hypothesis.scale else system, fit
         if trial is not None:
             wide = extended(system, trial)
@@ -172,26 +191,45 @@ class Judge:
             wide = relinearised(wide, REFITTED)  # what was found before, or the torques it is made of, beside the new
             settled = base_fit(wide)
         if self.before is None or self.before[0] is not system:  # several are put to one model
-            self.before = system, self.rest(system, base)
-        before, density = self.before[1]
-        after, reached = self.rest(wide, settled)
+            self.before = system, self.rest(system, base_fit(system))
+        base, ages = base_fit(system), effect_named(fit.hypothesis.effect).ages
+        gained, joints = fit.evidence() - base.evidence(), self._of(trial)
+        told = self._compared((system, base), (wide, settled), self.before[1], gained, joints, ages)
+        return told.rise, told.enough
+
+    def keeps(self, without: System, system: System, step: Step) -> "Told":
+        """What the rows kept aside say of something found, all else that was found in both models."""
+        one, other = base_fit(without), base_fit(system)
+        gained, before = other.evidence() - one.evidence(), self.rest(without, one)
+        joints, ages = self._of(step.trial), step.effect.ages
+        return self._compared((without, one), (system, other), before, gained, joints, ages)
+
+    def _of(self, trial: Trial | None) -> tuple[int, ...]:
+        """Joints that an effect acts on; all of them for a number of the description."""
+        return trial.column.joints if trial is not None else tuple(range(len(self.system.whitening)))
+
+    def _compared(
+        self, one: tuple[System, Fitted], other: tuple[System, Fitted], told: tuple[FloatArray, float], gained: float,
+        joints: tuple[int, ...], ages: bool,
+    ) -> "Told":  # fmt: skip
+        """Of a model and another with one thing more, ``told`` residual and density of the first, evidence gained."""
+        base, settled = one[1], other[1]
+        (before, density), (after, reached) = told, self.rest(*other)
         data = self.system.count * float(self.system.level.sum())
         rise, scale = reached - density, max(1.0, float(after @ after) / data)
-        joints = trial.column.joints if trial is not None else tuple(range(len(system.whitening)))
-        power = sum(0.5 * float(np.sum(before[self.system.rows(j)] ** 2)) for j in joints)
+        own = [sum(float(np.sum(rest[self.system.rows(j)] ** 2)) for j in joints) for rest in (before, after)]
         trained = 0.5 * (base.misfit * base.data - settled.misfit * settled.data)
-        expected = trained * self.system.count / max(system.count, 1)
-        if effect_named(fit.hypothesis.effect).ages:
+        expected = trained * self.system.count / max(one[0].count, 1)
+        if ages:
             expected = min(expected, 0.5 * float(np.sum((before - after) ** 2)))
         # What only relieves the tension of numbers against their priors cannot show here: it must do no harm.
-        numbers = calibration()
-        if trained < numbers["mostly"] * (fit.evidence() - base.evidence()):
-            return rise / scale, bool(rise > -numbers["tie"] * scale - UNSEEN * power)
-        if after @ after > (1 + UNSEEN) * (before @ before):  # doubt of other numbers excuses no larger error
-            return rise / scale, False
-        return rise / scale, bool(
-            rise > max(numbers["held_out_share"] * expected, numbers["least_held_out_fall"] * power)
-        )
+        numbers, power = calibration(), 0.5 * own[0]
+        if trained < numbers["mostly"] * gained:
+            harmless = rise > -numbers["tie"] * scale - UNSEEN * power
+            return Told(rise / scale, bool(harmless), own[1] <= (1 + UNSEEN) * own[0])
+        least = max(numbers["held_out_share"] * expected, numbers["least_held_out_fall"] * power)
+        larger = after @ after > (1 + UNSEEN) * (before @ before)  # doubt of other numbers excuses no larger error
+        return Told(rise / scale, bool(rise > least and not larger), own[1] < own[0])
 
     def moves(self, system: System, fit: Fitted, trial: Trial, joint: int) -> bool:
         """Whether a joint's residual on the rows kept aside falls as anybody can see, with a law fitted beside all."""

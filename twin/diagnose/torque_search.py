@@ -21,7 +21,7 @@ from twin.diagnose.torque_discover import discover, unnamed
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, from_every_start, refine, settle, start, worth
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_look import decided, look, nothing_of
-from twin.diagnose.torque_revise import all_grown, bounded, one_for_two, pruned, revised
+from twin.diagnose.torque_revise import all_grown, bounded, foretelling, one_for_two, pruned, revised
 from twin.diagnose.torque_step import REFITTED, Step, accepted, left_out, what_is_left, with_step
 from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, Trial, extended, relinearised, unshrunk, with_doubts, with_wider
@@ -51,6 +51,7 @@ class Search:
         judge: the rows kept aside, where there are any.
         held_out_misfit: χ² per datum of the rows kept aside under all that was found, doubt of its numbers beside their
             noise; ``bare`` the same under the base model.
+        missed: share of the squares of the base model's error there, beyond noise, that is left.
         narrow: times as wide as described the tolerances of the description were taken in the end.
         stand_ins: numbers of the description that explain as much as what was found, if they are far off.
         resized: described friction that is of another size than the log shows.
@@ -68,6 +69,7 @@ class Search:
     judge: Judge | None = None
     held_out_misfit: float = 0.0
     bare: float = 0.0
+    missed: float = 0.0
     narrow: float = 1.0
     stand_ins: tuple[Hypothesis, ...] = ()
     resized: Hypothesis | None = None
@@ -89,11 +91,14 @@ class Search:
 
     @property
     def unexplained(self) -> float:
-        """Share of the misfit on runs kept aside that names leave, where they leave too much of it; else zero."""
+        """Share of what runs kept aside are missed by that names leave, where they leave too much of it; else zero.
+
+        By χ², where doubt of many numbers is an excuse, or by the error itself, whichever is more.
+        """
         left = max(self.held_out_misfit, self.after.misfit)
         if not self.bare or left < calibration()["held_out_adequate"]:
             return 0.0
-        return float(min(self.held_out_misfit / self.bare, 1.0))
+        return float(min(max(self.held_out_misfit / self.bare, self.missed), 1.0))
 
     def reached(self, joint: int) -> float:
         """Share of what a free function would gain at a joint that names reach."""
@@ -181,10 +186,12 @@ def _found(
     first = steps[0]  # beside the base model alone; what takes its place later stands beside other finds
     system = pruned(steps, revised(steps, system, suspects, judge), last=True)
     system = with_doubts(bounded(steps, all_grown(steps, system, judge)))
+    system = foretelling(steps, system, judge)
     left = free_gains(system, processes, judge)
     search = Search(plain, first, steps, system, base_fit(system), free, left, judge=judge)
     if judge:
         search.held_out_misfit, search.bare = judge.misfit(system, search.after), judge.misfit(plain, first.base)
+        search.missed = judge.left(plain, first.base, system, search.after)
     unnamed_there = [search.unreached(), *_outdone(search, judge), *_too_many(search)]
     search.other = max(unnamed_there, key=lambda found: found[1])
     joint, other = search.other

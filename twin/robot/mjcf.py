@@ -12,6 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from twin.errors import InputError
 from twin.files import writing
 from twin.robot.frames import inertia_six, quaternion_of
 from twin.robot.mechanism import Body, Joint, Mechanism, Tendon
@@ -308,6 +309,8 @@ def _add_drives(spec: mujoco.MjSpec, mechanism: Mechanism) -> None:
     inertia = _tuned_inertia(spec, mechanism)
     for i, axis in enumerate(mechanism.robot.axes):
         omega = 2 * np.pi * SERVO_HZ
+        if not inertia[i] > 0:
+            raise InputError(mechanism.robot.name, f"drives[{i}]", "an inertia above zero is needed for the servo")
         kp, kv = mechanism.servo_gains.get(i, (inertia[i] * omega**2, 2 * SERVO_DAMPING * inertia[i] * omega))
         actuator = spec.add_actuator(name=f"motor{i + 1}", target=f"motor{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=kp, kv=kv)
