@@ -417,5 +417,16 @@ def _locate(search: Search, joint: int, judge: Judge | None) -> None:
         for step in needless:
             step.accepted = False
         _locate(search, joint, judge)
-    else:
+    elif not _leaves_most(search, extended(system, trial), fit, judge):
         search.law = joint, trial, fit
+
+
+def _leaves_most(search: Search, whole: System, fit: Fitted, judge: Judge | None) -> bool:
+    """Whether runs kept aside are still missed by most of what the base model misses, with a law at one joint.
+
+    What is missing is not at that joint alone then.
+    """
+    numbers = calibration()
+    if judge is None or judge.misfit(search.system, search.after) < numbers["held_out_adequate"]:
+        return False
+    return judge.left(search.plain, search.first.base, whole, fit) > numbers["mostly"]
