@@ -99,7 +99,8 @@ def test_what_the_file_lacks_is_assumed_with_source_tolerance_and_the_test_that_
     found = twin.describe(urdf(tmp_path, ARM), out=tmp_path / "out")
     robot = load_robot(tmp_path / "out" / "robot.yaml")
     assert robot.assumed == found.assumed
-    assert all(item.source.startswith("assumed: ") and item.tolerance and item.settled_by for item in robot.assumed)
+    assert all(item.source.startswith("assumed: ") and item.settled_by for item in robot.assumed)
+    assert all(item.tolerance or item.field.startswith("tolerances.") for item in robot.assumed)
     fields = {item.field for item in robot.assumed}
     for field in (
         "axes[0].stiffness",
@@ -114,6 +115,17 @@ def test_what_the_file_lacks_is_assumed_with_source_tolerance_and_the_test_that_
     assert "settled by a hammer test" in str(found)
     modes = twin.simulate(np.zeros(2), robot=robot).modes
     assert len(modes) == 6
+
+
+def test_what_a_file_may_be_off_by_goes_with_the_size_of_the_robot(tmp_path: Path) -> None:
+    """With the KR90's 1 cm on a robot of half a metre, links took a half of every payload in a real log."""
+    found = twin.describe(urdf(tmp_path, ARM))
+    length = sum(float(np.hypot(axis.a, axis.d)) for axis in found.robot.axes)
+    length += float(np.linalg.norm(found.robot.flange.position))
+    assert found.robot.tolerances.com == pytest.approx(0.01 * length / 3.99, rel=0.03)
+    assert found.robot.tolerances.torque_gain == 0.05
+    assert found.robot.tolerances == load_robot(tmp_path / "robot.urdf").tolerances
+    assert "tolerances.com" in str(found)
 
 
 def test_a_sheet_wins_over_laws_and_is_not_assumed(tmp_path: Path) -> None:

@@ -106,6 +106,7 @@ def complete(data: dict[str, Any], reduced: Reduced, sheet: Sheet, source: str |
         InputError: a sheet that does not go with the drawing.
     """
     filler = Filler(data, reduced, sheet, source)
+    _tolerances(filler)
     _limits(filler)
     reach, payload = _size(filler)
     _masses(filler, payload, reach)
@@ -122,6 +123,21 @@ def complete(data: dict[str, Any], reduced: Reduced, sheet: Sheet, source: str |
             data["drives"][number]["coupling"] = {names.get(other, other): r for other, r in turns.items()}
     data["assumed"] = [item.model_dump() for item in filler.assumed]
     return filler.robot()
+
+
+def _tolerances(filler: Filler) -> None:
+    """List how far off the file's centres of mass and the recorded torque may be, where no description says so."""
+    stated = filler.data["tolerances"]
+    for name, unit, source, settled_by in (
+        ("com", "m", "as the KR90's description: 1 cm of a robot 4 m long, at least a millimetre", "torque log"),
+        ("torque_gain", "", "torque constants of motor data sheets, ±10 %", "data sheet"),
+    ):
+        filler.assumed.append(
+            Assumed(
+                field=f"tolerances.{name}", value=stated[name], unit=unit, source=f"assumed: {source}",
+                settled_by=settled_by,
+            )
+        )  # fmt: skip
 
 
 def _limits(filler: Filler) -> None:

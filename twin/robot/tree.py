@@ -31,6 +31,11 @@ SAME_POINT_M = 1e-6
 
 STEEL = 7850.0  # kg/m³
 
+COM_SHARE = 0.0025  # of the robot's length along its axes: 1 cm of the KR90's 4 m, which its description states
+ROUNDED_M = 1e-3  # files state centres of mass to a millimetre
+TORQUE_GAIN = 0.05
+"""Deviation of what torque is recorded in: motor data sheets state torque constants to ±10 %."""
+
 
 @dataclass(frozen=True)
 class Shape:
@@ -232,7 +237,14 @@ def robot_data(chain: Chain) -> dict[str, Any]:
             for effect, value in ((effect_of("viscous"), joint.damping), (effect_of("dry"), joint.friction))
             if value > 0
         ],
+        "tolerances": {"com": _com_tolerance(parameters, tip), "torque_gain": TORQUE_GAIN},
     }
+
+
+def _com_tolerance(parameters: list[dict[str, float]], tip: np.ndarray) -> float:
+    """One standard deviation, m, of the centres of mass of a drawing: what it leaves out is a share of the robot."""
+    length = sum(float(np.hypot(dh["a"], dh["d"])) for dh in parameters) + float(np.linalg.norm(tip[:3, 3]))
+    return float(f"{max(COM_SHARE * length, ROUNDED_M):.2g}")
 
 
 def robot_of(tree: Tree) -> Robot:
