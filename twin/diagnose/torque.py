@@ -143,7 +143,9 @@ def _borne_out(
     if not finding.missing or falls(finding):
         return finding
     if back := taken_back(search):
-        return _finding(log, robot, source, prepared, back, suspects, put, processes)
+        numbers = _finding(log, robot, source, prepared, back, suspects, put, processes)
+        if falls(numbers):
+            return numbers
     if search.law is None:  # another number of the base model may have moved, within noise
         as_likely = replace(search, after=nearest(search.system, search.after, as_described(search)))
         near = _finding(log, robot, source, prepared, as_likely, suspects, put, processes)
