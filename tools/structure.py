@@ -52,6 +52,24 @@ def lines(root: Path, room: str) -> tuple[int, int]:
     return sum(len(path.read_text().splitlines()) for path in paths), len(paths)
 
 
+def statements(root: Path, room: str) -> int:
+    """Lines of a room that hold a statement which is no import: no docstring, comment or blank line."""
+    count = 0
+    for path in (root / "twin" / room).rglob("*.py"):
+        tree, text = ast.parse(path.read_text()), path.read_text().splitlines()
+        left: set[int] = set()
+        for node in ast.walk(tree):
+            told = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+            if told or isinstance(node, ast.Import | ast.ImportFrom):
+                assert isinstance(node, ast.stmt)
+                left |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+        count += sum(
+            bool(line.strip()) and not line.strip().startswith("#") and number not in left
+            for number, line in enumerate(text, 1)
+        )
+    return count
+
+
 def constants(tree: ast.Module) -> Iterator[tuple[str, str]]:
     """Name and value of the numbers that a module binds in capitals."""
     for node in tree.body:
@@ -181,6 +199,7 @@ def report(root: Path) -> dict[str, object]:
     return {
         **{f"lines of {room}": count for room, (count, _) in counted.items()},
         "lines of diagnose and identify": sum(counted[room][0] for room in ROOMS),
+        "of them with a statement, imports aside": sum(statements(root, room) for room in ROOMS),
         "files of diagnose and identify": sum(counted[room][1] for room in ROOMS),
         "numeric constants there": sum(len(list(constants(tree))) for tree in inside.values()),
         "constant names with several values there": sorted(n for n, v in values.items() if len(v) > 1),
