@@ -31,6 +31,8 @@ from twin.diagnose.torque_system import (
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameters, independent, join
 
+LEAST_SLIP = 0.01  # of a usual torque: what pulls the other way is looked for as little
+
 
 def worth(system: System, suspect: Suspect) -> float:
     """Evidence lost when something found is left out and all else is refitted, at once: no less than that after."""
@@ -101,6 +103,9 @@ def start(system: System, suspect: Suspect, largest_kept: int = 20_000_000) -> T
             u[sizes] += np.linalg.solve(information[first:, first:] + np.eye(len(sizes)), pull)
             u = _inside(suspect, u)
             weight = np.concatenate([np.ones(first), u[sizes] - before])
+        elif suspect.effect.elements:  # torque goes with all of their numbers together
+            weight = np.maximum(pulls[part] / np.maximum(np.diag(information), 1e-300), LEAST_SLIP)
+            u = _inside(suspect, own_prior(own, weight * values))
         gain = float(weight @ pulls[part] - 0.5 * weight @ information @ weight - 0.5 * u @ u)
         promised.append((gain, number, u, weight))
     promised.sort(key=lambda item: -item[0])
