@@ -6,7 +6,7 @@ import pytest
 from twin.measure.motion_log import MotionRun
 from twin.measure.signals import scatter
 from twin.model.regressor import Regressor
-from twin.model.torque_base import PRESLIDING, base_of
+from twin.model.torque_base import PRESLIDING, base_of, with_whole_friction
 from twin.model.torque_laws import _bristles, entry_torque, reversals
 from twin.model.torque_rows import Bands
 from twin.model.torque_signal import Run, run_of
@@ -137,3 +137,16 @@ def test_friction_that_fades_turns_round_at_the_speed_it_has_then(kr90: Robot) -
     assert np.sqrt(np.mean((found[run.valid, 0] - expected[run.valid]) ** 2)) < 0.03 * rms
     at_once = run.filtered(excess * sign)  # what it were without bristles
     assert np.sqrt(np.mean((at_once[run.valid] - expected[run.valid]) ** 2)) > 0.3 * rms
+
+
+def test_presliding_of_an_earlier_fit_is_dry_friction_again(kr90: Robot) -> None:
+    """As elements it could not change: on the robot that a diagnosis had written, its own log had false names."""
+    slip = {"effect": "presliding", "site": "joint1", "stiffness": [4e6, 2e6], "yield_torque": [20.0, 40.0]}
+    alone = {**slip, "site": "joint2"}
+    dry = {"effect": "coulomb_friction", "site": "joint1", "torque": 5.0}
+    physics = [Entry.model_validate(one) for one in (dry, slip, alone)]
+    whole = with_whole_friction(kr90.model_copy(update={"physics": physics}))
+    assert {(e.effect, e.site): e.values["torque"] for e in whole.physics} == {
+        ("coulomb_friction", "joint1"): 65.0, ("coulomb_friction", "joint2"): 60.0,
+    }  # fmt: skip
+    assert with_whole_friction(whole) is whole

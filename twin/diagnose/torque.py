@@ -42,7 +42,7 @@ from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Recording
 from twin.measure.torque_unit import unit_note
-from twin.model.torque_base import Base, base_of
+from twin.model.torque_base import Base, base_of, with_whole_friction
 from twin.model.torque_laws import model_torque
 from twin.model.torque_numbers import GAIN, number_columns, numbers_of
 from twin.model.torque_rows import Bands, in_joints
@@ -84,6 +84,7 @@ def diagnose_log(
     Raises:
         InputError: no torque, too short, or runs that are not there.
     """
+    robot = with_whole_friction(robot)
     asked, prepared = log, prepare(log, robot, source, hold_out, bands)
     log, prepared, faults, rates = _sound(log, prepared, source, hold_out)
     log, hold_out, parts = excerpt(log, hold_out, prepared.bands)

@@ -22,6 +22,7 @@ from twin.diagnose.torque_system import (
     unshrunk,
     with_doubts,
     with_wider,
+    within_reach,
 )
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
@@ -227,13 +228,16 @@ def foretelling(steps: Sequence[Step], system: System, judge: Judge | None) -> S
     """The model without what does not predict the rows kept aside, beside all else that was found.
 
     Each was borne out when it was found. What was found after it may do its work, or have drawn its numbers along.
-    Of those that fail, the one that the rows kept aside hold least is out first, and the others are asked again.
+    Of those that fail, the one that the rows kept aside hold least is out first, and the others are asked again. Where
+    what is left cannot be fitted alone, there is nothing to compare with.
     """
     while judge is not None:
         failed: list[tuple[float, Step, System]] = []
         for step in steps:
             if step.accepted:
                 rest = left_out(system, step, iterations=REFITTED)
+                if not (within_reach(rest) and within_reach(system)):
+                    continue
                 told = judge.keeps(rest, system, step)
                 if not (told.enough and told.falls):
                     failed.append((told.rise, step, rest))

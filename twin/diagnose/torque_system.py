@@ -301,7 +301,7 @@ def relinearised(system: System, iterations: int = 8, exact: float = 1e-5) -> Sy
     Gauss–Newton on all numbers at once: each was linearised where it was found, before the others were. It ends where a
     step gains less than ``CONVERGED`` and ``exact`` times the cost.
     """
-    z = _taken(system)
+    z = _bounded(system, _taken(system))
     here, cost = linearised(system, z)
     for _ in range(iterations):
         step = _bounded(system, here.z) - z
@@ -410,6 +410,11 @@ def _slopes(system: System, suspect: Suspect, z: FloatArray, doubt: FloatArray) 
         aside = copy(system)
         _refer(aside, z, system.entries(z, without=suspect))
     return whitened_entry(aside, suspect, z[system.own(suspect)], doubt=doubt)[1]
+
+
+def within_reach(system: System) -> bool:
+    """Whether all shapes of what was found are where they are looked for; else the fit has left its slopes."""
+    return bool(np.abs(_bounded(system, system.z) - system.z).max(initial=0.0) < 1.0)
 
 
 def _bounded(system: System, z: FloatArray) -> FloatArray:

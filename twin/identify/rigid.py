@@ -14,6 +14,7 @@ from twin.measure.motion_log import LEAST_MOTION, MotionLog, MotionRun, refuse_s
 from twin.measure.torque_unit import unit_note
 from twin.model.base_parameters import BaseParameters, base_parameters, structural_base
 from twin.model.regressor import Regressor, inertial_vector, pseudo_inertia
+from twin.model.torque_base import with_whole_friction
 from twin.model.torque_rows import (
     PASSED,
     TOO_SHORT,
@@ -365,6 +366,7 @@ def identify(
     Raises:
         InputError: no torque, too little of it, or torque that is cut off for more than 5 % of a run.
     """
+    robot = with_whole_friction(robot)
     if bands is None and (found := predicting_best(log, robot, hold_out, weighting, offsets)):
         return found
     bands = bands or Bands()

@@ -291,6 +291,29 @@ def _ordinary(runs: Sequence[Run], waves: FloatArray, offset: FloatArray, apart:
     return [*slides[:common], *ripple, *slides[common:], *offsets]
 
 
+def with_whole_friction(robot: Robot) -> Robot:
+    """The description with its ``presliding`` as a part of Coulomb friction again.
+
+    Over which travel friction turns round, a fit to a log finds for itself. Elements of an earlier fit beside it would
+    hold what that one had.
+    """
+    dry, slip = effect_of("dry"), effect_of("slip")
+    held: dict[str, float] = {}
+    for entry in robot.physics:
+        if entry.effect == slip.name:
+            held[entry.site] = held.get(entry.site, 0.0) + slip.part_of_dry(entry.values, np.zeros(1))
+    if not held:
+        return robot
+    level, physics = dry.parameters[0].name, []
+    for entry in robot.physics:
+        if entry.effect == dry.name and entry.site in held:
+            entry = Entry.model_validate({**entry.model_dump(), level: dry_level(entry) + held.pop(entry.site)})
+        if entry.effect != slip.name:
+            physics.append(entry)
+    physics += [Entry.model_validate({"effect": dry.name, "site": s, level: torque}) for s, torque in held.items()]
+    return robot.model_copy(update={"physics": physics})
+
+
 def dry_level(entry: Entry) -> float:
     """Of an entry that is dry friction, N·m (N)."""
     return float(entry.values[CATALOGUE[entry.effect].parameters[0].name])
