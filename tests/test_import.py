@@ -749,3 +749,23 @@ def test_a_guessed_map_is_a_map_but_for_its_units(cell: Recorded, tmp_path: Path
     said = twin("import", tmp_path / "data.csv", "--map", path, "-o", tmp_path / "log.h5")
     assert said.code == 0, said.err
     assert "rate (Hz) 250" in said.out
+
+
+def test_hinges_and_slides_have_units_of_their_own(tmp_path: Path) -> None:
+    """A header with deg and mm was refused whatever the map said."""
+    path, rows = tmp_path / "scara.csv", np.linspace(0, 1, 200)
+    table = np.stack([rows, 90 * np.sin(6 * rows), 200 * np.cos(6 * rows), np.sin(rows), np.cos(rows)], 1)
+    np.savetxt(path, table, delimiter=";", header="Time [s];P1 [deg];P2 [mm];T1 [N·m];T2 [N]", comments="")
+    guessed = guess_map([path])
+    assert guessed["position"]["unit"] == ["deg", "mm"]
+    plan = tmp_path / "map.yaml"
+    plan.write_text(
+        "makes: motion-log\ntime: {channels: [Time], unit: s}\nposition: {channels: [P1, P2], unit: [deg, mm]}\n"
+        "torque: {channels: [T1, T2], unit: [N·m, N]}\n"
+    )
+    import_files([path], plan, out=tmp_path / "log.h5")
+    (run,) = read_motion_log(tmp_path / "log.h5").runs.values()
+    np.testing.assert_allclose(run.position, table[:, 1:3] * [np.pi / 180, 1e-3], atol=1e-9)
+    plan.write_text(plan.read_text().replace("[deg, mm]", "deg"))
+    with pytest.raises(InputError, match="A list of units, one per axis"):
+        import_files([path], plan, out=tmp_path / "log.h5")

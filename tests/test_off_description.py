@@ -20,7 +20,15 @@ from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.next_test import WEIGH
 from twin.diagnose.refit import NONE, descend
-from twin.diagnose.torque import _answer, _finding, _or_presliding, base_system, diagnose_log, searched
+from twin.diagnose.torque import (
+    _answer,
+    _finding,
+    _may_be_none,
+    _or_presliding,
+    base_system,
+    diagnose_log,
+    searched,
+)
 from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_look import look
 from twin.diagnose.torque_next import next_log
@@ -266,3 +274,12 @@ def test_rivals_are_relieved_of_what_the_best_does_without(tmp_path: Path) -> No
     told = diagnose(tmp_path / "frf.h5", without=found.without).data()["effects"]
     assert [f"{e['effect']}@{e['site']}" for e in told] == [f"{effect.kind}@{effect.site}"]
     assert told[0]["probability"] > 0.9
+
+
+@pytest.mark.parametrize(("low", "none"), [(-5e-4, True), (1e-4, False)])
+def test_a_size_whose_interval_holds_none_has_no_name(kr90: Robot, low: float, none: bool) -> None:
+    """Friction that follows the load stood with 0.99 beside a payload, its coefficient between -0.0005 and 0.0019."""
+    size = Parameter("load_dependent_friction@joint2.coefficient", "1", "entry", False, 0.0, 0.1)
+    suspect: Any = SimpleNamespace(sizes=(0,), hypothesis=SimpleNamespace(own=(size,)))
+    numbers = {"coefficient": {"value": 7e-4, "unit": "1", "interval90": [low, 1.9e-3]}}
+    assert _may_be_none(suspect, numbers) is none

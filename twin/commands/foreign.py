@@ -119,7 +119,7 @@ def import_files(files: Sequence[str | Path], map_: str | Path, out: str | Path 
         if universal:
             raise InputError(map_, "makes", "universal files hold hammer tests: expected frf-campaign")
         content = build_log(_sources(paths), plan)
-        check_log(content, robot, plan.position.unit, plan.torque.unit)
+        check_log(content, robot, plan.position.first_unit, plan.torque.first_unit)
     else:
         if isinstance(plan, UniversalMap):
             content = build_universal(paths, plan)

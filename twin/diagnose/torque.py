@@ -504,6 +504,8 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
                 drop = 0.5 * NINETY**2 * _inflation(search)
                 number = [p.quantity for p in step.trial.suspect.hypothesis.own].index(name)
                 numbers[name]["interval90"] = list(profiled(search.system, step.trial.suspect, number, drop))
+            if _may_be_none(step.trial.suspect, numbers):
+                continue
             found = replace(found, first=replace(found.first, parameters=numbers))
         else:
             numbers = numbers_of_answer(search.system, settled, step.first.hypothesis)
@@ -522,7 +524,8 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
         return "unexplained", missing, 0.0, max(other, min(left, 0.99))
     if not missing and max(search.held_out_misfit, search.after.misfit) > calibration()["held_out_adequate"]:
         return "unexplained", [], 0.0, 1.0
-    if not missing and search.found:  # what predicts better has numbers that nothing of its name can have
+    impossible = any(not possible(search.system, step) for step in search.found)
+    if not missing and impossible:  # what predicts better has numbers that nothing of its name can have
         return "unexplained", [], 0.0, 1.0
     if not missing and word_of(first) not in ("adequate", "unexplained"):
         least = calibration()["least_other"]  # what was named first was taken back, and nothing lacks
@@ -533,6 +536,22 @@ def _answer(search: Search) -> tuple[Word, list[Missing], float, float]:
     if any(effect_named(m.first.effect).part == "law" for m in missing):
         word = "located"
     return word, missing, first.none, max(first.other, other)
+
+
+def _may_be_none(suspect: Suspect, numbers: dict[str, Any]) -> bool:
+    """Whether the one size of something found may be none, what its data are missed by and the gain's doubt included.
+
+    Friction that follows the load takes a part of a gain that is off, and is none of its own then.
+    """
+    if len(suspect.sizes) != 1:
+        return False
+    size = suspect.hypothesis.own[suspect.sizes[0]]
+    name, _, index = size.quantity.partition("[")
+    if size.log or name not in numbers:
+        return False
+    ends = numbers[name]["interval90"]
+    low, high = ends[int(index[:-1])] if index else ends
+    return bool(low <= size.mean <= high)
 
 
 def _with_coulomb(search: Search, step: Step, slip: Missing, settled: Fitted) -> list[Missing]:

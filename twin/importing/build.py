@@ -14,7 +14,7 @@ from twin.importing.tables import Table, chosen, joined
 from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, check_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, even_run
 from twin.measure.spectra import posture_from_hits
-from twin.measure.units import factor, frf_factor, known, same
+from twin.measure.units import factor, frf_factor, known, measure, same
 from twin.ranges import check_array
 
 RECORD_DECAY = 5.0  # rate of the exponential window times the record: e⁻⁵ is left at its end, and hardly any leakage
@@ -55,18 +55,17 @@ class Source:
                 raise InputError(self.path, f"{field}: {name}", f"no such channel; there are {self._some()}")
         if not names:
             raise InputError(self.path, f"{field}: {taken.channels}", f"fits no channel; there are {self._some()}")
-        for name in names:
-            stated = self.table.channels[name].unit
-            converted = taken.factor != 1.0 and not known(stated)  # currents, volts, counts
-            if stated and not same(stated, taken.unit) and not converted:
-                expected = f"the file states {stated!r}, the map {taken.unit!r}: correct the map"
-                expected += "" if known(stated) else f", or give a factor, {taken.unit} per {stated}"
-                raise InputError(self.path, f"{field}: {name}: unit", expected)
+        factors, offsets = self._scales(field, taken, len(names))
+        axes = len(factors) if factors.ndim == 2 else len(names)
+        units = [taken.unit] * axes if isinstance(taken.unit, str) else taken.unit
+        if len(units) != axes:
+            raise InputError(self.path, f"{field}: unit", f"expected one, or {axes}, found {len(units)}")
+        for name, unit in zip(names, units if axes == len(names) else units[:1] * len(names), strict=True):
+            self._agree(field, name, unit, taken)
         try:
-            scale = factor(taken.unit, *measures)
+            scale = np.array([factor(unit, *measures) for unit in units])
         except ValueError as error:
             raise InputError(self.path, f"{field}: unit", str(error)) from error
-        factors, offsets = self._scales(field, taken, len(names))
         values = [np.asarray(self.table.channels[name].values) for name in names]
         lengths = sorted({value.shape for value in values})
         if len(lengths) > 1 or len(lengths[0]) != 1 or values[0].dtype.kind not in "iuf":
@@ -76,6 +75,19 @@ class Source:
         if measures in RECORDS:
             check_array(self.path, f"{field}: {', '.join(names)}", found, RECORDS[measures])
         return found
+
+    def _agree(self, field: str, name: str, unit: str, taken: Taken) -> None:
+        """Refuse a unit of the map that is not the one that the file states of a channel."""
+        stated = self.table.channels[name].unit
+        converted = taken.factor != 1.0 and not known(stated)  # currents, volts, counts
+        if not stated or same(stated, unit) or converted:
+            return
+        expected = f"the file states {stated!r}, the map {unit!r}: correct the map"
+        if not known(stated):
+            expected += f", or give a factor, {unit} per {stated}"
+        elif isinstance(taken.unit, str) and known(unit) and measure(stated)[0] != measure(unit)[0]:
+            expected += ". A list of units, one per axis, serves hinges and slides"
+        raise InputError(self.path, f"{field}: {name}: unit", expected)
 
     def _scales(self, field: str, taken: Taken, count: int) -> tuple[FloatArray, FloatArray]:
         """``factor`` (n,), (1,) or as a matrix (axes, n), and ``offset``, one number or one per axis."""
@@ -317,7 +329,7 @@ def build_functions(sources: Sequence[Source], map_: FunctionsMap) -> Campaign:
 
 def _functions(source: Source, map_: FunctionsMap, name: str, stance: Stance) -> PostureFRF:
     try:
-        quantity, scale = frf_factor(map_.frf.unit)
+        quantity, scale = frf_factor(map_.frf.first_unit)
     except ValueError as error:
         raise InputError(source.path, "frf: unit", str(error)) from error
     frequency = source.series("frequency", map_.frequency, "frequency")[:, 0]

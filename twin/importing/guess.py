@@ -87,8 +87,9 @@ def _kinds(table: Table) -> set[str]:
 
 
 def _taken(table: Table, names: list[str]) -> dict[str, Any]:
-    units = {_stated(table, name) for name in names if name in table.channels}
-    return {"channels": names, "unit": units.pop() if len(units) == 1 else ASK, "factor": 1.0}
+    units = [_stated(table, name) for name in names if name in table.channels]
+    alike: str | list[str] = ASK if ASK in units or not units else units
+    return {"channels": names, "unit": units[0] if len(set(units)) == 1 else alike, "factor": 1.0}
 
 
 def _stated(table: Table, name: str) -> str:

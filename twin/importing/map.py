@@ -39,13 +39,18 @@ class Taken(Data):
     """Channels of one quantity, a list of names or one pattern with ``*``.
 
     ``factor``, then ``offset``, which is added, are applied before the unit. Rows of numbers are a matrix, axes by
-    channels: of drives that turn with one another.
+    channels: of drives that turn with one another. ``unit`` is one word, or one per axis: hinges turn, slides move.
     """
 
     channels: str | list[str]
-    unit: str = ASK
+    unit: str | list[str] = ASK
     factor: Factor | list[Factor] | list[list[Number]] = 1.0
     offset: Number | list[Number] = 0.0
+
+    @property
+    def first_unit(self) -> str:
+        """Of the first axis, where each has its own."""
+        return self.unit if isinstance(self.unit, str) else next(iter(self.unit), ASK)
 
 
 class LogMap(Data):
