@@ -606,3 +606,11 @@ def test_dry_friction_keeps_its_sign_at_rest() -> None:
     held = holding(motion, rest)
     assert not held.velocity[rest].any()
     assert np.all(held.sign(held.velocity) == -1)
+
+
+@pytest.mark.parametrize(("jitter", "told"), [(0.0, False), (1e-4, True)])
+def test_rounded_stamps_that_count_from_1970_are_no_jitter(jitter: float, told: bool) -> None:
+    """A number that large is exact to 0.24 µs only: a tenth of a millisecond is no round number in it."""
+    k = np.arange(3000)
+    stamps = 1.7e9 + np.round((0.00163 * k + jitter * np.sin(1.7 * k)) / 1e-4) * 1e-4
+    assert motion_log._jitters(stamps, 0.00163) is told

@@ -377,7 +377,8 @@ def _even(
 def _jitters(time: FloatArray, period: float) -> bool:
     """Whether stamps lie off an even clock by more than their last digit, and by what a model would notice."""
     off = float(np.abs(time - _line(time)).max())
-    digit = next((d for d in DIGITS_S if np.abs(np.round(time / d) * d - time).max() < 1e-3 * d), 0.0)
+    exact = 2 * float(np.spacing(np.abs(time).max()))  # stamps may count from 1970
+    digit = next((d for d in DIGITS_S if np.abs(np.round(time / d) * d - time).max() <= max(1e-3 * d, exact)), 0.0)
     return off > max(0.6 * digit, NO_JITTER * period)
 
 
