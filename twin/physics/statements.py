@@ -50,7 +50,7 @@ class Suspected:
         values: the entry's parameters, its sizes at no effect.
         own: prior of the (m,) numbers that are fitted.
         starts: (k, m) values of these numbers from which a search starts.
-        sizes: which of them the torque is in proportion to, or nearly so; with none, to all of them together, of elements.
+        sizes: which of them the torque is in proportion to, or nearly so; of elements none: it is to all together.
         passive: the first, below zero, would be friction that drives.
     """
 
