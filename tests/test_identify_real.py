@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 
+from twin.diagnose.torque_faults import sound
 from twin.identify.rigid import identify
 from twin.measure.motion_log import MotionLog, MotionRun, check_against
 from twin.model.torque_rows import Bands, relative_error
@@ -164,3 +165,22 @@ def test_a_description_without_friction_is_told() -> None:
     found = identify(tx40(), load_robot(RECORDINGS / "tx40" / "tx40.urdf"), bands=Bands())
     (note,) = (note for note in found.notes if "has no friction" in note)
     assert note.startswith("joint1, joint3, joint4, joint5, joint6:")
+
+
+@needs("tx40")
+@needs("kr300")
+@needs("emps")
+def test_real_logs_are_counted_as_their_descriptions_are() -> None:
+    for log, name in ((emps(), "emps"), (kr300(), "kr300"), (tx40(), "tx40")):
+        assert sound(log, load_robot(DATA / f"{name}.yaml"))[1] == []
+
+
+@needs("kr300")
+def test_a_zero_that_is_wrong_in_a_guessed_description_is_told_but_not_put_right() -> None:
+    """The KR300's third axis once had its zero a quarter turn off: `identify` missed joint 4 by 43 %, and by 18 % now."""
+    log, robot = kr300(), load_robot(DATA / "kr300.yaml")
+    axes = [*robot.axes[:2], robot.axes[2].model_copy(update={"theta_deg": -90}), *robot.axes[3:]]
+    same, (note,) = sound(log, robot.model_copy(update={"axes": axes}))
+    assert same is log
+    assert (note.kind, note.severity) == ("axis_zero", "warning")
+    assert "joint3" in note

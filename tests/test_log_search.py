@@ -14,11 +14,11 @@ from test_diagnose_logs import recorded
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose import torque_faults, torque_revise, torque_search, torque_step
+from twin.diagnose import torque_clock, torque_revise, torque_search, torque_step
 from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.torque import _strained, base_system, diagnose_log, log_records, pooled, searched
-from twin.diagnose.torque_faults import clock_note, on_time
+from twin.diagnose.torque_clock import clock_note, on_time
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
 from twin.diagnose.torque_judge import Judge, Told, free_gains, vibration
 from twin.diagnose.torque_left_out import left_out_runs, without_run
@@ -362,10 +362,10 @@ def test_lateness_that_grows_faster_than_a_clock_can_is_physics(
 ) -> None:
     """Friction that warms up was put back as a clock that is off by 2.9 %."""
     (run, *_) = prepare(recorded(tmp_path), load_robot("kr90"), "log.h5").used
-    when = np.linspace(0.0, 25.0, torque_faults.BLOCKS)
-    monkeypatch.setattr(torque_faults, "_lateness", lambda *_: (when, slope * when))  # each time it is measured
-    found = torque_faults._clock(run, run.torque)
-    assert found == pytest.approx(torque_faults.REPEATED * slope if told else 0.0)
+    when = np.linspace(0.0, 25.0, torque_clock.BLOCKS)
+    monkeypatch.setattr(torque_clock, "_lateness", lambda *_: (when, slope * when))  # each time it is measured
+    found = torque_clock._clock(run, run.torque)
+    assert found == pytest.approx(torque_clock.REPEATED * slope if told else 0.0)
 
 
 @pytest.mark.parametrize("ratio", [0.35, -0.2])

@@ -6,6 +6,7 @@ from typing import Any
 
 from twin.commands.outputs import Outputs, check_out
 from twin.diagnose.compare import compare_hammer
+from twin.diagnose.torque_faults import told_sound
 from twin.errors import tell
 from twin.identify.elastic_compare import Comparison, ModalComparison, compare_modes
 from twin.identify.rigid_compare import LogComparison, compare_log
@@ -151,7 +152,8 @@ def _compared(
     recording: Recording, robot: Robot, as_is: bool, bands: Bands, stepped: bool, progress: Progress | None
 ) -> Comparison | ModalComparison | LogComparison:
     if recording.kind == "motion-log":
-        return compare_log(recording.content, robot, as_is, bands, stepped, progress)
+        log = recording.content if as_is else told_sound(recording.content, robot)
+        return compare_log(log, robot, as_is, bands, stepped, progress)
     require_springs(robot)
     if recording.kind == "modal-table":
         return compare_modes(robot, recording.content, recording.source)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from twin.commands.outputs import Outputs, check_out, check_spared
+from twin.diagnose.torque_faults import told_sound
 from twin.identify.rigid import Identification
 from twin.identify.rigid import identify as estimate
 from twin.measure.motion_log import MotionLog
@@ -210,9 +211,10 @@ def identify(
     given = read_one(log, "motion-log")
     check_spared(out, [given])
     described = given.described(robot, without)
-    joints = in_joints(given.content, described)
+    content = told_sound(given.content, described)
+    joints = in_joints(content, described)
     tick = (progress or silent)("identify", 1)
-    found = estimate(given.content, described, bands=bands, hold_out=hold_out or None, weighting=weighting)
+    found = estimate(content, described, bands=bands, hold_out=hold_out or None, weighting=weighting)
     tick(1)
     result = Identified(given.source, found, joints)
     options = {"robot": robot, "without": without or [], "hold_out": hold_out or [], "low_pass": list(found.bands.fit)}

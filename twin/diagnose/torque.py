@@ -16,8 +16,9 @@ from twin.diagnose.note import Note
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage, pooled_floor
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
+from twin.diagnose.torque_clock import clock_note, clock_rates, described_torque, on_time
 from twin.diagnose.torque_excerpt import excerpt
-from twin.diagnose.torque_faults import clock_note, clock_rates, described_torque, in_radians, on_time, put_right
+from twin.diagnose.torque_faults import sound
 from twin.diagnose.torque_fit import base_fit, profiled, worth
 from twin.diagnose.torque_following import Following
 from twin.diagnose.torque_left_out import left_out_runs
@@ -86,7 +87,7 @@ def diagnose_log(
     """
     robot = with_whole_friction(robot)
     asked, prepared = log, prepare(log, robot, source, hold_out, bands)
-    log, prepared, faults, rates = _sound(log, prepared, source, hold_out)
+    log, prepared, faults, rates = _on_one_clock(log, prepared, source, hold_out)
     log, hold_out, parts = excerpt(log, hold_out, prepared.bands)
     if parts:
         prepared, faults = prepare(log, robot, source, hold_out, prepared.bands), [*faults, *parts]
@@ -231,19 +232,12 @@ def _runs(prepared: Prepared) -> list[Run]:
     return [*{run.name: run for run in (*prepared.kept, *prepared.used)}.values()]
 
 
-def _sound(
+def _on_one_clock(
     log: MotionLog, prepared: Prepared, source: str, hold_out: list[str] | None
 ) -> tuple[MotionLog, Prepared, list[str], dict[str, float]]:
-    """A log without the faults that its description's torque shows, its rows, notes, and rates of clocks, s/s."""
-    robot, bands = prepared.regressor.robot, prepared.bands
-
-    def described() -> list[FloatArray]:
-        return [described_torque(prepared.regressor, run) for run in _runs(prepared)]
-
-    log, faults = put_right(log, _runs(prepared), described())
-    if faults:
-        prepared = prepare(log, robot, source, hold_out, bands)
-    needed, runs = described(), _runs(prepared)
+    """A log whose torque has the clock of its positions, its rows, a note on its unit, and rates of clocks, s/s."""
+    robot, bands, runs = prepared.regressor.robot, prepared.bands, _runs(prepared)
+    needed = [described_torque(prepared.regressor, run) for run in runs]
     told = unit_note(*(np.concatenate(some) for some in (needed, [run.torque for run in runs])))
     rates = clock_rates(runs, needed)
     if rates:
@@ -252,7 +246,7 @@ def _sound(
             log, prepared = on_time(log, rates), punctual
         else:  # numbers of the description that are a little off made torque late
             rates = {}
-    return log, prepared, [*faults, *filter(None, [told])], rates
+    return log, prepared, [told] if told else [], rates
 
 
 def _cost(prepared: Prepared) -> float:
@@ -882,7 +876,7 @@ class Log:
 
     def explain(self, given: Robot, told_by: Finding | None, **options: Any) -> Finding:
         """See :class:`twin.diagnose.evidence.Evidence`."""
-        log, notes = in_radians(self.recording.content, given)
+        log, notes = sound(self.recording.content, given)
         in_joints(log, given)  # axes, units and limits fit
         self.recording = replace(self.recording, content=log)
         finding = diagnose_log(log, told_by.robot if told_by else given, self.recording.source, **options)

@@ -21,7 +21,7 @@ from twin.measure.units import STANDARD_GRAVITY
 from twin.ranges import check_array, ill_named, implausible
 
 if TYPE_CHECKING:
-    from twin.robot.description import Robot
+    from twin.robot.description import Axis, Robot
 
 VERSION = 1
 LONG = 1_500_000  # samples of a run, beyond which it is read in parts: 25 minutes at 1 kHz
@@ -493,15 +493,12 @@ def check_against(log: MotionLog, robot: "Robot") -> None:
     """
     require_axes(log, robot.axis_count)
     for name, run in log.runs.items():
-        for i, axis in enumerate(robot.axes):
-            q = run.position[:, i]
-            given = axis.limits.position if axis.limits else None
-            low, high = given or ((-8 * np.pi, 8 * np.pi) if axis.type == "revolute" else (-np.inf, np.inf))
-            speed = (axis.limits.velocity if axis.limits else None) or np.inf
-            fastest = float(np.percentile(np.abs(np.diff(q)), 99)) * run.sample_rate_hz
-            margin = LEAVES * (high - low) if given else 0.0
-            if q.min() >= low - margin and q.max() <= high + margin and fastest <= 2 * speed:
+        for i, fits in enumerate(within_limits(run.position, run.sample_rate_hz, robot)):
+            if fits:
                 continue
+            axis, q = robot.axes[i], run.position[:, i]
+            low, high, margin, speed = _limits(axis)
+            fastest = _fastest(q, run.sample_rate_hz)
             found = f"joint{i + 1} runs from {q.min():.4g} to {q.max():.4g} at up to {fastest:.3g} per s"
             if axis.type == "revolute" and np.abs(q).max() / max(abs(low), abs(high)) > 2:
                 expected = "expected rad, these look like degrees"
@@ -512,6 +509,31 @@ def check_against(log: MotionLog, robot: "Robot") -> None:
             raise InputError(log.source, f"runs/{name}/position", f"{found}; {expected}")
     if told := torque_slip(log, robot):
         tell(log.source, *told)
+
+
+def within_limits(position: FloatArray, rate_hz: float, robot: "Robot") -> list[bool]:
+    """Of each axis, whether its positions (nt, n), rad (m), stay near its limits and at twice its speed at most.
+
+    Where no limits are described, a revolute axis has four turns either way.
+    """
+    fits = []
+    for q, axis in zip(position.T, robot.axes, strict=True):
+        low, high, margin, speed = _limits(axis)
+        fits.append(bool(q.min() >= low - margin and q.max() <= high + margin and _fastest(q, rate_hz) <= 2 * speed))
+    return fits
+
+
+def _limits(axis: "Axis") -> tuple[float, float, float, float]:
+    """Lower and upper limit of an axis and by how much it may leave them, rad (m), and its largest speed per s."""
+    given = axis.limits.position if axis.limits else None
+    low, high = given or ((-8 * np.pi, 8 * np.pi) if axis.type == "revolute" else (-np.inf, np.inf))
+    speed = (axis.limits.velocity if axis.limits else None) or np.inf
+    return low, high, LEAVES * (high - low) if given else 0.0, speed
+
+
+def _fastest(q: FloatArray, rate_hz: float) -> float:
+    """The speed that an axis reaches, but for one sample in a hundred."""
+    return float(np.percentile(np.abs(np.diff(q)), 99)) * rate_hz
 
 
 def torque_slip(log: MotionLog, robot: "Robot") -> tuple[str, str] | None:
