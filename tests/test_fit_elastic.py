@@ -12,19 +12,21 @@ from scipy.optimize import lsq_linear
 from twin.commands.compare import compare
 from twin.commands.fit import fit
 from twin.diagnose.compare import compare_hammer
-from twin.errors import InputError
+from twin.errors import InputError, Told
 from twin.identify.descent import Descended, minimise
 from twin.identify.elastic import Start, agreement, fit_frf
 from twin.identify.elastic_compare import judge, noise_floor
 from twin.identify.elastic_modal import fit_modes, modal_postures, predict_modes
 from twin.identify.uncertainty import beside_prior, combinations, estimates, interval, profile
 from twin.measure.campaign import Campaign, Channels, PostureFRF, as_quantity, read_campaign, write_campaign
-from twin.measure.modal_table import read_modal_table
+from twin.measure.modal_table import ModalTable, TableMode, TablePosture, read_modal_table, write_modal_table
 from twin.measure.uff import write_uff
+from twin.model import expansion
 from twin.model.frf import frf as reference_frf
 from twin.model.linear import linearise
 from twin.model.parameters import Parameter, Parameters, free_parameters, independent
-from twin.model.recorded import prepare
+from twin.model.recorded import prepare, recorded_posture, without_limits
+from twin.model.sensitivity import Setup, observe, poles
 from twin.robot.description import Robot, load_robot, parse_robot, save_robot
 from twin.robot.mechanism import assemble
 
@@ -535,3 +537,24 @@ def test_nodes_that_are_not_where_the_file_says_are_freed(tmp_path: Path) -> Non
     assert found.error["held_out"] < 1.3 * found.expected["held_out"]
     assert any("not quite where" in text for text in found.warnings)
     assert any(name.startswith("node:") for name in found.data()["recording"])
+
+
+def test_shapes_are_where_the_table_has_its_points(kr90: Robot, tmp_path: Path) -> None:
+    """A node 1 of the table was taken for the node 1 at the flange that every robot without test points has."""
+    channels = expansion.channels_of(kr90, [point.label for point in kr90.test_points])
+    setup = Setup("milling", recorded_posture(kr90, np.array([0.0, 70.0, -100.0]), "", ""), None, *[channels] * 2)
+    seen, _ = observe(without_limits(kr90), setup, free_parameters(kr90).select([]), np.zeros(0))
+    pole, shape = poles(seen)
+    placed = replace(setup.response, label=tuple(f"{k + 1}Z+" for k in range(len(setup.response.label))))
+    modes = tuple(
+        TableMode(float(abs(p) / (2 * np.pi)), shape=dict(zip(placed.label, map(complex, s), strict=True)))
+        for p, s in zip(pole, (seen.J_r @ shape).T, strict=True)
+    )
+    bare = kr90.model_copy(update={"test_points": kr90._flange_points()})
+    table = ModalTable({"milling": TablePosture(np.array([0.0, 70.0, -100.0]), modes)}, points=placed)
+    write_modal_table(tmp_path / "modes.yaml", table)
+    postures = modal_postures(read_modal_table(tmp_path / "modes.yaml"), bare)
+    assert min(mode.mac or 0.0 for mode in predict_modes(bare, postures)) > 0.999
+    with pytest.warns(Told, match=r"nothing says where on kr90 10Z"):
+        postures = modal_postures(replace(table, points=None), bare)
+    assert postures["milling"].shape is None

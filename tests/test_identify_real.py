@@ -177,7 +177,7 @@ def test_real_logs_are_counted_as_their_descriptions_are() -> None:
 
 @needs("kr300")
 def test_a_zero_that_is_wrong_in_a_guessed_description_is_told_but_not_put_right() -> None:
-    """The KR300's third axis once had its zero a quarter turn off: `identify` missed joint 4 by 43 %, and by 18 % now."""
+    """The KR300's third axis once had its zero a quarter turn off: joint 4 was missed by 43 %, and by 18 % now."""
     log, robot = kr300(), load_robot(DATA / "kr300.yaml")
     axes = [*robot.axes[:2], robot.axes[2].model_copy(update={"theta_deg": -90}), *robot.axes[3:]]
     same, (note,) = sound(log, robot.model_copy(update={"axes": axes}))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twin.errors import InputError
+from twin.measure.campaign import Channels
 from twin.measure.modal_table import ModalTable, TableMode, TablePosture, read_modal_table, write_modal_table
 
 PAPER = """
@@ -28,10 +29,16 @@ def test_numbers_with_exponents_are_numbers_and_on_is_a_word(tmp_path: Path) -> 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     modes = (TableMode(6.1e-5, 2e-4, 1e-9, 1e-12, {"21Z+": 1 + 0j, "4Y-": 1e-7 - 2j}), TableMode(4.5e4))
-    table = ModalTable({"on": TablePosture(np.array([1e-9, -170.25]), modes), "none": TablePosture(np.zeros(1), ())})
+    postures = {"on": TablePosture(np.array([1e-9, -170.25]), modes), "none": TablePosture(np.zeros(1), ())}
+    points = Channels(("21Z+", "4Y-"), ("link3", "base"), np.array([[0.1, 0, 2], [0, 0, 0]]), np.eye(3)[[2, 1]] * -1.0)
+    table = ModalTable(postures, points=points)
     write_modal_table(tmp_path / "t.yaml", table)
     back = read_modal_table(tmp_path / "t.yaml")
     assert back.robot is None
+    assert back.points is not None
+    assert (back.points.label, back.points.body) == (points.label, points.body)
+    np.testing.assert_array_equal(back.points.position, points.position)
+    np.testing.assert_array_equal(back.points.direction, points.direction)
     assert back.postures["on"].modes == modes
     assert back.postures["none"].modes == ()
     np.testing.assert_array_equal(back.postures["on"].q_deg, table.postures["on"].q_deg)
@@ -50,6 +57,13 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ("postures: {a: {q_deg: [0], modes: [{frequency_hz: -1}]}}", "frequency_hz: expected Hz above 0"),
         ("postures: {a: {q_deg: [0], modes: [{frequency_hz: 9, damping_percent: .nan}]}}", "damping_percent: expected"),
         ("postures: {a: {q_deg: [0], modes: [{frequency_hz: 9, shape: {21Z+: 1}}]}}", r"21Z\+: expected \[re, im\]"),
+        ("points: [1]\npostures: {a: {q_deg: [0], modes: []}}", "points: expected a mapping of labels"),
+        ("points: {21Z+: {body: link3}}\npostures: {a: {q_deg: [0], modes: []}}", "position: expected three numbers"),
+        (
+            "points: {21Z+: {body: link3, position: [0, 0, 0], direction: [0, 0, 2]}}\n"
+            "postures: {a: {q_deg: [0], modes: []}}",
+            "points/direction: expected unit vectors",
+        ),
         ("postures: {a: ", "not valid YAML"),
     ],
 )

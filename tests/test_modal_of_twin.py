@@ -8,7 +8,8 @@ from twin.measure.campaign import Campaign
 from twin.measure.modal import identify_modes
 from twin.measure.shapes import mac
 from twin.measure.spectra import posture_from_hits
-from twin.model.hammer import HammerTest, channels, simulate_hits, window_rate
+from twin.model.expansion import channels_of as channels
+from twin.model.hammer import HammerTest, simulate_hits, window_rate
 from twin.model.linear import linearise
 from twin.model.modes import modes
 from twin.robot.description import Robot
@@ -24,7 +25,7 @@ def hammered(kr90: Robot, posture: str, test: HammerTest) -> tuple[Campaign, "ob
         posture, np.array(POSTURES[posture], float), "on", hits,
         exponential_window_rate=window_rate(linear, test.duration_s), fmax=60.0,
     )  # fmt: skip
-    sides = channels(mechanism, kr90.accelerometers), channels(mechanism, points)
+    sides = channels(kr90, kr90.accelerometers), channels(kr90, points)
     return Campaign(*sides, {posture: measured}, "kr90"), modes(linear)
 
 

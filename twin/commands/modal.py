@@ -57,7 +57,9 @@ class ModalAnalysis(Result):
     @property
     def table(self) -> ModalTable:
         """The modes as a modal table, which ``twin.fit``, ``twin.compare`` and ``twin.diagnose`` take."""
-        return ModalTable.of(self.results, self.campaign.robot)
+        roving = {result.roving for result in self.results.values()}
+        side = "response" if "response" in roving else "excitation"
+        return ModalTable.of(self.results, self.campaign.robot, getattr(self.campaign, side))
 
     def data(self) -> dict[str, Any]:
         """The JSON of the command."""

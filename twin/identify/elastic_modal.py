@@ -13,12 +13,13 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.identify.descent import Descended, minimise
 from twin.identify.elastic import Fit, Start, agreement, drawn_starts
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
 from twin.measure.shapes import mac
+from twin.model.expansion import channels_of
 from twin.model.parameters import Parameters, free_parameters
 from twin.model.recorded import recorded_posture, without_limits
 from twin.model.sensitivity import (
@@ -86,24 +87,22 @@ class PairedMode:
 
 
 def modal_postures(table: ModalTable, robot: Robot, source: str = "table") -> dict[str, ModalPosture]:
-    """The table as the fit uses it; shapes are at the robot's test points of the same labels.
+    """The table as the fit uses it; shapes are where the table has its points, else at the robot's of the same labels.
+
+    Labels that nobody places are not used, and told. So are all where a robot states no test points.
 
     Raises:
         InputError: a posture the robot does not have, or one without modes.
     """
-    points = {point.label: point for point in robot.test_points}
+    points = _placed(table, robot, source)
     found, known = {}, dict[tuple[str, ...], Channels]()
     for name, posture in table.postures.items():
         q = recorded_posture(robot, posture.q_deg, source, f"postures.{name}.q_deg")
         if not posture.modes:
             raise InputError(source, f"postures.{name}.modes", "expected at least one mode")
         modes = sorted(posture.modes, key=lambda mode: mode.frequency_hz)
-        labels = [x for x in points if modes and all(x in mode.shape for mode in modes)]
-        channels = Channels(
-            tuple(labels), tuple(points[x].body for x in labels),
-            np.array([points[x].position for x in labels]).reshape(-1, 3),
-            np.array([points[x].direction for x in labels]).reshape(-1, 3),
-        )  # fmt: skip
+        channels = points.only([k for k, x in enumerate(points.label) if all(x in mode.shape for mode in modes)])
+        labels = channels.label
         channels = known.setdefault(channels.label, channels)  # postures that share them are assembled together
         f = np.array([mode.frequency_hz for mode in modes])
         zeta = np.array([np.nan if m.damping_percent is None else m.damping_percent / 100 for m in modes])
@@ -118,6 +117,21 @@ def modal_postures(table: ModalTable, robot: Robot, source: str = "table") -> di
             np.array([[mode.shape[x] for x in labels] for mode in modes]) if len(labels) > 1 else None,
         )  # fmt: skip
     return found
+
+
+def _placed(table: ModalTable, robot: Robot, source: str) -> Channels:
+    """Where the shapes of a table are, as far as it or the robot says so."""
+    bodies = {"base", *(f"link{i + 1}" for i in range(robot.axis_count))}
+    if table.points is not None:
+        points = table.points.only([k for k, body in enumerate(table.points.body) if body in bodies])
+    else:
+        points = channels_of(robot, [p.label for p in robot.test_points] if robot.states_points else [])
+    labels = {label for posture in table.postures.values() for mode in posture.modes for label in mode.shape}
+    if lost := sorted(labels - set(points.label)):
+        where = "points" if table.points is not None else "robot"
+        text = f"nothing says where on {robot.name} {', '.join(lost)} are; shapes are not used there"
+        tell(source, where, text)
+    return points
 
 
 def fit_modes(

@@ -73,6 +73,11 @@ class Channels:
     position: FloatArray
     direction: FloatArray
 
+    def only(self, rows: Sequence[int]) -> "Channels":
+        """Some of them."""
+        label, body = (tuple(names[k] for k in rows) for names in (self.label, self.body))
+        return Channels(label, body, self.position[list(rows)], self.direction[list(rows)])
+
 
 @dataclass(frozen=True)
 class Hits:

@@ -13,7 +13,7 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
 from twin.errors import InputError, tell
 from twin.files import writing
-from twin.measure.campaign import LABEL, FloatArray, check_q_deg
+from twin.measure.campaign import LABEL, Channels, FloatArray, check_channels, check_q_deg
 from twin.measure.modal import ModalResult
 from twin.ranges import FASTEST_HZ, LONGEST_LABEL, ill_named, implausible
 from twin.yamlfile import read_yaml
@@ -45,10 +45,17 @@ class TablePosture:
 
 @dataclass(frozen=True)
 class ModalTable:
-    """Modes of one robot by posture; ``source``: for messages."""
+    """Modes of one robot by posture.
+
+    Attributes:
+        robot: name or path.
+        points: where the labels of the shapes are, if the table says so.
+        source: for messages.
+    """
 
     postures: dict[str, TablePosture]
     robot: str | None = None
+    points: Channels | None = None
     source: str = "modal table"
 
     def __repr__(self) -> str:
@@ -60,8 +67,10 @@ class ModalTable:
         return "\n  ".join([head, *told])
 
     @classmethod
-    def of(cls, results: Mapping[str, ModalResult], robot: str | None = None, shapes: bool = True) -> "ModalTable":
-        """The table of identified modes."""
+    def of(
+        cls, results: Mapping[str, ModalResult], robot: str | None = None, points: Channels | None = None
+    ) -> "ModalTable":
+        """The table of identified modes; ``points`` are those of the test, of which it keeps those in the shapes."""
         postures = {}
         for name, result in results.items():
             modes = tuple(
@@ -70,21 +79,22 @@ class ModalTable:
                     mode.damping_percent,
                     mode.frequency_std_hz,
                     mode.damping_std_percent,
-                    {k: complex(v) for k, v in zip(result.shape_label, shape, strict=bool(result.shape_label))}
-                    if shapes
-                    else {},
+                    {k: complex(v) for k, v in zip(result.shape_label, shape, strict=bool(result.shape_label))},
                 )
                 for mode, shape in zip(result.modes, result.shapes, strict=True)
             )
             postures[name] = TablePosture(result.q_deg, modes)
-        return cls(postures, robot)
+        labels = {label for result in results.values() if result.modes for label in result.shape_label}
+        if points is not None:
+            points = points.only([k for k, label in enumerate(points.label) if label in labels])
+        return cls(postures, robot, points if points and points.label else None)
 
 
 def read_modal_table(path: str | Path) -> ModalTable:
     """Read and check a modal table; :class:`InputError` says what it lacks."""
     path = Path(path)
     content = read_yaml(path)
-    _tell_unknown(path, "", content, ("robot", "postures"))
+    _tell_unknown(path, "", content, ("robot", "points", "postures"))
     if not isinstance(content.get("postures"), dict) or not content["postures"]:
         kinds = {"links": "a robot description", "posture": "a posture file", "coefficients": "a cut"}
         kind = next((f", found {what}" for key, what in kinds.items() if key in content), "")
@@ -98,8 +108,30 @@ def read_modal_table(path: str | Path) -> ModalTable:
     return ModalTable(
         {str(name): _read_posture(path, f"postures.{name}", value) for name, value in content["postures"].items()},
         robot,
+        _read_points(path, content["points"]) if content.get("points") is not None else None,
         str(path),
     )
+
+
+def _read_points(path: Path, value: Any) -> Channels:
+    """Where the labels of shapes are."""
+    if not isinstance(value, dict) or not value:
+        raise InputError(path, "points", "expected a mapping of labels to body, position and direction")
+    for label, point in value.items():
+        where = f"points.{label}"
+        if not isinstance(point, dict):
+            raise InputError(path, where, f"expected body, position and direction, found {reprlib.repr(point)}")
+        _refuse_unknown(path, where, point, ("body", "position", "direction"))
+        if not isinstance(point.get("body"), str):
+            raise InputError(path, f"{where}.body", f"expected a body's name, found {reprlib.repr(point.get('body'))}")
+        for name in ("position", "direction"):
+            xyz = point.get(name)
+            if not (isinstance(xyz, list) and len(xyz) == 3 and all(_is_number(x) for x in xyz)):
+                raise InputError(path, f"{where}.{name}", f"expected three numbers, found {reprlib.repr(xyz)}")
+    places, ways = (np.array([point[name] for point in value.values()], float) for name in ("position", "direction"))
+    channels = Channels(tuple(map(str, value)), tuple(p["body"] for p in value.values()), places, ways)
+    check_channels(path, "points", channels)
+    return channels
 
 
 def _read_posture(path: Path, where: str, value: Any) -> TablePosture:
@@ -199,7 +231,14 @@ def _is_number(value: Any) -> bool:
 
 def write_modal_table(path: str | Path, table: ModalTable) -> None:
     """Write a modal table, one mode per line; the file appears whole or not at all."""
-    content = CommentedMap({"robot": table.robot, "postures": CommentedMap()})
+    content = CommentedMap({"robot": table.robot})
+    if table.points is not None:
+        content["points"] = CommentedMap()
+        for k, label in enumerate(table.points.label):
+            places = {name: [_short(x) for x in getattr(table.points, name)[k]] for name in ("position", "direction")}
+            content["points"][label] = CommentedMap({"body": table.points.body[k], **places})
+            content["points"][label].fa.set_flow_style()
+    content["postures"] = CommentedMap()
     for name, posture in table.postures.items():
         q = CommentedSeq([_short(x) for x in posture.q_deg])
         q.fa.set_flow_style()

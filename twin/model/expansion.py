@@ -22,6 +22,18 @@ def with_channels(robot: Robot, *channels: Channels) -> Robot:
     return robot.model_copy(update={"test_points": list(points.values()), "accelerometers": []})
 
 
+def channels_of(robot: Robot, labels: Sequence[str]) -> Channels:
+    """Test points of a robot as channels."""
+    points = {point.label: point for point in robot.test_points}
+    chosen = [points[label] for label in labels]
+    return Channels(
+        tuple(labels),
+        tuple(point.body for point in chosen),
+        np.array([point.position for point in chosen]).reshape(-1, 3),
+        np.array([point.direction for point in chosen]).reshape(-1, 3),
+    )
+
+
 def expand(
     robot: Robot, q: np.ndarray, roving: Channels, shapes: np.ndarray, pole: Sequence[complex] | np.ndarray
 ) -> tuple[Mechanism, Modes]:

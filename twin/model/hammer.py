@@ -13,7 +13,7 @@ import numpy as np
 from mujoco import rollout
 
 from twin.errors import InputError
-from twin.measure.campaign import Channels, Hits
+from twin.measure.campaign import Hits
 from twin.model.frf import measurement_chain
 from twin.model.linear import LinearModel, linearise
 from twin.model.modes import modes, state_matrix_poles
@@ -53,18 +53,6 @@ class HammerTest:
     response_noise: float = 0.0
     off_axis_deg: float = 0.0
     seed: int = 0
-
-
-def channels(mechanism: Mechanism, labels: Sequence[str]) -> Channels:
-    """Labels, bodies, positions and directions of test points, as the campaign file names them."""
-    points = {point.label: point for point in mechanism.robot.test_points}
-    chosen = [points[label] for label in labels]
-    return Channels(
-        tuple(labels),
-        tuple(point.body for point in chosen),
-        np.array([point.position for point in chosen]).reshape(-1, 3),
-        np.array([point.direction for point in chosen]).reshape(-1, 3),
-    )
 
 
 def usual_duration(linear: LinearModel, test: HammerTest) -> float:

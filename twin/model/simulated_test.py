@@ -7,8 +7,9 @@ import numpy as np
 
 from twin.measure.campaign import Campaign, PostureFRF
 from twin.measure.spectra import posture_from_hits
+from twin.model.expansion import channels_of
 from twin.model.frf import frf, measurement_chain
-from twin.model.hammer import HammerTest, channels, simulate_hits, window_rate
+from twin.model.hammer import HammerTest, simulate_hits, window_rate
 from twin.model.linear import LinearModel
 from twin.parallel import Progress, silent
 from twin.robot.mechanism import Mechanism
@@ -64,7 +65,7 @@ def simulated_test(
         "; structural damping and integral action, which no time stepping has, put in by the ratio of the linear FRFs "
         "with them and with viscous dampers in their stead" if _unstepped(linear) else ""
     )  # fmt: skip
-    sides = channels(mechanism, responses), channels(mechanism, excitations)
+    sides = channels_of(mechanism.robot, responses), channels_of(mechanism.robot, excitations)
     return Campaign(*sides, postures, robot.name, comment, f"{name}, simulated")
 
 

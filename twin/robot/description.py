@@ -463,6 +463,11 @@ class Robot(Data):
         ]
 
     @property
+    def states_points(self) -> bool:
+        """Whether test points are described: those of a robot without any say nothing of a recording."""
+        return self.test_points != self._flange_points()
+
+    @property
     def axis_count(self) -> int:
         """Number of axes n."""
         return len(self.axes)
