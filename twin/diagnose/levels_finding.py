@@ -28,7 +28,7 @@ from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
 from twin.model.parameters import independent
-from twin.model.recorded import Recorded, without_limits
+from twin.model.recorded import Recorded, placed, without_limits
 from twin.parallel import Progress
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
@@ -274,6 +274,7 @@ def stepped_records(
     """Records with the law's prediction as a stage, and its errors; on held-out recordings posture angles and gains
     are estimated again, nothing else."""
     law, sizes, site, robot = law_of(fit.robot)
+    used, kept = (placed(some, fit.parameters, fit.values) for some in (used, kept))  # nodes where the fit has them
     own = objective.base
     longer = objective.own(fit.z)[1]
     blow = {group: replace(b, pulse_s=b.pulse_s * longer) for group, b in blow.items()}
