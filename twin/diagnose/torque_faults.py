@@ -16,6 +16,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment, nnls
 
+from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
 from twin.errors import tell
 from twin.measure.campaign import FloatArray
@@ -28,20 +29,17 @@ from twin.physics.motion import Motion, gradual_sign
 from twin.robot.description import Robot
 
 ALIKE = 0.9  # correlation of a recorded torque with a described one that is taken for the same
-EXCHANGED = (
-    1.0  # fall of ln variance per channel from which channels are exchanged; of 107 logs none came to 0 by chance
-)
-REVERSED = 1.0  # the same of a torque turned round: right ones came to −1.2 at most (KR300), simulated ones to −3
-MISCOUNTED = 1.0  # the same, of all joints, per axis counted otherwise: right ones came to 0.6 (KR300), others to 0.1
-OUTSIDE = 2.0  # the same per axis outside its limits, for which a log is refused
 FEW = 500  # instants of a log, which tell signs as well as all
-POOR = (
-    -2.0
-)  # ln share of variance left at some joint: axes are tried two by two, and what still leaves more is told only
+POOR = -2.0  # ln share of variance left at some joint: above, pairs of axes are tried, and a fault is only told
 TRIED_AT_ONCE = 7  # axes whose senses are tried in all combinations
 QUARTER = np.pi / 2  # rad: zeros of conventions differ by such turns
 STATIC = 4  # mass and first moments, of the ten parameters of a body
 SAME = 1e-6  # share of a column below which what is left of it is rounding
+
+
+def fault() -> float:
+    """Fall of ln variance that a fault must bring; an axis outside its limits, refused otherwise, counts as two."""
+    return calibration()["fault"]
 
 
 def sound(log: MotionLog, robot: Robot) -> tuple[MotionLog, list[Note]]:
@@ -64,7 +62,7 @@ def sound(log: MotionLog, robot: Robot) -> tuple[MotionLog, list[Note]]:
     if not _fits(log, robot):
         turned = replace(log, runs={name: _in_radians(run, robot) for name, run in log.runs.items()})
         other = _put_right(turned, regressor)
-        if other.worth + MISCOUNTED < found.worth:
+        if other.worth + fault() < found.worth:
             text = "positions are in degrees: as radians they leave the axes' limits; they were taken as degrees"
             found = replace(other, notes=[Note(text, "unit", "fail"), *other.notes])
     return found.log, found.notes
@@ -208,13 +206,13 @@ def _channels(few: Sequence[_Few]) -> tuple[NDArray[np.intp], FloatArray]:
     taken, of = linear_sum_assignment(left)
     order[of] = taken
     moved = np.flatnonzero(order != np.arange(len(order)))
-    if left[moved, moved].sum() - left[order[moved], moved].sum() < EXCHANGED * len(moved):
+    if left[moved, moved].sum() - left[order[moved], moved].sum() < fault() * len(moved):
         order = np.arange(len(order))
     size = np.maximum(np.linalg.norm(recorded, axis=0)[:, None] * np.linalg.norm(described, axis=0), 1e-300)
     alike = recorded.T @ described / size
     for j in range(len(order)):
         gain = _gain_of_reversal(few, int(order[j]), j)
-        if gain > REVERSED or (alike[order[j], j] < -ALIKE and gain > -REVERSED):
+        if gain > fault() or (alike[order[j], j] < -ALIKE and gain > -fault()):
             sign[j] = -1.0
     return order, sign
 
@@ -303,7 +301,7 @@ def _count(few: Sequence[_Few], sense: FloatArray, zero: FloatArray) -> _Count:
     turned, robot = [run.counted(sense, zero) for run in few], few[0].regressor.robot
     inside = np.all([within_limits(run.motion.of_axes.position, 0.0, robot) for run in turned], axis=0)
     changed, left = np.sum((sense < 0) | (zero != 0)), _of_each(turned)
-    worth = float(left.sum() + MISCOUNTED * changed + OUTSIDE * np.sum(~inside))
+    worth = float(left.sum() + fault() * (changed + 2 * np.sum(~inside)))
     return _Count(sense, zero, worth, bool(left.max() > POOR))
 
 
@@ -350,7 +348,7 @@ def _of_each(few: Sequence[_Few]) -> FloatArray:
         whole = np.concatenate([run.torque[:, j] for run in few])
         size = max(float(np.linalg.norm(whole - whole.mean())), 1e-300)
         as_is, turned = (2 * np.log(max(nnls(X, sign * y)[1], 1e-300) / size) for sign in (1, -1))
-        left[j] = min(as_is, turned + REVERSED)
+        left[j] = min(as_is, turned + fault())
     return left
 
 
