@@ -609,21 +609,21 @@ def moved_most(fit: Fitted, most: int = 3) -> list[Note]:
     """
     if fit.misfit > ASTRAY:
         return []
-    names, numbers = [], []
+    free, within = [], []
     for k, change, off in departures(fit):
         p = fit.parameters[k]
         if p.kind not in ("spring", "link") or off > STRAINED:  # what is strained has a sentence of its own
             continue
-        far = "without a stated tolerance" if p.source == "usual" else f"{off:.1f} standard deviations off"
-        told = f"{p.name} is {fit.values[k]:.4g}{_unit(p.unit)} (described {p.mean:.4g}, {far})"
+        told = f"{p.name} is {fit.values[k]:.4g}{_unit(p.unit)} (described {p.mean:.4g}"
         if p.source == "usual" and p.quantity == "stiffness" and abs(change) > np.log(MOVED_TIMES):
-            names.append(told)
+            free.append(f"{told})")
         elif off > MOVED:
-            numbers.append(told)
-    names = [*names[:most], *numbers[:most]]
-    if not names:
-        return []
-    return [Note(f"the fit moved most, within what the description allows: {'; '.join(names)}", "note", "note")]
+            within.append(f"{told}, {off:.1f} standard deviations off)")
+    texts = {
+        "the fit moved springs for which the description states no tolerance": free,
+        "the fit moved most, within their tolerances": within,
+    }
+    return [Note(f"{text}: {'; '.join(some[:most])}", "note", "note") for text, some in texts.items() if some]
 
 
 def strained(fit: Fitted) -> list[Note]:
