@@ -1,6 +1,7 @@
 """Logs whose axes or torques are counted otherwise than the description does, of a six-axis arm of the truth code."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,8 +76,8 @@ def test_a_trajectory_tells_nothing_of_torque(arm: tuple[Robot, MotionLog]) -> N
     assert sound(bare, robot) == (bare, [])
 
 
-def test_compare_and_identify_tell_it_too(arm: tuple[Robot, MotionLog]) -> None:
-    robot, log = arm
+def test_compare_and_identify_tell_it_too(tmp_path: Path) -> None:
+    robot, log = simulated("six", tmp_path, np.random.default_rng(3), None)
     wrong = counted(log, [1, -1, 1, 1, 1, 1], NONE, ONES)
     with pytest.warns(Told, match="joint2: position and torque"):
         again = twin.compare(wrong, robot=robot)
