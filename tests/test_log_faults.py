@@ -70,6 +70,15 @@ def test_the_sense_of_a_last_axis_that_may_carry_anything_is_told_where_its_load
     assert len(notes) == ("payload" in request.node.name)
 
 
+@pytest.mark.parametrize("moving", [[0], [1], [0, 1, 2, 3, 4]])
+def test_axes_at_rest_tell_nothing(arm: tuple[Robot, MotionLog], moving: list[int]) -> None:
+    """Nothing is left of the columns of such an axis, which ended the process in SciPy."""
+    robot, log = arm
+    share = np.isin(np.arange(6), moving)
+    still = replace(log, runs={name: replace(run, position=share * run.position) for name, run in log.runs.items()})
+    assert sound(still, robot)[1] == []
+
+
 def test_a_trajectory_tells_nothing_of_torque(arm: tuple[Robot, MotionLog]) -> None:
     robot, log = arm
     bare = replace(log, runs={name: replace(run, torque=None) for name, run in log.runs.items()})

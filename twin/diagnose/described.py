@@ -75,7 +75,7 @@ def geometry(
     return [some for some in found if some[0].own and all(p.deviation > 0 for p in some[0].own)]  # else known exactly
 
 
-def placed(robot: Robot, response: Channels, excitation: Channels) -> Hypothesis:
+def nodes_within(robot: Robot, response: Channels, excitation: Channels) -> Hypothesis:
     """Positions of all nodes, as far off as the description's tolerance says."""
     own = [*point_parameters(robot, response, "response"), *point_parameters(robot, excitation, "excitation")]
     return Hypothesis("parameter", "node:*.position", own=tuple(p for p in own if p.deviation > 0))

@@ -19,7 +19,7 @@ from twin.diagnose.decide import (
     that_show,
 )
 from twin.diagnose.departures import STRAINED
-from twin.diagnose.described import described, geometry, placed
+from twin.diagnose.described import described, geometry, nodes_within
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import put_right, without_hum
 from twin.diagnose.frf_leak import Leak, cut_off, cut_short, leaking, refined, rewindowed
@@ -179,7 +179,7 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     plain = without_laws(base) if law else base  # a law that is described is found again, or another
     known = free if plain is base else _free(plain, found.used)
     if law:  # no law holds in a model that has nodes elsewhere than they are
-        known = placed(plain, campaign.response, campaign.excitation).parameters(known)
+        known = nodes_within(plain, campaign.response, campaign.excitation).parameters(known)
     search = converge(plain, known, sample, seed=seed, processes=processes, near=ask.start)
     if law and (told := levels_finding(campaign, given, plain, source, found, search, ask.progress, seed)):
         return told

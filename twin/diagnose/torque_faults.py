@@ -34,6 +34,7 @@ POOR = -2.0  # ln share of variance left at some joint: above, pairs of axes are
 TRIED_AT_ONCE = 7  # axes whose senses are tried in all combinations
 QUARTER = np.pi / 2  # rad: zeros of conventions differ by such turns
 STATIC = 4  # mass and first moments, of the ten parameters of a body
+STEPS = 1000  # of least squares without negative sizes, of four columns
 SAME = 1e-6  # share of a column below which what is left of it is rounding
 
 
@@ -240,8 +241,14 @@ def _gain_of_reversal(few: Sequence[_Few], channel: int, joint: int) -> float:
     the last link may pull either way: a payload that nobody described.
     """
     X, y = _with_loads(few, channel, joint, joint)
-    left = [max(nnls(X, sign * y)[1], 1e-300) for sign in (1, -1)]
-    return float(2 * np.log(left[0] / left[1]))
+    as_is, turned = (_rest(X, sign * y) for sign in (1, -1))
+    return float(2 * np.log(as_is / turned))
+
+
+def _rest(X: FloatArray, y: FloatArray) -> float:
+    """Norm of what columns (m, k) without negative sizes leave of y (m,); of an axis at rest there may be none."""
+    left = nnls(X, y, maxiter=STEPS)[1] if X.shape[1] else np.linalg.norm(y)
+    return max(float(left), 1e-300)
 
 
 def _with_loads(few: Sequence[_Few], channel: int, joint: int, *links: int) -> tuple[FloatArray, FloatArray]:
@@ -347,7 +354,7 @@ def _of_each(few: Sequence[_Few]) -> FloatArray:
         X, y = _with_loads(few, j, j)
         whole = np.concatenate([run.torque[:, j] for run in few])
         size = max(float(np.linalg.norm(whole - whole.mean())), 1e-300)
-        as_is, turned = (2 * np.log(max(nnls(X, sign * y)[1], 1e-300) / size) for sign in (1, -1))
+        as_is, turned = (2 * np.log(_rest(X, sign * y) / size) for sign in (1, -1))
         left[j] = min(as_is, turned + fault())
     return left
 
