@@ -525,6 +525,15 @@ def diagnose(
     out: Out = None,
     json: Json = False,
     seed: Seed = 0,
+    minutes: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Look for more no longer than this per recording; the answer says what was left out.",
+            show_default="3, more for a large recording",
+            callback=_within(0.0, 1e6),
+        ),
+    ] = None,
 ) -> None:
     """What physics does a model lack? Finds it, names it, says how sure, and writes it into the model.
 
@@ -553,7 +562,8 @@ def diagnose(
         out = _beside(recordings[0], "diagnose")
     with _bars() as progress:
         found = twin.diagnose(
-            recordings, robot=robot, without=without, hold_out=hold_out, out=out, seed=seed, progress=progress
+            recordings, robot=robot, without=without, hold_out=hold_out, out=out, seed=seed, minutes=minutes,
+            progress=progress,
         )  # fmt: skip
     _show(found, json)
 

@@ -30,13 +30,16 @@ def expected_s(command: str, recordings: Iterable[str | Path]) -> float:
 
     What cannot be read counts nothing: it is refused later.
     """
-    plain, total = command.partition(" ")[0], 0.0
-    for kind, values, axes in map(_size, recordings):
-        work = (command, kind) if (command, kind) in SECONDS else (plain, kind)
-        first, other = MANY.get(work, (values, 0.0)) if values > SEARCHED else (values, 0.0)
-        known = SECONDS.get(work, 0.0) * first + other * (values - first)
-        total += known * (axes / AXES) ** POWER.get(plain, 0) if axes else known
-    return total
+    return sum(of_size_s(command, *_size(path)) for path in recordings)
+
+
+def of_size_s(command: str, kind: str, values: int, axes: int) -> float:
+    """The same of one recording: its kind, how many values it holds, and of FRFs the axes of the robot (0: unknown)."""
+    plain = command.partition(" ")[0]
+    work = (command, kind) if (command, kind) in SECONDS else (plain, kind)
+    first, other = MANY.get(work, (values, 0.0)) if values > SEARCHED else (values, 0.0)
+    known = SECONDS.get(work, 0.0) * first + other * (values - first)
+    return known * (axes / AXES) ** POWER.get(plain, 0) if axes else known
 
 
 def told(seconds: float) -> str:

@@ -37,6 +37,7 @@ def diagnose(
     hold_out: list[str] | None = None,
     out: str | Path | None = None,
     seed: int = 0,
+    minutes: float | None = None,
     progress: Progress | None = None,
 ) -> Verdict:
     """Diagnose recordings of one robot.
@@ -49,6 +50,7 @@ def diagnose(
         hold_out: postures or runs not fitted to, by name; by default those the others cover best.
         out: folder for the new model, report, figures and diagnosis.json; ``None`` writes nothing.
         seed: of the starts.
+        minutes: that the search of each recording looks for more; 3 by default, more where the recording is large.
         progress: makes progress bars.
 
     Raises:
@@ -59,10 +61,9 @@ def diagnose(
     tests = read_recordings(recordings)
     check_spared(out, tests)
     given = robot_of_all(tests, robot).without(without or [])
-    verdict, evidence = diagnosed(tests, given, hold_out=hold_out, seed=seed, progress=progress)
-    verdict.origin = provenance(
-        traced(tests, robot), {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed}
-    )
+    verdict, evidence = diagnosed(tests, given, hold_out=hold_out, seed=seed, minutes=minutes, progress=progress)
+    options = {"robot": robot, "without": without or [], "hold_out": hold_out, "seed": seed, "minutes": minutes}
+    verdict.origin = provenance(traced(tests, robot), options)
     _finish(verdict, evidence, out)
     return verdict
 

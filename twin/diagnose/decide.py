@@ -366,6 +366,12 @@ def at_noise(decision: Decision, fit: Fitted) -> Decision:
     return replace(decision, none=decision.none + left - least, other=least, nameless=0.0)
 
 
+def half_unnamed(decision: Decision) -> Decision:
+    """The decision of a search that was ended before it explained a recording: what it did not try is as likely."""
+    half = [0.5 * p for p in decision.probability]
+    return replace(decision, probability=half, other=decision.other + sum(half), alike=0.5 * decision.alike)
+
+
 def in_doubt_beside(decision: Decision, base: Fitted, kept: Sample | None) -> Decision:
     """A decision that trusts its name no further than it explains what is left beside what the description allows.
 

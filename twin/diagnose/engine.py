@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from twin.diagnose.borne_out import borne_out
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.joint import together
+from twin.diagnose.patience import Patience, usual_minutes
 from twin.diagnose.verdict import Finding, Verdict
 from twin.errors import InputError
 from twin.measure.recordings import Recording, one_test_each
@@ -33,6 +34,7 @@ def diagnosed(
     *,
     hold_out: list[str] | None = None,
     seed: int = 0,
+    minutes: float | None = None,
     progress: Progress,
 ) -> tuple[Verdict, list[Evidence]]:
     """The verdict of recordings of one robot, and they as evidence, in the order of its findings.
@@ -42,6 +44,7 @@ def diagnosed(
         given: the description as it came, removals applied.
         hold_out: postures or runs not fitted to, by name; by default those the others cover best.
         seed: of the starts.
+        minutes: that the search of each recording looks for more; by its size when ``None``.
         progress: makes progress bars.
 
     Raises:
@@ -53,7 +56,12 @@ def diagnosed(
     findings: list[Finding] = []
     for one, held in zip(some, chosen, strict=True):
         told_by = findings[-1] if findings else None
-        findings.append(one.explain(given, told_by, hold_out=held, seed=seed, progress=progress, processes=cores()))
+        patience = Patience(usual_minutes(one.recording) if minutes is None else minutes)
+        findings.append(
+            one.explain(
+                given, told_by, hold_out=held, seed=seed, progress=progress, processes=cores(), patience=patience
+            )
+        )
     return borne_out(_settled(findings, some, chosen)), some
 
 

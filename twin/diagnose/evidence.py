@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from twin.diagnose.patience import Patience
 from twin.diagnose.verdict import Finding
 from twin.measure.recordings import Recording
 from twin.parallel import Progress
@@ -32,6 +33,7 @@ class Evidence(Protocol):
         seed: int,
         progress: Progress,
         processes: int,
+        patience: Patience,
     ) -> Finding:
         """What the recording says is missing from a description.
 
@@ -42,6 +44,7 @@ class Evidence(Protocol):
             seed: of the starts.
             progress: makes progress bars.
             processes: the work is spread over so many; what it finds does not depend on it.
+            patience: how long a search looks for more.
 
         Raises:
             InputError: the recording does not fit the robot.

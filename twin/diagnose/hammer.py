@@ -13,6 +13,7 @@ from twin.diagnose.decide import (
     at_noise,
     decide,
     finalists,
+    half_unnamed,
     in_doubt_beside,
     misfit_unseen,
     sifted,
@@ -34,10 +35,12 @@ from twin.diagnose.locate import mismatch
 from twin.diagnose.many_postures import apart, judged
 from twin.diagnose.next_test import WEIGH, next_test, smallest_visible
 from twin.diagnose.note import Note
+from twin.diagnose.patience import Patience
 from twin.diagnose.records import FrfRecord, frf_records, pooled_floor
 from twin.diagnose.refit import CRAWLING, NONE, Fitted, descend, foreseen, in_doubt_of_size, recorded_error
+from twin.diagnose.rigid_axes import rigid_axes
 from twin.diagnose.screen import FAR, inflation
-from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, WITHIN, Search, converge, explain, settle
+from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, WITHIN, Search, converge, explain, given_up, settle
 from twin.diagnose.sensor_weight import weightless
 from twin.diagnose.sentences import sentence
 from twin.diagnose.states import sorted_out
@@ -112,6 +115,7 @@ def diagnose_campaign(
     progress: Progress | None = None,
     told_by: Finding | None = None,
     processes: int = 1,
+    patience: Patience | None = None,
 ) -> Finding:
     """What a campaign in memory says.
 
@@ -125,6 +129,7 @@ def diagnose_campaign(
         told_by: what another recording of the same robot said. Its answer is in the model. What it knows of links and
             payloads is their prior. This campaign changes the probabilities of its answers.
         processes: the search is spread over so many; what it finds does not depend on it.
+        patience: how long to look for more; for ever by default.
 
     Raises:
         InputError: the robot has no springs, or the campaign does not fit it.
@@ -133,9 +138,10 @@ def diagnose_campaign(
     campaign, leaks = rewindowed(campaign)
     campaign, faults = put_right(campaign, without_limits(given), source)
     few, rest = apart(campaign, given, hold_out or ())
-    finding = _diagnosed(few, _Ask(given, source, hold_out, seed, progress, told_by, processes))
+    patience = patience or Patience()
+    finding = _diagnosed(few, _Ask(given, source, hold_out, seed, progress, told_by, processes, patience))
     others = [judged(finding, rest, source, len(few.postures))] if rest else []
-    finding.warnings = [*leaks, *faults, *others, *finding.warnings]
+    finding.warnings = [*patience.notes(), *leaks, *faults, *others, *finding.warnings]
     return finding
 
 
@@ -155,6 +161,7 @@ class _Ask:
     progress: Progress | None
     told_by: Finding | None
     processes: int
+    patience: Patience
     sorted: bool = False
     leak: Leak | None = None
     leak_settled: bool = False
@@ -191,13 +198,16 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     if far and (again := _without_hum(campaign, search.base, sample, ask) or _sorted_out(campaign, found, ask)):
         return again
     looked_at = _suspects(campaign, base, free, found)
+    search.patience = ask.patience
     explain(base, search, sample, looked_at, ask.progress)
     if search.weighed:
         every = list(weightless(tuple(every), search.weighed))
         found = replace(found, recordings={r.group: r for r in every})
         sample = Sample(tuple(found.used), 1 / found.shared)
     best = min([search.base, *search.finalists], key=lambda fit: fit.cost)
-    if again := _without_hum(campaign, best, sample, ask) or _leaking(campaign, base, best, sample, every, ask):
+    if again := _without_hum(campaign, best, sample, ask):
+        return again
+    if not given_up(search, best) and (again := _leaking(campaign, base, best, sample, every, ask)):
         return again
     answer = _answered(base, search, sample, looked_at, found, bool(told_by and told_by.fit))
     before = _as_described(base, search, answer, sample)
@@ -339,7 +349,7 @@ def _suspects(campaign: Campaign, base: Robot, free: Parameters, found: Triage) 
     brakes = [r.setup.brakes for r in found.recordings.values()]
     physics = suspects(base, campaign.response, campaign.excitation, brakes, band)
     numbers = [[one] for one in described(free)]
-    return [*physics, *numbers, *geometry(base, campaign.response, campaign.excitation, free.names)]
+    return [*physics, *rigid_axes(base), *numbers, *geometry(base, campaign.response, campaign.excitation, free.names)]
 
 
 def _answered(
@@ -371,6 +381,8 @@ def _decided(
         while decision.ranked and not all_predict(decision.ranked[0], fits, base, found, search.processes):
             left = [fit for fit in left if fit.hypothesis.identity != decision.ranked[0].hypothesis.identity]
             decision = among(left)
+    if decision.ranked and given_up(search, decision.ranked[0]):
+        decision = half_unnamed(decision)
     decision, beside = sifted(decision, base)
     doubts = beside.allowed if beside else ()
     if beside:

@@ -33,6 +33,8 @@ class Hypothesis:
         own: (m,) parameters of the entries, or numbers that the base model takes as described; named as there.
         scale: base parameters whose prior is widened: name → factor on the deviation.
         parts: the single hypotheses of one that is several at once.
+        gears: stiffness and damping, at the centre of their prior, of axes (zero-based) that are described as rigid.
+        of_number: what :attr:`law` states of a number that the description does not have.
     """
 
     effect: str
@@ -41,6 +43,8 @@ class Hypothesis:
     own: tuple[Parameter, ...] = ()
     scale: tuple[tuple[str, float], ...] = ()
     parts: tuple["Hypothesis", ...] = ()
+    gears: tuple[tuple[int, float, float], ...] = ()
+    of_number: Effect | None = None
 
     @property
     def identity(self) -> frozenset[str]:
@@ -60,12 +64,14 @@ class Hypothesis:
     @property
     def family(self) -> str:
         """What shares one prior among its sites: an effect, or numbers of one kind, as centres of mass."""
+        if self.gears:
+            return f"{self.effect}.gears"
         return self.effect if self.law else f"{self.effect}.{self.site.rpartition('.')[2]}"
 
     @property
     def law(self) -> Effect | None:
-        """What the catalogue states of the effect; ``None`` of a number of the description."""
-        return CATALOGUE.get(self.effect)
+        """What the catalogue states of the effect; ``None`` of a number of the description, unless it has none."""
+        return self.of_number or CATALOGUE.get(self.effect)
 
     @property
     def exact(self) -> bool:
@@ -77,8 +83,14 @@ class Hypothesis:
         return tuple(sorted(axes.get(piece.key, piece.key) for piece in self.pieces))
 
     def robot(self, base: Robot) -> Robot:
-        """The description with the entries."""
-        return base.model_copy(update={"physics": [*base.physics, *self.entries]}) if self.entries else base
+        """The description with the entries, and with springs in axes that were rigid."""
+        changed: dict[str, Any] = {"physics": [*base.physics, *self.entries]} if self.entries else {}
+        if self.gears:
+            axes = list(base.axes)
+            for axis, stiffness, damping in self.gears:
+                axes[axis] = axes[axis].model_copy(update={"stiffness": stiffness, "damping": damping})
+            changed["axes"] = axes
+        return base.model_copy(update=changed) if changed else base
 
     def parameters(self, base: Parameters) -> Parameters:
         """Everything that is free under this hypothesis: the base model's parameters, then its own."""
@@ -214,6 +226,7 @@ def together(*parts: Hypothesis) -> Hypothesis:
     return Hypothesis(
         "+".join(p.effect for p in flat), "+".join(p.site for p in flat), tuple(e for p in flat for e in p.entries),
         tuple(q for p in flat for q in p.own), tuple(w for p in flat for w in p.scale), tuple(flat),
+        tuple(gear for p in flat for gear in p.gears),
     )  # fmt: skip
 
 

@@ -18,8 +18,10 @@ from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, sites, together
 from twin.diagnose.next_test import WEIGH
 from twin.diagnose.note import Note
+from twin.diagnose.patience import Patience
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
+from twin.diagnose.rigid_axes import rigid_axes
 from twin.diagnose.sentences import sentence
 from twin.diagnose.verdict import Finding, judge, missing_of, parts
 from twin.errors import InputError
@@ -72,7 +74,9 @@ class Table:
         """Postures."""
         return self.recording.names
 
-    def explain(self, given: Robot, told_by: Finding | None, *, processes: int, **options: Any) -> Finding:
+    def explain(
+        self, given: Robot, told_by: Finding | None, *, processes: int, patience: Patience, **options: Any
+    ) -> Finding:
         """See :class:`twin.diagnose.evidence.Evidence`."""
         start = told_by.model if told_by else given
         return diagnose_table(self.recording.content, start, self.recording.source, **options)
@@ -116,7 +120,8 @@ def diagnose_table(
     if not used:
         raise InputError(source, "postures", "no posture with modes is left to fit to")
     springs = [h for h in described(free) if h.site.endswith("stiffness") and "*" not in h.site]
-    looked_at = [*mechanical_suspects(base), *springs, *heavier(free)]
+    rigid = [one for variants in rigid_axes(base) for one in variants]
+    looked_at = [*mechanical_suspects(base), *rigid, *springs, *heavier(free)]
     tick = progress("modal table", len(looked_at)) if progress else (lambda count: None)
     before = fitted(base, NONE, free, used, seed)
     plain = left_out(base, before, free, used, seed)

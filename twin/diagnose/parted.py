@@ -8,7 +8,6 @@ from scipy.optimize import least_squares
 from twin.diagnose.hypotheses import Hypothesis
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import SIX, Parameters
-from twin.physics import CATALOGUE
 from twin.robot.bodies import Inertial, fuse
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
@@ -37,7 +36,7 @@ def divided(
     Returns:
         z (n,) and the fall of ½ zᵀz; ``None`` for what is no part of a link, or a link whose numbers are not free.
     """
-    number = CATALOGUE[piece.effect].carrier(robot, piece.site) if piece.law else None
+    number = piece.law.carrier(robot, piece.site) if piece.law else None
     if number is None:
         return None
     mine = {p.name for p in piece.own}

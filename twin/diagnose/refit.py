@@ -19,7 +19,6 @@ from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameters, independent, join, recording_parameters
 from twin.model.recorded import Recorded, placed
-from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
 NONE = Hypothesis("none", "")
@@ -271,8 +270,8 @@ def in_doubt_of_size(fit: Fitted) -> Fitted:
     """
     information, at = fit.information.copy(), len(fit.z) - len(fit.hypothesis.own)
     for piece in fit.hypothesis.pieces:
-        if piece.own and any(p.log for p in piece.own):
-            usual = next(p.spread for p in CATALOGUE[piece.effect].parameters if p.name == piece.own[0].quantity)
+        if piece.law and piece.own and any(p.log for p in piece.own):
+            usual = next(p.spread for p in piece.law.parameters if p.name == piece.own[0].quantity)
             width = piece.own[0].deviation / usual
             rest = np.arange(len(fit.z)) != at
             across = information[at, rest] @ np.linalg.solve(information[np.ix_(rest, rest)], information[rest, at])
@@ -385,8 +384,8 @@ def _within_a_bend(fit: Fitted) -> Fitted:
     """A fit whose masses of any size are in doubt by the usual width: further the valley bends, and no line follows."""
     information, at = fit.information.copy(), len(fit.z) - len(fit.hypothesis.own)
     for piece in fit.hypothesis.pieces:
-        if piece.own and piece.own[0].log and piece.entries:
-            usual = next(p.spread for p in CATALOGUE[piece.effect].parameters if p.name == piece.own[0].quantity)
+        if piece.law and piece.own and piece.own[0].log:
+            usual = next(p.spread for p in piece.law.parameters if p.name == piece.own[0].quantity)
             information[at, at] += max((piece.own[0].deviation / usual) ** 2, 1.0) - 1.0
         at += len(piece.own)
     return replace(fit, information=information)

@@ -270,16 +270,17 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     objective = setting.objective(hypothesis)
     if suspect.scale:
         return [_widened_promise(setting, hypothesis, suspect, objective, before)]
-    if suspect.law is None:
+    law = suspect.law
+    if law is None:
         return [_freed_promise(setting, hypothesis, suspect, objective, before)]
     size = next((k for k, p in enumerate(suspect.own) if p.log), None)
     found = []
     starts: list[tuple[float, FloatArray]] = []
-    sizes = (0.0,) if size is None else CATALOGUE[suspect.effect].sizes if setting.error > 0 else SIZES
+    sizes = (0.0,) if size is None else law.sizes if setting.error > 0 else SIZES
     for deviation in sorted(sizes, reverse=True):  # from the smallest
         own = np.zeros(len(suspect.own))
         if size is not None:
-            own[size] = deviation if CATALOGUE[suspect.effect].sprung else -deviation
+            own[size] = deviation if law.sprung else -deviation
         z = np.concatenate([setting.z, own])
         if setting.error > 0 and size is not None:
             least = min((cost for cost, _ in starts), default=np.inf)
@@ -291,7 +292,6 @@ def _promises(setting: Setting, suspect: Hypothesis, before: float) -> list[Prom
     starts = [start for start in starts if start[0] <= NO_START * min(cost for cost, _ in starts)]
     for _, z in sorted(starts, key=lambda start: start[0])[:FAR_STARTS]:
         found.append(_full_promise(setting, hypothesis, suspect, objective, z, before))
-    law = CATALOGUE[suspect.effect]
     bent = False
     if size is not None and not setting.logarithmic:
         tangent = _Tangent.of(setting, suspect, objective)
@@ -359,7 +359,8 @@ def _beyond_promise(setting: Setting, hypothesis: Hypothesis, suspect: Hypothesi
     Where there are ridges between sizes that is the largest: the smallest has no slope. In a bent valley it is the one
     that leaves least.
     """
-    law, own, n = CATALOGUE[suspect.effect], np.eye(len(suspect.own))[0], len(setting.z)
+    law, own, n = suspect.law, np.eye(len(suspect.own))[0], len(setting.z)
+    assert law is not None
     place, ends = setting.z, []
     for size in sorted(law.sizes, reverse=True) if law.ridged else IN_SERIES:  # from the smallest
         ends.append(_yielding(setting, objective, np.concatenate([place[:n], (size if law.sprung else -size) * own])))

@@ -17,6 +17,7 @@ from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, together
 from twin.diagnose.locate import free_laws
 from twin.diagnose.parted import divided
+from twin.diagnose.patience import Patience
 from twin.diagnose.refit import CRAWLING, NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
 from twin.diagnose.sensor_weight import weightless
@@ -59,6 +60,7 @@ class Search:
         processes: the work is spread over so many.
         laws: what a law without a name would gain beside a fit, of the fits asked.
         weighed: the fit of which the sensors' weight was taken off the recordings (:func:`weightless`).
+        patience: when what is left of the search is left out.
     """
 
     base: Fitted
@@ -69,6 +71,7 @@ class Search:
     processes: int = 1
     laws: list[tuple[Fitted, dict[str, float]]] = field(default_factory=list)
     weighed: Fitted | None = None
+    patience: Patience = field(default_factory=Patience)
 
     def lawless(self, fit: Fitted, sample: Sample) -> dict[str, float]:
         """:func:`free_laws` of a fit on all lines, computed once."""
@@ -149,6 +152,8 @@ def explain(
     for number in range(2 * MISSING_AT_ONCE):
         if number - len(allowed(best, robot)) >= MISSING_AT_ONCE:
             break
+        if number and search.patience.over("further effects"):
+            break
         if not search.weighed:
             best, sample = _without_weight(robot, search, best, sample)
         found = _round(robot, search, best, sample, suspects, progress)
@@ -173,17 +178,26 @@ def explain(
             break
         small = len(best.hypothesis.pieces) <= 2 * MISSING_AT_ONCE  # not a whole kind, found together
         again = number == 1 or best.hypothesis.pieces[-1] not in allowed(best, robot)
-        if number and small and again:
+        if number and small and again and not search.patience.over("a second look for what was found first"):
             best = _reconsider(robot, search, best, sample, suspects, progress)
     richest = max([best, *search.finalists], key=lambda fit: fit.evidence())
     best = _needed(robot, search, richest, sample)
     best = _rivals_without(robot, search, richest, best, sample)
-    there = _where_it_is(robot, search, best, sample, suspects, progress)
-    if worth(best, there, search):
-        _needed(robot, search, there, sample)
-    _in_its_stead(robot, search, sample)
-    _beside_each_other(robot, search, sample, suspects)
+    if not search.patience.over("more effects at the joint that gains most"):
+        there = _where_it_is(robot, search, best, sample, suspects, progress)
+        if worth(best, there, search):
+            _needed(robot, search, there, sample)
+    if not given_up(search, best):
+        _in_its_stead(robot, search, sample)
+    if not search.patience.over("sensors and axes elsewhere beside each other"):
+        _beside_each_other(robot, search, sample, suspects)
     return search
+
+
+def given_up(search: Search, best: Fitted) -> bool:
+    """Whether the time is up beside a fit that misses by more than noise: what it lacks moves all its numbers."""
+    noise = calibration()["noise_misfit"]
+    return best.misfit > noise and search.patience.over("rivals of a fit that still misses")
 
 
 def _strained(fit: Fitted) -> bool:
@@ -448,8 +462,8 @@ def _everywhere(
     if inflation(found[0], robot, more) <= FAR:
         return []
     places = []
-    for effect in dict.fromkeys(fit.hypothesis.pieces[-1].effect for fit in found):
-        sites = [variants[0] for variants in suspects if variants[0].effect == effect]
+    for family in dict.fromkeys(fit.hypothesis.pieces[-1].family for fit in found):
+        sites = [variants[0] for variants in suspects if variants[0].family == family]
         if len(sites) < 2 or not (sites[0].law and sites[0].law.sprung):
             continue
         hypothesis = together(*sites)
@@ -831,7 +845,7 @@ def _where_it_was(
 
 def _carrier(robot: Robot, piece: Hypothesis) -> int:
     """The zero-based link on which something hangs."""
-    carrier = CATALOGUE[piece.effect].carrier(robot, piece.site)
+    carrier = piece.law.carrier(robot, piece.site) if piece.law else None
     return axis_of(piece.site) if carrier is None else carrier
 
 
@@ -874,6 +888,8 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
 
     def at_size(number: int) -> Fitted:
         fit = near[number]
+        if given_up(search, fit):
+            return fit
         own = fit.z[len(fit.z) - len(fit.hypothesis.own) :]
         in_reach = fit.evidence() + 0.5 * float(own @ own) > fits[0].evidence() - LIKELY
         fit = of_its_size(robot, free, fit, sample) if in_reach and _may_be_seen(fit, search) else fit

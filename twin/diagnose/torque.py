@@ -13,6 +13,7 @@ from twin.diagnose.decide import Decision
 from twin.diagnose.edit import check_replayed
 from twin.diagnose.joint import followed, shared
 from twin.diagnose.note import Note
+from twin.diagnose.patience import Patience
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage, pooled_floor
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
@@ -68,6 +69,7 @@ def diagnose_log(
     progress: Progress | None = None,
     bands: Bands | None = None,
     processes: int = 1,
+    patience: Patience | None = None,
 ) -> Finding:
     """What a motion log says.
 
@@ -81,6 +83,7 @@ def diagnose_log(
         bands: low-passes; what the log allows by default. Of a short log that an answer misses wider ones are tried,
             and kept where the first is not adequate beside them.
         processes: what can be is spread over so many; what it finds does not depend on it.
+        patience: how long to try wider bands; for ever by default.
 
     Raises:
         InputError: no torque, too short, or runs that are not there.
@@ -125,7 +128,10 @@ def diagnose_log(
     if bands is not None or max(search.held_out_misfit, search.after.misfit) <= adequate:
         return finding
     best = finding
+    patience = patience or Patience()
     for wider in wider_bands(prepared, log):
+        if patience.over("wider bands"):
+            break
         other = diagnose_log(
             asked, robot, source, hold_out=hold_out, progress=progress, bands=wider, processes=processes
         )
@@ -133,7 +139,9 @@ def diagnose_log(
             break
         best = other
     better = adequate * best.error["after"]["held_out"] ** 2 < finding.error["after"]["held_out"] ** 2
-    return best if better else finding
+    chosen = best if better else finding
+    chosen.warnings = [*patience.notes(), *chosen.warnings]
+    return chosen
 
 
 def _borne_out(

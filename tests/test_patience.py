@@ -1,0 +1,42 @@
+"""A search that is out of time leaves things out and says which."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from twin.diagnose.decide import Decision, half_unnamed
+from twin.diagnose.patience import LEAST_MIN, Patience, usual_minutes
+from twin.diagnose.verdict import judge
+
+
+def test_nothing_is_left_out_in_time() -> None:
+    patience = Patience()
+    assert not patience.over("further effects")
+    assert patience.notes() == []
+
+
+def test_what_is_left_out_is_said_once() -> None:
+    patience = Patience(0.0)
+    assert patience.over("further effects")
+    assert patience.over("further effects")
+    assert patience.over("wider bands")
+    (note,) = patience.notes()
+    assert note.kind == "search_ended"
+    assert "further effects; wider bands" in note
+    assert note.count("further effects") == 1
+
+
+def test_a_large_recording_is_given_more() -> None:
+    def test(values: int) -> float:
+        posture = SimpleNamespace(frf=np.broadcast_to(0j, (values,)), q_deg=(0.0,) * 6)
+        content = SimpleNamespace(postures={"a": posture})
+        return usual_minutes(SimpleNamespace(kind="frf-campaign", content=content))  # type: ignore[arg-type]
+
+    assert test(1000) == LEAST_MIN
+    assert test(3_000_000) > 2 * LEAST_MIN
+
+
+def test_what_was_not_tried_is_as_likely_as_what_was() -> None:
+    decision = half_unnamed(Decision([SimpleNamespace()], [0.99], 0.0, 0.01, alike=0.99))  # type: ignore[list-item]
+    assert decision.probability == [0.495]
+    assert judge(decision) == "unexplained"
