@@ -25,7 +25,7 @@ SEEN = 8.0  # ln Bayes factor from which an effect would be seen
 SLOPE_SIZE = 1e-4  # of the usual size, where the derivative is taken
 ROUNDING = 1e-12  # share of the square of a signature that is known to a millionth
 PLACES_TRIED = 24
-NOTHING = 1.0  # ln evidence: odds of e, which decide nothing
+UNDECIDED = 1.0  # ln evidence: odds of e, which decide nothing
 MANY = 1000  # ln evidence beyond which a number says no more
 
 
@@ -125,7 +125,7 @@ def next_test(robot: Robot, first: Fitted, rival: Fitted, sample: Sample, seed: 
     state = f", brakes {brakes}" if brakes and brakes != reference.setup.brakes else ""
     sets = [[piece.key for piece in fit.hypothesis.pieces] for fit in (first, rival)]
     names = [" + ".join(key for key in a if key not in b) or "none" for a, b in (sets, sets[::-1])]
-    if gain < NOTHING:
+    if gain < UNDECIDED:
         text = f"no posture of such a hammer test tells {names[0]} from {names[1]}"
         if all(key in same_axes(robot, seen) for key in names):
             text += ": both turn the robot about one axis. Put a sensor on the base, which only its foundation moves"

@@ -29,12 +29,12 @@ from twin.physics.motion import Motion, gradual_sign
 from twin.robot.description import Robot
 
 ALIKE = 0.9  # correlation of a recorded torque with a described one that is taken for the same
-FEW = 500  # instants of a log, which tell signs as well as all
+INSTANTS = 500  # instants of a log, which tell signs as well as all
 POOR = -2.0  # ln share of variance left at some joint: above, pairs of axes are tried, and a fault is only told
 TRIED_AT_ONCE = 7  # axes whose senses are tried in all combinations
 QUARTER = np.pi / 2  # rad: zeros of conventions differ by such turns
 STATIC = 4  # mass and first moments, of the ten parameters of a body
-STEPS = 1000  # of least squares without negative sizes, of four columns
+NNLS_STEPS = 1000  # of least squares without negative sizes, of four columns
 SAME = 1e-6  # share of a column below which what is left of it is rounding
 
 
@@ -180,7 +180,7 @@ class _Few:
 def _few(log: MotionLog, regressor: Regressor) -> list[_Few]:
     """Instants of every run of a log, spread evenly."""
     robot, bands, found = regressor.robot, bands_of(log), []
-    step = max(1, sum(len(run.time) for run in log.runs.values()) // FEW)
+    step = max(1, sum(len(run.time) for run in log.runs.values()) // INSTANTS)
     for recorded in log.runs.values():
         run, rate = joint_run(robot, recorded), recorded.sample_rate_hz
         assert run.torque is not None
@@ -247,7 +247,7 @@ def _gain_of_reversal(few: Sequence[_Few], channel: int, joint: int) -> float:
 
 def _rest(X: FloatArray, y: FloatArray) -> float:
     """Norm of what columns (m, k) without negative sizes leave of y (m,); of an axis at rest there may be none."""
-    left = nnls(X, y, maxiter=STEPS)[1] if X.shape[1] else np.linalg.norm(y)
+    left = nnls(X, y, maxiter=NNLS_STEPS)[1] if X.shape[1] else np.linalg.norm(y)
     return max(float(left), 1e-300)
 
 
