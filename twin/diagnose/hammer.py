@@ -171,7 +171,6 @@ class _Ask:
 def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     """What a campaign says whose channels are as stated."""
     given, source, told_by = ask.given, ask.source, ask.told_by
-    seed, processes = ask.seed, ask.processes
     found = triage(campaign, given, source, ask.hold_out)
     every = list(found.recordings.values())
     if ask.leak:
@@ -187,11 +186,11 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     known = free if plain is base else _free(plain, found.used)
     if law:  # no law holds in a model that has nodes elsewhere than they are
         known = nodes_within(plain, campaign.response, campaign.excitation).parameters(known)
-    search = converge(plain, known, sample, seed=seed, processes=processes, near=ask.start)
-    if law and (told := levels_finding(campaign, given, plain, source, found, search, ask.progress, seed)):
+    search = converge(plain, known, sample, seed=ask.seed, processes=ask.processes, near=ask.start)
+    if law and (told := levels_finding(campaign, given, plain, source, found, search, ask.progress, ask.seed)):
         return told
     if known is not free:
-        search = converge(base, free, sample, seed=seed, processes=processes, near=ask.start)
+        search = converge(base, free, sample, seed=ask.seed, processes=ask.processes, near=ask.start)
     far = _misses(search, found)
     if again := _leaking(campaign, base, search.base, sample, every, ask):
         return again
@@ -212,7 +211,7 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     answer = _answered(base, search, sample, looked_at, found, bool(told_by and told_by.fit))
     before = _as_described(base, search, answer, sample)
     if told_by and told_by.missing:
-        before = _weighed(told_by, without_limits(given), answer.base, sample, seed)
+        before = _weighed(told_by, without_limits(given), answer.base, sample, ask.seed)
         told_by.missing = [_borne_out(m, answer.best) for m in told_by.missing]
     finding = _finding(given, source, found, search, answer, before)
     if not found.kept or (finding.missing and not falls(finding) and not told_by):
@@ -225,14 +224,19 @@ def _diagnosed(campaign: Campaign, ask: _Ask) -> Finding:
     few, blow = sample.thin(SCREEN_LINES), blows(campaign)
     laws = smallest_visible_laws(base, search.base, sample, blow) if blow else []
     finding.smallest_visible = [*smallest_visible(answer.base.robot, answer.base, few, looked_at), *laws]
-    finding.next_test = _next_test(given, answer, few, seed)
+    finding.next_test = _next_test(given, answer, few, ask.seed)
     if answer.word == "unexplained":
         if not far and (again := _sorted_out(campaign, found, ask)):
             return again
-        short = [] if ask.leak else cut_short(without_limits(given), campaign, found.used)
-        large = [] if found.nonlinear else moved_far(without_limits(given), campaign, found.used)
-        finding.warnings = [*short, *large, *finding.warnings]
+        finding.warnings = [*_beyond_a_linear_model(campaign, found, ask), *finding.warnings]
     return finding
+
+
+def _beyond_a_linear_model(campaign: Campaign, found: Triage, ask: _Ask) -> list[Note]:
+    """What of a recording that nothing explains no linear model can: records cut short, joints that move far."""
+    plain = without_limits(ask.given)
+    short = [] if ask.leak else cut_short(plain, campaign, found.used)
+    return [*short, *([] if found.nonlinear else moved_far(plain, campaign, found.used))]
 
 
 def _judged(finding: Finding, each: LeftOut, answer: "_Answer") -> Finding:
