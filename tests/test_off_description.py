@@ -156,7 +156,7 @@ def test_loads_that_show_nothing_else_are_asked_beside_an_answer(monkeypatch: py
 
     for name, stub in {
         "settle": [shows, relieves, bare], "that_show": [], "that_foretell": [shows], "missing_of": [],
-        "in_doubt_of_size": shows, "all_predict": True,
+        "in_doubt_of_size": shows, "all_predict": True, "given_up": False,
         "decide": Decision([shows], [0.98], 0.01, 0.01), "same_axes": {}, "judge": "named",  # type: ignore[list-item]
     }.items():  # fmt: skip
         monkeypatch.setattr(hammer, name, lambda *_, _told=stub, **__: _told)

@@ -13,7 +13,7 @@ from tools.truth.recording import HammerTest, draw_postures, draw_truth, streams
 from twin.diagnose.hypotheses import together
 from twin.diagnose.rigid_axes import rigid_axes
 from twin.model.parameters import free_parameters, written_names
-from twin.robot.description import Robot, load_robot
+from twin.robot.description import Robot
 
 
 def with_rigid(robot: Robot, *axes: int) -> Robot:
@@ -60,12 +60,11 @@ def recorded(folder: Path, *options: str) -> Path:
 
 def test_a_gear_that_the_description_lacks_is_found_and_written(tmp_path: Path, kr90: Robot) -> None:
     path = recorded(tmp_path, "--seed", "2", "--postures", "3", "--lines", "32")
-    verdict = twin.diagnose(path, robot=with_rigid(kr90, 1), out=tmp_path / "out")
+    verdict = twin.diagnose(path, robot=with_rigid(kr90, 1))
     assert verdict.word == "named"
     (missing,) = verdict.missing
     assert missing.first.key == "parameter@joint2.z.stiffness"
-    written = load_robot(tmp_path / "out" / "robot.yaml")
-    assert written.axes[1].stiffness == pytest.approx(missing.first.parameters["stiffness"]["value"])
+    assert verdict.robot.axes[1].stiffness == pytest.approx(missing.first.parameters["stiffness"]["value"])
     error = verdict.findings[0].error
     assert error["after"]["held_out"] < 0.05 * error["before"]["held_out"]
 
