@@ -12,6 +12,7 @@ from tools.truth.chain import kr90 as true_kr90
 from tools.truth.recording import HammerTest, draw_postures, draw_truth, streams, write_campaign
 from twin.diagnose.hypotheses import together
 from twin.diagnose.rigid_axes import rigid_axes
+from twin.identify.fitting import _of_rigid_axes
 from twin.model.parameters import free_parameters, written_names
 from twin.robot.description import Robot
 
@@ -50,6 +51,11 @@ def test_a_slide_starts_from_what_it_carries(kr90: Robot) -> None:
     carried = sum(link.inertial[0] for link in given.links)
     assert slide.own[0].mean == pytest.approx(carried * (2 * np.pi * 40.0) ** 2)
     assert [p.unit for p in slide.own] == ["N/m", "N·s/m"]
+
+
+def test_a_fit_says_which_axes_it_takes_as_rigid(kr90: Robot) -> None:
+    assert _of_rigid_axes(kr90) == ""
+    assert "gear of joint2, joint3 is as rigid" in _of_rigid_axes(with_rigid(kr90, 1, 2))
 
 
 def recorded(folder: Path, *options: str) -> Path:

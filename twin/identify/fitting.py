@@ -370,6 +370,12 @@ def correlated(found: Fit) -> list[tuple[str, str, float]]:
     return sorted((p for p in pairs if abs(p[2]) > LARGE_CORRELATION), key=lambda p: -abs(p[2]))
 
 
+def _of_rigid_axes(robot: Robot) -> str:
+    """What a fit cannot change and a reader may not know: axes without a stiffness."""
+    rigid = [f"joint{k + 1}" for k, axis in enumerate(robot.axes) if axis.stiffness is None]
+    return f", and whether the gear of {', '.join(rigid)} is as rigid as described" if rigid else ""
+
+
 def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
     found, fitted = [], result.fit
     if fitted.misfit > LARGE_MISFIT * perfect_misfit:
@@ -377,7 +383,7 @@ def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
         means = "which widens the intervals" if fitted.misfit < ASTRAY else "so that no interval holds"
         found.append(
             f"the model misses the data by {times:.1f} times their noise, {means}; `twin diagnose` looks for what is "
-            "missing"
+            f"missing{_of_rigid_axes(result.robot)}"
         )
     if len(fitted.starts) > 1 and fitted.agreeing < 2:
         found.append("the minimum may be a false one: try more starts")
