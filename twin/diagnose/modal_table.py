@@ -74,9 +74,7 @@ class Table:
         """Postures."""
         return self.recording.names
 
-    def explain(
-        self, given: Robot, told_by: Finding | None, *, processes: int, patience: Patience, **options: Any
-    ) -> Finding:
+    def explain(self, given: Robot, told_by: Finding | None, *, processes: int, **options: Any) -> Finding:
         """See :class:`twin.diagnose.evidence.Evidence`."""
         start = told_by.model if told_by else given
         return diagnose_table(self.recording.content, start, self.recording.source, **options)
@@ -97,6 +95,7 @@ def diagnose_table(
     hold_out: Sequence[str] | None = None,
     seed: int = 0,
     progress: Callable[[str, int], Callable[[int], None]] | None = None,
+    patience: Patience | None = None,
 ) -> Finding:
     """What a modal table says.
 
@@ -107,6 +106,7 @@ def diagnose_table(
         hold_out: postures not to use; without any, each is left out in turn and the finding's errors are of all.
         seed: of the starts.
         progress: makes progress bars.
+        patience: how long to look for more; for ever by default.
 
     Raises:
         InputError: the robot has no springs, the table no modes, or nothing is left to fit to.
@@ -125,7 +125,8 @@ def diagnose_table(
     tick = progress("modal table", len(looked_at)) if progress else (lambda count: None)
     before = fitted(base, NONE, free, used, seed)
     plain = left_out(base, before, free, used, seed)
-    rounds = search(base, before, plain, looked_at, free, used, seed, tick)
+    patience = patience or Patience()
+    rounds = search(base, before, plain, looked_at, free, used, seed, tick, patience)
     fits, crossed = [fit for fit, _ in rounds], {fit.hypothesis.key: out for fit, out in rounds if out}
     decision = decide_table(
         rounds, before, plain, looked_at, base, free, [p.setup.q for p in used.values()], states_scatter(table)
@@ -149,7 +150,7 @@ def diagnose_table(
     finding = Finding(
         source, "modal-table", word, missing, decision.none, decision.other, given, robots["before"], robots["after"],
         error, list(kept) or (["each posture in turn"] if plain.by_posture else []), records,
-        warnings=told(fits, before, used, plain, crossed, word),
+        warnings=[*patience.notes(), *told(fits, before, used, plain, crossed, word)],
     )  # fmt: skip
     if word == "ambiguous":
         finding.next_test = next_test(finding)
@@ -223,6 +224,7 @@ def search(
     postures: Mapping[str, ModalPosture],
     seed: int,
     tick: Callable[[int], None],
+    patience: Patience,
 ) -> list[Judged]:
     """Hypotheses fitted, one entry, then a second and a third beside the best, as long as each predicts what it was not
     fitted to. The most evident of every round come with their errors on postures left out."""
@@ -230,6 +232,8 @@ def search(
     chosen, error = before, plain
     first = promising(base, looked_at, free, postures, seed, tick)
     for depth in range(ENTRIES_AT_ONCE):
+        if depth and patience.over("further effects"):
+            break
         fits = list(first)
         if depth:
             others = [f.hypothesis for f in first if not f.hypothesis.identity <= chosen.hypothesis.identity]
