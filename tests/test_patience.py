@@ -6,6 +6,7 @@ import numpy as np
 
 from twin.diagnose.decide import Decision, half_unnamed
 from twin.diagnose.patience import LEAST_MIN, Patience, usual_minutes
+from twin.diagnose.search import FURTHER, given_up
 from twin.diagnose.verdict import judge
 
 
@@ -40,3 +41,14 @@ def test_what_was_not_tried_is_as_likely_as_what_was() -> None:
     decision = half_unnamed(Decision([SimpleNamespace()], [0.99], 0.0, 0.01, alike=0.99))  # type: ignore[list-item]
     assert decision.probability == [0.495]
     assert judge(decision) == "unexplained"
+
+
+def test_only_a_fit_that_further_effects_may_explain_is_given_up() -> None:
+    """Where every round was made, a fit that misses by little keeps its name though the time is up."""
+    search = SimpleNamespace(patience=Patience(0.0))
+    close, far = (SimpleNamespace(misfit=misfit, data=1e5) for misfit in (1.2, 100.0))
+    assert not given_up(search, close)  # type: ignore[arg-type]
+    assert given_up(search, far)  # type: ignore[arg-type]
+    search.patience.over(FURTHER)
+    assert given_up(search, close)  # type: ignore[arg-type]
+    assert not given_up(SimpleNamespace(patience=Patience()), far)  # type: ignore[arg-type]

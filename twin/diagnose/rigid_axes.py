@@ -17,7 +17,7 @@ from twin.physics.effect import Parameter as Quantity
 if TYPE_CHECKING:
     from twin.robot.description import Robot
 
-USUAL_HZ = 40.0  # of a slide's spring under all that it carries
+USUAL_HZ = 40.0  # of a slide's spring under all that it carries; by eye: a factor of 50 either way is searched
 
 
 class _Gear(Effect):

@@ -45,6 +45,7 @@ ABREAST = 2  # refits side by side, on however many cores: what is found must no
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
 TO_THE_END = 60  # iterations for what a long valley has held up
 HELD_LINKS = 2.0  # deviations, within which 19 in 20 numbers are that are as described
+FURTHER = "further effects"  # left out where the time is up before no effect gains more
 LIKELY = 16.0  # ln evidence behind the best within which a fit may be a rival
 
 
@@ -152,7 +153,7 @@ def explain(
     for number in range(2 * MISSING_AT_ONCE):
         if number - len(allowed(best, robot)) >= MISSING_AT_ONCE:
             break
-        if number and search.patience.over("further effects"):
+        if number and search.patience.over(FURTHER):
             break
         if not search.weighed:
             best, sample = _without_weight(robot, search, best, sample)
@@ -195,9 +196,13 @@ def explain(
 
 
 def given_up(search: Search, best: Fitted) -> bool:
-    """Whether the time is up beside a fit that misses by more than noise: what it lacks moves all its numbers."""
-    noise = calibration()["noise_misfit"]
-    return best.misfit > noise and search.patience.over("rivals of a fit that still misses")
+    """Whether the time is up and a fit misses by what no further effect was tried for: that moves all its numbers.
+
+    Where every round was made, nothing that was tried explains more: only a fit that is ``LACKING`` is given up then.
+    """
+    noise = calibration()["noise_misfit"] + 2 * np.sqrt(2 / max(best.data, 1))
+    least = noise if FURTHER in search.patience.left else LACKING
+    return best.misfit > least and search.patience.over("rivals of a fit that still misses")
 
 
 def _strained(fit: Fitted) -> bool:

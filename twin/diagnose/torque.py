@@ -100,8 +100,9 @@ def diagnose_log(
         some = replace(log, runs={name: run for name, run in log.runs.items() if name in largest})
         held = [name for name in hold_out or [] if name in largest] or None
         finding = diagnose_log(
-            some, robot, source, hold_out=held, progress=progress, bands=prepared.bands, processes=processes
-        )
+            some, robot, source, hold_out=held, progress=progress, bands=prepared.bands, processes=processes,
+            patience=patience,
+        )  # fmt: skip
         finding.warnings = [*notes, *faults, *_clocks(rates), *finding.warnings]
         return finding
 
