@@ -11,6 +11,7 @@ from tools.truth.chain import POSTURES_DEG
 from tools.truth.chain import kr90 as true_kr90
 from tools.truth.elastic import assemble
 from twin.diagnose.modal_table import (
+    Fits,
     LeftOut,
     diagnose_table,
     fitted,
@@ -52,7 +53,9 @@ def test_each_posture_is_left_out_in_turn(kr90: Robot) -> None:
     robot = without_limits(kr90)
     postures = modal_postures(true_table(), robot)
     free = free_parameters(robot).only("spring", "entry", "link")
-    out = left_out(robot, fitted(robot, NONE, free, postures, 0, starts=1), free, postures, 0)
+    [out] = left_out(
+        Fits(robot, free, postures, seed=0, processes=1), [fitted(robot, NONE, free, postures, 0, starts=1)]
+    )
     assert set(out.by_posture) == set(POSTURES_DEG)
     assert out.pooled < 0.005
 

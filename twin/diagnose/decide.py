@@ -15,7 +15,7 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
-from twin.diagnose.search import WITHIN, in_doubt
+from twin.diagnose.search import WITHIN, in_doubt, most_noise, scatter
 from twin.diagnose.within import allowed, excused
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
@@ -105,13 +105,13 @@ def decide(
     names, together = _shared(names, fits, axes) if axes else (names, names)
     first = np.lexsort((-names, -together))[:1]  # what is likeliest on the axis that is
     order = np.concatenate([first, np.setdiff1d(np.argsort(-names, stable=True), first, assume_unique=True)])
-    noise = numbers["noise_misfit"] + _scatter(base)
+    noise = most_noise(base)
     if other is None:
         left = _left(base.misfit, best_misfit, noise)
         if unseen and len(order) and nothing < 0.5:
             bare, named = (unseen(k) for k in (len(fits), int(order[0])))
             left = max(
-                left, _left(misfit_unseen(bare), misfit_unseen(named), numbers["held_out_misfit"] + _scatter(named))
+                left, _left(misfit_unseen(bare), misfit_unseen(named), numbers["held_out_misfit"] + scatter(named))
             )
         other = _other(left, numbers)
     none, known, nameless = (1 - other) * float(nothing), (1 - other) * names, (1 - other) * nameless
@@ -239,11 +239,6 @@ def _beside(fits: Sequence[Fitted], base: Fitted, scale: float) -> FloatArray:
     return np.array([taken[fit.hypothesis.identity] for fit in fits])
 
 
-def _scatter(fit: Fitted) -> float:
-    """Two standard deviations of χ² per datum, of noise alone."""
-    return 2 * float(np.sqrt(2 / max(fit.data, 1)))
-
-
 def misfit_unseen(unseen: Fitted) -> float:
     """χ² per datum of recordings that were not fitted to, doubt of the fit's parameters beside their noise."""
     return 2 * unseen.cost / unseen.data
@@ -359,7 +354,7 @@ def at_noise(decision: Decision, fit: Fitted) -> Decision:
     """
     if decision.other <= max(decision.none, *decision.probability[:1], 0.0):
         return decision
-    if fit.misfit > calibration()["noise_misfit"] + _scatter(fit):
+    if fit.misfit > most_noise(fit):
         return decision
     left = 1 - sum(decision.probability) - decision.none
     least = min(left, calibration()["least_other"])
@@ -382,10 +377,10 @@ def in_doubt_beside(decision: Decision, base: Fitted, kept: Sample | None) -> De
     if not decision.probability or decision.probability[0] <= max(decision.none, decision.other):
         return decision
     numbers, best = calibration(), decision.ranked[0]
-    left = _left(base.misfit, best.misfit, numbers["noise_misfit"] + _scatter(base))
+    left = _left(base.misfit, best.misfit, most_noise(base))
     if kept:
         bare, named = (foreseen(fit, kept) for fit in (base, best))
-        left = max(left, _left(misfit_unseen(bare), misfit_unseen(named), numbers["held_out_misfit"] + _scatter(named)))
+        left = max(left, _left(misfit_unseen(bare), misfit_unseen(named), numbers["held_out_misfit"] + scatter(named)))
     other = _other(left, numbers)
     if other <= decision.other:
         return decision

@@ -22,9 +22,11 @@ from twin.diagnose.patience import Patience
 from twin.diagnose.records import STAGES, ModalRecord, Stage
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.rigid_axes import rigid_axes
+from twin.diagnose.search import FURTHER, WORTH, most_noise
 from twin.diagnose.sentences import sentence
 from twin.diagnose.verdict import Finding, judge, missing_of, parts
 from twin.errors import InputError
+from twin.identify.descent import LACKING
 from twin.identify.elastic_modal import (
     ModalPosture,
     fit_modes,
@@ -37,14 +39,14 @@ from twin.measure.modal_table import ModalTable
 from twin.measure.recordings import Recording
 from twin.model.parameters import Parameters, free_parameters, require_springs
 from twin.model.recorded import without_limits
+from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 from twin.robot.physical import as_written
 
 STARTS = 4  # of the base model
 COARSE_SCATTER = 10.0  # times the deviations: of every entry first, with the links as described
-FINER = (3.0, 1.0)  # then of the REFITTED_ENTRIES most evident, with everything free
-REFITTED_ENTRIES = 12
+REFITTED_ENTRIES = 12  # the most evident, which are fitted with everything free
 CONTENDERS = 4  # most evident hypotheses of a round that are judged by leaving postures out
 ENTRIES_AT_ONCE = 3  # entries at once
 WIDER_INERTIA = 10.0  # times its tolerances: the inertia of a link that is not as described
@@ -77,7 +79,7 @@ class Table:
     def explain(self, given: Robot, told_by: Finding | None, *, processes: int, **options: Any) -> Finding:
         """See :class:`twin.diagnose.evidence.Evidence`."""
         start = told_by.model if told_by else given
-        return diagnose_table(self.recording.content, start, self.recording.source, **options)
+        return diagnose_table(self.recording.content, start, self.recording.source, processes=processes, **options)
 
     def again(self, finding: Finding, robot: Robot, last: Finding, hold_out: list[str] | None) -> None:
         """Nothing: what comes after it starts from its model."""
@@ -96,6 +98,7 @@ def diagnose_table(
     seed: int = 0,
     progress: Callable[[str, int], Callable[[int], None]] | None = None,
     patience: Patience | None = None,
+    processes: int = 1,
 ) -> Finding:
     """What a modal table says.
 
@@ -107,6 +110,7 @@ def diagnose_table(
         seed: of the starts.
         progress: makes progress bars.
         patience: how long to look for more; for ever by default.
+        processes: the work is spread over so many; what it finds does not depend on it.
 
     Raises:
         InputError: the robot has no springs, the table no modes, or nothing is left to fit to.
@@ -123,10 +127,11 @@ def diagnose_table(
     rigid = [one for variants in rigid_axes(base) for one in variants]
     looked_at = [*mechanical_suspects(base), *rigid, *springs, *heavier(free)]
     tick = progress("modal table", len(looked_at)) if progress else (lambda count: None)
+    ask = Fits(base, free, used, seed, processes)
     before = fitted(base, NONE, free, used, seed)
-    plain = left_out(base, before, free, used, seed)
+    [plain] = left_out(ask, [before])
     patience = patience or Patience()
-    rounds = search(base, before, plain, looked_at, free, used, seed, tick, patience)
+    rounds = search(ask, before, plain, looked_at, tick, patience)
     fits, crossed = [fit for fit, _ in rounds], {fit.hypothesis.key: out for fit, out in rounds if out}
     decision = decide_table(
         rounds, before, plain, looked_at, base, free, [p.setup.q for p in used.values()], states_scatter(table)
@@ -134,6 +139,9 @@ def diagnose_table(
     word = judge(decision)
     if word == "unexplained" and sum(decision.probability) > decision.other:
         word = "ambiguous"  # aliases share what one name would have
+    if decision.ranked and FURTHER in patience.left and states_scatter(table):
+        best = decision.ranked[0]
+        word = "unexplained" if best.misfit > most_noise(best) else word
     answered = word in ("named", "ambiguous")
     best = decision.ranked[0] if answered else before
     robots = {"as_given": given, "before": as_written(before.robot, given), "after": as_written(best.robot, given)}
@@ -183,46 +191,89 @@ def fitted(
     seed: int,
     starts: int = STARTS,
     near: Fitted | None = None,
+    hopeless: float = np.inf,
 ) -> Fitted:
-    """A hypothesis at its optimum on a table; the first start is where ``near`` is in the parameters they share."""
+    """A hypothesis at its optimum on a table; the first start is where ``near`` is in the parameters they share.
+
+    What cannot be expected to get below the cost ``hopeless`` is given up on the way.
+    """
     robot, parameters = hypothesis.robot(base), hypothesis.parameters(free)
-    guess = np.zeros(len(parameters))
+    guess = None
     if near is not None:
         known = dict(zip(near.parameters.names, near.values, strict=True))
-        values = zip(parameters.names, parameters.values(guess), strict=True)
+        values = zip(parameters.names, parameters.values(np.zeros(len(parameters))), strict=True)
         guess = parameters.coordinates(np.array([known.get(name, value) for name, value in values]))
-    fit = fit_modes(robot, list(postures.values()), parameters, starts=starts, seed=seed, guess=guess)
+    fit = fit_modes(
+        robot, list(postures.values()), parameters, starts=starts, seed=seed, guess=guess, hopeless=hopeless
+    )
     return Fitted(
         hypothesis, parameters, fit.z, fit.values, fit.robot, fit.cost, fit.misfit, fit.fisher + np.eye(len(fit.z)),
         fit.data, fit.converged,
     )  # fmt: skip
 
 
-def left_out(base: Robot, fit: Fitted, free: Parameters, postures: Mapping[str, ModalPosture], seed: int) -> LeftOut:
-    """Every posture predicted by a fit of the same hypothesis to the others; empty with fewer than two."""
-    errors: dict[str, float] = {}
-    counts = []
-    for name in postures if len(postures) > 1 else ():
-        others = {other: p for other, p in postures.items() if other != name}
-        starts = [fitted(base, fit.hypothesis, free, others, seed, starts=1, near=near) for near in (fit, None)]
-        again = min(starts, key=lambda end: end.cost)
-        errors[name] = _error(again.robot, {name: postures[name]})
-        counts.append(len(postures[name].frequency_hz))
-    squares = np.array(list(errors.values())) ** 2
-    return LeftOut(errors, float(np.sqrt(np.average(squares, weights=counts))) if errors else float("nan"))
+@dataclass(frozen=True)
+class Fits:
+    """What every fit of a search shares: the description, what is free in it, postures, seed and processes."""
+
+    base: Robot
+    free: Parameters
+    postures: Mapping[str, ModalPosture]
+    seed: int
+    processes: int
+
+    def nearest(self, hypothesis: Hypothesis, near: Fitted, postures: Mapping[str, ModalPosture]) -> Fitted:
+        """The better of two fits of everything: from an earlier fit, and from the description."""
+        starts = near, None
+        ends = [fitted(self.base, hypothesis, self.free, postures, self.seed, starts=1, near=start) for start in starts]
+        return min(ends, key=lambda end: end.cost)
+
+    def beside(self, chosen: Fitted, hypotheses: Sequence[Hypothesis], patience: Patience) -> list[Fitted]:
+        """Each hypothesis beside what was chosen, as far as the time allows."""
+        both = [together(chosen.hypothesis, h) for h in hypotheses if not h.identity <= chosen.hypothesis.identity]
+
+        def one(k: int) -> Fitted | None:
+            if patience.is_up():
+                return None
+            return fitted(
+                self.base, both[k], self.free, self.postures, self.seed, starts=1, near=chosen, hopeless=chosen.cost
+            )
+
+        fits = list(spread(one, len(both), self.processes))
+        if None in fits:
+            patience.over(FURTHER)
+        return [fit for fit in fits if fit]
+
+
+def left_out(ask: Fits, fits: Sequence[Fitted]) -> list[LeftOut]:
+    """Of each fit, every posture predicted by the same hypothesis at the others; empty with fewer than two."""
+    names = list(ask.postures) if len(ask.postures) > 1 else []
+
+    def error(k: int) -> float:
+        fit, name = fits[k // len(names)], names[k % len(names)]
+        others = {other: p for other, p in ask.postures.items() if other != name}
+        again = ask.nearest(fit.hypothesis, fit, others)
+        return _error(again.robot, {name: ask.postures[name]})
+
+    errors = list(spread(error, len(fits) * len(names), ask.processes))
+    if not names:
+        return [LeftOut({}, float("nan"))] * len(fits)
+    counts = [len(ask.postures[name].frequency_hz) for name in names]
+    each = np.reshape(errors, (len(fits), len(names)))
+    pooled = np.sqrt(np.average(each**2, weights=counts, axis=1))
+    return [
+        LeftOut(dict(zip(names, some.tolist(), strict=True)), float(p)) for some, p in zip(each, pooled, strict=True)
+    ]
 
 
 Judged = tuple[Fitted, LeftOut | None]
 
 
 def search(
-    base: Robot,
+    ask: Fits,
     before: Fitted,
     plain: LeftOut,
     looked_at: Sequence[Hypothesis],
-    free: Parameters,
-    postures: Mapping[str, ModalPosture],
-    seed: int,
     tick: Callable[[int], None],
     patience: Patience,
 ) -> list[Judged]:
@@ -230,47 +281,49 @@ def search(
     fitted to. The most evident of every round come with their errors on postures left out."""
     found: list[Judged] = []
     chosen, error = before, plain
-    first = promising(base, looked_at, free, postures, seed, tick)
+    first, likeliest = promising(ask, looked_at, tick)
     for depth in range(ENTRIES_AT_ONCE):
-        if depth and patience.over("further effects"):
+        if depth and (0.5 * chosen.misfit * chosen.data < WORTH or patience.over(FURTHER)):
             break
-        fits = list(first)
-        if depth:
-            others = [f.hypothesis for f in first if not f.hypothesis.identity <= chosen.hypothesis.identity]
-            both = [together(chosen.hypothesis, hypothesis) for hypothesis in others]
-            fits = [fitted(base, hypothesis, free, postures, seed, starts=1, near=chosen) for hypothesis in both]
+        fits = ask.beside(chosen, likeliest, patience) if depth else list(first)
         fits.sort(key=lambda fit: -fit.evidence())
-        judged: list[Judged] = [(fit, left_out(base, fit, free, postures, seed)) for fit in fits[:CONTENDERS]]
-        found += [*judged, *((fit, None) for fit in fits[CONTENDERS:])]
+        contenders = [fit for fit in fits[:CONTENDERS] if fit.evidence() > chosen.evidence()]
+        judged: list[Judged] = list(zip(contenders, left_out(ask, contenders), strict=True))
+        found += [*judged, *((fit, None) for fit in fits[len(contenders) :])]
         best = next(((fit, out) for fit, out in judged if out is not None and predicts(out, error)), None)
-        if best is None or best[0].evidence() < chosen.evidence():
+        if best is None:
             break
         chosen, error = best
     return found
 
 
 def promising(
-    base: Robot,
-    looked_at: Sequence[Hypothesis],
-    free: Parameters,
-    postures: Mapping[str, ModalPosture],
-    seed: int,
-    tick: Callable[[int], None],
-) -> list[Fitted]:
-    """The most evident single entries, fitted."""
-    coarse, rough = [], scattered(postures, COARSE_SCATTER)
-    for hypothesis in looked_at:
-        widened_too = [name for name, _ in hypothesis.scale]
-        few = free.select(k for k, p in enumerate(free) if p.kind != "link" or p.name in widened_too)
-        coarse.append(fitted(base, hypothesis, few, rough, seed, starts=1))
+    ask: Fits, looked_at: Sequence[Hypothesis], tick: Callable[[int], None]
+) -> tuple[list[Fitted], list[Hypothesis]]:
+    """Single entries fitted, and the most evident of all.
+
+    Those that miss a rough table are not fitted closely where one of them agrees with it.
+    """
+    rough = scattered(ask.postures, COARSE_SCATTER)
+
+    def roughly(k: int) -> Fitted:
+        widened_too = [name for name, _ in looked_at[k].scale]
+        few = ask.free.select(n for n, p in enumerate(ask.free) if p.kind != "link" or p.name in widened_too)
+        return fitted(ask.base, looked_at[k], few, rough, ask.seed, starts=1)
+
+    coarse = []
+    for fit in spread(roughly, len(looked_at), ask.processes):
+        coarse.append(fit)
         tick(1)
     coarse.sort(key=lambda fit: -fit.evidence())
-    fits = []
-    for fit in coarse[:REFITTED_ENTRIES]:
-        for times in FINER:
-            fit = fitted(base, fit.hypothesis, free, scattered(postures, times), seed, starts=1, near=fit)
-        fits.append(fit)
-    return fits
+    likeliest = [fit.hypothesis for fit in coarse[:REFITTED_ENTRIES]]
+    agreeing = [fit for fit in coarse[:REFITTED_ENTRIES] if fit.misfit < LACKING] or coarse[:REFITTED_ENTRIES]
+
+    def closely(k: int) -> Fitted:
+        near = agreeing[k]
+        return ask.nearest(near.hypothesis, near, ask.postures)
+
+    return list(spread(closely, len(agreeing), ask.processes)), likeliest
 
 
 def heavier(free: Parameters) -> list[Hypothesis]:

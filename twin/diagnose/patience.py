@@ -38,9 +38,13 @@ class Patience:
     left: list[str] = field(default_factory=list)
     _since: float = field(default_factory=time.monotonic)
 
+    def is_up(self) -> bool:
+        """Whether the time is up."""
+        return time.monotonic() - self._since >= 60 * self.minutes
+
     def over(self, what: str) -> bool:
         """Whether the time is up; then ``what`` (a noun, for people) is left out."""
-        if time.monotonic() - self._since < 60 * self.minutes:
+        if not self.is_up():
             return False
         if what not in self.left:
             self.left.append(what)

@@ -200,9 +200,18 @@ def given_up(search: Search, best: Fitted) -> bool:
 
     Where every round was made, nothing that was tried explains more: only a fit that is ``LACKING`` is given up then.
     """
-    noise = calibration()["noise_misfit"] + 2 * np.sqrt(2 / max(best.data, 1))
-    least = noise if FURTHER in search.patience.left else LACKING
+    least = most_noise(best) if FURTHER in search.patience.left else LACKING
     return best.misfit > least and search.patience.over("rivals of a fit that still misses")
+
+
+def most_noise(fit: Fitted) -> float:
+    """χ² per datum up to which noise alone may be what a fit misses."""
+    return calibration()["noise_misfit"] + scatter(fit)
+
+
+def scatter(fit: Fitted) -> float:
+    """Two standard deviations of χ² per datum, of noise alone."""
+    return 2 * float(np.sqrt(2 / max(fit.data, 1)))
 
 
 def _strained(fit: Fitted) -> bool:

@@ -7,14 +7,14 @@ cross.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from twin.errors import InputError, tell
-from twin.identify.descent import Descended, minimise
+from twin.identify.descent import CRAWL, LACKING, Descended, minimise
 from twin.identify.elastic import Fit, Start, agreement, drawn_starts
 from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.measure.modal_table import ModalTable
@@ -41,6 +41,9 @@ FREQUENCY_SPREAD, DAMPING_SPREAD = 0.005, 0.10  # relative standard deviations w
 PAPER_WEIGHTS = 100.0, 1.0  # W_f and W_ζ of Eq. 23
 PAPER_SHARPNESS = 1e-2  # makes Eq. 23 outweigh the prior; of its many minima the one nearest the description is taken
 UNPAIRED = np.log(2.0)  # frequencies farther apart than this factor are not paired
+COOLING = (30.0, 10.0, 3.0)  # times these deviations: the first levels of a fit, on which few pairings are wrong
+COOLED, SETTLED = 0.01, 1e-6  # in the cost: gains that are not waited for at a first level, and at the last
+STEPS_OF_PAIRS = 3  # of a descent, before modes are paired again
 
 
 @dataclass(frozen=True)
@@ -143,11 +146,16 @@ def fit_modes(
     starts: int = 4,
     seed: int = 0,
     guess: FloatArray | None = None,
+    hopeless: float = np.inf,
 ) -> Fit:
     """Fit a robot to measured modes.
 
     A mode that no mode of the model is paired with costs as much as one that is a factor of two off. So dropping a mode
     is no way to agree.
+
+    From the description the posterior is fitted in levels: with deviations of at least ``COOLING`` times the usual
+    ones, then with its own. Few modes are then paired where they happen to be. The other starts, and the cost of Eq.
+    23, are fitted as they are: other minima are to be found, too.
 
     Args:
         robot: the described robot, whose values are the prior means.
@@ -155,17 +163,22 @@ def fit_modes(
         parameters: what is free; by default springs, dampers and links (no angles and gains).
         objective: ``posterior`` weighs by the modes' spread; ``paper`` is Eq. 23 with its weights, W_f 100 and W_ζ 1.
         starts: the first from the description, the others with springs and dampers drawn from the prior.
-        guess: prior coordinates (n,) of the first start in place of the description's.
+        guess: prior coordinates (n,) of the first start in place of the description's; from there no level is taken.
         seed: of the starts.
+        hopeless: a descent that cannot be expected to get below this cost is given up (:func:`minimise`).
     """
     robot = without_limits(robot)
     if parameters is None:
         parameters = free_parameters(robot).only("spring", "entry", "link")
     ends = []
     for number, z in enumerate(drawn_starts(parameters, starts, seed)):
+        levels = COOLING if not number and guess is None and objective == "posterior" else ()
         if guess is not None and not number:
             z = guess.copy()
-        ends.append(_descend(robot, postures, parameters, objective, z))
+        for warm in (_warmed(postures, times) for times in levels):
+            if warm is not None:
+                z = _descend(robot, warm, parameters, objective, z, tolerance=COOLED)[0]
+        ends.append(_descend(robot, postures, parameters, objective, z, hopeless))
     ends.sort(key=lambda end: end[1])
     z, cost, information, converged = ends[0]
     data = _data(postures)
@@ -178,16 +191,38 @@ def fit_modes(
     )  # fmt: skip
 
 
+def _warmed(postures: Sequence[ModalPosture], times: float) -> list[ModalPosture] | None:
+    """The postures with deviations of at least so many times the usual; ``None`` where they have such already."""
+    least_f, least_zeta = times * FREQUENCY_SPREAD, times * DAMPING_SPREAD
+    if all((p.frequency_spread >= least_f).all() for p in postures):
+        return None
+    return [
+        replace(
+            p,
+            frequency_spread=np.maximum(p.frequency_spread, least_f),
+            damping_spread=np.maximum(p.damping_spread, least_zeta),
+        )
+        for p in postures
+    ]
+
+
 def _descend(
     robot: Robot,
     postures: Sequence[ModalPosture],
     parameters: Parameters,
     objective: ModalObjective,
     z: FloatArray,
+    hopeless: float = np.inf,
+    tolerance: float = SETTLED,
 ) -> tuple[FloatArray, float, FloatArray, bool]:
-    """Descent from z, modes paired again every few steps: where two of the model cross, another pairing goes on."""
+    """Descent from z, modes paired again every few steps: where two of the model cross, another pairing goes on.
+
+    A model that lacks something is given up where its descent crawls (see :func:`minimise`); not with Eq. 23, whose
+    cost is no χ².
+    """
     pairing: list[_Pairing] | None = None
     converged = stuck = False
+    lacking = 0.5 * LACKING * _data(postures) if objective == "posterior" else np.inf
     cost, information = np.inf, np.eye(len(z))
     for _ in range(40):
         before, pairing = pairing, _pair(robot, postures, parameters, z, pairing)
@@ -196,8 +231,10 @@ def _descend(
             break
         cost_of = _Modal(robot, postures, parameters, objective, pairing)
         least = cost
-        z, cost, information, converged = minimise(cost_of, z, 3, 1e-6, bound=parameters.bound, slack=0.0, reach=2.0)
-        stuck = bool(same) and cost > least - 1e-6
+        z, cost, information, converged = minimise(
+            cost_of, z, STEPS_OF_PAIRS, tolerance, hopeless, bound=parameters.bound, slack=0.0, reach=2.0
+        )
+        stuck = bool(same) and cost > least - max(tolerance, STEPS_OF_PAIRS * CRAWL * (cost - lacking))
         pairing = _signed(robot, postures, parameters, z, pairing)
     for posture, pairs in zip(postures, pairing or (), strict=True):
         cost += 0.5 * float(np.sum((UNPAIRED / posture.frequency_spread[pairs.model < 0]) ** 2))
