@@ -342,3 +342,14 @@ def test_things_that_gain_less_than_a_law_without_a_name_stand_for_it(
     assert _stand_ins(kr90, search, best(2), None) is ends  # type: ignore[arg-type]
     assert _stand_ins(kr90, search, best(3), None) is ends  # type: ignore[arg-type]
     assert not _stand_ins(kr90, search, best(1), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("mass", "is_allowed"), [(8.0, True), (80.0, False)])
+def test_a_small_payload_on_a_link_that_bends_is_no_finding(kr90: Robot, mass: float, is_allowed: bool) -> None:
+    """Three numbers do not say all of how a link's mass is divided at its hinge: a body of its tolerance's size may be
+    that. A heavy one is a finding, and so is a light one where nothing bends."""
+    bends = entry_hypothesis(kr90, "link_flexibility", "link2.z", {"stiffness": 1e7, "damping": 4e3})
+    load = entry_hypothesis(kr90, "payload", "link2", {"mass": 20.0, "com": [0.5, 0.0, 0.1]})
+    sizes = [*(p.mean for p in bends.own), mass, *(p.mean for p in load.own[1:])]
+    assert allowed(fitted(kr90, together(bends, load), np.array(sizes)), kr90) == ((load,) if is_allowed else ())
+    assert allowed(fitted(kr90, load, np.array(sizes[len(bends.own) :])), kr90) == ()

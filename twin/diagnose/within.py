@@ -29,10 +29,16 @@ LISTED = 3  # points that a note lists
 
 
 def allowed(fit: Fitted, robot: Robot) -> tuple[Hypothesis, ...]:
-    """The pieces of a fit whose numbers together are as near to their description as all but ``RARE`` of such are."""
+    """The pieces of a fit whose numbers together are as near to their description as all but ``RARE`` of such are.
+
+    What the law of another piece leaves open (:meth:`Effect.leaves_open`) is among them.
+    """
     found, at = [], len(fit.z) - len(fit.hypothesis.own)
     for piece in fit.hypothesis.pieces:
         at += len(piece.own)
+        if _left_open(fit, piece, fit.values[at - len(piece.own) : at], robot):
+            found.append(piece)
+            continue
         width = [_tolerance(piece, p, robot) for p in piece.own]
         if not width or None in width:
             continue
@@ -41,6 +47,17 @@ def allowed(fit: Fitted, robot: Robot) -> tuple[Hypothesis, ...]:
         if astray(fit, own, doubt * np.array(width, float)) <= most_astray(len(own)):
             found.append(piece)
     return tuple(found)
+
+
+def _left_open(fit: Fitted, piece: Hypothesis, values: FloatArray, robot: Robot) -> bool:
+    """Whether a piece with these values (m,) is a part of what another piece's law simplifies."""
+    for other in fit.hypothesis.pieces:
+        size = other.law.leaves_open(robot, other.site).get(piece.key) if other.law else None
+        if size:
+            own = dict(zip((p.quantity for p in piece.own), values, strict=True))
+            if sum((own[name] / most) ** 2 for name, most in size.items()) <= most_astray(len(size)):
+                return True
+    return False
 
 
 def excused(fit: Fitted, others: Sequence[Fitted], robot: Robot) -> tuple[Hypothesis, ...]:

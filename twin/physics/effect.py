@@ -271,6 +271,13 @@ class Effect:
         """By how much its parameters may be off null without a finding, one standard deviation; none by default."""
         return {}
 
+    def leaves_open(self, robot: "Robot", site: str) -> dict[str, dict[str, float]]:
+        """``EFFECT@SITE`` → how large its parameters may be, one standard deviation, and still be a part of this one.
+
+        A law that simplifies says so here; what it leaves open is then no second finding beside it.
+        """
+        return {}
+
     def variants(self, robot: "Robot", site: str, band_hz: tuple[float, float]) -> list[dict[str, Any]]:
         """Parameters to start a search from, where one typical entry is not enough (a frequency, an axis)."""
         typical = self.typical(robot, site)

@@ -71,6 +71,11 @@ class LinkFlexibility(Effect):
         joint = axis_of(site) + 1
         return [Companion("parameter", f"joint{joint}.{letter}.stiffness") for letter in "yz"]
 
+    def leaves_open(self, robot: "Robot", site: str) -> dict[str, dict[str, float]]:
+        """A body on the link, as heavy as the link may be off: three numbers do not say all of how it is divided."""
+        link = axis_of(site)
+        return {f"payload@link{link + 1}": {"mass": robot.tolerances.mass * robot.links[link].inertial[0]}}
+
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """Three times a joint's stiffness; nothing where the next joint lies in the link's origin, as in a wrist."""
         if np.linalg.norm(link_end(robot, axis_of(site))) < SHORTEST_M:
