@@ -181,11 +181,22 @@ def taken_in(pieces: tuple[Hypothesis, ...], fit: Fitted) -> list[Note]:
     """
     if not pieces:
         return []
-    sites = [piece.site if piece.law is None else piece.key for piece in pieces]
-    names = ", ".join(f"{EVERY[site]} ({site})" if site in EVERY else site for site in sites)
-    text = f"{names}: a little off, within the description's tolerances. Every fit took that into account: no finding"
+    told = []
+    if ordinary := [piece for piece in pieces if not _of_robot(piece)]:
+        sites = [piece.site if piece.law is None else piece.key for piece in ordinary]
+        names = ", ".join(f"{EVERY[site]} ({site})" if site in EVERY else site for site in sites)
+        text = "a little off, within the description's tolerances. Every fit took that into account: no finding"
+        told.append(Note(f"{names}: {text}", "description", "note"))
+    if parts := ", ".join(f"{piece.effect} at {piece.site}" for piece in pieces if _of_robot(piece)):
+        text = "so small that what was found beside it may include it. Every fit took that into account: no finding"
+        told.append(Note(f"{parts}: {text}", "description", "note"))
     places = [piece for piece in pieces if piece.law is None and piece.site.endswith(".position")]
-    return [Note(text, "description", "note"), *filter(None, (_farthest(piece, fit) for piece in places))]
+    return [*told, *filter(None, (_farthest(piece, fit) for piece in places))]
+
+
+def _of_robot(piece: Hypothesis) -> bool:
+    """Whether a piece is an effect on the robot, which another one's law leaves open."""
+    return piece.law is not None and piece.law.changes_robot
 
 
 def _farthest(piece: Hypothesis, fit: Fitted) -> Note | None:

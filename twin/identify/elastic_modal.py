@@ -223,22 +223,26 @@ def _descend(
     pairing: list[_Pairing] | None = None
     converged = stuck = False
     lacking = 0.5 * LACKING * _data(postures) if objective == "posterior" else np.inf
-    cost, information = np.inf, np.eye(len(z))
+    best = z, np.inf, np.eye(len(z)), False
+    ended: dict[bytes, float] = {}  # of pairs that were descended with: the last cost
     for _ in range(40):
         before, pairing = pairing, _pair(robot, postures, parameters, z, pairing)
         same = before and all(np.array_equal(a.model, b.model) for a, b in zip(before, pairing, strict=True))
-        if same and (converged or stuck):
+        if stuck or (same and converged):
             break
         cost_of = _Modal(robot, postures, parameters, objective, pairing)
-        least = cost
         z, cost, information, converged = minimise(
             cost_of, z, STEPS_OF_PAIRS, tolerance, hopeless, bound=parameters.bound, slack=0.0, reach=2.0
         )
-        stuck = bool(same) and cost > least - max(tolerance, STEPS_OF_PAIRS * CRAWL * (cost - lacking))
+        pairs = b"".join(p.model.tobytes() for p in pairing)
+        least = ended.get(pairs, np.inf) - max(tolerance, STEPS_OF_PAIRS * CRAWL * (cost - lacking))
+        stuck, ended[pairs] = bool(cost > least), cost  # no better with pairs that it had before: crawls or goes round
+        for posture, paired in zip(postures, pairing, strict=True):
+            cost += 0.5 * float(np.sum((UNPAIRED / posture.frequency_spread[paired.model < 0]) ** 2))
+        if cost <= best[1]:
+            best = z, cost, information, converged
         pairing = _signed(robot, postures, parameters, z, pairing)
-    for posture, pairs in zip(postures, pairing or (), strict=True):
-        cost += 0.5 * float(np.sum((UNPAIRED / posture.frequency_spread[pairs.model < 0]) ** 2))
-    return z, cost, information, converged
+    return best
 
 
 @dataclass(frozen=True)
