@@ -16,7 +16,7 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
 from twin.diagnose.search import WITHIN, in_doubt, most_noise, scatter
-from twin.diagnose.within import allowed, excused
+from twin.diagnose.within import allowed, excused, singled_out
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.parallel import spread
@@ -277,10 +277,12 @@ def sifted(decision: Decision, robot: Robot) -> tuple[Decision, Fitted | None]:
     """A decision between answers alone, and the fit of the likeliest if it holds what the description allows, too.
 
     See :func:`allowed` and :func:`excused`. Hypotheses that differ in what is allowed are one. The likeliest of them
-    that needs no excuse stands for them. One that holds nothing else says that nothing is missing.
+    that needs no excuse stands for them. One that holds nothing else says that nothing is missing. A group of nodes or
+    axes of which one alone is off is that one (:func:`singled_out`).
     """
     groups: dict[frozenset[str], list[tuple[Fitted, float, bool]]] = {}
     for fit, p in zip(decision.ranked, decision.probability, strict=True):
+        fit = singled_out(fit, decision.ranked, robot) or fit
         loose = allowed(fit, robot)
         off = [piece for piece in excused(fit, decision.ranked, robot) if piece not in loose]
         fit = replace(fit, allowed=(*loose, *off))

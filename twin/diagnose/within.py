@@ -73,6 +73,25 @@ def excused(fit: Fitted, others: Sequence[Fitted], robot: Robot) -> tuple[Hypoth
     return tuple(piece for piece in fit.hypothesis.pieces if piece.key in keys)
 
 
+def singled_out(fit: Fitted, others: Sequence[Fitted], robot: Robot) -> Fitted | None:
+    """The same model with what is off of a group in pieces of its own, the rest of that group being :func:`allowed`."""
+    for other in others:
+        more = [piece for piece in other.hypothesis.pieces if piece.key not in fit.hypothesis.identity]
+        if not more or not fit.hypothesis.identity < other.hypothesis.identity:
+            continue
+        groups = [group for group in fit.hypothesis.pieces if any(_within(piece, group) for piece in more)]
+        named = all(any(_within(piece, group) for group in groups) for piece in more)
+        if named and {group.key for group in groups} <= {piece.key for piece in allowed(other, robot)}:
+            return other
+    return None
+
+
+def _within(piece: Hypothesis, group: Hypothesis) -> bool:
+    """Whether a piece is a part of one that frees all nodes or axes."""
+    own = {p.name for p in piece.own}
+    return piece.law is None and group.site in EVERY and bool(own) and own < {p.name for p in group.own}
+
+
 def astray(fit: Fitted, own: np.ndarray, tolerance: FloatArray, nothing: float = 1e-9) -> float:
     """χ² of a fit's numbers about their description: how far off the data alone have them, doubt of both beside.
 
