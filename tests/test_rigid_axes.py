@@ -64,6 +64,7 @@ def recorded(folder: Path, *options: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_gear_that_the_description_lacks_is_found_and_written(tmp_path: Path, kr90: Robot) -> None:
     path = recorded(tmp_path, "--seed", "2", "--postures", "3", "--lines", "32")
     verdict = twin.diagnose(path, robot=with_rigid(kr90, 1))
