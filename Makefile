@@ -53,12 +53,12 @@ sbom: pyproject.toml
 	out/sbom-tool/bin/python -m pip install --quiet --disable-pip-version-check "cyclonedx-bom>=7.2,<8"
 	out/sbom-tool/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --of JSON -o out/sbom.json out/sbom/bin/python
 
-# Parallel and resumable; REAL=file of `python -m tools.trials real`, for the section on measured recordings.
+# Parallel and resumable; REAL=list of measured recordings, for the page on those.
 proof: install
-	$(BIN)/python -m tools.trials prove --world wrong --split wrong --page out/trials/wrong/wrong.md
-	$(BIN)/python -m tools.trials prove --split hammer --recordings hammer levels --each 6 --sizes 2 6 --page docs/proof.md --wrong out/trials/wrong/wrong.md
+	$(BIN)/python -m tools.trials prove --split axes --page docs/proof.md
+	$(BIN)/python -m tools.trials prove --world wrong --split wrong --page docs/proof-wrong.md
 	$(BIN)/python -m tools.trials prove --world arms --split arms --cases 120 --page docs/proof-arms.md
-	$(BIN)/python -m tools.trials prove --split logs --recordings log both --each 6 --page docs/proof-logs.md $(if $(REAL),--real $(REAL))
+	$(if $(REAL),$(BIN)/python -m tools.trials real $(REAL) --page docs/proof-real.md)
 
 clean:
 	rm -rf $(VENV) out

@@ -17,7 +17,6 @@ from tools.trials import ask, cases, make, real, reference, score, store, visibl
 from tools.trials.baselines import metadata
 from tools.trials.cases import CANDIDATES, MIX, RECORDINGS, SITES, Case, _campaign, _candidates, case, plan, struck
 from tools.trials.naive import best_correlated
-from tools.trials.report import _reading
 from tools.trials.score import Rate, Scored
 from tools.trials.visible import (
     SEEN,
@@ -317,11 +316,10 @@ def test_two_cases_from_recording_to_page(tmp_path: Path, monkeypatch: pytest.Mo
     store.write(tmp_path / "manifest.json", {"format": "twin-trials", "version": 2, "sizes": [1, 30], "cases": lines})
     assert not ask.ask(tmp_path, "00", [], deadline=0.0)  # no time left
     assert all(ask.ask(tmp_path, line["id"], line["without"]) for line in lines)
-    trials._score(tmp_path, tmp_path / "proof.md", "")
+    trials._score(tmp_path, tmp_path / "proof.md")
     text = (tmp_path / "proof.md").read_text()
     assert "| false alarms | 0/2" in text
     assert "| failed | 0/2" in text
-    assert "Measured recordings" not in text
     assert len(store.read(tmp_path / "ledger.json")) == 1
     assert metadata(tmp_path / "recordings" / "00")[0] == 1
     assert "@" in best_correlated(tmp_path / "recordings" / "01", lines[1]["without"])
@@ -344,15 +342,15 @@ def test_measured_recordings_are_told_without_their_paths(tmp_path: Path) -> Non
     (tmp_path / "log.csv").write_text("time,q1\n0,0\n")
     (tmp_path / "list.yaml").write_text("- {name: A log, recordings: [log.csv], known: nothing}\n")
     said = real.asked(tmp_path / "list.yaml", 60)
-    text = real.section(said)
-    assert "### A log" in text
+    text = real.page(said)
+    assert "## A log" in text
     assert "No answer" in text
     assert str(tmp_path) not in text
     effects = result("named", [("payload", "flange", 0.9), ("payload", "link2", 0.05)])["diagnosis"]["effects"]
     filled = {"verdict": "named", "probabilities": {"none": 0.01, "other": 0.02}, "error": ERROR, "effects": effects}
     said["rows"][0]["diagnosis"] = filled
-    text = real.section(said)
-    assert "payload@flange 90%" in text
+    text = real.page(said)
+    assert "payload@flange 90 %" in text
     assert "| with the answer | 0.1 | 0.11 |" in text
 
 
@@ -374,13 +372,13 @@ def test_a_list_that_is_none_is_one_line(
     if content is not None:
         listed.write_text(content)
     with pytest.raises(SystemExit) as stopped:
-        trials.main(["real", str(listed), "--out", str(tmp_path / "real.json")])
+        trials.main(["real", str(listed), "--page", str(tmp_path / "real.md")])
     said = capsys.readouterr().err
     assert stopped.value.code == 2
     assert said.count("\n") == 1
     assert "list.yaml" in said
     assert re.search(told, said)
-    assert not (tmp_path / "real.json").exists()
+    assert not (tmp_path / "real.md").exists()
 
 
 @pytest.mark.parametrize(
@@ -475,11 +473,13 @@ def test_how_a_case_is_struck_is_known_without_sizing_its_effects() -> None:
 
 
 def test_what_was_written_by_hand_stays_and_tells_its_engine(tmp_path: Path) -> None:
-    path = tmp_path / "reading.md"
-    assert _reading(path, ["a" * 16]) == []
-    path.write_text(f"<!-- engine {'a' * 16}, commit abc -->\nNulls are noisy.\n")
-    same, older = ("\n".join(_reading(path, [engine * 16])) for engine in "ab")
+    page = tmp_path / "proof.md"
+    assert store.by_hand(page, ["a" * 16]) == []
+    store.write_text(tmp_path / "proof" / "reading.md", f"<!-- engine {'a' * 16}, commit abc -->\nNulls are noisy.\n")
+    store.write_text(tmp_path / "proof" / "before.md", "What was.\n")
+    same, older = ("\n".join(store.by_hand(page, [engine * 16])) for engine in "ab")
     assert same.startswith(f"## Reading of the failures: engine {'a' * 16}, commit abc\n\nNulls are noisy.")
+    assert same.endswith("## Engines before\n\nWhat was.\n")
     assert "another engine" in older
     assert "Nulls are noisy." in older
 

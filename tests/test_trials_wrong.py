@@ -330,7 +330,7 @@ def test_intervals_of_numbers_of_the_description() -> None:
     ]
 
 
-def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_split_is_sealed_and_has_a_page_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with ThreadPoolExecutor(1) as pool:
         same = {"recording": "hammer", "seed": 1, "on_top": False}
         drawn = [
@@ -344,20 +344,20 @@ def test_a_split_is_sealed_and_its_section_stands_first(tmp_path: Path, capsys: 
     store.write(tmp_path / "manifest.json", {"world": "wrong", "cases": lines})
     for line in lines:
         store.write(tmp_path / "results" / f"{line['id']}.json", {**said("adequate"), "id": line["id"]})
-    trials._score(tmp_path, tmp_path / "wrong.md", "")
+    trials._score(tmp_path, tmp_path / "wrong.md")
     text = (tmp_path / "wrong.md").read_text()
-    assert text.startswith("## When the description or the recording is wrong")
+    assert text.startswith("# Proof: wrong descriptions and recordings")
     assert "| wrong name at 0.5 or more | 0/2" in text
     robot = tmp_path / "robots" / "arm.yaml"
     described = robot.read_text()
     robot.write_text(described.replace("arm", "other"))
     with pytest.raises(SystemExit, match="sealed"):
-        trials._score(tmp_path, tmp_path / "wrong.md", "")
+        trials._score(tmp_path, tmp_path / "wrong.md")
     robot.write_text(described)
     sealed = tmp_path / "answers" / "01.json"
     sealed.write_text(json.dumps({**store.read(sealed), "way": "mass"}))
     with pytest.raises(SystemExit, match="sealed"):
-        trials._score(tmp_path, tmp_path / "wrong.md", "")
+        trials._score(tmp_path, tmp_path / "wrong.md")
 
 
 def test_what_a_tolerance_explains_does_not_show() -> None:
@@ -390,7 +390,7 @@ def test_a_page_of_whole_arms_counts_what_comes_first_and_lists_the_rest() -> No
     scores = arms_score.headline(cases)
     assert (scores["named first"].k, scores["named first"].n) == (1, 3)
     assert (scores["named"].k, scores["false alarms"].k, scores["false alarms"].n) == (2, 0, 1)
-    text = arms_score.page(cases, 4, {"a": {"engine": "e"}}, [])
+    text = arms_score.page(Path("proof-arms.md"), cases, 4, {"a": {"engine": "e"}}, [])
     assert text.count("stribeck_friction@joint3") == 3  # of two that are not right: concealed twice, said once
 
 

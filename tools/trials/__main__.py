@@ -30,11 +30,11 @@ EXAMPLES = """
   score      open the answers, write the page
   prove      all three
   calibrate  open the answers, print the temperature under which stated probabilities mean what they say
-  real       put measured recordings to `twin diagnose`; the file that is written goes into the page by --real
+  real       put measured recordings to `twin diagnose`, write their page
 
 With --world wrong the description or the recording of every case is wrong beyond what it says of itself; with --world
-regression they are the cases that were once told wrongly. Their page is a section, which --wrong puts first on another.
-With --world arms they are whole arms of six and seven axes, as described.
+regression they are the cases that were once told wrongly. With --world arms they are whole arms of six and seven axes,
+as described. What is written by hand in the folder of a page's name (reading.md, before.md) is taken into the page.
 
 Every step goes on where it was interrupted; a result of another version of the engine is asked for again. The
 development split has a fixed seed; the seed of a sealed split is drawn in secret, and its making and every opening of
@@ -45,8 +45,8 @@ its answers are entered in its ledger with the hash of the engine.
   python -m tools.trials prove --split sealed --cases 240 --minutes 70      # report on what was done by then
   python -m tools.trials prove --split small --recordings hammer levels --each 6 --sizes 2 6   # every effect six times
   python -m tools.trials run --split sealed --scheduler tcp://HOST:8786  # needs twin[distributed]
-  python -m tools.trials prove --world wrong --split sealed-wrong --cases 240
-  python -m tools.trials real recordings.yaml --out real.json               # see tools/trials/real.py
+  python -m tools.trials prove --world wrong --split sealed-wrong --cases 240 --page docs/proof-wrong.md
+  python -m tools.trials real recordings.yaml --page docs/proof-real.md     # see tools/trials/real.py
 """
 
 
@@ -109,7 +109,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("step", choices=("make", "run", "refer", "score", "prove", "calibrate", "real"))
     parser.add_argument("recordings", nargs="?", type=Path, help="list of measured recordings, for `real`")
-    parser.add_argument("--out", type=Path, help="folder of the splits (default out/trials), file of `real`")
+    parser.add_argument("--out", type=Path, help="folder of the splits (default out/trials)")
     parser.add_argument("--split", default="development", help="development, or any name for a sealed one")
     parser.add_argument(
         "--world", choices=("described", "wrong", "regression", "arms"), default="described", help="for `make`"
@@ -134,8 +134,6 @@ def main(arguments: list[str] | None = None) -> None:
         "--limit", type=_positive(float), default=ask.LIMIT_S, help="seconds per case (default %(default)g)"
     )
     parser.add_argument("--page", type=Path, help="Markdown page to write (default: in the split's folder)")
-    parser.add_argument("--real", type=Path, help="file of `real`, for the page")
-    parser.add_argument("--wrong", type=Path, help="section of a wrong world (Markdown), first on the page")
     options = parser.parse_args(arguments)
     if options.sizes[0] > options.sizes[1]:
         parser.error("--sizes: expected the smaller first")
@@ -143,11 +141,10 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error("expected a list of recordings after `real`, and after nothing else")
     try:
         if options.step == "real":
-            target = options.out or Path("real.json")
-            store.write(target, real.asked(options.recordings, options.limit))
+            target = options.page or Path("proof-real.md")
+            store.write_text(target, real.page(real.asked(options.recordings, options.limit)))
             print(f"wrote {target}")
             return
-        measured = real.section(real.read(options.real)) if options.real else ""
     except InputError as error:
         parser.exit(2, f"{error}\n")
     deadline = None if options.minutes is None else time.time() + 60 * options.minutes
@@ -170,8 +167,7 @@ def main(arguments: list[str] | None = None) -> None:
     if options.step == "calibrate":
         _calibrate(split)
     if options.step in ("score", "prove"):
-        first = options.wrong.read_text() if options.wrong else ""
-        _score(split, options.page or split / "proof.md", measured, first)
+        _score(split, options.page or split / "proof.md")
 
 
 def _make(split: Path, pool: Executor, *drawn: Any) -> None:
@@ -262,17 +258,14 @@ def _unsealed(split: Path, why: str) -> tuple[dict[str, Any], dict[str, Any], An
     return results, manifest, ledger
 
 
-def _score(split: Path, target: Path, measured: str, first: str = "") -> None:
+def _score(split: Path, target: Path) -> None:
     if store.read(split / "manifest.json").get("world"):
         _score_wrong(split, target)
         return
     cases, results, manifest, ledger = _opened(split, "score")
     without = {c["id"]: c["without"] for c in manifest["cases"]}
     target.parent.mkdir(parents=True, exist_ok=True)
-    title = {"proof": "Proof: hammer tests", "proof-logs": "Proof: motion logs"}.get(
-        target.stem, f"Proof: {split.name} split"
-    )
-    page(target, title, cases, results, split, without, ledger, manifest, measured, first)
+    page(target, cases, results, split, without, ledger, manifest)
     for name, value in score.headline(cases).items():
         print(f"{name:40s} {value:.3g}" if isinstance(value, float) else f"{name:40s} {value}")
     store.write(split / "scores.json", json.loads(json.dumps(score.headline(cases), default=str)))
@@ -280,13 +273,13 @@ def _score(split: Path, target: Path, measured: str, first: str = "") -> None:
 
 
 def _score_wrong(split: Path, target: Path) -> None:
-    """The section about a wrong world, or the page about whole arms."""
+    """The page about wrong descriptions and recordings, or about whole arms."""
     results, manifest, ledger = _unsealed(split, "score")
     cases = [wrong_score.judged(_answer(split, name), result) for name, result in results.items()]
     store.write_text(split / "cases.md", "\n".join(wrong_score.every(cases)) + "\n")
     arms = manifest["world"] == "arms"
-    text, scores = (arms_score.page, arms_score.headline) if arms else (wrong_score.section, wrong_score.headline)
-    store.write_text(target, text(cases, len(manifest["cases"]), results, ledger))
+    text, scores = (arms_score.page, arms_score.headline) if arms else (wrong_score.page, wrong_score.headline)
+    store.write_text(target, text(target, cases, len(manifest["cases"]), results, ledger))
     for name, value in scores(cases).items():
         print(f"{name:52s} {value:.3g}" if isinstance(value, float) else f"{name:52s} {value}")
     print(f"wrote {target}")

@@ -1,12 +1,13 @@
 """What answers about whole arms of six and seven axes are worth, and docs/proof-arms.md: pure functions over cases."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tools.trials.score import Rate, often
-from tools.trials.store import typeset
+from tools.trials.store import by_hand, typeset
 from tools.trials.wrong_score import NAMED, Judged, by_number, rate, shown, table
 
 EXPLAINED = f"""\
@@ -53,8 +54,10 @@ def first(case: Judged) -> bool:
     return bool(case.named) and case.is_top(case.named[0][0])
 
 
-def page(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger: Sequence[dict[str, str]]) -> str:
-    """The page on whole arms, Markdown."""
+def page(
+    path: Path, cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger: Sequence[dict[str, str]]
+) -> str:
+    """The page on whole arms, Markdown; `by_hand` of `path` is taken in."""
     engines = sorted({r["engine"] for r in results.values()})
     many = "" if len(engines) == 1 else " (**more than one**)"
     opened = sum(e["why"].startswith("answers opened") for e in ledger)
@@ -75,6 +78,7 @@ def page(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger: S
         f"{len(cases)} of {drawn} cases, judged by engine {', '.join(engines)}{many}; the answers have been opened "
         f"{often(opened)}.", "", EXPLAINED, "",
         *table(("score", "measured", "wanted"), scores), "",
+        *by_hand(path, engines),
         "## By robot", "",
         *table(("robot", "recording", "named first", "false alarms", "seconds, median"), robots), "",
         "## By effect", "", *table(("effect", "recording", "named first"), effects), "",

@@ -1,4 +1,4 @@
-"""Measured recordings put to `twin diagnose`, and what the page says of them.
+"""Measured recordings put to `twin diagnose`, and docs/proof-real.md, which tells the answers.
 
 The list is YAML; paths are relative to it. Nothing of the recordings is kept, nor where they lie:
 
@@ -18,10 +18,9 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from tools.trials import ask
-from tools.trials.store import commit, engine_hash
+from tools.trials.store import commit, engine_hash, typeset
 from twin.errors import InputError
 
-FORMAT = "twin-trials-real"
 KEYS = {"name": str, "recordings": list, "options": list, "known": str, "note": str}
 
 
@@ -78,39 +77,20 @@ def asked(path: Path, limit_s: float) -> dict[str, Any]:
             "diagnosis": _kept(json.loads(said)) if code == 0 else None,
             "complaint": "" if code == 0 else (lines[-1].replace(str(here), "") if lines else f"exit code {code}"),
         })  # fmt: skip
-    return {"format": FORMAT, "version": 1, "engine": engine_hash(), "commit": commit(), "rows": rows}
+    return {"engine": engine_hash(), "commit": commit(), "rows": rows}
 
 
 def _kept(diagnosis: dict[str, Any]) -> dict[str, Any]:
     return {key: diagnosis.get(key) for key in ("verdict", "effects", "probabilities", "error", "next_test", "triage")}
 
 
-def read(path: Path) -> dict[str, Any]:
-    """What :func:`asked` found, as kept in a file.
-
-    Raises:
-        InputError: it is not such a file.
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            path, "", f"cannot be read ({error.strerror}); `python -m tools.trials real` writes it"
-        ) from None
-    except ValueError:
-        content = None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(path, "format", f"expected {FORMAT}, as `python -m tools.trials real` writes it")
-    return content
-
-
-def section(content: dict[str, Any]) -> str:
-    """The Markdown section of the page."""
-    lines = ["## Measured recordings", "",
+def page(content: dict[str, Any]) -> str:
+    """The page on measured recordings, Markdown."""
+    lines = ["# Proof: measured recordings", "",
              f"By engine {content['engine']} ({content['commit']}). Here nobody holds the truth; *known* is what is "
              "published of the robot. Error: RMS of the residual over RMS of the data.", ""]  # fmt: skip
     for row in content["rows"]:
-        lines += [f"### {row['name']}", ""]
+        lines += [f"## {row['name']}", ""]
         if row["known"]:
             lines += [_sentence(f"Known: {row['known']}"), ""]
         d = row["diagnosis"]
@@ -136,7 +116,7 @@ def section(content: dict[str, Any]) -> str:
         lines += [*_errors(d["error"] or {}), ""]
         if row["note"]:
             lines += [str(row["note"]), ""]
-    return "\n".join(lines)
+    return typeset("\n".join(lines))
 
 
 def _sentence(text: str) -> str:

@@ -1,6 +1,5 @@
 """The proof as people read it: a Markdown page with tables, and its figures."""
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from tools.trials import baselines, score
 from tools.trials.cases import SIZES
 from tools.trials.score import Rate, Scored, often
-from tools.trials.store import typeset
+from tools.trials.store import by_hand, typeset
 
 WANTED: dict[str, tuple[str, float]] = {  # sign: at most, at least
     "false alarms": ("≤", 0.05),
@@ -61,16 +60,12 @@ interval."""
 
 
 def page(
-    path: Path, title: str, cases: Sequence[Scored], results: dict[str, dict[str, Any]], split: Path,
+    path: Path, cases: Sequence[Scored], results: dict[str, dict[str, Any]], split: Path,
     without: dict[str, list[str]], ledger: Sequence[dict[str, str]], manifest: dict[str, Any],
-    real: str = "", first: str = "",
 ) -> None:  # fmt: skip
-    """Write `path` (Markdown) and figures beside it in a folder of the same name.
+    """Write `path` (Markdown) and figures beside it in a folder of the same name; `by_hand` is taken in.
 
-    `reading.md` in that folder, written by hand, is taken in: its first line tells the engine that it is about.
-
-    `manifest`: of the split, of which `cases` have a result; `real`, `first`: sections on measured
-    recordings, and on worlds that are not as described.
+    `manifest`: of the split, of which `cases` have a result.
     """
     figures = path.with_suffix("")
     figures.mkdir(parents=True, exist_ok=True)
@@ -83,14 +78,13 @@ def page(
     engines = sorted({r["engine"] for r in results.values()})
     openings = [e for e in ledger if e["why"].startswith("answers opened")]
     parts = [
-        f"# {title}", "",
-        *([first.strip(), "", "## Robots as described", ""] if first else []),
+        "# Proof: three axes", "",
         f"{len(cases)} of {len(manifest['cases'])} cases ({kinds}), judged by engine {', '.join(engines)}"
         f"{'' if len(engines) == 1 else ' — **more than one**'}; the answers have been opened {often(len(openings))}.",
         "", EXPLAINED.format(sizes=manifest.get("sizes", SIZES)), "",
         "Run it again: `make proof`; other mixes and sizes: `python -m tools.trials --help`.", "",
         "## Scores", "", *_scores(cases), "",
-        *_reading(figures / "reading.md", engines),
+        *by_hand(path, engines),
         "## Where it is weak", "", *_weak(cases), "",
         "## By kind of recording", "", *_by_recording(cases), "",
         "## Power", "", f"![Share found and share named rightly against size]({name}/power.png)", "",
@@ -103,25 +97,10 @@ def page(
         "## What else the robot and the recording were like", "", *_circumstances(cases), "",
         "## Beside simpler rules", "", *_baselines(cases, results, split, without), "",
         "## What metadata gives away", "", *_leaks(cases, split, without), "",
-        *([real.strip(), ""] if real else []),
         "## Every answer that was not right", "", *_wrong(cases), "",
         "## Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
     ]  # fmt: skip
     path.write_text(typeset("\n".join(parts)), encoding="utf-8")
-
-
-def _reading(path: Path, engines: Sequence[str]) -> list[str]:
-    """What somebody made of the failures; of those of another engine, if so."""
-    if not path.exists():
-        return []
-    first, *rest = path.read_text(encoding="utf-8").strip().splitlines()
-    about = re.search(r"\b[0-9a-f]{16}\b", first)
-    stated = first.strip("<!-> \n") if about else "engine not stated"
-    same = about is not None and [about[0]] == list(engines)
-    lines = [f"## Reading of the failures: {stated}", ""]
-    if not same:
-        lines += [f"**About another engine than this page** ({', '.join(engines)}): cases and numbers differ.", ""]
-    return [*lines, *(rest if about else [first, *rest]), ""]
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:

@@ -13,6 +13,7 @@ import json
 import os
 import re
 import subprocess
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,27 @@ def entered(split: Path, why: str) -> list[dict[str, str]]:
     ledger.append({"time": datetime.now(UTC).isoformat(timespec="seconds"), **entry})
     write(path, ledger)
     return list(ledger)
+
+
+def by_hand(page: Path, engines: Sequence[str]) -> list[str]:
+    """Lines of Markdown that somebody wrote for `page`, in the folder of its name.
+
+    `reading.md` tells why answers are wrong, and of which engine by the hash in its first line. `before.md` tells what
+    engines before scored.
+    """
+    folder = page.with_suffix("")
+    lines: list[str] = []
+    if (folder / "reading.md").exists():
+        first, *rest = (folder / "reading.md").read_text(encoding="utf-8").strip().splitlines()
+        about = re.search(r"\b[0-9a-f]{16}\b", first)
+        stated = first.strip("<!-> \n") if about else "engine not stated"
+        lines += [f"## Reading of the failures: {stated}", ""]
+        if about is None or [about[0]] != list(engines):
+            lines += [f"**About another engine than this page** ({', '.join(engines)}): cases and numbers differ.", ""]
+        lines += [*(rest if about else [first, *rest]), ""]
+    if (folder / "before.md").exists():
+        lines += ["## Engines before", "", (folder / "before.md").read_text(encoding="utf-8").strip(), ""]
+    return lines
 
 
 def typeset(page: str) -> str:

@@ -1,4 +1,4 @@
-"""What answers about a wrong world are worth, and the section that tells it: pure functions over cases.
+"""What answers about a wrong world are worth, and docs/proof-wrong.md: pure functions over cases.
 
 A *name* is the first answer of an effect that is listed, EFFECT@SITE, a number of the description (`parameter`) among
 them. It is wrong where it is neither the cause, nor what hardly differs from it, nor what was concealed on top.
@@ -9,12 +9,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tools.trials.score import HELD_ROOM, Rate, aliases, last_line, named_parameters, numbers, often
-from tools.trials.store import typeset
+from tools.trials.store import by_hand, typeset
 from tools.trials.visible import SEEN
 from tools.trials.wrong import OWN
 from tools.truth.wrong import LACKING_NOTHING, WAYS
@@ -289,8 +290,10 @@ WANTED = {
 }
 
 
-def section(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger: Sequence[dict[str, str]]) -> str:
-    """The section on wrong worlds, Markdown."""
+def page(
+    path: Path, cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger: Sequence[dict[str, str]]
+) -> str:
+    """The page on wrong descriptions and recordings, Markdown; `by_hand` of `path` is taken in."""
     engines = sorted({r["engine"] for r in results.values()})
     opened = sum(e["why"].startswith("answers opened") for e in ledger)
     many = "" if len(engines) == 1 else " (**more than one**)"
@@ -308,18 +311,19 @@ def section(cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger
         if (here := [c for c in cases if c.robot == robot])
     ]  # fmt: skip
     parts = [
-        "## When the description or the recording is wrong", "",
+        "# Proof: wrong descriptions and recordings", "",
         f"{len(cases)} of {drawn} cases, judged by engine {', '.join(engines)}{many}; the answers have been opened "
         f"{often(opened)}.", "",
         EXPLAINED, "",
         *table(("score", "measured", "wanted"), scores), "",
         *table(("answers", *recordings, "together"), by_class), "",
-        "### By way of being wrong", "", *_by_way(cases), "",
-        "### By robot", "", *table(("robot", "cases", "wrong name", "true cause first"), robots), "",
-        "### Intervals by number", "", *by_number(cases), "",
-        "### Every answer that was neither right nor near", "",
+        *by_hand(path, engines),
+        "## By way of being wrong", "", *_by_way(cases), "",
+        "## By robot", "", *table(("robot", "cases", "wrong name", "true cause first"), robots), "",
+        "## Intervals by number", "", *by_number(cases), "",
+        "## Every answer that was neither right nor near", "",
         *every([c for c in cases if c.outcome not in CLASSES[:2]]), "",
-        "### Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
+        "## Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
     ]  # fmt: skip
     return typeset("\n".join(parts))
 
