@@ -498,6 +498,20 @@ def test_play_that_gravity_presses_to_one_side_has_no_size() -> None:
     assert SEEN <= energy < 1.5 * SEEN
 
 
+def test_a_way_to_a_size_that_needs_too_many_steps_is_given_up() -> None:
+    """Such an effect is drawn again: one whose refits show as the sixth power of its size took a quarter of an hour."""
+    asked: list[float] = []
+
+    def fit(factor: float, starts: Sequence[np.ndarray]) -> visible._Fit:
+        asked.append(factor)
+        return visible._Fit(factor, starts[0], 1e12 * factor**6, 0.0)
+
+    start = visible._Fit(visible.STEP, np.zeros(1), SEEN * visible.STEP**2, 0.0)
+    with pytest.raises(ValueError, match="fewer steps"):
+        visible._Path(fit, np.zeros(1), [start]).to(50.0)
+    assert len(asked) == visible.MOST_FITS
+
+
 def test_what_a_softer_neighbour_imitates_shows_by_its_tolerance_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """A spring c in series with one of k: data tell 1/k + c alone. What shows is ½ (log(1 + kc)/w)², of which the
     derivative would make ½ (kc/w)²."""

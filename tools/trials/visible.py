@@ -36,6 +36,8 @@ IMPOSSIBLE = 1e9  # deviations: what a robot that cannot be answers
 FARTHEST = 100.0  # deviations of a nuisance: one more would itself show more than any effect that is drawn
 FASTER = 2.0  # than as the square of a size may what shows grow; beyond, the refit is taken to have got stuck
 LEAST_RATIO = 1.2  # of two sizes, between which a refit takes no step more
+MOST_FITS = 20  # on the way to a size; nearly all effects need one to three, a few would need hundreds
+KEPT = 1000  # FRFs of a posture, some 50 MB
 NEAR = 1.15  # what shows over what is to show, from which on a size is not drawn in or out again,
 CORRECTIONS = 8  # as often
 
@@ -202,15 +204,19 @@ class _Path:
     fit: Callable[[float, Sequence[Array]], _Fit]
     width: Array
     fits: list[_Fit]
+    count: int = 0
 
     def to(self, factor: float) -> _Fit:
         """The fit at a size.
 
         Raises:
-            ValueError: however small the steps, a fit gets stuck on the way.
+            ValueError: however small the steps, a fit gets stuck on the way; or the way is too long.
         """
         low = max((f for f in self.fits if f.factor <= factor), key=lambda f: f.factor, default=self.fits[0])
         ratio = factor / low.factor
+        self.count += 1
+        if self.count > MOST_FITS:
+            raise ValueError("expected an effect that a refit can follow to this size in fewer steps")
         found = self.fit(factor, (self._grown(low.z, ratio), low.z, 0 * low.z))
         if found.shown > FASTER * max(low.shown * ratio**2, SEEN):
             if ratio < LEAST_RATIO:
@@ -429,6 +435,8 @@ def hammer_signal(postures: tuple[Posture, ...], test: HammerTest, points: Seque
         stiff = [structure(upright, posture)]
         found = accelerance(upright, (posture,), smooth, structures=stiff)[0][0, 0][:, :, list(points)]
         if key not in known:
+            if len(known) >= KEPT:
+                known.clear()
             known[key] = truth, found
         return found
 
