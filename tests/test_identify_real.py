@@ -3,13 +3,12 @@
 The recordings are not part of the repository; set TWIN_RECORDINGS to their folder. Descriptions stand in tests/data.
 """
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.io
 
+from tools.public_logs import RECORDINGS, emps, kr300, tx40_motors
 from twin.diagnose.torque_faults import sound
 from twin.identify.rigid import identify
 from twin.measure.motion_log import MotionLog, MotionRun, check_against
@@ -17,7 +16,6 @@ from twin.model.torque_rows import Bands, relative_error
 from twin.robot.description import Robot, load_robot
 
 DATA = Path(__file__).parent / "data"
-RECORDINGS = Path(os.environ.get("TWIN_RECORDINGS", Path(__file__).parents[2] / "shared" / "data"))
 
 
 def needs(folder: str) -> pytest.MarkDecorator:
@@ -25,37 +23,13 @@ def needs(folder: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(not (RECORDINGS / folder).is_dir(), reason=reason)
 
 
-def emps() -> MotionLog:
-    runs = {}
-    for name, file in (("training", "DATA_EMPS.mat"), ("pulses", "DATA_EMPS_PULSES.mat")):
-        data = scipy.io.loadmat(RECORDINGS / "emps" / file)
-        force = data["gtau"].item() * data["vir"]
-        runs[name] = MotionRun(name, data["t"].ravel(), data["qm"], 1000.0, torque=force)
-    return MotionLog(runs)
-
-
 def tx40() -> MotionLog:
+    """Angles of motors over gear ratios: the description of the tests has zeros and the coupling."""
     ratio = np.array([32, 32, 45, -48, 45, 32.0])
-    motor, current = (
-        np.loadtxt(RECORDINGS / "tx40" / file, delimiter=",", skiprows=1)
-        for file in ("pos_read_data.csv", "curr_data.csv")
-    )
+    motor, current = tx40_motors()
     return MotionLog(
         {"tx40": MotionRun("tx40", np.arange(len(motor)) / 5e3, motor / ratio, 5e3, torque=current * ratio)}
     )
-
-
-def kr300() -> MotionLog:
-    data = scipy.io.loadmat(RECORDINGS / "kr300" / "forward_identification_shifted.mat")
-    return MotionLog(
-        {
-            name: MotionRun(
-                name, np.arange(data[f"y_{name}"].shape[1]) / 10, -np.deg2rad(data[f"y_{name}"].T), 10.0,
-                torque=-250 * data[f"u_{name}"].T,
-            )
-            for name in ("train", "val", "test")
-        }
-    )  # fmt: skip
 
 
 @needs("emps")

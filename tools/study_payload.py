@@ -11,7 +11,6 @@ on after 50 draws.
 """
 
 import argparse
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -19,10 +18,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import scipy.io
 from scipy.interpolate import CubicSpline
 
 import twin
+from tools import public_logs
+from tools.public_logs import DESCRIBED, RECORDINGS, need
 from tools.truth.effects import Effect
 from tools.truth.motion import Log, Run, draw_fourier, record
 from tools.truth.recording import draw_truth
@@ -33,20 +33,8 @@ from twin.model.regressor import Regressor, weight_vector
 from twin.model.torque_rows import Bands, motion_of_run
 from twin.robot.description import Robot, load_robot
 
-RECORDINGS = Path(os.environ.get("TWIN_RECORDINGS", Path(__file__).parents[2] / "shared" / "data"))
 SHARES = (0.005, 0.05)  # of the links' mass
 SECONDS = 10.0
-
-
-def need(*names: str) -> None:
-    """End in one line where real recordings are not there.
-
-    Raises:
-        SystemExit: what is missing, and how to say where it is.
-    """
-    for name in names:
-        if not (RECORDINGS / name).is_dir():
-            raise SystemExit(f"{RECORDINGS / name}: no such folder; TWIN_RECORDINGS says where real recordings are")
 
 
 @dataclass(frozen=True)
@@ -82,30 +70,21 @@ def with_load(robot: Robot, run: MotionRun, load: Load, stop_hz: float = 20.0) -
 
 
 def tx40(room: Path, _: np.random.Generator) -> tuple[Robot, MotionLog]:
-    """Motor to joint as its makers state it: motor 6 also turns with joint 5, and loads it."""
+    """The whole record, and the arm from its URDF alone."""
     room.mkdir(exist_ok=True)
     if not (room / "robot.yaml").exists():
         twin.save_robot(room / "robot.yaml", twin.describe(RECORDINGS / "tx40" / "tx40.urdf").robot)
-    motor, current = (
-        np.loadtxt(RECORDINGS / "tx40" / name, delimiter=",", skiprows=1)
-        for name in ("pos_read_data.csv", "curr_data.csv")
-    )
-    gears = np.diag([32, 32, 45, -48, 45, 32.0])
-    turns, torque = gears.copy(), gears.copy()
-    turns[5, 4] = torque[4, 5] = 32
-    q = motor @ np.linalg.inv(turns).T + np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])
-    run = MotionRun("run", np.arange(len(q)) / 5e3, q, 5e3, torque=current @ torque.T)
-    return load_robot(room / "robot.yaml"), MotionLog({"run": run})
+    return load_robot(room / "robot.yaml"), public_logs.tx40()
 
 
 def kr300(room: Path, rng: np.random.Generator) -> tuple[Robot, MotionLog]:
-    """The first three axes, as the description of the tests has them; a stretch of a minute, as it moves slowly."""
-    robot = load_robot(Path(__file__).parents[1] / "tests" / "data" / "kr300.yaml")
-    data = scipy.io.loadmat(RECORDINGS / "kr300" / "forward_identification_shifted.mat")
+    """The arm as the description of the tests has it; a stretch of a minute, as it moves slowly."""
+    train = public_logs.kr300().runs["train"]
+    assert train.torque is not None
     first, count = int(rng.integers(0, 3000)), 600
-    q, torque = (np.array(data[f"{name}_train"].T[first : first + count], float) for name in "yu")
-    run = MotionRun("run", np.arange(count) / 10, -np.deg2rad(q), 10.0, torque=-250 * torque)
-    return robot, MotionLog({"run": run})
+    q, torque = (x[first : first + count] for x in (train.position, train.torque))
+    run = MotionRun("run", np.arange(count) / 10, q, 10.0, torque=torque)
+    return load_robot(DESCRIBED / "kr300.yaml"), MotionLog({"run": run})
 
 
 def simulated(name: str, room: Path, rng: np.random.Generator, load: Load | None) -> tuple[Robot, MotionLog]:

@@ -26,7 +26,8 @@ import pinocchio
 from scipy.signal import butter, decimate, sosfiltfilt
 
 import twin
-from tools.study_payload import RECORDINGS, need, tx40
+from tools.public_logs import RECORDINGS, need
+from tools.study_payload import tx40
 from twin.diagnose.records import LogRecord
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.measure.signals import lowpass

@@ -20,9 +20,10 @@ from tempfile import TemporaryDirectory
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported
 
 import numpy as np
-import scipy.io
 
-from tools.study_payload import RECORDINGS, need, tx40
+from tools import public_logs
+from tools.public_logs import DESCRIBED, need
+from tools.study_payload import tx40
 from twin.diagnose.torque import base_system, diagnose_log, predicted_torque, searched
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_step import Step, left_out, own_rows
@@ -35,7 +36,6 @@ from twin.model.torque_signal import Prepared, Run, prepare, run_of
 from twin.robot.description import Robot, load_robot
 
 WIDE = Bands((16.0, 20.0), (24.0, 30.0))  # two thirds of nine seconds are too short for less
-DESCRIBED = Path(__file__).parents[1] / "tests" / "data"
 
 
 def thirds(run: MotionRun, last: bool) -> tuple[MotionLog, MotionLog]:
@@ -116,25 +116,17 @@ def _told(errors: np.ndarray) -> str:
 
 def emps() -> tuple[MotionLog, MotionLog]:
     """The training record and the one of pulses."""
-    runs = {}
-    for name, file in (("training", "DATA_EMPS.mat"), ("pulses", "DATA_EMPS_PULSES.mat")):
-        data = scipy.io.loadmat(RECORDINGS / "emps" / file)
-        runs[name] = MotionRun(name, data["t"].ravel(), data["qm"], 1000.0, data["gtau"].item() * data["vir"])
+    runs = public_logs.emps().runs
     return MotionLog({"training": runs["training"]}), MotionLog({"pulses": runs["pulses"]})
 
 
 def kr300() -> tuple[MotionLog, MotionLog]:
     """Of the records that its makers train and test with, the first seven minutes and all six."""
-    data = scipy.io.loadmat(RECORDINGS / "kr300" / "forward_identification_shifted.mat")
-    train, test = (
-        MotionRun(
-            name, np.arange(data[f"y_{name}"].shape[1]) / 10, -np.deg2rad(data[f"y_{name}"].T), 10.0,
-            -250 * data[f"u_{name}"].T.astype(float),
-        )
-        for name in ("train", "test")
-    )  # fmt: skip
+    runs = public_logs.kr300().runs
+    train = runs["train"]
+    assert train.torque is not None
     some = replace(train, time=train.time[:4000], position=train.position[:4000], torque=train.torque[:4000])
-    return MotionLog({"train": some}), MotionLog({"test": test})
+    return MotionLog({"train": some}), MotionLog({"test": runs["test"]})
 
 
 def main() -> None:
