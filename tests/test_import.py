@@ -547,7 +547,7 @@ def test_blows_are_read_at_the_rate_of_the_clock_in_the_file(
 
 def test_a_column_of_dates_is_left_out_and_told(tmp_path: Path) -> None:
     """German text: semicolons, decimal commas, a date before the numbers."""
-    rows = "".join(f"2026-11-29 10:00:0{k};{k},5;{2 * k},25\n" for k in range(5))
+    rows = "".join(f"29.11.2026;{k},5;{2 * k},25\n" for k in range(5))
     (tmp_path / "log.csv").write_text(f"Datum;Zeit [s];Achse1 [rad]\n{rows}")
     with pytest.warns(Told, match="text, no numbers, and left out: 'Datum'"):
         (table,) = read_text(tmp_path / "log.csv")
@@ -556,6 +556,37 @@ def test_a_column_of_dates_is_left_out_and_told(tmp_path: Path) -> None:
     (tmp_path / "words.csv").write_text("a;b;c\n" + "one;two;3\n" * 5)
     with pytest.raises(InputError, match="expected columns of numbers"):
         read_text(tmp_path / "words.csv")
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        ["23:59:59.996", "23:59:59.998", "00:00:00.000", "00:00:00.002"],
+        ["29.11.2026 23:59:59,996", "29.11.2026 23:59:59,998", "30.11.2026 0:00:00,000", "30.11.2026 0:00:00,002"],
+        [
+            "2026-11-29T23:59:59.996Z",
+            "2026-11-29T23:59:59.998Z",
+            "2026-11-30T00:00:00.000Z",
+            "2026-11-30T00:00:00.002Z",
+        ],
+        ["11:59:59.996 PM", "11:59:59.998 PM", "12:00:00.000 AM", "12:00:00.002 AM"],
+    ],
+)
+def test_times_of_day_are_a_clock_that_goes_on_over_midnight(stamps: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{stamp};{k},5;{k},25\n" for k, stamp in enumerate(stamps))
+    path.write_text(f"Uhrzeit;Achse1 [rad];M1 [Nm]\nhh:mm:ss;;\n{rows}")
+    (table,) = read_text(path)
+    assert table.channels["Uhrzeit"].unit == "s"
+    np.testing.assert_allclose(table.channels["Uhrzeit"].values, 86400 + 0.002 * np.arange(-2, 2), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(table.channels["Achse1"].values, np.arange(4) + 0.5)
+    assert guess_map([path])["time"] == {"channels": ["Uhrzeit"], "unit": "s"}
+
+
+def test_of_two_clocks_the_finer_one_is_guessed(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("Uhrzeit;t [s];Achse1 [rad]\n" + "".join(f"10:00:00;{k},5;{2 * k},25\n" for k in range(5)))
+    assert guess_map([path])["time"] == {"channels": ["t"], "unit": "s"}
 
 
 def test_a_guessed_map_takes_points_and_units_from_names(tmp_path: Path) -> None:

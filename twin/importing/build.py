@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError, tell
-from twin.importing.guess import CLOCK
+from twin.importing.guess import clocks
 from twin.importing.map import FunctionsMap, HitsMap, LogMap, Sensor, Stance, Struck, Taken, UniversalMap
 from twin.importing.tables import Table, chosen, joined
 from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, check_campaign
@@ -228,8 +228,8 @@ def _rate(source: Source, map_: HitsMap) -> float:
 
     A clock that starts again with every blow, or skips samples, tells no rate. Stamps may be rounded, to a sample.
     """
-    clocks = {name: channel.unit for name, channel in source.table.channels.items() if CLOCK.match(name)}
-    taken = map_.time or next((Taken(channels=[n], unit=unit) for n, unit in clocks.items() if known(unit)), None)
+    named = {name: source.table.channels[name].unit for name in clocks(source.table)}
+    taken = map_.time or next((Taken(channels=[n], unit=unit) for n, unit in named.items() if known(unit)), None)
     stated, rate = map_.sample_rate_hz or source.table.sample_rate_hz, None
     if taken is not None:
         time = source.series("time", taken, "time")[:, 0]
@@ -238,11 +238,11 @@ def _rate(source: Source, map_: HitsMap) -> float:
         if period > 0 and np.abs(time - even).max() <= period:
             rate = float(f"{1 / period:.4g}")
     if stated and rate and abs(rate / stated - 1) > UNLIKE_CLOCK:
-        clock = next(iter(clocks), "time")
+        clock = next(iter(named), "time")
         text = f"found {stated:g} in the map, and {rate:g} by the file's clock {clock!r}; correct one"
         raise InputError(source.path, "sample_rate_hz", text)
     if not (found := stated or rate):
-        text = "the file has no even clock" if clocks else "the file states no rate"
+        text = "the file has no even clock" if named else "the file states no rate"
         raise InputError(source.path, "sample_rate_hz", f"{text}; expected it in the map")
     return found
 

@@ -8,11 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from twin.errors import InputError
 from twin.importing.tables import Table, joined, natural
 from twin.measure.units import ASK, known, measure
 
-CLOCK = re.compile(r"(?i)^(time(stamp)?|t|zeit|.*\.(time|t))([_ ]?(s|sec|ms|us|ns))?$")
+CLOCK = re.compile(
+    r"(?i)^((date)?[ _]?time([ _]?stamp)?|date|t|(uhr)?zeit(stempel)?|datum|.*\.(time|t))([_ ]?(s|sec|ms|us|ns))?$"
+)
 HAMMER = re.compile(r"(?i)hammer|force|kraft|impact")
 FRF = re.compile(r"(?i)(^|\.)(frf|h|h1|hv|accelerance)$")
 LINES = re.compile(r"(?i)(^|\.)(f|freq.*)$")
@@ -57,7 +61,7 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
             series.setdefault(kind, []).append(name)
     if "position" not in series:
         raise InputError(first.name, "channels", f"no name tells a hammer or positions: {', '.join(names[:12])}")
-    clock = next((name for name in names if CLOCK.match(name)), None)
+    clock = next(iter(clocks(first)), None)
     found: dict[str, Any] = {"makes": "motion-log", "robot": ASK, **together}
     if clock:
         found["time"] = {"channels": [clock], "unit": _stated(first, clock)}
@@ -67,6 +71,12 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
         if kind in series or kind == "torque":
             found[kind] = _taken(first, series.get(kind, [ASK]))
     return found
+
+
+def clocks(table: Table) -> list[str]:
+    """Channels that are clocks by their names; the finest first, as seconds beside a date of whole seconds."""
+    names = [name for name in table.channels if CLOCK.match(name)]
+    return sorted(names, key=lambda name: -len(np.unique(table.channels[name].values)))
 
 
 def _kind(table: Table, name: str) -> str | None:
@@ -113,7 +123,7 @@ def _labels(names: Sequence[str], usual: Sequence[str]) -> list[str]:
 
 def _hits(first: Table, tables: Sequence[Table], names: list[str], hammer: str) -> dict[str, Any]:
     heard = [name for name in names if name != hammer and not CLOCK.match(name)]
-    clock = next((name for name in names if CLOCK.match(name)), None)
+    clock = next(iter(clocks(first)), None)
     timed = {"time": {"channels": [clock], "unit": _stated(first, clock)}} if clock else {}
     labels = _labels(heard, [f"{i // 3 + 1}{'XYZ'[i % 3]}+" for i in range(len(heard))])
     blows = _labels([Path(table.name).stem for table in tables], [f"{i + 2}Z+" for i in range(len(tables))])

@@ -1,4 +1,4 @@
-"""Tables as text: CSV and TSV of any separator, decimal comma, units in the header; UR RTDE, exported KRC traces."""
+"""Tables as text: CSV and TSV of any separator, decimal comma, units in the header, times of day; UR RTDE, KRC."""
 
 import re
 from pathlib import Path
@@ -10,6 +10,10 @@ from twin.importing.tables import Channel, Table
 
 SEPARATORS = "\t;, "  # tried in this order: a comma may be a decimal mark, a blank may be part of a name
 UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")  # "Kraft [N]", "q1 (deg)"
+STAMP = re.compile(  # "12:03:04.015", "02.12.2026 12:03:04,015", "2026-12-02T12:03:04Z"
+    r"^(?:\S+[ T])?(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d+)?) ?(?P<half>[AaPp][Mm])?(?:Z|[+-]\d{2}:?\d{2})?$"
+)
+DAY_S = 86400.0
 
 
 def read(path: Path) -> list[Table]:
@@ -26,6 +30,9 @@ def read(path: Path) -> list[Table]:
     decimal = "," if separator != "," and any("," in line for line in lines[-3:]) else "."
     rows = [_split(line, separator) for line in lines]
     whole = len(rows[-1])
+    stamps = [i for i in range(whole) if _is_clock([row[i] for row in rows[-3:] if len(row) == whole])]
+    for i in stamps:
+        _counted([row for row in rows if len(row) == whole], i, decimal)
     if words := [
         i for i, column in enumerate(zip(*rows[-3:], strict=False)) if _numbers(list(column), decimal) is None
     ]:
@@ -43,8 +50,29 @@ def read(path: Path) -> list[Table]:
         values.append(found)
     names, units = _header([row for row in rows[:first] if len(row) == width], width)
     table = np.array(values)
+    numbered = [i for i in range(whole) if i not in words]
+    units = ["s" if numbered[i] in stamps else unit for i, unit in enumerate(units)]
     channels = {name: Channel(table[:, i], units[i]) for i, name in enumerate(names)}
     return [Table(path.stem, channels)]
+
+
+def _is_clock(cells: list[str]) -> bool:
+    """Whether all cells are times of day, with or without a date."""
+    return bool(cells) and all(STAMP.match(cell) for cell in cells)
+
+
+def _counted(rows: list[list[str]], column: int, decimal: str) -> None:
+    """Write clock times as seconds since midnight, in place; they go on counting over the next midnight."""
+    before, days = 0.0, 0.0
+    for row in rows:
+        if found := STAMP.match(row[column]):
+            hour = int(found["h"])
+            if found["half"]:
+                hour = hour % 12 + 12 * (found["half"].lower() == "pm")
+            seconds = 3600.0 * hour + 60.0 * int(found["m"]) + float(found["s"].replace(",", "."))
+            days += DAY_S if seconds < before - DAY_S / 2 else 0.0
+            before = seconds
+            row[column] = f"{days + seconds:.9f}".replace(".", decimal)
 
 
 def _split(line: str, separator: str) -> list[str]:
