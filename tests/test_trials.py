@@ -474,12 +474,12 @@ def test_how_a_case_is_struck_is_known_without_sizing_its_effects() -> None:
 
 def test_what_was_written_by_hand_stays_and_tells_its_engine(tmp_path: Path) -> None:
     page = tmp_path / "proof.md"
-    assert store.by_hand(page, ["a" * 16]) == []
+    assert store.reading(page, ["a" * 16]) == store.before(page) == []
     store.write_text(tmp_path / "proof" / "reading.md", f"<!-- engine {'a' * 16}, commit abc -->\nNulls are noisy.\n")
     store.write_text(tmp_path / "proof" / "before.md", "What was.\n")
-    same, older = ("\n".join(store.by_hand(page, [engine * 16])) for engine in "ab")
+    same, older = ("\n".join(store.reading(page, [engine * 16])) for engine in "ab")
     assert same.startswith(f"## Reading of the failures: engine {'a' * 16}, commit abc\n\nNulls are noisy.")
-    assert same.endswith("## Engines before\n\nWhat was.\n")
+    assert "\n".join(store.before(page)) == "## Engines before\n\nWhat was.\n"
     assert "another engine" in older
     assert "Nulls are noisy." in older
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tools.trials.score import Rate, often
-from tools.trials.store import by_hand, typeset
+from tools.trials.store import before, reading, typeset
 from tools.trials.wrong_score import NAMED, Judged, by_number, rate, shown, table
 
 EXPLAINED = f"""\
@@ -57,7 +57,7 @@ def first(case: Judged) -> bool:
 def page(
     path: Path, cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger: Sequence[dict[str, str]]
 ) -> str:
-    """The page on whole arms, Markdown; `by_hand` of `path` is taken in."""
+    """The page on whole arms, Markdown; `reading` and `before` of `path` are taken in."""
     engines = sorted({r["engine"] for r in results.values()})
     many = "" if len(engines) == 1 else " (**more than one**)"
     opened = sum(e["why"].startswith("answers opened") for e in ledger)
@@ -78,12 +78,13 @@ def page(
         f"{len(cases)} of {drawn} cases, judged by engine {', '.join(engines)}{many}; the answers have been opened "
         f"{often(opened)}.", "", EXPLAINED, "",
         *table(("score", "measured", "wanted"), scores), "",
-        *by_hand(path, engines),
+        *reading(path, engines),
         "## By robot", "",
         *table(("robot", "recording", "named first", "false alarms", "seconds, median"), robots), "",
         "## By effect", "", *table(("effect", "recording", "named first"), effects), "",
         "## Intervals by number", "", *by_number(cases), "",
         "## Every answer that is not right", "", *_others(cases), "",
+        *before(path),
         "## Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
     ]  # fmt: skip
     return typeset("\n".join(parts))

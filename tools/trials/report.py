@@ -14,7 +14,7 @@ import numpy as np
 from tools.trials import baselines, score
 from tools.trials.cases import SIZES
 from tools.trials.score import Rate, Scored, often
-from tools.trials.store import by_hand, typeset
+from tools.trials.store import before, reading, typeset
 
 WANTED: dict[str, tuple[str, float]] = {  # sign: at most, at least
     "false alarms": ("≤", 0.05),
@@ -63,7 +63,7 @@ def page(
     path: Path, cases: Sequence[Scored], results: dict[str, dict[str, Any]], split: Path,
     without: dict[str, list[str]], ledger: Sequence[dict[str, str]], manifest: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Write `path` (Markdown) and figures beside it in a folder of the same name; `by_hand` is taken in.
+    """Write `path` (Markdown) and figures beside it in a folder of the same name; `reading` and `before` are taken in.
 
     `manifest`: of the split, of which `cases` have a result.
     """
@@ -84,7 +84,7 @@ def page(
         "", EXPLAINED.format(sizes=manifest.get("sizes", SIZES)), "",
         "Run it again: `make proof`; other mixes and sizes: `python -m tools.trials --help`.", "",
         "## Scores", "", *_scores(cases), "",
-        *by_hand(path, engines),
+        *reading(path, engines),
         "## Where it is weak", "", *_weak(cases), "",
         "## By kind of recording", "", *_by_recording(cases), "",
         "## Power", "", f"![Share found and share named rightly against size]({name}/power.png)", "",
@@ -98,6 +98,7 @@ def page(
         "## Beside simpler rules", "", *_baselines(cases, results, split, without), "",
         "## What metadata gives away", "", *_leaks(cases, split, without), "",
         "## Every answer that was not right", "", *_wrong(cases), "",
+        *before(path),
         "## Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
     ]  # fmt: skip
     path.write_text(typeset("\n".join(parts)), encoding="utf-8")

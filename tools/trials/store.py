@@ -77,25 +77,27 @@ def entered(split: Path, why: str) -> list[dict[str, str]]:
     return list(ledger)
 
 
-def by_hand(page: Path, engines: Sequence[str]) -> list[str]:
-    """Lines of Markdown that somebody wrote for `page`, in the folder of its name.
+def reading(page: Path, engines: Sequence[str]) -> list[str]:
+    """Why answers are wrong, Markdown that somebody wrote: `reading.md` in the folder of the page's name, or nothing.
 
-    `reading.md` tells why answers are wrong, and of which engine by the hash in its first line. `before.md` tells what
-    engines before scored.
+    The hash in its first line says which engine it is about.
     """
-    folder = page.with_suffix("")
-    lines: list[str] = []
-    if (folder / "reading.md").exists():
-        first, *rest = (folder / "reading.md").read_text(encoding="utf-8").strip().splitlines()
-        about = re.search(r"\b[0-9a-f]{16}\b", first)
-        stated = first.strip("<!-> \n") if about else "engine not stated"
-        lines += [f"## Reading of the failures: {stated}", ""]
-        if about is None or [about[0]] != list(engines):
-            lines += [f"**About another engine than this page** ({', '.join(engines)}): cases and numbers differ.", ""]
-        lines += [*(rest if about else [first, *rest]), ""]
-    if (folder / "before.md").exists():
-        lines += ["## Engines before", "", (folder / "before.md").read_text(encoding="utf-8").strip(), ""]
-    return lines
+    path = page.with_suffix("") / "reading.md"
+    if not path.exists():
+        return []
+    first, *rest = path.read_text(encoding="utf-8").strip().splitlines()
+    about = re.search(r"\b[0-9a-f]{16}\b", first)
+    stated = first.strip("<!-> \n") if about else "engine not stated"
+    lines = [f"## Reading of the failures: {stated}", ""]
+    if about is None or [about[0]] != list(engines):
+        lines += [f"**About another engine than this page** ({', '.join(engines)}): cases and numbers differ.", ""]
+    return [*lines, *(rest if about else [first, *rest]), ""]
+
+
+def before(page: Path) -> list[str]:
+    """What engines before scored, Markdown that somebody wrote: `before.md` beside `reading.md`, or nothing."""
+    path = page.with_suffix("") / "before.md"
+    return ["## Engines before", "", path.read_text(encoding="utf-8").strip(), ""] if path.exists() else []
 
 
 def typeset(page: str) -> str:

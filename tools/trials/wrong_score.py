@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tools.trials.score import HELD_ROOM, Rate, aliases, last_line, named_parameters, numbers, often
-from tools.trials.store import by_hand, typeset
+from tools.trials.store import before, reading, typeset
 from tools.trials.visible import SEEN
 from tools.trials.wrong import OWN
 from tools.truth.wrong import LACKING_NOTHING, WAYS
@@ -293,7 +293,7 @@ WANTED = {
 def page(
     path: Path, cases: Sequence[Judged], drawn: int, results: dict[str, Any], ledger: Sequence[dict[str, str]]
 ) -> str:
-    """The page on wrong descriptions and recordings, Markdown; `by_hand` of `path` is taken in."""
+    """The page on wrong descriptions and recordings, Markdown; `reading` and `before` of `path` are taken in."""
     engines = sorted({r["engine"] for r in results.values()})
     opened = sum(e["why"].startswith("answers opened") for e in ledger)
     many = "" if len(engines) == 1 else " (**more than one**)"
@@ -317,12 +317,13 @@ def page(
         EXPLAINED, "",
         *table(("score", "measured", "wanted"), scores), "",
         *table(("answers", *recordings, "together"), by_class), "",
-        *by_hand(path, engines),
+        *reading(path, engines),
         "## By way of being wrong", "", *_by_way(cases), "",
         "## By robot", "", *table(("robot", "cases", "wrong name", "true cause first"), robots), "",
         "## Intervals by number", "", *by_number(cases), "",
         "## Every answer that was neither right nor near", "",
         *every([c for c in cases if c.outcome not in CLASSES[:2]]), "",
+        *before(path),
         "## Ledger", "", *[f"- {e['time']}: {e['why']} (engine {e['engine']}, {e['commit']})" for e in ledger], "",
     ]  # fmt: skip
     return typeset("\n".join(parts))
