@@ -24,6 +24,7 @@ from ruamel.yaml import YAML
 from twin.commands.example import EXAMPLES
 from twin.commands.foreign import guess_map, import_files
 from twin.errors import InputError, Told
+from twin.importing.build import _axes
 from twin.importing.text import read as read_text
 from twin.measure.campaign import read_campaign
 from twin.measure.motion_log import read_motion_log
@@ -800,3 +801,72 @@ def test_hinges_and_slides_have_units_of_their_own(tmp_path: Path) -> None:
     plan.write_text(plan.read_text().replace("[deg, mm]", "deg"))
     with pytest.raises(InputError, match="A list of units, one per axis"):
         import_files([path], plan, out=tmp_path / "log.h5")
+
+
+def test_points_between_thousands_are_told_from_decimal_points(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    head = "Zeit [s];Achse1 [rad];M1 [Nm]\n"
+    path.write_text(head + "0,000;0,1;998\n0,004;0,2;1.004\n0,008;0,3;-1.010\n")
+    with pytest.warns(Told, match="'1.004' is 1004"):
+        (table,) = read_text(path)
+    np.testing.assert_allclose(table.channels["M1"].values, [998, 1004, -1010])
+    path.write_text(head + "0,000;0,1;1.001,5\n0,004;0,2;1.004,25\n0,008;0,3;999,5\n")
+    np.testing.assert_allclose(read_text(path)[0].channels["M1"].values, [1001.5, 1004.25, 999.5])
+    path.write_text(head + "0,000;0,1;0.998\n0,004;0,2;1.004\n0,008;0,3;12.5\n")
+    np.testing.assert_allclose(read_text(path)[0].channels["M1"].values, [0.998, 1.004, 12.5])
+    path.write_text(head + "0,000;0,1;1.001\n0,004;0,2;1.004\n0,008;0,3;1.010\n")
+    with pytest.raises(InputError, match=r"line 2.*may be 1001 or 1,001"):
+        read_text(path)
+
+
+def test_quoted_cells_and_windows_text_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text('"Zeit [s]","Lage 1 [Grad]"\n' + "".join(f'"0,00{k}","{k},5"\n' for k in range(4)))
+    (table,) = read_text(path)
+    np.testing.assert_allclose(table.channels["Lage 1"].values, np.arange(4) + 0.5)
+    assert table.channels["Lage 1"].unit == "Grad"
+    path.write_bytes("Zeit in s;Lage 1 in °\n0,0;1,5\n0,1;2,5\n0,2;3,5\n".encode("utf-16"))
+    np.testing.assert_allclose(read_text(path)[0].channels["Lage 1"].values, [1.5, 2.5, 3.5])
+
+
+def test_axes_with_clocks_of_their_own_are_brought_to_one(tmp_path: Path, twin: Callable[..., Any]) -> None:
+    """The second axis is recorded 80 ms later: its torque belongs to its own clock."""
+    time = 0.004 * np.arange(500)
+    rows = "".join(
+        f"{t:.3f},{np.sin(t):.9f},{np.cos(t):.9f},{t + 0.08:.3f},{np.sin(t + 0.08):.9f},{np.cos(t + 0.08):.9f}\n"
+        for t in time
+    )
+    (tmp_path / "log.csv").write_text(f"Zeit A1 [s],q1 [rad],M1 [Nm],Zeit A2 [s],q2 [rad],M2 [Nm]\n{rows}")
+    plan = guess_map([tmp_path / "log.csv"])
+    assert plan["time"] == {"channels": ["Zeit A1", "Zeit A2"], "unit": "s"}
+    del plan["robot"]
+    done = twin("import", tmp_path / "log.csv", "--map", mapped(tmp_path, **plan), "-o", tmp_path / "log.h5")
+    assert done.code == 0
+    assert "clocks of their own" in done.out
+    (run,) = read_motion_log(tmp_path / "log.h5").runs.values()
+    np.testing.assert_allclose(run.position[:, 1], run.position[:, 0], atol=1e-6)
+    np.testing.assert_allclose(run.torque[:, 1], run.torque[:, 0], atol=1e-6)
+    plan["time"]["channels"] = ["Zeit A1", "Zeit A2", "Zeit A1"]
+    refused(twin("import", tmp_path / "log.csv", "--map", mapped(tmp_path, **plan), "-o", tmp_path / "b.h5"),
+            "one for each of the 2 axes", tmp_path / "b.h5")  # fmt: skip
+
+
+def test_a_rate_that_the_clock_contradicts_is_refused_of_a_log_too(tmp_path: Path, twin: Callable[..., Any]) -> None:
+    rows = "".join(f"{0.004 * k:.3f},{np.sin(0.02 * k):.6f},{np.cos(0.02 * k):.6f}\n" for k in range(500))
+    (tmp_path / "log.csv").write_text(f"Zeit [s],q1 [rad],M1 [Nm]\n{rows}")
+    plan = {**guess_map([tmp_path / "log.csv"]), "sample_rate_hz": 25}
+    del plan["time"], plan["robot"]
+    refused(twin("import", tmp_path / "log.csv", "--map", mapped(tmp_path, **plan), "-o", tmp_path / "a.h5"),
+            "found 25 in the map, and 250", tmp_path / "a.h5")  # fmt: skip
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 0), (2, 1, 0), (1, 0, 2)])
+def test_axes_of_an_array_of_frfs_are_told_by_their_lengths(order: tuple[int, int, int]) -> None:
+    frf = np.random.default_rng(0).normal(size=(7, 3, 2))
+    stored = frf.transpose(order)
+    found = _axes(stored.shape, frf.shape)
+    assert found is not None
+    np.testing.assert_array_equal(stored.transpose(found), frf)
+    assert _axes((7, 2, 4), frf.shape) is None
+    assert _axes((3, 3, 7), (7, 3, 3)) == (2, 0, 1)
+    assert _axes((7, 3), (7, 3, 1)) == (0, 1, 2)

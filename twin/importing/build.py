@@ -6,6 +6,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from twin.errors import InputError, tell
 from twin.importing.guess import clocks
@@ -79,7 +80,7 @@ class Source:
     def _agree(self, field: str, name: str, unit: str, taken: Taken) -> None:
         """Refuse a unit of the map that is not the one that the file states of a channel."""
         stated = self.table.channels[name].unit
-        converted = taken.factor != 1.0 and not known(stated)  # currents, volts, counts
+        converted = "factor" in taken.model_fields_set and not known(stated)  # currents, volts, counts
         if not stated or same(stated, unit) or converted:
             return
         expected = f"the file states {stated!r}, the map {unit!r}: correct the map"
@@ -131,7 +132,8 @@ def build_log(sources: Sequence[Source], map_: LogMap) -> MotionLog:
         if len(set(axes.values())) > 1:
             found = ", ".join(f"{field} {count}" for field, count in axes.items())
             raise InputError(source.path, "channels", f"expected as many of each quantity, found {found}")
-        time = _clock(source, map_, len(series["position"]))
+        time, series, said = _on_one_clock(source, _clock(source, map_, len(series["position"])), series)
+        notes += [f"{name}: {said}"] if said else []
         steps = np.diff(time)
         if not (steps > 0).any():
             raise InputError(source.path, "time", "expected increasing instants")
@@ -158,18 +160,49 @@ def _together(sources: Sequence[Source], name: str, patterns: str | list[str]) -
 
 
 def _clock(source: Source, map_: LogMap, count: int) -> FloatArray:
-    """(count,) s."""
+    """(count, n) s: one clock, or one per axis."""
     if map_.time is not None:
-        time = source.series("time", map_.time, "time")[:, 0]
+        time = source.series("time", map_.time, "time")
         if len(time) != count:
             raise InputError(source.path, "time", f"expected {count} instants, as of the positions, found {len(time)}")
         return time
-    rate = map_.sample_rate_hz or source.table.sample_rate_hz
-    if rate is None:
+    if (map_.sample_rate_hz or source.table.sample_rate_hz) is None:
         raise InputError(
             source.path, "time", "expected a channel `time`, or `sample_rate_hz`; the file states no clock"
         )
-    return np.arange(count) / rate
+    return (np.arange(count) / _rate(source, map_))[:, None]
+
+
+def _on_one_clock(
+    source: Source, time: FloatArray, series: dict[str, FloatArray]
+) -> tuple[FloatArray, dict[str, FloatArray], str]:
+    """Bring axes that have clocks of their own, (nt, n) s, to the instants of the first.
+
+    Returns:
+        instants (m,) that all clocks cover, the series (m, n) there, and a note.
+
+    Raises:
+        InputError: neither one clock nor one per axis, or a clock that does not increase.
+    """
+    axes = series["position"].shape[1]
+    if time.shape[1] not in (1, axes):
+        expected = f"expected one clock, or one for each of the {axes} axes, found {time.shape[1]}"
+        raise InputError(source.path, "time: channels", expected)
+    if time.shape[1] == 1 or (time == time[:, :1]).all():
+        return time[:, 0], series, ""
+    if not (np.diff(time, axis=0) > 0).all():
+        raise InputError(source.path, "time: channels", "expected increasing instants of every axis")
+    first = time[:, 0]
+    inside = (first >= time[0].max()) & (first <= time[-1].min())
+    if inside.sum() < 2:
+        raise InputError(source.path, "time: channels", "expected clocks that overlap")
+    at = first[inside]
+    moved = {
+        field: np.stack([CubicSpline(clock, one)(at) for clock, one in zip(time.T, values.T, strict=True)], axis=1)
+        for field, values in series.items()
+    }
+    apart = float(np.abs(time - time[:, :1]).max())
+    return at, moved, f"axes have clocks of their own, up to {apart:.3g} s apart; all are at the instants of the first"
 
 
 def build_hits(sources: Sequence[Source], map_: HitsMap) -> Campaign:
@@ -223,7 +256,7 @@ def _struck(sources: Sequence[Source], map_: HitsMap, name: str, stance: Stance)
     return replace(made, frequency=made.frequency[kept], frf=made.frf[kept], coherence=coherence)
 
 
-def _rate(source: Source, map_: HitsMap) -> float:
+def _rate(source: Source, map_: HitsMap | LogMap) -> float:
     """Samples per second: as the file's clock has them, or the file states, or the map.
 
     A clock that starts again with every blow, or skips samples, tells no rate. Stamps may be rounded, to a sample.
@@ -295,7 +328,7 @@ def build_universal(paths: Sequence[Path], map_: UniversalMap) -> Campaign:
             raise InputError(paths[0], "unit", str(error)) from error
         read[name] = read_uff(
             here, q_deg=np.array(stance.q_deg, dtype=float), points=nodes, unit=map_.unit,
-            placed=map_.robot is not None,
+            placed=map_.robot is not None or nodes is not None,
         )  # fmt: skip
     first = next(iter(read.values()))
     postures = {}
@@ -340,11 +373,13 @@ def _functions(source: Source, map_: FunctionsMap, name: str, stance: Stance) ->
         if len(names) != 1 or names[0] not in source.table.channels:
             raise InputError(source.path, field, f"expected one array, {wanted!r} fits {len(names)}")
         values = np.asarray(source.table.channels[names[0]].values)
-        if values.size != np.prod(shape):
-            raise InputError(
-                source.path, field, f"expected {shape} numbers (frequency, response, excitation), found {values.shape}"
-            )
-        return values.reshape(shape)
+        if (order := _axes(values.shape, shape)) is None:
+            expected = f"expected {shape} numbers (frequency, response, excitation), found {values.shape}"
+            raise InputError(source.path, field, expected)
+        if order != tuple(sorted(order)):
+            said = ", ".join(("frequency", "response", "excitation")[order.index(k)] for k in range(3))
+            tell(str(source.path), field, f"its axes are taken as {said}")
+        return values.reshape([shape[order.index(k)] for k in range(3)]).transpose(order)
 
     made = PostureFRF(
         name, np.array(stance.q_deg, dtype=float), stance.brakes, frequency,
@@ -352,6 +387,20 @@ def _functions(source: Source, map_: FunctionsMap, name: str, stance: Stance) ->
         coherence=None if map_.coherence is None else array("coherence", map_.coherence).astype(float),
     )  # fmt: skip
     return map_.said_of(name, made)
+
+
+def _axes(found: tuple[int, ...], wanted: tuple[int, int, int]) -> tuple[int, ...] | None:
+    """Which axis of an array is frequency, response and excitation; None where its lengths do not tell.
+
+    The order of the contract goes first; then the lines of frequency are moved, so that responses stay before
+    excitations where both are as many. Axes of length one may be left out.
+    """
+    kept = [n for n in found if n != 1]
+    for order in ((0, 1, 2), (1, 0, 2), (2, 0, 1), (0, 2, 1), (1, 2, 0), (2, 1, 0)):
+        lengths = [wanted[order.index(k)] for k in range(3)]
+        if [n for n in lengths if n != 1] == kept:
+            return order
+    return None
 
 
 def _campaign(path: Path, map_: HitsMap | FunctionsMap, postures: dict[str, PostureFRF]) -> Campaign:

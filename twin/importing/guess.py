@@ -17,6 +17,7 @@ from twin.measure.units import ASK, known, measure
 CLOCK = re.compile(
     r"(?i)^((date)?[ _]?time([ _]?stamp)?|date|t|(uhr)?zeit(stempel)?|datum|.*\.(time|t))([_ ]?(s|sec|ms|us|ns))?$"
 )
+AXIS_CLOCK = re.compile(r"(?i)^(time|t|zeit)[ _]?(a|axis|achse|joint)?[ _]?\d+$")  # where every axis has its own
 HAMMER = re.compile(r"(?i)hammer|force|kraft|impact")
 FRF = re.compile(r"(?i)(^|\.)(frf|h|h1|hv|accelerance)$")
 LINES = re.compile(r"(?i)(^|\.)(f|freq.*)$")
@@ -24,7 +25,7 @@ SERIES = {  # in the order they are looked for; what others call them: URScript'
     "torque": re.compile(r"(?i)tau|torque|trq|effort|moment|curr(ent|[_.])|strom"),
     "velocity": re.compile(r"(?i)vel|qd|speed|geschw|drehzahl"),
     "acceleration": re.compile(r"(?i)acc|qdd"),
-    "position": re.compile(r"(?i)pos|(^|_|\.)q([_.]?\d+)?$|axis|angle|achs|winkel"),
+    "position": re.compile(r"(?i)pos|(^|_|\.)q([_.]?\d+)?$|axis|angle|achs|winkel|lage"),
 }
 ENDING = re.compile(r"[_ ](s|ms|us|ns|deg|rad|mm|m|Nm|N|g)$")  # a unit as names end with it
 MEASURED = {  # what an axis' channel is whose name does not tell, by its unit
@@ -62,8 +63,11 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
     if "position" not in series:
         raise InputError(first.name, "channels", f"no name tells a hammer or positions: {', '.join(names[:12])}")
     clock = next(iter(clocks(first)), None)
+    of_axes = sorted((name for name in names if AXIS_CLOCK.match(name)), key=natural)
     found: dict[str, Any] = {"makes": "motion-log", "robot": ASK, **together}
-    if clock:
+    if of_axes and len(of_axes) == len(series["position"]):
+        found["time"] = {"channels": of_axes, "unit": _stated(first, of_axes[0])}
+    elif clock:
         found["time"] = {"channels": [clock], "unit": _stated(first, clock)}
     else:
         found["sample_rate_hz"] = first.sample_rate_hz or ASK
@@ -81,7 +85,8 @@ def clocks(table: Table) -> list[str]:
 
 def _kind(table: Table, name: str) -> str | None:
     """Which series a channel is of, by its name, or else by its unit."""
-    unit, kind = table.channels[name].unit, next((k for k, pattern in SERIES.items() if pattern.search(name)), None)
+    bare = ENDING.sub("", name)
+    unit, kind = table.channels[name].unit, next((k for k, pattern in SERIES.items() if pattern.search(bare)), None)
     if kind or not unit or CLOCK.match(name):
         return kind
     if unit in CURRENT:
@@ -146,7 +151,12 @@ def _hits(first: Table, tables: Sequence[Table], names: list[str], hammer: str) 
 def _functions(first: Table, tables: Sequence[Table]) -> dict[str, Any]:
     name = next(name for name in first.channels if FRF.search(name))
     lines = next((n for n in first.channels if LINES.search(n)), ASK)
-    _, responses, excitations = first.channels[name].values.shape
+    shape = list(first.channels[name].values.shape)
+    if lines in first.channels and (count := first.channels[lines].values.size) in shape:
+        shape.remove(count)
+        responses, excitations = shape
+    else:
+        _, responses, excitations = shape
     return {
         "makes": "frf-campaign",
         "robot": ASK,
@@ -159,22 +169,31 @@ def _functions(first: Table, tables: Sequence[Table]) -> dict[str, Any]:
 
 
 def guess_universal(paths: Sequence[Path]) -> dict[str, Any]:
-    """A map for universal files: their nodes, each still to be given its body, every file a posture.
+    """A map for universal files: their nodes, each still to be given its body.
+
+    Files that belong together, one per hammer point, are one posture; else every file is one.
 
     Raises:
         InputError: the files hold no FRFs.
     """
     from twin.measure.uff import placed_nodes, read_uff, stated_unit
 
-    campaign = read_uff(paths[0], q_deg=None, unit=stated_unit(paths[0]))
-    sides, there = (campaign.response, campaign.excitation), placed_nodes(paths[0])
+    unit = stated_unit(paths[0])
+    try:  # one file per hammer point
+        campaigns, together = [read_uff(paths, q_deg=None, unit=unit)], len(paths) > 1
+    except InputError:  # every file a posture
+        campaigns, together = [read_uff(path, q_deg=None, unit=unit) for path in paths], False
+    sides = [side for campaign in campaigns for side in (campaign.response, campaign.excitation)]
+    there = set[int]().union(*(placed_nodes(path) for path in paths))
     places = {int(label[:-2]): list(map(float, at)) for side in sides
               for label, at in zip(side.label, side.position, strict=True)}  # fmt: skip
     nodes = {node: at if node in there else ASK for node, at in places.items()}
     return {
         "makes": "frf-campaign",
         "robot": ASK,
-        "postures": {path.stem: {"q_deg": ASK, "files": path.name} for path in paths},
-        "unit": stated_unit(paths[0]) or ASK,
+        "postures": {"posture": {"q_deg": ASK, "files": "*"}}
+        if together
+        else {path.stem: {"q_deg": ASK, "files": path.name} for path in paths},
+        "unit": unit or ASK,
         "nodes": {node: {"body": ASK, "position": at} for node, at in nodes.items()},
     }
