@@ -207,6 +207,7 @@ def write_scene(path: str | Path, found: "Map") -> None:
 
 
 def _tidy(ax: Axes) -> None:
+    ax.set_axisbelow(True)
     ax.grid(True, color="#d5d8dd", linewidth=0.5)
     ax.tick_params(direction="in", labelsize=8)
 
