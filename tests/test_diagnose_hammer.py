@@ -147,6 +147,7 @@ def test_one_hinge_per_axis_is_told_from_three_by_the_milling_posture_alone(tmp_
     assert after < 0.02
 
 
+@pytest.mark.slow
 def test_a_servo_far_softer_than_its_gear_is_named(tmp_path: Path) -> None:
     """Between a stiff servo and this one lies a ridge: one peak has passed another."""
     options = ("--effect", "servo_compliance@joint3:stiffness=3.2e6,damping=2.4e3", "--brakes", "off")

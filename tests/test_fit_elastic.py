@@ -521,6 +521,7 @@ def test_starts_that_end_at_the_same_numbers_agree_however_exact_the_data_are() 
     assert agreement(ends) == (2, 1e4)
 
 
+@pytest.mark.slow
 def test_nodes_that_are_not_where_the_file_says_are_freed(tmp_path: Path) -> None:
     """Every sensor and blow is off by its tolerance and turned by its own: held, 6 of 32 intervals held the truth."""
     from tools.study_coverage import off
