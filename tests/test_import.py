@@ -322,6 +322,29 @@ def test_universal_files_without_any_words(
     check_campaign_file(tmp_path / "campaign.h5", cell)
 
 
+def test_universal_files_of_one_point_each_are_one_posture(
+    cell: Recorded, tmp_path: Path, twin: Callable[..., Any]
+) -> None:
+    """Files of the same points are postures; a node that the map's ``nodes`` lack is not put at the foot."""
+    universal(tmp_path / "all.unv", cell, binary=False)
+    again = tmp_path / "again.unv"
+    again.write_bytes((tmp_path / "all.unv").read_bytes())
+    assert list(guess_map([tmp_path / "all.unv", again])["postures"]) == ["all", "again"]
+    whole, files = pyuff.UFF(str(tmp_path / "all.unv")).read_sets(), []
+    for blow in sorted({(s["ref_node"], s["ref_dir"]) for s in whole if s["type"] == 58}):
+        files.append(tmp_path / f"p{blow[0]}_{blow[1]}.unv")
+        some = [s for s in whole if s["type"] != 58 or (s["ref_node"], s["ref_dir"]) == blow]
+        pyuff.UFF(str(files[-1])).write_sets(some, mode="overwrite")
+    assert len(files) > 1
+    found = guess_map(files)
+    assert found["postures"] == {"posture": {"q_deg": "ask", "files": "*"}}
+    assert set(found["nodes"]) >= {int(p["label"][:-2]) for p in cell.nodes}
+    some = {99: nodes(cell)[21]}
+    plan = mapped(tmp_path, makes="frf-campaign", postures=stance(cell), nodes=some, unit="m/s²/N")
+    refused(twin("import", tmp_path / "all.unv", "--map", plan, "-o", tmp_path / "c.h5"), "expected its body and place",
+            tmp_path / "c.h5")  # fmt: skip
+
+
 def test_blows_of_a_coherence_that_universal_files_do_not_count(cell: Recorded, tmp_path: Path) -> None:
     universal(tmp_path / "export.unv", cell, binary=False)
     said = {"makes": "frf-campaign", "robot": "kr90", "postures": stance(cell), "nodes": nodes(cell), "unit": "m/s²/N"}
@@ -582,6 +605,9 @@ def test_times_of_day_are_a_clock_that_goes_on_over_midnight(stamps: list[str], 
     np.testing.assert_allclose(table.channels["Uhrzeit"].values, 86400 + 0.002 * np.arange(-2, 2), rtol=0, atol=1e-9)
     np.testing.assert_allclose(table.channels["Achse1"].values, np.arange(4) + 0.5)
     assert guess_map([path])["time"] == {"channels": ["Uhrzeit"], "unit": "s"}
+    path.write_text("Uhrzeit;Achse1 [rad];M1 [Nm]\n" + "25:99:99;1,0;2,0\n" * 4)
+    with pytest.warns(Told, match="text, no numbers, and left out: 'Uhrzeit'"):
+        read_text(path)
 
 
 def test_of_two_clocks_the_finer_one_is_guessed(tmp_path: Path) -> None:

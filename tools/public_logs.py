@@ -100,7 +100,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
     need("emps", "tx40", "kr300")
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.exit(2, f"{folder}: expected a folder that can be made ({error.strerror})\n")
     for log in (emps, tx40, kr300):
         twin.write_log(folder / f"{log.__name__}.h5", log())
     for name in ("emps", "kr300"):

@@ -13,7 +13,8 @@ SEPARATORS = "\t;, "  # tried in this order: a comma may be a decimal mark, a bl
 UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")  # "Kraft [N]", "q1 (deg)"
 IN = re.compile(r"^(?P<name>.+) in (?P<unit>\S{1,8})$")  # "Lage 1 in °"
 STAMP = re.compile(  # "12:03:04.015", "02.12.2026 12:03:04,015", "2026-12-02T12:03:04Z"
-    r"^(?:\S+[ T])?(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d+)?) ?(?P<half>[AaPp][Mm])?(?:Z|[+-]\d{2}:?\d{2})?$"
+    r"^(?:\S+[ T])?(?P<h>[01]?\d|2[0-3]):(?P<m>[0-5]\d):(?P<s>[0-5]\d(?:[.,]\d+)?)"
+    r" ?(?P<half>[AaPp][Mm])?(?:Z|[+-]\d{2}:?\d{2})?$"
 )
 DAY_S = 86400.0
 ONE_POINT = re.compile(r"^[+-]?\d*\.\d+$")

@@ -17,7 +17,7 @@ KINDS = {"hopf": "#1f4e9c", "flip": "#e8590c", "mode_coupling": "#7048a8"}
 TITLES = {"hopf": "Hopf", "flip": "flip", "mode_coupling": "mode coupling"}
 _SAFE, _SHADE, _GREY = "#0b7285", "#e4e7eb", "#8a8f98"
 DEPTHS = 240  # of the shaded chart
-ROOM = 1.25  # of a chart, over the deepest stable cut
+ROOM = 1.25  # of a chart, over the deepest cut that is stable or was found to chatter
 VIEW = 4.0  # times the median limit that the chart shows, if there is that much
 
 
@@ -64,7 +64,10 @@ def _chart(ax: Axes, found: "StabilityLobes") -> None:
     depth = (np.geomspace if many else np.linspace)(bottom, min(top, lobes.depth_max_m), DEPTHS)
     unstable = (lobes.limits.unstable(depth) > 0).T.astype(float)
     ax.contourf(rpm, 1e3 * depth, unstable, levels=[0.5, 1.5], colors=[_SHADE])
-    top = min(top, ROOM * float(depth[(unstable < 0.5).any(axis=1)].max()))  # nothing is stable above
+    deepest = [float(depth[(unstable < 0.5).any(axis=1)].max()), *(chatter for _, chatter in found.in_time)]
+    if lobes.draws_m is not None:
+        deepest.append(float(np.quantile(lobes.draws_m, 0.95, axis=0).max()))
+    top = min(top, ROOM * max(deepest))  # nothing is stable above
     ax.plot([], [], color=_SHADE, linewidth=8, label="unstable")
     if lobes.draws_m is not None and lobes.draws_rpm is not None:
         low, high = np.quantile(lobes.draws_m, [0.05, 0.95], axis=0)
