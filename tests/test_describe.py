@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 import trimesh
 from ruamel.yaml import YAML
+from scipy.linalg import eigh
 
 import twin
 from twin.errors import InputError
+from twin.model.linear import linearise
+from twin.model.modes import modes
 from twin.model.replay import inverse_dynamics
 from twin.physics.motion import Motion
-from twin.robot.description import load_robot
+from twin.robot.description import load_robot, parse_robot
 from twin.robot.frames import inertia_six
+from twin.robot.mechanism import assemble
 from twin.robot.mjcf_tree import read_mjcf
 from twin.robot.reduce import possible, reduce_tree
 from twin.robot.scaling import estimate
@@ -100,7 +104,8 @@ def test_what_the_file_lacks_is_assumed_with_source_tolerance_and_the_test_that_
     robot = load_robot(tmp_path / "out" / "robot.yaml")
     assert robot.assumed == found.assumed
     assert all(item.source.startswith("assumed: ") and item.settled_by for item in robot.assumed)
-    assert all(item.tolerance or item.field.startswith("tolerances.") for item in robot.assumed)
+    places = ("com", "bearing")  # a factor says nothing of them
+    assert all(item.tolerance or item.field.endswith((*places, "torque_gain")) for item in robot.assumed)
     fields = {item.field for item in robot.assumed}
     for field in (
         "axes[0].stiffness",
@@ -201,7 +206,7 @@ def test_followers_side_branches_and_hands(tmp_path: Path) -> None:
     assert [axis.name for axis in robot.axes] == ["j1", "j2", "j3"]
     assert robot.drives[2].coupling == {"joint1": 1.0}
     assert robot.links[2].mass == 7
-    assert [item.field for item in robot.assumed if item.settled_by == "drawing"] == [
+    assert [item.field for item in robot.assumed if item.settled_by == "drawing" and not item.unit] == [
         "axis j3", "joint f1", "joint f2",
     ]  # fmt: skip
     named = twin.describe(path, sheet=sheet(tmp_path, tip="right")).robot
@@ -426,6 +431,43 @@ def test_an_mjcf_tells_springs_and_takes_sites_and_ranges_of_control(tmp_path: P
 
 def test_the_printed_list_says_which_axes(tmp_path: Path) -> None:
     text = str(twin.describe(urdf(tmp_path, ARM), sheet=sheet(tmp_path, max_acceleration=[None, 90])))
-    assert "axes[0].limits.acceleration = " in text
-    assert "axes[0-1].stiffness = " in text
+    assert "axis1.limits.acceleration = " in text
+    assert "axis1-2.stiffness = " in text
     assert "*" not in text.replace("m*", "")
+
+
+def test_bearings_tilt_where_the_file_has_its_joints(tmp_path: Path) -> None:
+    """Modes of a described URDF are those of MuJoCo's own reading of it, with three springs put at each joint."""
+    turned = '<origin xyz="0.2 0.1 0.4" rpy="0.3 -0.2 0.5"/>'
+    second = joint("j2", "a", "b", axis="0 1 0").replace('<origin xyz="0.5 0 0.1"/>', turned)
+    third = joint("j3", "b", "c", axis="0.6 0 0.8").replace('<origin xyz="0.5 0 0.1"/>', turned)
+    whole = 'ixx="0.2" iyy="0.3" izz="0.25" ixy="0.02" ixz="0" iyz="-0.03"'
+    parts = [link(name, inertia=whole) for name in "abc"]
+    path = urdf(tmp_path, link("foot", 20, whole), *parts, joint("j1", "foot", "a", axis="0 0 1"), second, third)
+    k = 3e4
+    data = twin.describe(path, sheet=sheet(tmp_path, stiffness=[k] * 3)).robot.model_dump(mode="json")
+    data["gravity"] = [0, 0, 0]
+    for entry in data["physics"]:
+        if entry["effect"] == "transverse_compliance":
+            entry |= {"stiffness": 2 * k, "damping": 0.0}
+    for axis in data["axes"]:
+        axis["damping"] = 0.0
+    robot = parse_robot(data)
+    assert any(abs(axis.bearing) > 0.05 for axis in robot.axes)
+
+    spec = mujoco.MjSpec.from_file(str(path))
+    for hinge in list(spec.joints):
+        z = np.array(hinge.axis)
+        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+        x /= np.linalg.norm(x)
+        for name, across in (("x", x), ("y", np.cross(z, x))):
+            hinge.parent.add_joint(name=hinge.name + name, axis=across, stiffness=[2 * k, 0, 0])
+        hinge.stiffness = [k, 0, 0]
+    model = spec.compile()
+    state = mujoco.MjData(model)
+    mujoco.mj_forward(model, state)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, state, mass)
+    expected = np.sqrt(eigh(np.diag(model.jnt_stiffness), mass, eigvals_only=True)) / (2 * np.pi)
+    found = np.abs(modes(linearise(assemble(robot, np.zeros(3)))).pole) / (2 * np.pi)
+    np.testing.assert_allclose(np.sort(found), expected, rtol=1e-6)

@@ -62,8 +62,10 @@ EXTRA = (
 
 @pytest.fixture(scope="module")
 def full(kr90: Robot) -> Robot:
-    """kr90 with one of everything a hammer test can show."""
+    """kr90 with one of everything a hammer test can show; bearings stand off the origins of the links' frames."""
     data = kr90.model_dump(mode="json")
+    for axis, height in zip(data["axes"], (-0.4, 0.12, 0.3), strict=True):
+        axis["bearing"] = height
     data["physics"] += [dict(entry) for entry in EXTRA]
     return parse_robot(data)
 

@@ -188,7 +188,8 @@ def middle(robot: Robot) -> np.ndarray:
 Row = tuple[str, str, str, str, str]  # field, value, unit, within, source
 
 
-NUMBERED = re.compile(r"(?<=\[)\d+(?=\])|(?<=joint)\d+")  # of an axis, in a field
+NUMBERED = re.compile(r"(?<=axis)\d+|(?<=drive)\d+|(?<=link)\d+|(?<=joint)\d+")  # of an axis, in a name
+LISTED = {"axes": "axis", "drives": "drive", "links": "link"}  # lists of robot.yaml, and what one of them is called
 
 
 def _together(rows: list[Row]) -> list[Row]:
@@ -206,7 +207,7 @@ def _together(rows: list[Row]) -> list[Row]:
 
 
 def _ranges(numbers: list[int]) -> str:
-    """``0-2, 5``."""
+    """``1-3, 6``."""
     found: list[list[int]] = []
     for number in numbers:
         if found and number == found[-1][-1] + 1:
@@ -223,7 +224,12 @@ def _row(item: Assumed) -> Row:
     else:
         text = value if isinstance(value, str) else f"{value:.4g}"
     within = f"×/÷ {item.tolerance:g}" if item.tolerance else ""
-    return item.field, text, item.unit, within, item.source
+    return _named(item.field), text, item.unit, within, item.source
+
+
+def _named(field: str) -> str:
+    """A place in ``robot.yaml`` as parameters are called: ``axes[0].stiffness`` is ``axis1.stiffness``."""
+    return re.sub(rf"^({'|'.join(LISTED)})\[(\d+)\]", lambda at: f"{LISTED[at[1]]}{int(at[2]) + 1}", field)
 
 
 def _write(found: Described, chain: Chain, name: Outputs) -> None:

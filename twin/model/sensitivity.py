@@ -251,14 +251,17 @@ def _placed(
             turn = turn @ matrix_of(body.quaternion)
         for joint in body.joints:
             axis = turn @ np.asarray(joint.axis)
+            anchor = turn @ np.asarray(joint.position)
             axes.append(axis)
-            points.append(place)
+            points.append(place + anchor)
             if deflections is not None:
                 amount = np.array([rest.get(joint.name, 0.0) for rest in deflections])
                 if joint.kind == "slide":
                     place = place + amount[:, None] * axis
                 elif amount.any():
-                    turn = _rodrigues(axis, amount) @ turn
+                    turned = _rodrigues(axis, amount)
+                    place = place + anchor - (turned @ anchor[..., None])[..., 0]
+                    turn = turned @ turn
         turns.append(turn)
         places.append(place)
     n = len(commands)

@@ -1,4 +1,4 @@
-"""Bearing tilt: a joint also gives way about x or y of its link's frame, torque k φ + d φ̇."""
+"""Bearing tilt: a joint also gives way about x or y of its link's frame, at the bearing, torque k φ + d φ̇."""
 
 from math import inf
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class TransverseCompliance(Effect):
-    """Natively: a second or third hinge in the link's body, coincident with the joint's own."""
+    """Natively: a second or third hinge in the link's body, which meets the joint's own axis at the bearing."""
 
     name = "transverse_compliance"
     sites = ("joint{i}.x", "joint{i}.y")
@@ -31,8 +31,10 @@ class TransverseCompliance(Effect):
         return of_spring(values["stiffness"], values["damping"], weight.torque) if turns else []
 
     def write(self, mechanism: "Mechanism", site: str, values: Values) -> None:
-        body = f"link{axis_of(site) + 1}"
-        mechanism.spring(body, site, UNIT_VECTORS[site[-1]], values["stiffness"], values["damping"])
+        number = axis_of(site)
+        bearing = (0.0, 0.0, mechanism.robot.axes[number].bearing)
+        sizes = values["stiffness"], values["damping"]
+        mechanism.spring(f"link{number + 1}", site, UNIT_VECTORS[site[-1]], *sizes, position=bearing)
 
     def typical(self, robot: "Robot", site: str) -> dict[str, Any] | None:
         """Twice a joint's stiffness."""

@@ -73,13 +73,18 @@ class Filler:
         )  # fmt: skip
         return rounded
 
+    def note(self, field: str, value: float | list[float], unit: str, source: str, settled_by: str) -> None:
+        """List a number as assumed of which nobody can say how far off it may be."""
+        told = Assumed(field=field, value=value, unit=unit, source=f"assumed: {source}", settled_by=settled_by)
+        self.assumed.append(told)
+
     def as_written(self) -> None:
         """Masses and inertias that were assumed, as they are after the sheet's masses have scaled them."""
         for k, item in enumerate(self.assumed):
-            if not (found := re.fullmatch(r"links\[(\d+)\]\.(mass|inertia)", item.field)):
+            if not (found := re.fullmatch(r"links\[(\d+)\]\.(mass|com|inertia)", item.field)):
                 continue
             link, name = self.data["links"][int(found[1])], found[2]
-            if name == "inertia":  # what turning it into the frame leaves of zero
+            if name != "mass":  # what turning it into the frame leaves of zero
                 least = 1e-12 * max(map(abs, link[name]))
                 link[name] = [value if abs(value) > least else 0.0 for value in link[name]]
             self.assumed[k] = item.model_copy(update={"value": link[name]})
@@ -132,12 +137,7 @@ def _tolerances(filler: Filler) -> None:
         ("com", "m", "as the KR90's description: 1 cm of a robot 4 m long, at least a millimetre", "torque log"),
         ("torque_gain", "", "torque constants of motor data sheets, ±10 %", "data sheet"),
     ):
-        filler.assumed.append(
-            Assumed(
-                field=f"tolerances.{name}", value=stated[name], unit=unit, source=f"assumed: {source}",
-                settled_by=settled_by,
-            )
-        )  # fmt: skip
+        filler.note(f"tolerances.{name}", stated[name], unit, source, settled_by)
 
 
 def _limits(filler: Filler) -> None:
@@ -213,6 +213,8 @@ def _masses(filler: Filler, payload: float, reach: float) -> None:
         why = Estimate(0.0, 2.0, text if known else text.partition(", by")[0])
         mass = filler.say(f"links[{number - 1}].mass", per_share * share[number - 1], "kg", why, "torque log")
         _scale(links[number - 1], mass)
+        for name, unit, source in (("com", "m", "half-way to the next joint"), ("inertia", "kg·m²", "a steel ball's")):
+            filler.note(f"links[{number - 1}].{name}", links[number - 1][name], unit, source, "torque log")
     if sheet.mass is not None and known:
         held = sum(link["mass"] for link in links)
         factor = (sheet.mass - base["mass"]) / held
@@ -377,6 +379,8 @@ def _springs(filler: Filler, peak: np.ndarray) -> None:
             entry = {"effect": tilt.name, "site": f"{site}.{letter}", "stiffness": k, "damping": d}
             filler.data["physics"].append(entry)
             _prior(filler, f"{site}.{letter}.stiffness", bearing)
+        if place := axis.get("bearing"):
+            filler.note(f"axes[{i}].bearing", place, "m", "at the joint's origin in the file", "drawing")
         _prior(filler, f"{site}.*.damping", lag)
 
 

@@ -221,7 +221,8 @@ class Axis(Data):
     """An axis in modified (Craig) DH: Rx(alpha) Tx(a) Rz(theta) Tz(d) from the frame before it.
 
     The position q is added to theta (revolute) or d (prismatic). ``stiffness`` (N·m/rad or N/m) and ``damping``
-    (N·m·s/rad or N·s/m) are the gear's, about (along) z; without a stiffness the axis is rigid.
+    (N·m·s/rad or N·s/m) are the gear's, about (along) z; without a stiffness the axis is rigid. ``bearing`` is where on
+    z the bearing tilts, m from the origin of the link's frame.
     """
 
     type: Literal["revolute", "prismatic"] = "revolute"
@@ -230,6 +231,7 @@ class Axis(Data):
     a: Place = 0.0
     theta_deg: Angle = 0.0
     d: Place = 0.0
+    bearing: Place = 0.0
     limits: Limits | None = None
     stiffness: Stiffness | None = None
     damping: Damping = 0.0

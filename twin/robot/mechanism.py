@@ -27,6 +27,7 @@ class Joint:
 
     Attributes:
         axis: unit vector in the body's frame.
+        position: a point of a hinge's axis, m in the body's frame.
         stiffness: k₁, k₂, k₃ of k₁x + k₂x² + k₃x³.
         damping: d₁, d₂, d₃ of d₁v + d₂v|v| + d₃v³.
         elastic: a deflection, whose rest position is chosen so that the commanded posture is the equilibrium;
@@ -51,6 +52,7 @@ class Joint:
     integral_time: float = inf
     dead_zone: float = 0.0
     range: tuple[float, float] | None = None
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def rest(self, torque: float) -> float:
         """Deflection (rad, m) at which the spring carries a torque: k₁x + k₂x² + k₃x³ = torque, the dead zone aside."""
@@ -218,9 +220,10 @@ class Mechanism:
         stiffness: float,
         damping: float,
         kind: Literal["hinge", "slide"] = "hinge",
+        position: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> Joint:
-        """Give a body an elastic degree of freedom."""
-        joint = Joint(name, axis, kind, [stiffness, 0.0, 0.0], [damping, 0.0, 0.0])
+        """Give a body an elastic degree of freedom, a hinge's axis through ``position`` (m, in the body's frame)."""
+        joint = Joint(name, axis, kind, [stiffness, 0.0, 0.0], [damping, 0.0, 0.0], position=position)
         self.bodies[body].joints.append(joint)
         return joint
 

@@ -247,6 +247,7 @@ def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, body: Body, visual: b
             name=joint.name,
             type=mujoco.mjtJoint.mjJNT_SLIDE if joint.kind == "slide" else mujoco.mjtJoint.mjJNT_HINGE,
             axis=joint.axis,
+            pos=joint.position,
             stiffness=[0, 0, 0] if joint.dead_zone else joint.stiffness,
             damping=damping,
             armature=joint.armature,

@@ -226,9 +226,10 @@ def robot_data(chain: Chain) -> dict[str, Any]:
                 "type": "prismatic" if joint.kind == "prismatic" else "revolute",
                 "name": joint.name,
                 **dh,
+                **_bearing(joint, frame, placement),
                 "limits": {"position": joint.position, "velocity": joint.velocity},
             }
-            for (joint, _), dh in zip(chain.axes, parameters, strict=True)
+            for (joint, placement), dh, frame in zip(chain.axes, parameters, frames[1:], strict=True)
         ],
         "flange": _placement(tip),
         "physics": [
@@ -239,6 +240,12 @@ def robot_data(chain: Chain) -> dict[str, Any]:
         ],
         "tolerances": {"com": _com_tolerance(parameters, tip), "torque_gain": TORQUE_GAIN},
     }
+
+
+def _bearing(joint: Joint, frame: np.ndarray, placement: np.ndarray) -> dict[str, float]:
+    """Where the file has a turning joint on its axis, m from the origin of the link's modified-DH ``frame``."""
+    height = round(float(frame[:3, 2] @ (placement[:3, 3] - frame[:3, 3])), 9)
+    return {"bearing": height} if height and joint.kind != "prismatic" else {}
 
 
 def _com_tolerance(parameters: list[dict[str, float]], tip: np.ndarray) -> float:
