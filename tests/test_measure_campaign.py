@@ -8,7 +8,8 @@ import h5py
 import numpy as np
 import pytest
 
-from twin.errors import InputError
+import twin
+from twin.errors import InputError, Told
 from twin.measure.campaign import (
     Campaign,
     Channels,
@@ -22,6 +23,7 @@ from twin.measure.campaign import (
     write_campaign,
 )
 from twin.measure.hdf5 import check_unit
+from twin.measure.spectra import driving_pairs
 
 NR, NE, NF, NH, NT = 3, 2, 40, 4, 64
 
@@ -282,3 +284,34 @@ def test_weighted_data_are_the_same_in_every_quantity() -> None:
 
 def test_one_average_has_no_variance() -> None:
     assert frf_variance(replace(campaign().postures["milling"], averages=1)) is None
+
+
+@pytest.mark.parametrize("lines", [slice(None), slice(None, None, 6)])
+def test_frfs_of_the_other_sign_of_time_are_told_and_conjugated(tmp_path: Path, lines: slice) -> None:
+    """Four modes between 12 and 60 Hz with noise, all lines or one in six: e^{−iωt} is seen, e^{+iωt} is left alone."""
+    rng = np.random.default_rng(3)
+    s = 2j * np.pi * np.arange(1, 401)[lines, None] * 0.25
+    w = 2 * np.pi * np.array([12.0, 19, 33, 60])
+    shapes = rng.normal(size=(4, NR, NE))
+    frf = np.einsum("fm,mre->fre", s**2 / (s**2 + 0.04 * w * s + w**2), shapes)
+    frf += 0.3 * (rng.normal(size=frf.shape) + 1j * rng.normal(size=frf.shape))
+    one = replace(
+        campaign().postures["milling"], frequency=s[:, 0].imag / (2 * np.pi), frf=frf, coherence=None, averages=None,
+        hits=None,
+    )  # fmt: skip
+    write_campaign(tmp_path / "right.h5", replace(campaign(), postures={"milling": one}))
+    write_campaign(tmp_path / "turned.h5", replace(campaign(), postures={"milling": replace(one, frf=frf.conj())}))
+    right = twin.read_campaign(tmp_path / "right.h5")
+    with pytest.warns(Told, match=r"turned.h5: frf: responses come before their blows"):
+        turned = twin.read_campaign(tmp_path / "turned.h5")
+    for found in (right, turned):
+        np.testing.assert_array_equal(found.postures["milling"].frf, frf)
+
+
+def test_nodes_without_a_place_are_not_one_point() -> None:
+    """They all lie at the foot's origin; the same node still is a driving point."""
+    along = np.array([[0.0, 0, 1]] * 2)
+    nowhere = Channels(("1Z+", "2Z+"), ("base",) * 2, np.zeros((2, 3)), along)
+    assert [pair[:2] for pair in driving_pairs(replace(campaign(), response=nowhere, excitation=nowhere))] == [
+        (0, 0), (1, 1),
+    ]  # fmt: skip

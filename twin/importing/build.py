@@ -12,7 +12,7 @@ from twin.errors import InputError, tell
 from twin.importing.guess import clocks
 from twin.importing.map import FunctionsMap, HitsMap, LogMap, Sensor, Stance, Struck, Taken, UniversalMap
 from twin.importing.tables import Table, chosen, joined
-from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, check_campaign
+from twin.measure.campaign import Campaign, Channels, FloatArray, Hits, PostureFRF, check_campaign, forward
 from twin.measure.motion_log import MotionLog, MotionRun, even_run
 from twin.measure.spectra import posture_from_hits
 from twin.measure.units import factor, frf_factor, known, measure, same
@@ -342,7 +342,7 @@ def build_universal(paths: Sequence[Path], map_: UniversalMap) -> Campaign:
         if only.coherence is not None and postures[name].averages is None:
             told = "are not stated, so the coherence tells no noise; give them as averages in the map"
             tell(campaign.source, f"postures.{name}: averages", told)
-    return replace(first, postures=postures, robot=map_.robot)
+    return forward(first.source, replace(first, postures=postures, robot=map_.robot))
 
 
 def build_functions(sources: Sequence[Source], map_: FunctionsMap) -> Campaign:
@@ -406,7 +406,7 @@ def _axes(found: tuple[int, ...], wanted: tuple[int, int, int]) -> tuple[int, ..
 def _campaign(path: Path, map_: HitsMap | FunctionsMap, postures: dict[str, PostureFRF]) -> Campaign:
     found = Campaign(_channels(map_.response), _channels(map_.excitation), postures, robot=map_.robot, source=str(path))
     check_campaign(path, found)
-    return found
+    return forward(path, found)
 
 
 def _channels(points: Sequence[Struck] | Sequence[Sensor]) -> Channels:

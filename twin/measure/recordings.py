@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.errors import InputError
-from twin.measure.campaign import Campaign
+from twin.measure.campaign import Campaign, forward
 from twin.measure.campaign import read_campaign as read_hdf5
 from twin.measure.hdf5 import Node, opened
 from twin.measure.modal_table import ModalTable, read_modal_table
@@ -281,4 +281,4 @@ def _in_memory(content: Content) -> Recording:
 
 def _with_frfs(campaign: Campaign, inputs: tuple[Any, ...]) -> tuple[Campaign, tuple[Any, ...], dict[str, HitTable]]:
     complete, hits = with_frfs(campaign, campaign.source)
-    return complete, inputs, hits
+    return forward(complete.source, complete), inputs, hits

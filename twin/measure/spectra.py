@@ -329,8 +329,13 @@ class Check:
 
 
 def _same(a: Channels, i: int, b: Channels, j: int) -> float:
-    """Cosine between two channels at one point of one body, 0 when they are not at one point along one line."""
+    """Cosine between two channels at one point of one body, 0 when they are not at one point along one line.
+
+    Nodes of which no place is known all lie at the foot's origin: there only one and the same node is one point.
+    """
     if a.body[i] != b.body[j] or np.linalg.norm(a.position[i] - b.position[j]) > SAME_POINT:
+        return 0.0
+    if a.body[i] == "base" and not a.position[i].any() and a.label[i][:-2] != b.label[j][:-2]:
         return 0.0
     cosine = float(a.direction[i] @ b.direction[j])
     return cosine if abs(cosine) > SAME_DIRECTION else 0.0
