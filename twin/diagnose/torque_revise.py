@@ -83,7 +83,7 @@ def revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judg
         trials = {t.suspect.hypothesis.key: settle(others, _as_suspected(t, suspects)) for t in rivals}
         fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others, suspects)]
         again = decided(others, trials, fits, suspects)
-        if again.key == step.key or again.trial is None:
+        if again.key == step.key or again.trial is None or again.effect.refines == step.effect.part != "":
             continue
         other = accepted(others, again)
         if _likely(other, judge) > _likely(system, judge) + calibration()["tie"] and possible(other, again):
