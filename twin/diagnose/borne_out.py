@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
 from twin.diagnose.records import FrfRecord, LogRecord, Record, frf_records
@@ -97,10 +99,16 @@ def all_predict(best: Fitted, fits: Sequence[Fitted], base: Robot, found: Triage
 
 
 def explains(finding: Finding) -> bool:
-    """Whether what was found leaves little of the misfit beyond noise, or an error as of an adequate model."""
+    """Whether what was found leaves little of the misfit beyond noise, or an error as of an adequate model.
+
+    Where a law hangs on its numbers so much that their doubt moves its predictions, that is no misfit either. It counts
+    up to the share ``mostly`` of the misfit.
+    """
     numbers, floor = calibration(), finding.error["noise_floor"]
     part = "train" if finding.error["before"]["held_out"] is None else "held_out"
     before, after = (finding.error[stage][part] for stage in ("before", "after"))
+    if floor is not None and finding.unsure**2 <= numbers["mostly"] * before**2:
+        floor = float(np.hypot(floor, finding.unsure))
     if floor is None or after**2 <= numbers["held_out_adequate"] * floor**2:
         return True
     return bool(after**2 - floor**2 <= numbers["unexplained_share"] * (before**2 - floor**2))

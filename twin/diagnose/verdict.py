@@ -150,6 +150,7 @@ class Finding:
         held_out_misfit: χ² per datum of what was held out, doubt of the base model's numbers beside its noise; 0 where
             not known.
         fits: the base model refitted, and the model with the answer, where a fit of theirs says how sure they are.
+        unsure: relative error of what the answer predicts of whole decays that doubt of its own numbers makes.
         damping: how well the answer predicts damping in postures that were held out.
         bands: low-passes through which a motion log was fitted; ``content`` the log without its faults.
         alone: ``train``, ``held_out`` of a log's own answer, where ``before`` and ``after`` have the links of all.
@@ -176,6 +177,7 @@ class Finding:
     finalists: tuple[dict[str, Any], ...] = ()
     gain: float | None = None
     held_out_misfit: float = 0.0
+    unsure: float = 0.0
     fits: tuple[Fitted, ...] = ()
     damping: Transfer | None = None
     apart: dict[str, list[str]] = field(default_factory=dict)
