@@ -497,6 +497,8 @@ def test_a_slip_of_units_in_frfs_is_named(
         ({"position": {"channels": "q*", "unit": "rad", "factor": 57.3}}, "look like degrees"),
         ({"torque": {"channels": "tau*", "unit": "Nm", "factor": 1e3}}, "look like N·mm"),
         ({"torque": {"channels": "tau*", "unit": "Nm", "factor": 1e-4}}, "look like kN·m"),
+        ({"torque": {"channels": "tau*", "unit": "kN·m"}}, "look like N·m, declared kN·m"),
+        ({"torque": {"channels": "tau*", "unit": "N·mm"}}, "look like N·m, declared N·mm"),
         ({"position": {"channels": "q*", "unit": "deg"}}, "look like rad, declared degrees"),
         ({"torque": {"channels": "tau*", "unit": "N·m"}}, "look like lbf·in, declared N·m"),
         ({"torque": {"channels": "tau*", "unit": "lbf·in", "factor": LBF * 0.0254}}, "look like N·m, declared lbf·in"),

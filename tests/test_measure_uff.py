@@ -162,7 +162,10 @@ def test_g_per_newton_velocity_per_volt_doubles_and_holes_are_refused(tmp_path: 
             read_uff(path, q_deg=np.zeros(3))
 
     good = foreign_text("21Z+", "4Y+", h)
-    refused(foreign_text("21Z+", "4Y+", h, unit="g"), r"21Z\+/4Y\+.*unit: expected m/s\^2, found 'g'")
+    refused(
+        foreign_text("21Z+", "4Y+", h, unit="g"),
+        r"21Z\+/4Y\+.*unit: expected m/s\^2, found .g.; `twin import` takes it",
+    )
     refused(foreign_text("21Z+", "4Y+", h, unit="g/N"), "unit")
     refused(foreign_text("21Z+", "4Y+", h, kind=1), "type 8, 11 or 12")
     refused(good + good, "every channel pair once")

@@ -56,7 +56,7 @@ def check_log(log: MotionLog, robot: Robot | None, position: str = "rad", torque
     check_against(log, robot)
     if not weight_felt(robot).all():
         return
-    if found := torque_slip(log, robot):
+    if found := torque_slip(log, robot, torque):
         raise InputError(log.source, *found)
     _check_slips(log, robot, _slips(position, torque))
     _tell_travel(log, robot, position)

@@ -36,6 +36,7 @@ LEAST_MOTION = 1e-3  # rad (m)
 NO_MOTION = f"no axis moves by {LEAST_MOTION:g} rad (m)"
 LONE = 20.0  # times the 99 % quantile of the steps between samples: friction that turns steps, and does not come back
 HEADER = "time,q1..qn,tau1..taun (`twin import` reads other names, separators and units)"
+LEAST_HELD, MOST_HELD = 1e-3, 30.0  # largest torque over what the weight asks for: outside, it has another unit
 WIND_UP = 0.2  # rad (m): more than a gear twists
 SERIES = {  # units, where a file states them: revolute or linear axis
     "position": ("rad", "m"),
@@ -536,8 +537,12 @@ def _fastest(q: FloatArray, rate_hz: float) -> float:
     return float(np.percentile(np.abs(np.diff(q)), 99)) * rate_hz
 
 
-def torque_slip(log: MotionLog, robot: "Robot") -> tuple[str, str] | None:
-    """Field and text where a torque is far from what the robot's weight asks for, and what unit it looks like."""
+def torque_slip(log: MotionLog, robot: "Robot", declared: str = "N·m") -> tuple[str, str] | None:
+    """Field and text where a torque is far from what the robot's weight asks for, and what unit it looks like.
+
+    Args:
+        declared: the unit that the torques were said to be in.
+    """
     held = weight_felt(robot)
     for name, run in log.runs.items():
         if run.torque is None or not held.all():
@@ -545,13 +550,17 @@ def torque_slip(log: MotionLog, robot: "Robot") -> tuple[str, str] | None:
         largest = np.abs(run.torque).max(axis=0)
         worst = int(np.argmax(largest / held))
         unit, arm = ("N·m", " at arm's length") if robot.axes[worst].type == "revolute" else ("N", "")
-        expected = f"the robot's weight{arm} makes {held[worst]:.3g}; these look like "
-        if largest[worst] > 30 * held[worst]:
-            expected += "N·mm" if arm else "mN"
-        elif largest[worst] < held[worst] / 1000:
-            expected += f"k{unit}, or like torque at the motor (factor: the gear ratio)"
-        else:
+        over = max(float(largest[worst] / held[worst]), 1e-12)
+        if LEAST_HELD <= over <= MOST_HELD:
             continue
+        units = {"N·mm": 1e-3, "N·m": 1.0, "kN·m": 1e3} if arm else {"mN": 1e-3, "N": 1.0, "kN": 1e3}
+        size = units.get(declared, 1.0)
+        like = min((u for u in units if units[u] != size), key=lambda u: abs(np.log(over * units[u] / size)))
+        expected = f"the robot's weight{arm} makes {held[worst]:.3g}; these look like {like}"
+        if size != 1.0:
+            expected += f", declared {declared}"
+        if over < LEAST_HELD:
+            expected += ", or like torque at the motor (factor: the gear ratio)"
         return f"{name}: torque", f"reaches {largest[worst]:.4g} {unit}; {expected}"
     return None
 

@@ -358,10 +358,10 @@ def _take(path: Path, where: str, dataset: dict[str, Any], group: _Functions) ->
         unit = str(dataset.get("ordinate_axis_units_lab", "")).strip()
         if unit.upper() not in NO_TEXT:
             expected = ORDINATE[kind][1]
-            check_unit(path, where, unit, f"({expected})/N" if "N" in unit or unit.startswith("1/") else expected)
+            _check_si(path, where, unit, f"({expected})/N" if "N" in unit or unit.startswith("1/") else expected)
         unit = str(dataset.get("orddenom_axis_units_lab", "")).strip()
         if unit.upper() not in NO_TEXT:
-            check_unit(path, where, unit, "N")
+            _check_si(path, where, unit, "N")
         if not np.iscomplexobj(dataset["data"]):
             raise InputError(path, where, "expected complex data, found real")
     abscissa = int(dataset["abscissa_spec_data_type"])
@@ -371,6 +371,14 @@ def _take(path: Path, where: str, dataset: dict[str, Any], group: _Functions) ->
     if pair in kept:
         raise InputError(path, where, "expected every channel pair once")
     kept[pair] = dataset
+
+
+def _check_si(path: Path, where: str, unit: str, expected: str) -> None:
+    """Raise :class:`InputError` where a label states another unit; a map for ``twin import`` takes it."""
+    try:
+        check_unit(path, where, unit, expected)
+    except InputError as error:
+        raise InputError(path, error.field, f"{error.expected}; `twin import` takes it (`unit: g/N`, say)") from error
 
 
 def _labels(groups: Iterable[_Functions], side: int) -> tuple[str, ...]:
