@@ -75,11 +75,10 @@ def lobes_of(
 
     Args:
         modes: in the cut frame, without leading axes.
-        progress: called with the number of speeds done since the last call.
+        progress: called with the number of starting (or given) speeds done since the last call.
     """
-    tell = progress or (lambda count: None)
     at = starting_speeds(modes, cut) if speeds is None else np.asarray(speeds, float)
-    found = _by_parts(modes, cut, at, tell)
+    found = _by_parts(modes, cut, at, progress or _silent)
     unresolved = 0
     fresh = np.ones(len(at) - 1, bool)
     for _ in range(ROUNDS if speeds is None else 0):
@@ -90,13 +89,17 @@ def lobes_of(
             unresolved = len(cell)
             break
         middle = 0.5 * (at[cell] + at[cell + 1])
-        new = _by_parts(modes, cut, middle, tell)
+        new = _by_parts(modes, cut, middle, _silent)
         off = _off(found, new, cell, cut.depth_max_m)
         at, found, position = _merged(at, found, middle, new)
         fresh = np.zeros(len(at) - 1, bool)
         halves = position[off]  # the new speeds, on either side of which it goes on
         fresh[halves] = fresh[halves - 1] = True
     return _of(at, found, cut, unresolved)
+
+
+def _silent(count: int) -> None:
+    """Tells nobody: what a refinement adds was not counted."""
 
 
 def _by_parts(modes: ToolModes, cut: Cut, speeds: np.ndarray, tell: Callable[[int], None]) -> Limits:
