@@ -618,6 +618,15 @@ def test_of_two_clocks_the_finer_one_is_guessed(tmp_path: Path) -> None:
     assert guess_map([path])["time"] == {"channels": ["t"], "unit": "s"}
 
 
+@pytest.mark.parametrize(("unit", "what"), [("%", "rated torque over 100"), ("A", "torque constant, N·m/A")])
+def test_what_makes_torques_of_a_drive_s_numbers_is_told(tmp_path: Path, unit: str, what: str) -> None:
+    rows = "".join(f"{0.01 * k:.2f},{0.1 * k},{k}\n" for k in range(40))
+    (tmp_path / "log.csv").write_text(f"t [s],A1 [deg],Torque_A1 [{unit}]\n{rows}")
+    with pytest.warns(Told, match=f"torque: is stated in {unit}.*{what}"):
+        plan = guess_map([tmp_path / "log.csv"])
+    assert plan["torque"]["unit"] == "ask"
+
+
 def test_a_guessed_map_takes_points_and_units_from_names(tmp_path: Path) -> None:
     """Sensors A1X, A3Y and blows h2Z; an axis' rax_1_trq_Nm beside t_s."""
     rows = "\n".join(f"{0.001 * k},{k % 3},{k % 5},{k % 7}" for k in range(40))

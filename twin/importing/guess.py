@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, tell
 from twin.importing.tables import Table, joined, natural
 from twin.measure.units import ASK, known, measure
 
@@ -33,6 +33,8 @@ MEASURED = {  # what an axis' channel is whose name does not tell, by its unit
     "angular acceleration": "acceleration", "torque": "torque",
 }  # fmt: skip
 CURRENT = ("A", "mA")  # of a motor: its torque, once the user says how much it makes
+OF_DRIVES = {"%": "the motor's rated torque over 100,", "A": "the torque constant, N·m/A,"}
+"""What a drive records in place of a torque, and what it is multiplied by."""
 POINT = re.compile(r"(?i)(\d+)[_ ]?([xyz])([+-]?)$")  # node and axis, as A3X, 12Y-, p1_h2Z
 COMMANDED = re.compile(r"(?i)target|soll|command|cmd")
 
@@ -74,7 +76,16 @@ def guess_tables(tables: Sequence[Table]) -> dict[str, Any]:
     for kind in ("position", "torque", "velocity", "acceleration"):
         if kind in series or kind == "torque":
             found[kind] = _taken(first, series.get(kind, [ASK]))
+    _tell_drive(first, series.get("torque", []))
     return found
+
+
+def _tell_drive(table: Table, names: Sequence[str]) -> None:
+    """Tell what makes torques of what drives record in their stead: a share of the rated torque, or a current."""
+    for unit, what in OF_DRIVES.items():
+        if any(table.channels[name].unit.strip() == unit for name in names if name in table.channels):
+            text = f"is stated in {unit}; give `unit: N·m` and a `factor` per axis: {what} times the gear ratio"
+            tell(table.name, "torque", text)
 
 
 def clocks(table: Table) -> list[str]:
