@@ -252,7 +252,7 @@ def headline(cases: Sequence[Scored]) -> dict[str, Any]:
     return {
         "false alarms": rate(null, lambda c: bool(c.named)),
         "nulls not called adequate": rate(null, lambda c: c.verdict != "adequate"),
-        "found at all (above twice visible)": rate(clear, lambda c: c.verdict not in ("adequate", "failed")),
+        "found at all (above twice visible)": rate(clear, _found),
         "top-1 (above twice visible)": rate(clear, lambda c: c.top1),
         "top-1, where the recording itself shows as much": rate(keeps, lambda c: c.top1),
         "top-3 (above twice visible)": rate(clear, lambda c: c.top3),
@@ -424,15 +424,18 @@ def log_score(c: Scored) -> float:
     return float(-np.log(max(masses(c).get(truth, 0.0), LEAST)))
 
 
+def _found(case: Scored) -> bool:
+    """Whether the answer says that something is missing; no answer says nothing."""
+    return case.verdict not in ("adequate", "failed")
+
+
 def power(cases: Sequence[Scored], edges: Sequence[float] = (1, 2, 4, 8, 16, 31)) -> list[tuple[float, Rate, Rate]]:
     """Geometric middle of a size bin, rate of being found at all, rate of top-1."""
     one = [c for c in cases if c.kind in ("single", "chain")]
     found = []
     for low, high in pairwise(edges):
         here = [c for c in one if low <= c.size < high]
-        found.append(
-            (float(np.sqrt(low * high)), rate(here, lambda c: c.verdict != "adequate"), rate(here, lambda c: c.top1))
-        )
+        found.append((float(np.sqrt(low * high)), rate(here, _found), rate(here, lambda c: c.top1)))
     return found
 
 
