@@ -64,6 +64,16 @@ def test_a_name_that_puts_the_prediction_right_stays(kr90: Robot, rng: np.random
     assert borne_out(given) is given
 
 
+def test_doubt_of_a_law_s_own_numbers_is_no_misfit_up_to_half_of_it(kr90: Robot, rng: np.random.Generator) -> None:
+    """The same name stays where that doubt moves predictions as far as they miss, and not where it moves them more."""
+    given = verdict(kr90, record(rng, 60.0, 2.0, False), record(rng, 60.0, 30.0, True))
+    (finding,) = given.findings
+    left, before = (finding.error[stage]["held_out"] for stage in ("after", "before"))
+    for unsure, stays in ((left, True), (0.2 * left, False), (0.9 * before, False)):
+        found = borne_out(replace(given, findings=[replace(finding, unsure=unsure)]))
+        assert (found.word == "named") is stays
+
+
 def test_a_name_that_leaves_much_of_the_misfit_is_none(kr90: Robot, rng: np.random.Generator) -> None:
     """The error halves, and stays at many times the noise: something else is wrong."""
     found = borne_out(verdict(kr90, record(rng, 60.0, 2.0, False), record(rng, 60.0, 30.0, True)))

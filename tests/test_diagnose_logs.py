@@ -906,6 +906,16 @@ def test_a_run_too_short_and_an_unknown_run_are_refused(kr90: Robot) -> None:
 
 
 @needs("emps")
+def test_emps_has_dry_friction_whichever_record_is_held_out() -> None:
+    """Stribeck friction that falls over all speeds of the axis is nearly that; it may not take its place."""
+    robot = load_robot(DATA / "emps.yaml").without(["asymmetric_friction", "coulomb_friction"])
+    found = diagnose_log(emps(), robot, "emps", hold_out=["training"])
+    names = {m.first.effect: m.first.parameters for m in found.missing}
+    assert names["coulomb_friction"]["torque"]["value"] == pytest.approx(20.0, abs=3.0)
+    assert "stribeck_friction" not in names
+
+
+@needs("emps")
 def test_emps_from_viscous_only_comes_to_dry_and_direction_dependent_friction() -> None:
     """Published: F_c 20.4 N, F_v 166.7 and 240.4; ≤ 3.11 % on the training record, ≤ 2.56 N on the pulse record."""
     robot = load_robot(DATA / "emps.yaml").without(["asymmetric_friction", "coulomb_friction"])
