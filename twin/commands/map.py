@@ -132,12 +132,15 @@ class Map(Result):
         lines.append(
             f"  {'least stiffness, N/µm':28}" + "".join(f" {v:9.3g}" for v in np.quantile(stiff, (0.05, 0.5, 0.95)))
         )
+        what = "the limit" if self.safe is None else "safe with 90 % probability"
         for word, k in (("best", int(np.argmax(self.ranked))), ("worst", int(np.argmin(self.ranked)))):
             place = self._place(k)
             tip = ", ".join(f"{v:.3f}" for v in place["tip_m"])
             angles = ", ".join(f"{v:.1f}" for v in place["q_deg"])
             where = f" line {place['line']}," if place["line"] else ""
-            lines.append(f"  {word}:{where} tip ({tip}) m, q ({angles})°, {1e3 * float(self.ranked[k]):.3g} mm")
+            lines.append(
+                f"  {word}:{where} tip ({tip}) m, q ({angles})°, {1e3 * float(self.ranked[k]):.3g} mm ({what})"
+            )
         if self.safe is None:
             lines.append(
                 "  the uncertainty is not known: there is no posterior of a fit beside the robot. twin fit and twin "

@@ -100,7 +100,7 @@ class HammerTest:
         """FRFs by MuJoCo; a law of amplitude stepped under two force levels, unless a log found it."""
         if is_nonlinear(written) and alone:
             campaign, source = self.recording.content, self.recording.source
-            if hit := check_blows(written, campaign, prepare(campaign, written, source)):
+            if hit := check_blows(written, campaign, prepare(campaign, written, source), finding.unsure):
                 return [hit]
         return [check_linear(written, [r for r in finding.records if isinstance(r, FrfRecord)])]
 

@@ -83,7 +83,7 @@ def revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judg
         trials = {t.suspect.hypothesis.key: settle(others, _as_suspected(t, suspects)) for t in rivals}
         fits = [*(fitted(others, t) for t in trials.values()), *widened_fits(others, suspects)]
         again = decided(others, trials, fits, suspects)
-        if again.key == step.key or again.trial is None or again.effect.refines == step.effect.part != "":
+        if again.key == step.key or again.trial is None or _refines(again, step):
             continue
         other = accepted(others, again)
         if _likely(other, judge) > _likely(system, judge) + calibration()["tie"] and possible(other, again):
@@ -91,6 +91,11 @@ def revised(steps: list[Step], system: System, suspects: Sequence[Suspect], judg
             again.accepted, again.held = True, step.held
             steps[number], system = again, other
     return system
+
+
+def _refines(step: Step, plain: Step) -> bool:
+    """Whether a find is the law of another at the same joint, refined: it may stand beside it, not in its place."""
+    return step.joints == plain.joints and step.effect.refines == plain.effect.part != ""
 
 
 def _as_suspected(trial: Trial, suspects: Sequence[Suspect]) -> Trial:
