@@ -37,7 +37,7 @@ from twin.robot.mechanism import assemble
 
 ALGEBRA = 1e-6  # relative difference allowed between MuJoCo and the algebra
 REPLAYED = 0.05  # the same of torque after the low-pass: an elastic robot under servos does not follow exactly
-REPLAYED_S, LOW_PASS = 20.0, (3.0, 4.0)  # how much of a run is stepped; Hz
+REPLAYED_S, LOW_PASS = 10.0, (3.0, 4.0)  # how much of a run is stepped: some thirty periods; Hz
 DENSE_HZ = 100.0  # a replay's torque is a mean over one sample, which takes 0.3 % off 4 Hz at this rate
 CHECKED_LINES = 60  # per posture are compared
 EDIT_SHARE = 0.05  # of the robot's mass is the payload of the edit test

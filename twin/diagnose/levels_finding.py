@@ -39,7 +39,7 @@ FORM = 0.05
 """Deviation of the logarithm of a blow's momentum, its peak and spectrum known: a half sine has 1.06 times a
 haversine's, and 1.2 times a triangle's."""
 STEPPED = 0.1  # relative difference allowed between MuJoCo's blows and the search's
-DRAWS = 4  # of a fit's numbers, to see how far their doubt moves its predictions
+DOUBT_DRAWS = 4  # of a fit's numbers, to see how far their doubt moves its predictions
 
 
 def levels_finding(
@@ -110,10 +110,7 @@ def levels_finding(
             before = alone.robot
     sites = {place.site: levels.places[-1].cost - place.cost for place in levels.places}
     if unsure > errors["noise_floor"]:
-        notes.append(
-            f"the end of a decay hangs on the least of the law's numbers: their doubt moves the predicted FRFs by "
-            f"{unsure:.0%}. An error of that size is no sign of something else"
-        )
+        notes.append(_unsure_note(unsure))
     finding = Finding(
         source, "frf-campaign", word, [], none, other, given,
         as_written(before, given), as_written(best.robot, given), errors, list(found.held_out), records,
@@ -212,9 +209,17 @@ def _unsure(answer: _Answer, used: Sequence[Recorded], blow: dict[str, Blow], se
     objective, fit = replace(answer.objective, sample=Sample(tuple(used)), blow=blow), answer.best
     rng = np.random.default_rng(seed)
     spread = np.linalg.cholesky(fit.covariance)
-    here = [replace(r, frf=H) for r, H in zip(used, objective.predicted(fit.z), strict=True)]
-    drawn = [objective.predicted(fit.z + spread @ rng.normal(size=len(fit.z))) for _ in range(DRAWS)]
-    return float(np.sqrt(np.mean([relative_error(here, moved) ** 2 for moved in drawn])))
+    moved = [spread @ rng.normal(size=len(fit.z)) for _ in range(DOUBT_DRAWS)]
+    predicted, *drawn = objective.predicted_at([fit.z, *(fit.z + step for step in moved)])
+    here = [replace(r, frf=H) for r, H in zip(used, predicted, strict=True)]
+    return float(np.sqrt(np.mean([relative_error(here, H) ** 2 for H in drawn])))
+
+
+def _unsure_note(unsure: float) -> str:
+    return (
+        f"the end of a decay hangs on the least of the law's numbers: their doubt moves the predicted FRFs by "
+        f"{unsure:.0%}. An error of that size is no sign of something else"
+    )
 
 
 def levels_sentence(levels: Levels) -> str:
@@ -297,13 +302,14 @@ def stepped_records(
     longer = objective.own(fit.z)[1]
     blow = {group: replace(b, pulse_s=b.pulse_s * longer) for group, b in blow.items()}
     belongs = [k for k, p in enumerate(own) if p.kind in ("posture", "sag", "gain")]
-    predicted = Stepped(
-        robot, independent([own[k] for k in belongs]), Sample(tuple(used)), law=law, site=site, blow=blow, fixed=sizes
-    ).predicted(np.array([fit.z[k] for k in belongs]))
+    steps = Stepped(
+        robot, independent([own[k] for k in belongs]), Sample(tuple(used)), law=law, site=site, blow=blow, fixed=sizes,
+        processes=objective.processes,
+    )  # fmt: skip
+    predicted = steps.predicted(np.array([fit.z[k] for k in belongs]))
     error: dict[str, float | None] = {"train": relative_error(used, predicted), "held_out": None}
     if kept:
-        free = recording_set(robot, kept)
-        judged = Stepped(robot, free, Sample(tuple(kept)), law=law, site=site, blow=blow, fixed=sizes)
+        judged = replace(steps, parameters=recording_set(robot, kept), sample=Sample(tuple(kept)))
         rest = judged.predicted(settle(judged))
         error["held_out"] = relative_error(kept, rest)
         predicted = [*predicted, *rest]

@@ -112,8 +112,8 @@ def whitening(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     base, n = system.base, len(system.whitening)
     extra: list[list[FloatArray]] = [[] for _ in range(n)]  # per joint, columns over all runs
-    for suspect in rich:
-        for column in _shapes(system, suspect):
+    for shapes in spread(lambda k: _shapes(system, rich[k]), len(rich), processes):
+        for column in shapes:
             for j in range(n):
                 if any(part[:, j].any() for part in column):
                     extra[j].append(np.concatenate([part[:, j] for part in column]))

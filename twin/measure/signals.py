@@ -166,27 +166,32 @@ def scatter(signal: FloatArray) -> FloatArray:
     return np.where(np.isfinite(found), found, 0.0)
 
 
-def stillness(position: FloatArray) -> FloatArray:
+def stillness(position: FloatArray, noise: FloatArray | None = None) -> FloatArray:
     """By how much (n,) recorded positions (nt, n) change in an axis that does not move, rad (m).
 
-    That is four deviations of noise either way, or a step of the encoder.
+    That is four deviations of ``noise`` (n,), by default :func:`scatter`, either way, or a step of the encoder.
     """
     steps = np.abs(np.diff(position, axis=0))
     step = np.min(steps, axis=0, initial=1.0, where=steps > 1e-9)  # smaller ones are rounding
-    return np.asarray(np.maximum(8 * scatter(position), np.where(step < 1.0, 1.01 * step, 0.0)))
+    noise = scatter(position) if noise is None else noise
+    return np.asarray(np.maximum(8 * noise, np.where(step < 1.0, 1.01 * step, 0.0)))
 
 
-def resting(position: FloatArray, rate_hz: float, about_s: float = 0.1) -> np.ndarray:
-    """Samples (nt, n) of positions in which an axis does not move, for ``about_s`` and two samples at least."""
+def resting(position: FloatArray, rate_hz: float, about_s: float = 0.1, least: FloatArray | None = None) -> np.ndarray:
+    """Samples (nt, n) of positions in which an axis does not move, for ``about_s`` and two samples at least.
+
+    It moves by no more than ``least`` (n,) there, by default :func:`stillness`.
+    """
     around = max(2 * round(0.5 * about_s * rate_hz) + 1, 3)
     high, low = (f(position, around, axis=0) for f in (maximum_filter1d, minimum_filter1d))
-    return np.asarray(maximum_filter1d(high - low <= stillness(position), around, axis=0))
+    least = stillness(position) if least is None else least
+    return np.asarray(maximum_filter1d(high - low <= least, around, axis=0))
 
 
-def first_motion(position: FloatArray, rate_hz: float) -> int:
-    """The sample from which some axis of positions (nt, n) moves; the last where none does.
+def first_motion(rest: np.ndarray) -> int:
+    """The sample from which some axis moves; the last where none does. ``rest`` (nt, n) is where each does not.
 
     What dry friction holds before that is unknown: up to its size, in either direction.
     """
-    moves = ~resting(position, rate_hz).all(axis=1)
-    return int(np.argmax(moves)) if moves.any() else len(position) - 1
+    moves = ~rest.all(axis=1)
+    return int(np.argmax(moves)) if moves.any() else len(rest) - 1

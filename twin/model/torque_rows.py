@@ -147,7 +147,7 @@ def rows_of(regressor: Regressor, run: MotionRun, bands: Bands, rows_per_hz: flo
     bands, rows_per_hz = bands.within(rate), rows_per_hz / (1 if count <= 10 * part else 2)
     step = max(1, int(rate / (rows_per_hz * bands.fit[1])))
     cut, rest = run.time[saturated(run).any(axis=1)], resting(run.position, rate)
-    begin = float(run.time[first_motion(run.position, rate)])
+    begin = float(run.time[first_motion(rest)])
     if count <= part:
         return _rows_of(regressor, run, bands, step, begin, cut, rest)
     block, overlap = part // step * step, int(np.ceil(10 * rate / (bands.fit[1] - bands.fit[0]) / step)) * step

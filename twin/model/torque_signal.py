@@ -135,26 +135,30 @@ def run_of(
     thinned = np.zeros((count, flat.shape[1]))
     thinned[:, used] = lowpass(flat[:, used], rows_hz * coarse, *bands.fit, every=coarse)
     trim = 3 / stop
-    begin = run.time[first_motion(run.position, rate)]  # what dry friction holds before is unknown
+    turned, rest = _turned(run, dense)
+    begin = run.time[first_motion(rest)]  # what dry friction holds before is unknown
     valid = (rows.time > begin + trim) & (rows.time < run.time[-1] - trim)
     cut = saturated(run).any(axis=1)
     for instant in run.time[cut]:
         valid &= np.abs(rows.time - instant) > 1 / (bands.fit[1] - bands.fit[0])
     twist = None if run.link_position is None else thin(run.position - run.link_position)
     return Run(
-        run.name, rows.time, rows, smooth, dense, _turned(run, dense), wide.seen(thin(run.torque)),
+        run.name, rows.time, rows, smooth, dense, turned, wide.seen(thin(run.torque)),
         thinned.reshape(count, *bodies.shape[1:]), twist, valid, bands, rows_hz, rate,
     )  # fmt: skip
 
 
-def _turned(run: MotionRun, dense: Motion) -> FloatArray:
-    """How far (nt, n) drives have turned on the dense clock: the low-passed motion, and at a rest :func:`_crept`.
+def _turned(run: MotionRun, dense: Motion) -> tuple[FloatArray, np.ndarray]:
+    """How far drives have turned on the dense clock (nt, n), and at which samples of the run each rests (ns, n).
+
+    They turn by the low-passed motion, and at a rest by what they :func:`_crept`.
 
     The low-pass rings where an axis stops, by more than friction turns round over.
     """
     drives = run.position if dense.coupling is None else run.position @ dense.coupling.T
-    steps, still = np.diff(dense.position, axis=0), resting(drives, run.sample_rate_hz)
-    noise, least = scatter(drives), stillness(drives)
+    steps, noise = np.diff(dense.position, axis=0), scatter(drives)
+    least = stillness(drives, noise)
+    still = resting(drives, run.sample_rate_hz, least=least)
     least = np.where(8 * noise < least, least, 0.0)  # an encoder that is coarser than its noise tells nothing between
     for axis, position in enumerate(drives.T):
         edges = np.flatnonzero(np.diff(still[:, axis].astype(int), prepend=0, append=0))
@@ -167,7 +171,8 @@ def _turned(run: MotionRun, dense: Motion) -> FloatArray:
                 steps[a : b - 1, axis] = np.diff(x)
                 if b <= len(steps):
                     steps[b - 1, axis] = dense.position[b, axis] - x[-1]
-    return np.asarray(dense.position[0] + np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)]))
+    turned = dense.position[0] + np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+    return turned, still
 
 
 def _crept(
@@ -186,8 +191,10 @@ def _crept(
 
 def _at(time: FloatArray, signal: FloatArray, instants: FloatArray) -> FloatArray:
     """A signal that is smooth between its samples, at other instants."""
-    if len(time) == len(instants) and np.abs(time - instants).max() < 1e-9:
-        return signal
+    nearest = np.clip(np.searchsorted(time, instants), 1, len(time) - 1)
+    nearest -= instants - time[nearest - 1] < time[nearest] - instants
+    if np.abs(time[nearest] - instants).max() < 1e-9:
+        return signal[nearest]
     return scipy.interpolate.CubicSpline(time, signal)(np.clip(instants, time[0], time[-1]))
 
 

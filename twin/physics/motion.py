@@ -88,7 +88,7 @@ class Motion:
         own = self.position, self.velocity, self.acceleration
         of = *own, self.coupling
         if not self.kept or any(x is not y for x, y in zip(of, self.kept[0], strict=True)):
-            self.kept[:] = [of, (*(x @ C.T for x in own), np.linalg.inv(C))]
+            self.kept[:] = [of, (*(x @ C.T for x in own), _inverse(C))]
         position, velocity, acceleration, back = self.kept[1]
         return _Turned(
             self.time, position, velocity, acceleration, sign=self.sign, coupling=self.coupling,
