@@ -43,7 +43,7 @@ OUTPUTS = {  # by folder: what a command wrote, or a user has beside it
     "given": ("bent.yaml", "two.yaml", "path.h5"),
     "simulate": ("hammer.h5", "replay.h5", "robot.yaml", "robot.xml", "simulate.json", "modes.rrd", "frf.png"),
     "modal": ("modes.yaml", "bent_modes.unv", "modal.json"),
-    "fit": ("robot.yaml", "robot.xml", "fit.json", "report.html"),
+    "fit": ("robot.yaml", "robot.xml", "fit.json", "fit.html"),
     "excite": ("trajectory.h5", "excitation1.csv", "excite.json"),
     "identify": ("robot.yaml", "robot.xml", "identify.json"),
     "compare": ("compare.json",),

@@ -387,7 +387,7 @@ def test_command_writes_a_robot_that_loads_and_fits(measured: SimpleNamespace, t
     import mujoco
 
     mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "robot.xml"))
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    page = (tmp_path / "out" / "fit.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == len(list((tmp_path / "out").glob("*.png")))
     assert "http:" not in page  # pictures in base 64 have no colon
     assert "https:" not in page

@@ -378,7 +378,7 @@ def test_lobes_say_how_sure_they_are_only_where_it_is_known(tmp_path: Path) -> N
     plain = twin.lobes([0, 70, -100], robot="kr90", cut=cut, out=tmp_path / "plain")
     assert set(plain.data()["depth_safe90_mm"]) == {None}
     assert sorted(path.name for path in (tmp_path / "plain").iterdir()) == [
-        ".twin-lobes", "lobes.json", "lobes.png", "report.html"
+        ".twin-lobes", "lobes.html", "lobes.json", "lobes.png"
     ]  # fmt: skip
     measured = twin.lobes(campaign(0.01), cut=cut, draws=10)
     data = measured.data()

@@ -75,7 +75,7 @@ def test_modes_of_a_running_structure_and_all_that_the_command_writes(twin, reco
     assert np.diag(mac(shapes, responses()[0].astype(complex))).min() > 0.98
     names = {path.name for path in (tmp_path / "out").iterdir()}
     kinds = ("modes.rrd", "modes.unv", "stabilisation.png", "indicators.png", "frf.png", "automac.png", "shapes.png")
-    assert {"report.html", "modes.yaml", "modal.json", *(f"bridge_{kind}" for kind in kinds)} <= names
+    assert {"modal.html", "modes.yaml", "modal.json", *(f"bridge_{kind}" for kind in kinds)} <= names
 
 
 def test_strong_low_modes_do_not_hide_weak_high_ones() -> None:

@@ -171,7 +171,7 @@ def modal_command(frequency: np.ndarray, frf: np.ndarray) -> str:
         if os.waitstatus_to_exitcode(status):
             raise RuntimeError("twin modal failed")
         found = json.loads((out / "modal.json").read_text())["postures"]["large"]["modes"]
-        page = (out / "report.html").stat().st_size
+        page = (out / "modal.html").stat().st_size
     return (
         f"twin modal on 74 x 3 x 1600, files and figures: {used.ru_utime + used.ru_stime:.1f} s CPU, "
         f"{wall:.1f} s wall, {used.ru_maxrss / 2**20:.2f} GiB, page {page / 1e6:.2f} MB, {len(found)} modes of 20"

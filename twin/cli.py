@@ -206,7 +206,7 @@ def describe(
     twin describe arm.urdf --sheet sheet.yaml --tool tool.yaml -o out/arm
     ```
 
-    Writes robot.yaml, robot.xml (MJCF), meshes, report.html and describe.json into the output folder, out/DRAWING by
+    Writes robot.yaml, robot.xml (MJCF), meshes, describe.html and describe.json into the output folder, out/DRAWING by
     default. With --json, files are written only where --out says so. docs/describe.md explains every key.
     """
     if out is None and not json:
@@ -351,7 +351,7 @@ def fit(
     ```
 
     A number in ( ) is not determined by the data: it is a bound, or mostly the prior. The command writes robot.yaml,
-    robot.xml (MJCF), report.html, figures and fit.json into the output folder, out/RECORDING by default. With --json,
+    robot.xml (MJCF), fit.html, figures and fit.json into the output folder, out/RECORDING by default. With --json,
     files are written only where --out says so. Next: twin compare judges the new robot on other recordings, and
     twin diagnose looks for physics it lacks.
     """

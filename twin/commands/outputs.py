@@ -75,7 +75,7 @@ class Outputs:
     """
 
     def __init__(self, out: str | Path, command: str) -> None:
-        self.out, self.list = Path(out), f"{LISTED}{command}"
+        self.out, self.command, self.list = Path(out), command, f"{LISTED}{command}"
         self.files: list[str] = []
 
     def __enter__(self) -> "Outputs":
@@ -119,18 +119,21 @@ class Outputs:
     def report(
         self,
         result: Result,
-        page: str = "report.html",
+        page: str | None = None,
         progress: Progress = silent,
         meanwhile: Callable[[], None] | None = None,
     ) -> None:
-        """Write a result's figures, and the page that shows them with its tables; see :meth:`draw`."""
+        """Write a result's figures, and the page that shows them with its tables; see :meth:`draw`.
+
+        The page has the command's name by default, so that commands can share a folder.
+        """
         from twin.report.html import write_html
 
         images = self.draw(result, progress, meanwhile)
         told = import_module(result.drawn_by)
         inputs = [f"{_called(name)} {digest[:12]}" for name, digest in result.origin["inputs"].items()]
         footer = " · ".join([f"twin {result.origin['version']}", *inputs])
-        write_html(self(page), told.title(result), told.lead(result), told.sections(result, images), footer)
+        write_html(self(page or f"{self.command}.html"), told.title(result), told.lead(result), told.sections(result, images), footer)
 
     def scene(self, result: Result, name: str) -> None:
         """Write what ``twin view`` shows of a result."""

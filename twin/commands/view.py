@@ -36,8 +36,8 @@ def view(
     check_out(target.parent, alone=False)
     if target.is_dir():
         raise InputError("--out", str(target), "is a folder; expected a file name.rrd")
-    if path.suffix and not path.exists():
-        raise InputError(path, "", "no such file")
+    if (path.suffix or path.name != str(path)) and not path.exists():
+        raise InputError(path, "", "no such file or folder")
     if _is_robot(path):
         shown = load_robot(path).without(without or [])
         middle = [np.mean(axis.limits.position) if axis.limits and axis.limits.position else 0.0 for axis in shown.axes]

@@ -327,7 +327,8 @@ def _even(
         return even, series, 1 / float(even[1] - even[0]), [f"{where}: {told}"]
     if repeated := int(np.sum(~fresh)):
         if repeated > 0.05 * len(time):
-            raise InputError(path, f"{where}/time", f"{repeated} of {len(time)} time stamps are repeated")
+            text = f"{repeated} of {len(time)} time stamps are repeated: was this clock coarser than the samples?"
+            raise InputError(path, f"{where}/time", f"{text} `twin import` takes `sample_rate_hz` instead of a clock")
         first = time[np.argmin(fresh)]
         notes.append(f"{where}: {repeated} repeated time stamps dropped, the first at {first:.3f} s")
         time, series = time[fresh], {key: values[fresh] for key, values in series.items()}
