@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.physics.effect import Effect, Parameter, Values, axis_of
+from twin.physics.motion import sliding
 from twin.physics.statements import LogView, Prior, Suspected
 
 if TYPE_CHECKING:
@@ -39,4 +40,5 @@ class AsymmetricFriction(Effect):
     def torque(self, motion: "Motion", site: str, values: Values) -> dict[int, np.ndarray]:
         i = axis_of(site)
         speed, sign = motion.velocity[:, i], motion.sign(motion.velocity[:, i])
-        return {i: 0.5 * (values["torque_difference"] * sign**2 + values["viscous_difference"] * speed * sign)}
+        dry = values["torque_difference"] * sliding(motion.time, sign)
+        return {i: 0.5 * (dry + values["viscous_difference"] * speed * sign)}

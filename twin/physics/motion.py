@@ -20,6 +20,23 @@ def gradual_sign(velocity: np.ndarray, over: float = TURNING) -> np.ndarray:
     return np.tanh(velocity / np.maximum(over * np.abs(velocity).max(axis=0, initial=0.0), 1e-300))
 
 
+def sliding(time: np.ndarray, sign: np.ndarray, about_s: float = 0.1) -> np.ndarray:
+    """Where an axis moves (nt,), 0 or 1, by the signum (nt,) of its velocity: where it turns back it does not rest.
+
+    It rests where it has no sign for ``about_s`` and longer. At a single instant, as in time stepping, that is unknown;
+    there it is the square of a signum that changes gradually.
+    """
+    if len(sign) < 2:
+        return np.asarray(sign**2)
+    edges = np.diff((sign == 0).astype(int), prepend=0, append=0)
+    first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
+    rests = time[last] - time[first] >= about_s
+    edges[:] = 0
+    edges[first[rests]] += 1
+    edges[last[rests] + 1] -= 1
+    return 1.0 - np.cumsum(edges[:-1])
+
+
 @dataclass
 class Motion:
     """States of n axes at nt instants; laws are added one after the other.
