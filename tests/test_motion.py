@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin.physics.motion import Motion
+from twin.physics.motion import Motion, sliding
 
 C = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.2, -1.0, 1.0]])
 
@@ -42,3 +42,15 @@ def test_what_is_replaced_is_not_taken_from_what_was_kept(axes: Motion) -> None:
 def test_the_same_instants_are_turned_once(axes: Motion) -> None:
     heavier = replace(axes, load=2 * axes.load)
     assert heavier.of_drives.velocity is axes.of_drives.velocity
+
+
+def test_an_axis_that_turns_back_does_not_rest() -> None:
+    time, sign = np.arange(200) * 0.004, np.ones(200)
+    sign[40:] = -1
+    sign[38:42] = 0.6, 0.0, 0.0, -0.6  # slower than its noise for 8 ms
+    assert np.all(sliding(time, sign) == 1)
+    sign[100:150] = 0
+    expected = np.ones(200)
+    expected[100:150] = 0
+    assert np.array_equal(sliding(time, sign), expected)
+    assert sliding(time[:1], np.array([0.3])) == pytest.approx(0.09)

@@ -133,7 +133,8 @@ class Outputs:
         told = import_module(result.drawn_by)
         inputs = [f"{_called(name)} {digest[:12]}" for name, digest in result.origin["inputs"].items()]
         footer = " · ".join([f"twin {result.origin['version']}", *inputs])
-        write_html(self(page or f"{self.command}.html"), told.title(result), told.lead(result), told.sections(result, images), footer)
+        target = self(page or f"{self.command}.html")
+        write_html(target, told.title(result), told.lead(result), told.sections(result, images), footer)
 
     def scene(self, result: Result, name: str) -> None:
         """Write what ``twin view`` shows of a result."""
