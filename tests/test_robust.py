@@ -347,9 +347,12 @@ def test_stopped_work_ends_within_a_second_and_leaves_nothing(tmp_path: Path, ho
         time.sleep(3)
         begin = time.monotonic()
         os.kill(child.pid, how)
+        time.sleep(0.02)
+        os.kill(child.pid, how)  # an impatient hand, or a shell that tells the whole group
     _, said = child.communicate(timeout=60)
-    assert child.returncode == code
-    assert said.strip().endswith("nothing was written")
+    assert code in (child.returncode, 128 - child.returncode)  # the second may come when all is cleared away
+    assert "Exception ignored" not in said
+    assert child.returncode < 0 or said.strip().endswith("nothing was written")
     assert not list(tmp_path.iterdir())
     assert how == "--timeout" or time.monotonic() - begin < 3  # one second, on a machine with other work
 

@@ -90,8 +90,8 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        done.set()
         signal.set_wakeup_fd(woken)
+        done.set()
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -110,8 +110,8 @@ def _unless_stopped(raised: "sys.UnraisableHookArgs") -> None:
 def _watch(reader: int, done: threading.Event) -> None:
     """Wait for a signal (or the end of the work), and end the process where the work does not."""
     first = os.read(reader, 1)
-    os.close(reader)
     if not first or done.wait(GRACE_S):
+        os.close(reader)  # not before: Python complains of a second signal that nobody can read
         return
     for child in active_children():
         child.kill()
