@@ -68,6 +68,8 @@ def _code(number: int) -> int:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
+    for each in ASKED:  # a second one would end the clearing away
+        signal.signal(each, signal.SIG_IGN)
     raise Stopped(_code(number))
 
 
