@@ -35,6 +35,7 @@ from twin.diagnose.search import (
     Search,
     _best_of_each,
     _in_its_stead,
+    _retuned,
     _taken_over,
     _within_tolerances,
     converge,
@@ -838,6 +839,34 @@ def test_a_mass_that_hangs_and_one_that_swings_may_be_one() -> None:
         assert at == pytest.approx([ends[f"payload@link1.com{k}"] for k in place])
         assert start[f"{key}.mass"] == pytest.approx(ends["payload@link1.mass"])
         assert start[f"{key}.frequency_hz"] == pytest.approx(ends["attached_resonator@link3.frequency_hz"])
+        assert start["link2.mass"] == pytest.approx(ends["link2.mass"])
+
+
+def test_two_masses_that_swing_may_be_one_where_the_first_hangs_and_as_the_second_swings() -> None:
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    one, other = (
+        entry_hypothesis(robot, "attached_resonator", link, CATALOGUE["attached_resonator"].typical(robot, link) or {})
+        for link in ("link1", "link3")
+    )
+    both = together(one, other)
+    parameters, z = both.parameters(free), np.linspace(-1, 1, len(free) + len(both.own))
+    values = parameters.values(z)
+    fit = Fitted(both, parameters, z, values, robot, 0.0, 1.0, np.eye(len(z)), 1.0, True)
+    found = merged(other, one, robot)
+    assert {(it.site, it.entries[0].values["axis"]) for it in found} == {
+        (s, a) for s in (one.site, other.site) for a in "xyz"
+    }
+    ends = dict(zip(parameters.names, values, strict=True))
+    for it in found:
+        alone, place, tune = it.parameters(free), one, other
+        if it.site == other.site:
+            place, tune = other, one
+        start = dict(zip(alone.names, alone.values(_retuned(fit, [one, other], it, alone)), strict=True))
+        for name in ("mass", "position[0]", "position[2]"):
+            assert start[f"{it.key}.{name}"] == pytest.approx(ends[f"{place.key}.{name}"])
+        for name in ("frequency_hz", "damping_ratio"):
+            assert start[f"{it.key}.{name}"] == pytest.approx(ends[f"{tune.key}.{name}"])
         assert start["link2.mass"] == pytest.approx(ends["link2.mass"])
 
 

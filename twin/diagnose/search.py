@@ -47,6 +47,7 @@ TO_THE_END = 60  # iterations for what a long valley has held up
 HELD_LINKS = 2.0  # deviations, within which 19 in 20 numbers are that are as described
 FURTHER = "further effects"  # left out where the time is up before no effect gains more
 LIKELY = 16.0  # ln evidence behind the best within which a fit may be a rival
+TUNING = ("frequency_hz", "damping_ratio")  # how something swings, wherever it hangs
 
 
 @dataclass
@@ -836,8 +837,10 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
             z, n = best.z.copy(), len(best.z) - len(companion.own)
             if _lever(companion) and companion.site != last.site:  # usual mass and place, or the same ones in space
                 starts.append(_where_it_was(robot, best, last, companion, parameters, postures[0]))
-                z[n:] *= [p.quantity in ("frequency_hz", "damping_ratio") for p in companion.own]
+                z[n:] *= [p.quantity in TUNING for p in companion.own]
             starts.append(z)
+        elif alike and all(_alike(companion, piece) for piece in gone):
+            starts.append(_retuned(best, gone, companion, parameters))
         else:
             starts.append(_taken_over(best, gone, companion, parameters))
         places.append(_Place(hypothesis, parameters, tuple(starts)))
@@ -875,6 +878,16 @@ def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis,
     own = {p.name: fitted.get(p.name, known.get(_role(companion, p), p.mean)) for p in companion.own}
     names = written_names(parameters).names
     return parameters.coordinates(np.array([own.get(name, fitted.get(name)) for name in names], float))
+
+
+def _retuned(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis, parameters: Parameters) -> FloatArray:
+    """Where one starts that stands for two alike: what hangs there as at its site, swinging as the other does."""
+    fitted = dict(zip(written_names(best.parameters).names, best.values, strict=True))
+    (other,) = (piece for piece in gone if piece.key != companion.key)
+    for p in companion.own:
+        if p.quantity in TUNING:
+            fitted[p.name] = fitted[f"{other.key}.{p.quantity}"]
+    return parameters.coordinates(np.array([fitted[name] for name in written_names(parameters).names], float))
 
 
 def _lever(piece: Hypothesis) -> str:

@@ -65,7 +65,12 @@ class AttachedResonator(Effect):
         return [*found, Companion(Payload.name, site)]
 
     def merged(self, robot: "Robot", site: str, values: Values, other: str, place: str) -> list[Companion]:
-        """A mass that hangs at a link and one that swings may be one: it hangs there and swings along any axis."""
+        """A mass that hangs at a link and one that swings may be one: it hangs there and swings along any axis.
+
+        So may two that swing: the one at a wrong place, the other at a wrong frequency.
+        """
+        if other == self.name:
+            return [Companion(self.name, site, {**values, "axis": axis}) for axis in UNIT_VECTORS]
         if other != Payload.name:
             return []
         link = f"link{Payload().carrier(robot, place) + 1}"
