@@ -842,6 +842,20 @@ def test_a_mass_that_hangs_and_one_that_swings_may_be_one() -> None:
         assert start["link2.mass"] == pytest.approx(ends["link2.mass"])
 
 
+def test_a_body_that_hangs_on_a_link_is_tried_where_the_links_inertia_seems_off() -> None:
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    numbers = {number.site: number for number in described(free)}
+    found = {
+        site: [one for one in companions(numbers[site], robot, [], [np.zeros(3)]) if one.effect == "payload"]
+        for site in ("link1.mass", "link1.inertia", "link3.inertia", "link*.inertia", "joint1.z.stiffness")
+    }
+    assert [one.site for one in found["link1.mass"]] == ["link1"]
+    assert [(one.site, len(one.own)) for one in found["link1.inertia"]] == [("link1", 7)]
+    assert [(one.site, len(one.own)) for one in found["link3.inertia"]] == [("flange", 7)]
+    assert found["link*.inertia"] == found["joint1.z.stiffness"] == []
+
+
 def test_two_masses_that_swing_may_be_one_where_the_first_hangs_and_as_the_second_swings() -> None:
     robot = without_limits(load_robot("kr90"))
     free = free_parameters(robot, ["p"], ["21X+"])

@@ -12,7 +12,18 @@ from twin.commands.compare import compare_hammer
 from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.hammer import diagnose_campaign
 from twin.diagnose.joint_reaction import Blow, Stepped, blows
-from twin.diagnose.levels import Levels, _own, _race, _settling, decide_levels, explain_levels, fit_law, point, with_law
+from twin.diagnose.levels import (
+    Levels,
+    _begun,
+    _own,
+    _race,
+    _settling,
+    decide_levels,
+    explain_levels,
+    fit_law,
+    point,
+    with_law,
+)
 from twin.diagnose.levels_beside import _doubted
 from twin.diagnose.levels_finding import check_blows
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
@@ -320,6 +331,25 @@ def test_laws_that_explain_what_is_asked_stay_in_the_race(monkeypatch: pytest.Mo
     trials, reached = _race(begun, (0.1, 0.0), lambda count: None, 1)  # type: ignore[arg-type]
     assert [trial[1] for trial in trials] == ["right"]
     assert reached == 0.0
+
+
+def test_whole_decays_begin_by_their_logarithmic_residual(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hardening of 1.9e13 N·m/rad³ left its window at 3.2e13, from where a plain residual did not lead back."""
+
+    @dataclass(frozen=True)
+    class Runner:
+        sample: str
+        blow: dict[str, Blow]
+        logarithmic: bool = False
+
+    def descend(objective: Runner, z: np.ndarray, *rest: float) -> tuple[np.ndarray, float]:
+        return (z - 1.0, 0.0) if objective.logarithmic and objective.sample == "whole" else (z, 1.0)
+
+    monkeypatch.setattr(sys.modules["twin.diagnose.levels"], "minimise", descend)
+    begun = [(Runner("window", {}), name, np.full(1, 3.0)) for name in ("one", "other")]
+    trials = _begun(begun, "whole", {}, 1)  # type: ignore[arg-type]
+    assert [(objective.sample, objective.logarithmic) for objective, *_ in trials] == [("whole", False)] * 2
+    assert [z[0] for *_, z in trials] == [2.0, 2.0]
 
 
 @pytest.mark.parametrize(("law", "size", "doubted"), [(Gap(), 3e-7, True), (Cubic(), 1e13, False)])

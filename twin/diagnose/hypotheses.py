@@ -247,6 +247,8 @@ def companions(
     if hypothesis.entries:
         (entry,) = hypothesis.entries
         found += CATALOGUE[hypothesis.effect].companions(base, hypothesis.site, base.values(entry))
+    elif hypothesis.effect == "parameter":
+        found += [behind for effect in CATALOGUE.values() for behind in effect.behind(base, hypothesis.site)]
     present = {(entry.effect, entry.site) for entry in base.physics}
     hypotheses: list[Hypothesis] = []
     for one in found:

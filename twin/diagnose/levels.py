@@ -181,8 +181,7 @@ def explain_levels(
     if window:
         trials, temper = _rough_race(robot, base, places if temper == 1 else near, seen, starts[1:], tick, processes)
         few = View(0.0, sample.thin(RACE_LINES), blow).telling(_at(trials, places), BLOWS)[0]
-        whole = [(replace(t[0], sample=few, blow=blow), *t[1:]) for t in trials]
-        whole, left = _race(whole, WHOLE_TEMPERS, tick, processes, LAST, hopeful=True)
+        whole, left = _race(_begun(trials, few, blow, processes), WHOLE_TEMPERS, tick, processes, LAST, hopeful=True)
         if left <= HOLDS:  # a law that holds to the ends of the decays tells more there
             trials, temper, window, seen = whole, 0.0, 0.0, View(0.0, sample.thin(FINAL_LINES), blow)
     else:
@@ -371,6 +370,22 @@ def _rough_race(
     trials = [trial for cost, trial in best.values() if cost <= reach]
     trials, temper = _race(trials, ROUGH_TEMPERS, tick, processes)
     return trials, min(temper, ROUGH_TEMPERS[0])
+
+
+def _begun(trials: Sequence[Trial], sample: Sample, blow: dict[str, Blow], processes: int) -> list[Trial]:
+    """Laws that were fitted under a window, for whole decays: they begin by the logarithmic residual of these.
+
+    A window mixes lines that lie beside each other, and those beyond the band are not recorded. A fit that is closer
+    than that allows has moved away from the truth, and the way back leads through a worse fit.
+    """
+    whole = [(replace(objective, sample=sample, blow=blow), law, z) for objective, law, z in trials]
+
+    def begin(number: int) -> FloatArray:
+        objective, _, z = whole[number]
+        return minimise(replace(objective, logarithmic=True), z, ROUGH_STEPS, ROUGH_GAIN)[0]
+
+    ends = spread(begin, len(whole), processes)
+    return [(objective, law, z) for (objective, law, _), z in zip(whole, ends, strict=True)]
 
 
 def with_law(

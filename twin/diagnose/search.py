@@ -824,7 +824,8 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
         if companion.key in {piece.key for piece in rest}:
             continue
         turned = companion.key in {piece.key for piece in gone}
-        if known is not None and not turned and not (alike and known.cost > best.cost + SLIGHT):
+        fuller = known is not None and len(hypothesis.own) > len(known.hypothesis.own)  # a body where a point was tried
+        if known is not None and not turned and not fuller and not (alike and known.cost > best.cost + SLIGHT):
             continue  # an alias may have been fitted worse
         parameters, starts = hypothesis.parameters(free), list[FloatArray]()
         if companion.scale:
@@ -843,6 +844,8 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
             starts.append(_retuned(best, gone, companion, parameters))
         else:
             starts.append(_taken_over(best, gone, companion, parameters))
+            if last.scale and (parted := divided(robot, parameters, starts[0], companion, present=False)):
+                starts.append(parted[0])  # it is what makes the link's own numbers seem off
         places.append(_Place(hypothesis, parameters, tuple(starts)))
     found = []
     for number in range(0, len(places), ABREAST):

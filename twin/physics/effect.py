@@ -293,6 +293,10 @@ class Effect:
         """What it is hard to tell from by mechanics and is judged beside it in any case."""
         return []
 
+    def behind(self, robot: "Robot", number: str) -> list[Companion]:
+        """What of this effect may be behind a number of the description that seems off, as ``link5.inertia``."""
+        return []
+
     def parts(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
         """Simpler things that together do what it does where a recording does not show the rest of it.
 

@@ -63,6 +63,16 @@ class Payload(Effect):
         """The link's own mass. A payload on the last link is one at the flange, under whose name it is sought."""
         return [Companion("parameter", f"link{self.carrier(robot, site) + 1}.mass")]
 
+    def behind(self, robot: "Robot", number: str) -> list[Companion]:
+        """A point on a link whose mass or centre seems off, a body with an inertia of its own where that does."""
+        link, _, what = number.partition(".")
+        if link not in {f"link{i + 1}" for i in range(robot.axis_count)} or what not in ("mass", "com", "inertia"):
+            return []
+        site = "flange" if link == f"link{robot.axis_count}" else link
+        point = self.typical(robot, site)
+        cube, _ = self._cube(robot, site, point["mass"])
+        return [Companion(self.name, site, {**point, "inertia": [cube] * 3} if what == "inertia" else point)]
+
     def merged(self, robot: "Robot", site: str, values: Values, other: str, place: str) -> list[Companion]:
         """Beside a link whose own inertia is off: a body with an inertia of its own, on a link as described."""
         if other != "parameter" or place != f"link{self.carrier(robot, site) + 1}.inertia" or values.get("inertia"):
