@@ -854,6 +854,9 @@ def test_a_body_that_hangs_on_a_link_is_tried_where_the_links_inertia_seems_off(
     assert [(one.site, len(one.own)) for one in found["link1.inertia"]] == [("link1", 7)]
     assert [(one.site, len(one.own)) for one in found["link3.inertia"]] == [("flange", 7)]
     assert found["link*.inertia"] == found["joint1.z.stiffness"] == []
+    both = merged(numbers["link1.mass"], numbers["link1.inertia"], robot)
+    assert [(one.key, len(one.own)) for one in both] == [("payload@link1", 4), ("payload@link1", 7)]
+    assert merged(numbers["link1.mass"], numbers["link2.inertia"], robot) == []
 
 
 def test_two_masses_that_swing_may_be_one_where_the_first_hangs_and_as_the_second_swings() -> None:
