@@ -81,7 +81,7 @@ def _pulse_length(posture: PostureFRF) -> float:
 @dataclass
 class _Joint:
     """A posture's model, the joint's coordinate in it, its spring and the load on it, and what is seen from there;
-    derivatives of the model."""
+    derivatives of the model; which blows (ne,) are stepped, all by default."""
 
     seen: Observed
     index: int
@@ -89,6 +89,11 @@ class _Joint:
     load: float
     view: Receptances
     rate: Observed | None = None
+    blows: NDArray[np.bool_] | None = None
+
+    def hit(self, blows: NDArray[np.bool_]) -> "_Joint":
+        """The same where only some of the blows (ne,) are stepped."""
+        return replace(self, seen=replace(self.seen, J_e=self.seen.J_e[blows]), blows=blows)
 
 
 class _Postures:
@@ -110,7 +115,7 @@ class _Postures:
         self.known: dict[tuple[str, bytes, int, bool], _Joint] = {}
         self.changes: Changes = {}
         self.loads: dict[str, tuple[list[int], FloatArray]] = {}
-        self.apart: dict[int, dict[int, _Joint]] = {}
+        self.apart: dict[int, dict[int, tuple[_Joint, NDArray[np.bool_]]]] = {}
 
     def of(self, r: Recorded, slopes: bool = False) -> _Joint:
         """The model of a recording's posture, seen along its lines; with ``slopes`` its derivatives, too."""
@@ -133,8 +138,9 @@ class _Postures:
         view = receptances(seen, index, r.s, r.power, rate)
         return _Joint(seen, index, float(model.strain[index]), float(model.load[index]), view, rate)
 
-    def moved(self, r: Recorded, step: float) -> dict[int, _Joint]:
-        """The joint's model with every parameter that acts on its motion moved in turn, to first order."""
+    def moved(self, r: Recorded, step: float) -> dict[int, tuple[_Joint, NDArray[np.bool_]]]:
+        """The joint's model with every parameter that acts on its motion moved in turn, to first order, and the blows
+        (ne,) for which that is another model: where a node lies is of no matter to blows elsewhere."""
         joint = self.of(r, True)
         if id(joint) in self.apart:
             return self.apart[id(joint)]
@@ -154,10 +160,13 @@ class _Postures:
         )
         view, found = joint.view, {}
         for p in sorted({*moving(acting).tolist(), *np.flatnonzero(loads).tolist()}):
-            seen = Observed.of(a + step * d[p] for a, d in zip(joint.seen.arrays(), joint.rate.arrays(), strict=True))
+            moves = zip(joint.seen.arrays(), joint.rate.arrays(), strict=True)
+            seen = Observed.of(a + step * d[p] if d[p].any() else a for a, d in moves)
             dinto, down = rates[2][p], rates[3][p]
             there = replace(view, into=view.into + step * dinto, own=view.own + step * down, rates=None)
-            found[p] = _Joint(seen, joint.index, joint.k, joint.load + step * loads[p], there)
+            everywhere = bool(loads[p]) or any(d[p].any() for d in joint.rate.arrays()[:5])
+            here = _Joint(seen, joint.index, joint.k, joint.load + step * loads[p], there)
+            found[p] = here, joint.rate.J_e[p].any(axis=1) | everywhere
         self.apart[id(joint)] = found
         return found
 
@@ -478,13 +487,14 @@ class Stepped(Cost):
         lags = [np.zeros_like(dR[: len(self.base)]) for dR in slopes]
         asked, where = [], []
         for k, r in enumerate(self.sample.recordings):
-            for p, joint in joints.moved(r, FINE_DIFFERENCE).items() if smooth[k].any() else ():
-                if p not in near:
-                    asked.append((joint, r, *self.own(z)))
-                    where.append((k, p))
-        for (k, p), other in zip(where, self._react(asked) if asked else [], strict=True):
-            beside = (other - reactions[k]) / FINE_DIFFERENCE - slopes[k][p]
-            lags[k][p] = np.where(smooth[k] & np.isfinite(beside), beside, 0)
+            for p, (joint, other) in joints.moved(r, FINE_DIFFERENCE).items() if smooth[k].any() else ():
+                blows = other & smooth[k]
+                if p not in near and blows.any():
+                    asked.append((joint.hit(blows), r, *self.own(z)))
+                    where.append((k, p, blows))
+        for (k, p, blows), moved in zip(where, self._react(asked) if asked else [], strict=True):
+            beside = (moved - reactions[k]) / FINE_DIFFERENCE - slopes[k][p]
+            lags[k][p] = np.where(blows & np.isfinite(beside), beside, 0)
         return lags
 
     def _react_each(self, asked: Sequence[Sequence[Asked]]) -> list[list[ComplexArray]]:
@@ -506,7 +516,7 @@ class Stepped(Cost):
             with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge
                 stepped = torques(strikes, self.law, self._length_s, rate_hz)
             return [
-                self._reaction(joint.view, r, strike, g, rate_hz)
+                self._reaction(joint, r, strike, g, rate_hz)
                 for (joint, r, *_), strike, (g, _) in zip(here, strikes, stepped, strict=True)
             ]
 
@@ -580,11 +590,14 @@ class Stepped(Cost):
         found = self._react_each(asked)
         return [[joint.view for joint, *_ in some] for some in asked], found
 
-    def _reaction(self, view: Receptances, r: Recorded, strike: Strike, g: FloatArray, rate_hz: float) -> ComplexArray:
+    def _reaction(self, joint: _Joint, r: Recorded, strike: Strike, g: FloatArray, rate_hz: float) -> ComplexArray:
         """The law's torque per force of the blow, T/F (nf, ne): of its tangent at rest, and the stepped g beside it."""
+        if joint.blows is not None:  # as many columns as ever: a narrower product of arrays rounds otherwise
+            stepped, g = g, np.zeros((len(g), len(joint.blows)))
+            g[:, joint.blows] = stepped
         force = strike.peak_n * pulse_transform(r.s, strike.pulse_s)
         beside = transform(r.s, g, rate_hz) / force[:, None]
-        return view.reaction(np.full(beside.shape, strike.tangent(self.law), complex), beside)
+        return joint.view.reaction(np.full(beside.shape, strike.tangent(self.law), complex), beside)
 
     def predicted_at(self, points: Sequence[FloatArray]) -> list[list[ComplexArray]]:
         """The same at several z, stepped side by side."""

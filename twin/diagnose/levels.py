@@ -206,16 +206,14 @@ def explain_levels(
             if np.isfinite(fit.cost)  # one that cannot be stepped is no rival
         ]
     tempered, begun = (15, starts[:2]) if window else (0, starts[:1])  # an optimum on all lines nearly is on some
-    again = min(
-        (
-            descend(
-                robot, base.hypothesis, base.parameters, data, z,
-                tempered=tempered, linear=LINEAR_STEPS, hopeless=LAW_REACH * least,
-            )
-            for z in begun
-        ),
-        key=lambda fit: fit.cost,
-    )  # fmt: skip
+
+    def base_again(number: int) -> Fitted:
+        return descend(
+            robot, base.hypothesis, base.parameters, data, begun[number],
+            tempered=tempered, linear=LINEAR_STEPS, hopeless=LAW_REACH * least,
+        )  # fmt: skip
+
+    again = min(spread(base_again, len(begun), processes), key=lambda fit: fit.cost)
     everything, how = (seen.sample, seen.blow) if window else (sample, blow)
     return Levels(
         places, [fits[k] for k in order], again, window, temper, [objectives[k] for k in order],

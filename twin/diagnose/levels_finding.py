@@ -83,8 +83,9 @@ def levels_finding(
         best, none, other = answer.best, answer.none, answer.other
     how, unsure = blows(campaign) or {}, 0.0
     records, errors = frf_records(
-        without_limits(without_laws(given)), search.base, search.base, found.used, found.kept, found.shared
-    )
+        without_limits(without_laws(given)), search.base, search.base, found.used, found.kept, found.shared,
+        search.processes,
+    )  # fmt: skip
     if answer:
         records, errors["after"] = stepped_records(records, answer.objective, answer.best, found.used, found.kept, how)
         if levels.window:

@@ -747,14 +747,15 @@ def _brought(fit: Fitted, other: Fitted, parameters: Parameters) -> FloatArray:
 def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Sample) -> list[Fitted]:
     """Hypotheses at their optimum on all lines, the better of it and what was known of each; side by side."""
     reach, few = _reach(search), sample.thin(REFIT_LINES)
+    thinned = THINNED_COST if few.repeat > sample.repeat else 1.0
     worth = min((one.worth for one in places), default=np.inf)
 
     def near(number: int) -> Fitted:
-        return _nearly(robot, places[number], few, THINNED_COST * min(places[number].worth, reach))
+        return _nearly(robot, places[number], few, thinned * min(places[number].worth, reach))
 
     nearly = _best_of_each(spread(near, len(places), search.processes))
     ahead = [fit for fit in nearly if not fit.too_heavy]  # what cannot be puts nothing out of the race
-    best = min((THINNED_COST * fit.cost + WITHIN * max(1.0, fit.misfit) for fit in ahead), default=np.inf)
+    best = min((thinned * fit.cost + WITHIN * max(1.0, fit.misfit) for fit in ahead), default=np.inf)
 
     def end(number: int) -> Fitted:
         return _fully(robot, nearly[number], sample, min(worth, reach, best))

@@ -169,8 +169,10 @@ class Objective(Cost):
         return self.parameters.apply(self.robot, values), values
 
     def _observed(self, robot: Robot, values: FloatArray) -> list[tuple[Observed, Structure]]:
-        setups = [r.setup for r in self.sample.recordings]
-        return observe_all(robot, setups, self.parameters, values, sagging=self.sagging)
+        own = {r.setup.alike: r.setup for r in self.sample.recordings}
+        models = observe_all(robot, list(own.values()), self.parameters, values, sagging=self.sagging)
+        found = dict(zip(own, models, strict=True))
+        return [found[r.setup.alike] for r in self.sample.recordings]
 
     def residual(self, z: FloatArray) -> FloatArray:
         """Weighted linear residual (2 Σ nf nr ne,), measured minus predicted."""
@@ -292,7 +294,11 @@ class Objective(Cost):
         if self.exact and not self._slow:
             setups, models = [r.setup for r in self.sample.recordings], [model for _, model in observed]
             self._slow.extend(sag_slopes(robot, setups, self.free, own, models))
+        known: dict[tuple[Any, ...], tuple[Observed, Structure, Observed, NDArray[np.intp]]] = {}
         for k, (r, (seen, model)) in enumerate(zip(self.sample.recordings, observed, strict=True)):
+            if r.setup.alike in known:
+                yield known[r.setup.alike]
+                continue
             some = np.array(self.free.seen_in(r.setup.name))
             columns = np.flatnonzero(transform[some].any(axis=0))
             rate = rates(robot, r.setup, self.free, own, seen, model, changes, some)
@@ -302,7 +308,8 @@ class Objective(Cost):
             rate = contract(rate, transform[np.ix_(some, columns)])
             moves = moving(rate)
             felt = Observed.of(array[moves] for array in rate.arrays())
-            yield seen, model, felt, columns[moves]
+            known[r.setup.alike] = seen, model, felt, columns[moves]
+            yield known[r.setup.alike]
 
     @cached_property
     def _linear(self) -> list[tuple[Observed, Structure, Observed]]:

@@ -14,6 +14,7 @@ most.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -103,10 +104,12 @@ def torques(
         nothing = [np.full(strike.seen.J_e.shape[0], np.nan) for strike in strikes]
         return [(np.tile(one, (round(length_s * rate_hz), 1)), one) for one in nothing]
     law = law.stepped(rate_hz)
-    width = max(1, COLUMNS // max(strike.seen.J_e.shape[0] for strike in strikes))
+    ends = np.cumsum([strike.seen.J_e.shape[0] for strike in strikes])
     found: list[tuple[FloatArray, FloatArray]] = []
-    for start in range(0, len(strikes), width):
-        found += _torques(strikes[start : start + width], law, round(length_s * rate_hz), rate_hz)
+    while (start := len(found)) < len(strikes):
+        before = int(ends[start - 1]) if start else 0
+        stop = max(start + 1, int(np.searchsorted(ends, before + COLUMNS, side="right")))
+        found += _torques(strikes[start:stop], law, round(length_s * rate_hz), rate_hz)
     return found
 
 
@@ -128,6 +131,7 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
     z[-2] = rest
     most, least = rest + LARGEST_DEFLECTION, rest - LARGEST_DEFLECTION  # a size far off must not let a trial overflow
     x, g, free = rest, np.zeros(total), np.empty(total)
+    pushed = np.zeros(total, complex)  # g as z is: numpy converts it for every mode else, which takes longer
     highest, lowest = rest.copy(), rest.copy()
     out, kinks = np.zeros((samples, total)), []
 
@@ -140,7 +144,8 @@ def _torques(strikes: Sequence[Strike], law: Law, samples: int, rate_hz: float) 
 
     for step in range(1, samples):
         z *= fade
-        np.multiply(kick, g, out=moved)
+        pushed.real = g
+        np.multiply(kick, pushed, out=moved)
         z += moved
         if step <= driven:
             z[:modes] += push[step - 1]
@@ -222,22 +227,34 @@ class _Modal:
 
 
 def _modal(strikes: Sequence[Strike], tangents: Sequence[float], rate_hz: float) -> list[_Modal]:
-    known: dict[tuple[int, int, float], _Modal] = {}
-    keys = [(id(strike.seen), strike.joint, slope) for strike, slope in zip(strikes, tangents, strict=True)]
-    for key, strike in zip(keys, strikes, strict=True):
-        if key not in known:
-            known[key] = _modes(strike.seen, strike.joint, key[-1], rate_hz)
-    return [known[key] for key in keys]
+    modes: dict[tuple[Any, ...], tuple[ComplexArray, ComplexArray]] = {}
+    known: dict[tuple[Any, ...], _Modal] = {}
+    found = []
+    for strike, slope in zip(strikes, tangents, strict=True):
+        seen = strike.seen
+        matrices = seen.M, seen.C, seen.K, seen.loss, seen.integral
+        free = *(id(one) for one in matrices), strike.joint, slope
+        if free not in modes:  # blows elsewhere move the same modes
+            modes[free] = _free(seen, strike.joint, slope)
+        if (*free, id(seen.J_e)) not in known:
+            known[*free, id(seen.J_e)] = _modes(seen, strike.joint, *modes[free], rate_hz)
+        found.append(known[*free, id(seen.J_e)])
+    return found
 
 
-def _modes(seen: Observed, joint: int, tangent: float, rate_hz: float) -> _Modal:
+def _free(seen: Observed, joint: int, tangent: float) -> tuple[ComplexArray, ComplexArray]:
+    """Poles (m,) of the linear part and the law's tangent, and their shapes (·, m)."""
+    K = seen.K + tangent * np.diag(np.eye(len(seen.M))[joint])
+    pole, vector = np.linalg.eig(state_matrix(seen.M, seen.C, K, seen.loss, seen.integral))
+    return pole, vector
+
+
+def _modes(seen: Observed, joint: int, pole: ComplexArray, vector: ComplexArray, rate_hz: float) -> _Modal:
     nv = len(seen.M)
     lossy = bool(seen.loss.any())  # of conjugate poles only the one above the real axis is then the robot's
-    K = seen.K + tangent * np.diag(np.eye(nv)[joint])
-    pole, vector = np.linalg.eig(state_matrix(seen.M, seen.C, K, seen.loss, seen.integral))
     into = np.zeros((len(pole), 1 + len(seen.J_e)), complex)
     into[nv : 2 * nv] = np.linalg.solve(seen.M, np.column_stack([-np.eye(nv)[joint], seen.J_e.T]))
-    inputs = np.linalg.solve(vector, into)
+    inputs = np.asarray(np.linalg.solve(vector, into), complex)
     keep = np.flatnonzero(pole.imag > 0 if lossy else pole.imag >= 0)  # the conjugates give twice the real part
     pole, inputs = pole[keep], inputs[keep]
     read = vector[joint, keep] * np.where(pole.imag > 0, 2.0, 1.0)

@@ -17,6 +17,8 @@ from twin.measure.campaign import ComplexArray
 from twin.model.recorded import Recorded, fields_of
 from twin.model.sensitivity import Observed, Structure, frf, frf_slopes
 
+CACHED = 8  # parameters at a time: their derivatives stay in the cache of a core
+
 
 @dataclass(frozen=True)
 class UnderLaw(Recorded):
@@ -95,9 +97,11 @@ class Receptances:
         """Derivatives (n, nf, nr, ne) of :meth:`reacting` where the reaction's are ``change`` (n, nf, ne)."""
         assert self.rates is not None
         dH, dout = self.rates[:2]
-        found = dH - dout[:, :, :, None] * reaction[:, None, :]
-        found -= self.out[:, :, None] * change[:, :, None, :]
-        return np.asarray(found)
+        found = np.empty(dH.shape, complex)
+        for some in (slice(at, at + CACHED) for at in range(0, len(found), CACHED)):
+            np.subtract(dH[some], dout[some, :, :, None] * reaction[:, None, :], out=found[some])
+            found[some] -= self.out[:, :, None] * change[some, :, None, :]
+        return found
 
 
 def receptances(seen: Observed, index: int, s: ComplexArray, power: int, rate: Observed | None = None) -> Receptances:

@@ -14,6 +14,7 @@ matrices by MuJoCo.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from twin.measure.campaign import Brakes, Channels, ComplexArray, FloatArray
 from twin.model.linear import state_matrix
-from twin.model.parameters import Parameter, Parameters, Side, rows_of
+from twin.model.parameters import Parameter, Parameters, Side
 from twin.physics import CATALOGUE
 from twin.physics.chain import MeasurementChain
 from twin.physics.effect import Effect
@@ -100,12 +101,6 @@ class Structure:
         carriers = [self.mechanism.carrier(*pair) for pair in zip(channels.body, channels.position, strict=True)]
         offset = np.array([self.mechanism.offset(carrier) for carrier in carriers]).reshape(-1, 3)
         return [self.bodies[carrier] for carrier in carriers], channels.position - offset
-
-    def point_slopes(self, channels: Channels, direction: FloatArray, row: int, letter: str) -> FloatArray:
-        """Derivative (nv,) of one of :meth:`rows` by a coordinate of its point, ``x``, ``y`` or ``z`` of the link."""
-        body = self.bodies[self.mechanism.carrier(channels.body[row], channels.position[row])]
-        along, force = self.rotation[body][:, "xyz".index(letter)], self.rotation[body] @ direction[row]
-        return np.asarray(self.screw[:, :3] @ _cross(along, force) * self.path[body])
 
     def placement(self, axis: int, number: str) -> FloatArray:
         """The screw (6,) along which a number of a zero-based axis moves it: ``a``, ``alpha``, ``d`` or ``theta``.
@@ -409,6 +404,14 @@ class Setup:
     response: Channels
     excitation: Channels
 
+    @cached_property
+    def alike(self) -> tuple[Any, ...]:
+        """The same for setups of which every model is the same: the force levels of a posture."""
+        sides = (
+            (c.label, c.body, c.position.tobytes(), c.direction.tobytes()) for c in (self.response, self.excitation)
+        )
+        return self.name, self.q.tobytes(), self.brakes, *sides
+
     def placed(self, parameters: Parameters, values: FloatArray) -> "Setup":
         """The same with the channels where parameters have their nodes."""
         response = parameters.placed(self.response, "response", values)
@@ -575,10 +578,10 @@ def slopes(
     among = range(len(parameters)) if among is None else list(among)
     out = Observed.of(np.zeros((len(among), *array.shape)) for array in seen.arrays())
     index = {name: k for k, name in enumerate(model.coordinates)}
-    chain: MeasurementChain | None = None
     links: dict[str, list[tuple[int, int]]] = {}
     moves: list[tuple[int, int, FloatArray]] = []
     turns: list[tuple[int, int]] = []
+    points: dict[int, int] = {}
     for row, p in enumerate(among):
         parameter, (site, what) = parameters[p], parameters.parts[p]
         if _curved(parameter, site, setup, model):
@@ -603,8 +606,7 @@ def slopes(
             for target, rate in zip(out.arrays(), seen.sag.arrays(), strict=True):
                 target[row] = rate
         elif parameter.kind == "point":
-            chain = chain or recording_chain(robot, setup.response, setup.excitation)
-            _apply_point(out, row, parameter, chain, setup, model)
+            points[p] = row
         elif parameter.kind == "direction":
             turns.append((row, p))
         elif parameter.kind == "gain":
@@ -617,8 +619,10 @@ def slopes(
             changes[block] = np.array([_link_slope(inertial, parameters[p].name) for _, p in own])
         rows = [row for row, _ in own]
         out.M[rows], out.K[rows] = model.inertial_slopes(body, changes[block])
+    if moves or points:
+        chain = recording_chain(robot, setup.response, setup.excitation)
+        _apply_points(out, points, parameters, chain, setup, model)
     if moves:
-        chain = chain or recording_chain(robot, setup.response, setup.excitation)
         _apply_moves(out, moves, chain, setup, model)
     if turns:
         _apply_turns(out, turns, parameters, values, robot, stated, setup, model)
@@ -795,18 +799,28 @@ def _apply_change(
     out.gain[p], out.delay[p], out.load[p] = gain * calibration, delay, load
 
 
-def _apply_point(
-    out: Observed, p: int, parameter: Parameter, chain: MeasurementChain, setup: Setup, model: Structure
+def _apply_points(
+    out: Observed,
+    points: Mapping[int, int],
+    parameters: Parameters,
+    chain: MeasurementChain,
+    setup: Setup,
+    model: Structure,
 ) -> None:
-    """Write what a coordinate of a node changes into row p of derivatives."""
-    letter = parameter.quantity
+    """Write what coordinates of nodes change into rows of derivatives: from the parameter to its row."""
     sides: tuple[tuple[Side, FloatArray, Channels, FloatArray], ...] = (
         ("response", out.J_r, setup.response, chain.response_direction),
         ("excitation", out.J_e, setup.excitation, chain.excitation_direction),
     )
     for side, target, channels, direction in sides:
-        for k in rows_of(parameter, channels.label, side):
-            target[p, k] = model.point_slopes(channels, direction, k, letter)
+        moving = parameters.moving(channels.label, side)
+        moved = [(points[p], k, axis) for p, rows, axis in moving if p in points for k in rows]
+        if moved:
+            row, k, axis = np.array(moved).T
+            body = np.array(model.carried_points(channels)[0])[k]
+            along, force = model.rotation[body, :, axis], model.rotation[body] @ direction[k][:, :, None]
+            moment = _cross(along, force[..., 0])
+            target[row, k] = (model.screw[:, :3] @ moment[..., None])[..., 0] * model.path[body]
 
 
 def _apply_turns(
@@ -917,8 +931,8 @@ def frf_slopes(seen: Observed, rate: Observed, s: ComplexArray, power: int) -> t
     slope = _stiffness_slopes(rate, s, pull, X_e)
     for p in np.flatnonzero(rate.J_r.any(axis=(1, 2))):
         slope[p] += record * (rate.J_r[p] @ X_e)
-    for p in np.flatnonzero(rate.J_e.any(axis=(1, 2))):
-        slope[p] -= pull @ rate.J_e[p].T
+    some, blow = np.nonzero(rate.J_e.any(axis=2))  # a node is that of one blow
+    slope[some, :, :, blow] -= np.moveaxis(pull @ rate.J_e[some, blow].T, 2, 0)
     for p in np.flatnonzero(rate.gain.any(axis=1) | rate.delay.any(axis=1)):
         slope[p] += H * (rate.gain[p] / seen.gain - s[:, None] * rate.delay[p])[:, :, None]
     return H, slope
