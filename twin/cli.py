@@ -543,7 +543,7 @@ def diagnose(
     - **adequate**: nothing is missing that these recordings could show;
     - **named**: each thing missing is one effect at one site, and stands out;
     - **ambiguous**: the recordings cannot tell several answers apart; a test that would is proposed;
-    - **located**: the site is clear, but no known effect fits; a law is given by its formula;
+    - **located** (motion logs): a law without a name is missing at a known joint; its formula is given;
     - **unexplained**: there is a mismatch beyond noise, and it is none of these.
 
     Several recordings get one model. The command writes the new robot.yaml and robot.xml (always), diagnosis.json, the
