@@ -28,12 +28,14 @@ import twin.parallel
 twin.parallel.cores = lambda: 1
 sys.setprofile(call)
 from twin.cli import main
+code = 0
 try:
     main()
-except SystemExit:
-    pass
+except SystemExit as ended:
+    code = ended.code
 sys.setprofile(None)
 print("\\n".join(sorted(entered)), file=sys.stderr)
+sys.exit(code)
 """
 
 
@@ -174,7 +176,9 @@ def entered(root: Path, recording: Path) -> set[str]:
     """Files of ``twin/diagnose`` and ``twin/identify`` that a diagnosis of a recording enters."""
     command = [sys.executable, "-c", TRACED, "diagnose", str(recording.resolve()), "--json"]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(root)}
-    ended = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=True)
+    ended = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=False)
+    if ended.returncode:
+        raise SystemExit(f"{recording}: twin diagnose ended with exit code {ended.returncode}")
     rooms = tuple(str(root / "twin" / room) for room in ROOMS)
     return {str(Path(line).relative_to(root)) for line in ended.stderr.splitlines() if line.startswith(rooms)}
 
