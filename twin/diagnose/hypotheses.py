@@ -290,13 +290,12 @@ def _springs(base: Robot, coordinate: str) -> list[str]:
 def merged(one: Hypothesis, other: Hypothesis, base: Robot) -> list[Hypothesis]:
     """What two things may be as one."""
     found: list[Companion] = []
+    of_one_link = one.site.partition(".")[0] == other.site.partition(".")[0]
     for piece, beside in ((one, other), (other, one)):
         if piece.entries:
             values, effect = base.values(piece.entries[0]), CATALOGUE[piece.effect]
             found += effect.merged(base, piece.site, values, beside.effect, beside.site)
-        elif (
-            not beside.entries and piece.site.partition(".")[0] == beside.site.partition(".")[0]
-        ):  # numbers of one link
+        elif of_one_link and not beside.entries:
             found += [behind for effect in CATALOGUE.values() for behind in effect.behind(base, piece.site)]
     found = [one for k, one in enumerate(found) if one not in found[:k]]
     return [entry_hypothesis(base, c.effect, c.site, dict(c.values or {})) for c in found]

@@ -841,7 +841,7 @@ def _accompany(robot: Robot, search: Search, best: Fitted, sample: Sample) -> li
                 starts.append(_where_it_was(robot, best, last, companion, parameters, postures[0]))
                 z[n:] *= [p.quantity in TUNING for p in companion.own]
             starts.append(z)
-        elif alike and all(_alike(companion, piece) for piece in gone):
+        elif turned and all(_alike(companion, piece) for piece in gone):
             starts.append(_retuned(best, gone, companion, parameters))
         else:
             starts.append(_taken_over(best, gone, companion, parameters))
