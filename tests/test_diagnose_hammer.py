@@ -110,6 +110,17 @@ def test_of_a_robot_like_its_description_nothing_is_missing(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+def test_a_tool_with_an_inertia_of_its_own_is_one_body_and_no_wrong_link(tmp_path: Path) -> None:
+    """80 kg, 6 kg·m²: the point and a wrong inertia of the last link were named."""
+    load = "payload@flange:mass=80,inertia=6|6|4"
+    case = recorded(tmp_path, "--seed", "46", "--postures", "5", "--effect", load)
+    finding = diagnose_campaign(case.campaign, load_robot("kr90"))
+    assert finding.missing[0].first.key == "payload@flange"
+    assert {m.first.key for m in finding.missing} == {"payload@flange"}
+    assert len(finding.missing[0].first.parameters) == 7
+
+
+@pytest.mark.slow
 def test_a_foundation_that_tilts_is_named(tmp_path: Path) -> None:
     case = recorded(tmp_path, "--seed", "12", "--postures", "4", "--effect", "base_compliance@base.ry")
     decision, base, _ = diagnosed(case, "base_compliance", "payload", "sensor_gain")
@@ -916,6 +927,33 @@ def test_a_mass_stands_beside_its_link_where_frfs_do_not_tell_them_apart(more: f
     assert probability == pytest.approx(0.49)
     assert rival.parameters["mass"]["value"] == pytest.approx(settled.values[free.names.index("link3.mass")])
     assert {"link3.mass", "link3.com.x"} < links
+
+
+@pytest.mark.parametrize(
+    ("site", "more", "names"),
+    [("link3", 2.0, 2), ("link3", 20.0, 1), ("link2", 2.0, 1)],
+)
+def test_numbers_of_a_link_stand_beside_what_it_may_carry(site: str, more: float, names: int) -> None:
+    """The body explains the FRFs as well: neither is the one name. A body on another link is another thing."""
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    load = entry_hypothesis(robot, "payload", "flange", CATALOGUE["payload"].typical(robot, "flange") or {})
+    off = {h.site: h for h in described(free)}
+    numbers = together(off[f"{site}.mass"], off[f"{site}.inertia"])
+
+    def fit(hypothesis: Hypothesis, cost: float) -> Fitted:
+        parameters = hypothesis.parameters(free)
+        z = np.zeros(len(parameters))
+        return Fitted(hypothesis, parameters, z, parameters.values(z), robot, cost, 1.0, np.eye(len(z)), 1e4, True)
+
+    ranked = [fit(numbers, 5000.0), fit(NONE, 9000.0), fit(load, 5000.0 + more)]
+    decision, _ = _or_its_link(Decision(ranked, [0.97, 0.0, 0.01], 0.01, 0.01), fit(NONE, 9000.0), robot)
+    likely = [p for p in decision.probability if p > 0.1]
+    assert len(likely) == names
+    assert judge(decision) == ("named" if names == 1 else "ambiguous")
+    if names == 2:
+        assert [one.hypothesis.key for one in decision.ranked[:2]] == [numbers.key, "payload@flange"]
+        assert likely == pytest.approx([0.49, 0.49])
 
 
 class Canyon(Objective):

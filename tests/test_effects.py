@@ -368,7 +368,11 @@ def test_a_payload_beside_its_links_inertia_may_be_one_body() -> None:
     assert one.values is not None
     assert one.values["mass"] == point["mass"]
     assert min(one.values["inertia"]) > 0
+    assert (
+        law.merged(robot, "flange", point, "parameter", "link*.inertia") == law.fuller(robot, "flange", point) == [one]
+    )
     assert law.merged(robot, "flange", dict(one.values), "parameter", "link6.inertia") == []
+    assert law.fuller(robot, "flange", dict(one.values)) == []
     assert law.merged(robot, "flange", point, "parameter", "link5.inertia") == []
 
 

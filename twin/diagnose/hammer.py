@@ -435,30 +435,46 @@ def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Deci
     """A mass on a link beside that link, where FRFs do not tell them apart, and the names of the link's numbers.
 
     Vibrations show the whole that moves. Where a link's own numbers explain it as well, if further from the description
-    than their tolerance, half of the probability of the mass is theirs: weighing tells.
+    than their tolerance, half of the probability of the mass is theirs: weighing tells. So it is the other way round.
     """
-    first = decision.ranked[0]
-    pieces = first.hypothesis.pieces
+    first, *others = decision.ranked
+    pieces, seen = first.hypothesis.pieces, calibration()["seen"]
     known: dict[frozenset[str], Fitted] = {frozenset(): settled}
     known |= {fit.hypothesis.identity: fit for fit in decision.ranked}
     for piece in pieces:
-        rest = known.get(first.hypothesis.identity - {piece.key})
-        link = piece.law.carrier(base, piece.site) if piece.law and piece.entries else None
-        if link is None or rest is None or data_cost(rest) - data_cost(first) >= calibration()["seen"]:
+        rest, link = known.get(first.hypothesis.identity - {piece.key}), _carrier(piece, base)
+        if link is None or rest is None or data_cost(rest) - data_cost(first) >= seen:
             continue
-        name = f"link{link + 1}.mass"
+        name = f"{link}mass"
         number = Hypothesis("parameter", name, scale=((name, 1.0),))
         rival = replace(rest, hypothesis=together(*(p for p in pieces if p is not piece), number))
-        same = {first.hypothesis.identity, rival.hypothesis.identity}  # the number may have been fitted by itself, too
-        told = list(zip(decision.ranked, decision.probability, strict=True))
-        half = 0.5 * sum(p for fit, p in told if fit.hypothesis.identity in same)
-        others = [(fit, p) for fit, p in told if fit.hypothesis.identity not in same]
-        shared = replace(
-            decision, ranked=[first, rival, *(fit for fit, _ in others)],
-            probability=[half, half, *(p for _, p in others)],
-        )  # fmt: skip
-        return shared, frozenset(p.name for p in rest.parameters if p.name.startswith(f"link{link + 1}."))
+        return _halved(decision, rival), frozenset(p.name for p in rest.parameters if p.name.startswith(link))
+    for fit in others:
+        gone = [piece for piece in pieces if piece.key not in fit.hypothesis.identity]
+        new = [piece for piece in fit.hypothesis.pieces if piece.key not in first.hypothesis.identity]
+        link = _carrier(new[0], base) if len(new) == 1 else None
+        of_it = link and gone and all(piece.law is None and piece.site.startswith(link) for piece in gone)
+        if of_it and data_cost(fit) - data_cost(first) < seen:
+            return _halved(decision, fit), frozenset()
     return decision, frozenset()
+
+
+def _carrier(piece: Hypothesis, base: Robot) -> str | None:
+    """How names of numbers of the link begin on which a mass hangs; ``None`` of what is no mass on a link."""
+    link = piece.law.carrier(base, piece.site) if piece.law and piece.entries else None
+    return None if link is None else f"link{link + 1}."
+
+
+def _halved(decision: Decision, rival: Fitted) -> Decision:
+    """A decision whose first answer shares its probability and that of a rival with it, in halves."""
+    first = decision.ranked[0]
+    same = {first.hypothesis.identity, rival.hypothesis.identity}
+    told = list(zip(decision.ranked, decision.probability, strict=True))
+    half = 0.5 * sum(p for fit, p in told if fit.hypothesis.identity in same)
+    others = [(fit, p) for fit, p in told if fit.hypothesis.identity not in same]
+    return replace(
+        decision, ranked=[first, rival, *(fit for fit, _ in others)], probability=[half, half, *(p for _, p in others)]
+    )
 
 
 def _finding(given: Robot, source: str, found: Triage, search: Search, answer: _Answer, before: Fitted) -> Finding:

@@ -299,3 +299,9 @@ def merged(one: Hypothesis, other: Hypothesis, base: Robot) -> list[Hypothesis]:
             found += [behind for effect in CATALOGUE.values() for behind in effect.behind(base, piece.site)]
     found = [one for k, one in enumerate(found) if one not in found[:k]]
     return [entry_hypothesis(base, c.effect, c.site, dict(c.values or {})) for c in found]
+
+
+def fuller(one: Hypothesis, base: Robot) -> list[Hypothesis]:
+    """The same thing with optional parameters that it has done without."""
+    found = [c for e in one.entries for c in CATALOGUE[e.effect].fuller(base, e.site, base.values(e))]
+    return [entry_hypothesis(base, c.effect, c.site, dict(c.values or {})) for c in found]

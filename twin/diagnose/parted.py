@@ -36,18 +36,11 @@ def divided(
     Returns:
         z (n,) and the fall of ½ zᵀz; ``None`` for what is no part of a link, or a link whose numbers are not free.
     """
-    number = piece.law.carrier(robot, piece.site) if piece.law else None
-    if number is None:
+    found = _whole(robot, parameters, z, piece, present)
+    if found is None:
         return None
-    mine = {p.name for p in piece.own}
-    own = [k for k, p in enumerate(parameters) if p.name in mine]
-    at = [k for k, p in enumerate(parameters) if p.kind == "link" and p.name.startswith(f"link{number + 1}.")]
-    if len(at) < len(INERTIAL):
-        return None
+    number, at, own, whole = found
     link, part = parameters.select(at), parameters.select(own)
-    whole = link.apply(robot, link.values(z[at])).links[number].inertial
-    if present:
-        whole = fuse(whole, _body(part.values(z[own])))
     order = [INERTIAL.index(p.name.partition(".")[2]) for p in link]
 
     def tension(own: FloatArray) -> FloatArray:
@@ -62,9 +55,52 @@ def divided(
     starts += _rest_of(whole, robot.links[number].inertial, part)
     best = min((least_squares(tension, start) for start in starts), key=lambda end: float(end.cost))
     before = [*z[at], *(z[own] if present else [])]
-    found = z.copy()
-    found[own], found[at] = best.x, tension(best.x)[: len(at)]
-    return found, 0.5 * float(np.sum(np.square(before))) - float(best.cost)
+    there = z.copy()
+    there[own], there[at] = best.x, tension(best.x)[: len(at)]
+    return there, 0.5 * float(np.sum(np.square(before))) - float(best.cost)
+
+
+def on_a_described_link(
+    robot: Robot, parameters: Parameters, z: FloatArray, piece: Hypothesis
+) -> tuple[FloatArray, float] | None:
+    """Where a mass is all that its link seems off by, and the link is as described.
+
+    A body's products of inertia have no number, so the whole is not quite the same. From there a fit may go down
+    another valley than from any division of the whole.
+
+    Returns:
+        z (n,) and the fall of the link's ½ zᵀz; ``None`` as in :func:`divided`, or if no mass would be left.
+    """
+    found = _whole(robot, parameters, z, piece, present=True)
+    if found is None:
+        return None
+    number, at, own, whole = found
+    rest = _rest_of(whole, robot.links[number].inertial, parameters.select(own))
+    if not rest:
+        return None
+    there = z.copy()
+    there[at], there[own] = 0.0, rest[0]
+    return there, 0.5 * float(z[at] @ z[at])
+
+
+def _whole(
+    robot: Robot, parameters: Parameters, z: FloatArray, piece: Hypothesis, present: bool
+) -> tuple[int, list[int], list[int], Inertial] | None:
+    """Of a mass: its link, the indices of the link's numbers and of its own, and what the two are together.
+
+    ``None`` as in :func:`divided`.
+    """
+    number = piece.law.carrier(robot, piece.site) if piece.law else None
+    if number is None:
+        return None
+    mine = {p.name for p in piece.own}
+    own = [k for k, p in enumerate(parameters) if p.name in mine]
+    at = [k for k, p in enumerate(parameters) if p.kind == "link" and p.name.startswith(f"link{number + 1}.")]
+    if len(at) < len(INERTIAL):
+        return None
+    link, part = parameters.select(at), parameters.select(own)
+    whole = link.apply(robot, link.values(z[at])).links[number].inertial
+    return number, at, own, fuse(whole, _body(part.values(z[own]))) if present else whole
 
 
 def _body(values: Iterable[float]) -> Inertial:

@@ -210,6 +210,8 @@ def screen(
         elif len(variants) > SCANNED:  # near the truth first order reaches the others from the first
             variants = variants[:1]
         found = [max(_promises(setting, h, before), key=lambda promise: promise.gain) for h in variants]
+        if setting.logarithmic and not present and _on_a_link(setting, variants[0]):
+            found.append(_carried(setting, variants, before))
         if not setting.error:
             found = [_traced(setting, promise) for promise in found]
         if not present:  # beside what was found, it would rather let masses in that swing in the noise
@@ -252,6 +254,39 @@ def _followed(setting: Setting, suspect: Hypothesis, before: float) -> Promise:
     hypothesis = together(setting.current, suspect)
     objective = setting.objective(hypothesis)
     z, cost, *_ = minimise(objective, _as_described(setting, objective), FOLLOWED, 0.5)
+    return Promise(hypothesis, suspect, objective.parameters, before - cost, z, z)
+
+
+def _on_a_link(setting: Setting, suspect: Hypothesis) -> bool:
+    """Whether a suspect is a mass that is rigidly a part of a link."""
+    return suspect.law is not None and suspect.law.carrier(setting.base, suspect.site) is not None
+
+
+def _carried(setting: Setting, variants: Sequence[Hypothesis], before: float) -> Promise:
+    """What a mass on a link promises, of whatever size, whose robust cost is followed down from the description.
+
+    A tool may weigh a tenth of the robot. Springs that make up for it lead a search that begins with them astray.
+    """
+    starts = []
+    for suspect in variants:
+        hypothesis = together(setting.current, suspect)
+        objective = setting.objective(hypothesis)
+        z, n = _as_described(setting, objective), len(setting.z)
+        for size in suspect.law.sizes if suspect.law else ():
+            own = np.eye(len(suspect.own))[0] * -size
+            mass = suspect.own[0].mean * float(np.exp(-size * suspect.own[0].deviation))
+            usual = suspect.law.given_size(setting.base, suspect.site, mass) if suspect.law else {}
+            for k, p in enumerate(suspect.own):
+                own[k] += np.log(usual[p.quantity] / p.mean) / p.deviation if p.quantity in usual else 0.0
+            start = np.concatenate([z[:n], own])
+            starts.append((objective.cost(start), suspect, hypothesis, objective, start))
+    ends = []
+    for _, suspect, hypothesis, objective, start in sorted(starts, key=lambda one: one[0])[:SCANNED_KEPT]:
+        inner = setting.coarse(hypothesis, objective, start)
+        end, cost, *_ = minimise(inner, inner.part(start), FOLLOWED, 0.5)
+        ends.append((cost, suspect, hypothesis, objective, inner.whole(end)))
+    _, suspect, hypothesis, objective, start = min(ends, key=lambda one: one[0])
+    z, cost, *_ = minimise(objective, start, FOLLOWED, 0.5)
     return Promise(hypothesis, suspect, objective.parameters, before - cost, z, z)
 
 

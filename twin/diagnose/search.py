@@ -14,9 +14,9 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.departures import far_off
 from twin.diagnose.described import described
-from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, merged, same_axes, together
+from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, fuller, merged, same_axes, together
 from twin.diagnose.locate import free_laws
-from twin.diagnose.parted import divided
+from twin.diagnose.parted import divided, on_a_described_link
 from twin.diagnose.patience import Patience
 from twin.diagnose.refit import CRAWLING, NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
@@ -191,6 +191,7 @@ def explain(
             _needed(robot, search, there, sample)
     if not given_up(search, best):
         _in_its_stead(robot, search, sample)
+        _fuller(robot, search, sample)
     if not search.patience.over("sensors and axes elsewhere beside each other"):
         _beside_each_other(robot, search, sample, suspects)
     return search
@@ -705,6 +706,28 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
             search.fits[fit.hypothesis.identity] = fit
 
 
+def _fuller(robot: Robot, search: Search, sample: Sample) -> None:
+    """Fits likely answers with a fuller form of a piece, alone or instead of another piece that may be a part of it.
+
+    A mass on a link was tried as a point. The inertia of a real body then passes for that of its link.
+    """
+    places, finalists = [], search.finalists
+    for fit in [fit for fit in finalists if fit.evidence() > finalists[0].evidence() - LIKELY]:
+        pieces = fit.hypothesis.pieces
+        instead = [([piece], one) for piece in pieces for one in fuller(piece, robot)]
+        instead += [([*pair], one) for pair in combinations(pieces, 2) for one in merged(*pair, robot)]
+        for gone, companion in instead:
+            rest = [piece for piece in pieces if piece not in gone]
+            if companion.key in {piece.key for piece in rest}:
+                continue
+            hypothesis = together(*rest, companion)
+            parameters = hypothesis.parameters(search.base.parameters)
+            start = _taken_over(fit, gone, companion, parameters)
+            parted = divided(robot, parameters, start, companion, present=any(piece.entries for piece in gone))
+            places.append(_Place(hypothesis, parameters, (start, *([parted[0]] if parted else []))))
+    _refits(robot, search, places, sample)
+
+
 def _in_parts(robot: Robot, best: Fitted, piece: Hypothesis, free: Parameters, behind: float) -> list[_Place]:
     """The best with simpler things in the stead of a piece that they are parts of: two of them or more.
 
@@ -762,9 +785,15 @@ def _refits(robot: Robot, search: Search, places: Sequence[_Place], sample: Samp
 
     for fit in spread(end, len(nearly), search.processes):
         known = search.fits.get(fit.hypothesis.identity)
-        if known is None or fit.cost < known.cost:
+        if known is None or _better(fit, known):
             search.fits[fit.hypothesis.identity] = fit
     return [search.fits[identity] for identity in dict.fromkeys(one.hypothesis.identity for one in places)]
+
+
+def _better(fit: Fitted, known: Fitted) -> bool:
+    """Whether a fit of the same things is to replace one: further numbers have to pay for themselves."""
+    more = len(fit.hypothesis.own) > len(known.hypothesis.own)
+    return fit.evidence() > known.evidence() if more else fit.cost < known.cost
 
 
 def _best_of_each(fits: Iterable[Fitted]) -> list[Fitted]:
@@ -787,7 +816,7 @@ def _nearly(robot: Robot, one: _Place, few: Sample, hopeless: float) -> Fitted:
 
 
 def _fully(robot: Robot, near: Fitted, sample: Sample, hopeless: float) -> Fitted:
-    """The same on all lines; a mass and its link also from where they are divided with the least tension."""
+    """The same on all lines; a mass and its link also from where they are divided with the least tension, or anew."""
 
     def end(z: FloatArray) -> Fitted:
         return descend(
@@ -797,9 +826,12 @@ def _fully(robot: Robot, near: Fitted, sample: Sample, hopeless: float) -> Fitte
 
     fit = end(near.z)
     for piece in fit.hypothesis.pieces:
-        found = divided(robot, fit.parameters, fit.z, piece, present=True)
-        if found and found[1] > SLIGHT:
-            fit = min(fit, end(found[0]), key=lambda one: one.cost)
+        for found in (
+            divided(robot, fit.parameters, fit.z, piece, present=True),
+            on_a_described_link(robot, fit.parameters, fit.z, piece),
+        ):
+            if found and found[1] > SLIGHT:
+                fit = min(fit, end(found[0]), key=lambda one: one.cost)
     return fit
 
 

@@ -308,6 +308,10 @@ class Effect:
         """What it may be as one thing with an ``other`` effect at a ``place``, instead of the two."""
         return []
 
+    def fuller(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """The same thing with optional parameters that its ``values`` do not have."""
+        return []
+
     # ------------------------------------------------------------------------------------------------------------------
 
     def carrier(self, robot: "Robot", site: str) -> int | None:

@@ -75,7 +75,12 @@ class Payload(Effect):
 
     def merged(self, robot: "Robot", site: str, values: Values, other: str, place: str) -> list[Companion]:
         """Beside a link whose own inertia is off: a body with an inertia of its own, on a link as described."""
-        if other != "parameter" or place != f"link{self.carrier(robot, site) + 1}.inertia" or values.get("inertia"):
+        off = (f"link{self.carrier(robot, site) + 1}.inertia", "link*.inertia")
+        return self.fuller(robot, site, values) if other == "parameter" and place in off else []
+
+    def fuller(self, robot: "Robot", site: str, values: Values) -> list[Companion]:
+        """A body with an inertia of its own, at first that of a cube, where there was a point."""
+        if values.get("inertia"):
             return []
         cube, _ = self._cube(robot, site, values["mass"])
         return [Companion(self.name, site, {**values, "inertia": [cube] * 3})]
