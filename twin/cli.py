@@ -142,12 +142,33 @@ def _print_version(asked: bool) -> None:
         raise typer.Exit
 
 
+def _print_docs(asked: bool) -> None:
+    """The folder of the guides: inside an installed package, or at the top of a clone."""
+    if asked:
+        folders = [Path(__file__).resolve().parents[level] / "docs" for level in (0, 1)]
+        found = next((folder for folder in folders if (folder / "formats.md").is_file()), None)
+        if found is None:
+            raise InputError("--docs", "", "this installation has no guides; they are the folder docs of the sources")
+        print(found)
+        raise typer.Exit
+
+
 @app.callback()
 def _root(
     version: Annotated[
         bool,
         typer.Option(
             "--version", metavar="", help="Print the version and stop.", is_eager=True, callback=_print_version
+        ),
+    ] = False,
+    docs: Annotated[
+        bool,
+        typer.Option(
+            "--docs",
+            metavar="",
+            help="Print the folder of the guides and stop: docs/fit.md is its file fit.md.",
+            is_eager=True,
+            callback=_print_docs,
         ),
     ] = False,
     quiet: Annotated[
