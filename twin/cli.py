@@ -364,7 +364,7 @@ def fit(
     Maximum-posterior fit of every spring and damper, over all postures and force levels at once. Masses, centres of
     mass, inertias, posture angles and channel gains are free within the robot's tolerances. Priors and tolerances are
     data in robot.yaml. The fit starts several times, and says if the starts do not agree. With three postures or more
-    the last one is held out and predicted.
+    the last one is held out and predicted. With fewer, every blow is predicted from the others.
 
     ```
     twin fit measured_frf.h5                     # robot: the file's, else kr90
@@ -452,8 +452,9 @@ def identify(
         tuple[float, float] | None,
         typer.Option(
             metavar="PASS STOP",
-            help="Low-pass filter of torques and regressor, Hz; 3 4 by default, chosen for a log shorter than 40 s.",
-            show_default=False,
+            help="Low-pass filter of torques and regressor, Hz. For a log shorter than 40 s, by default the one that "
+            "predicts held-out torque best.",
+            show_default="3 4",
         ),
     ] = None,
     weighting: Annotated[
@@ -804,7 +805,7 @@ def view(
     robot: Robot = None,
     without: Without = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write a .rrd instead of opening a viewer.")
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write this .rrd instead of opening a viewer.")
     ] = None,
     json: Json = False,
     seed: NoSeed = 0,
@@ -812,7 +813,8 @@ def view(
     """Look at modes, replays and robots in the rerun viewer.
 
     Opens the animations of an output folder or a .rrd. A robot is shown in the middle of its limits. A hammer test or
-    a modal table is shown in its first posture, moving in the modes of the model. A motion log is replayed.
+    a modal table is shown in its first posture, moving in the modes of the model. A motion log is replayed. Of a robot
+    or a recording, out/NAME.rrd is written first, or the file that --out names.
 
     ```
     twin view out/milling
