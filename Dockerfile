@@ -4,6 +4,7 @@ FROM python:3.12-slim
 COPY pyproject.toml README.md LICENSE /src/
 COPY twin /src/twin
 COPY mjcf /src/mjcf
+COPY docs /src/docs
 RUN pip install --no-cache-dir /src && cp -r /src/mjcf/postures /postures && rm -r /src
 WORKDIR /cell
 ENTRYPOINT []

@@ -144,3 +144,12 @@ def test_examples_of_the_help_fit_a_terminal_of_80_columns() -> None:
     ]
     assert len(examples) > 30
     assert [line for line in examples if len(line.removeprefix("    ")) > 76] == []
+
+
+def test_pages_that_help_and_messages_name_are_where_the_command_says(capsys: pytest.CaptureFixture[str]) -> None:
+    app(["--docs"], standalone_mode=False)
+    folder = Path(capsys.readouterr().out.strip())
+    sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "twin").rglob("*.py"))
+    named = set(re.findall(r"docs/([\w-]+\.md)", sources))
+    assert len(named) > 4
+    assert [page for page in sorted(named) if not (folder / page).is_file()] == []

@@ -36,8 +36,8 @@ def commands() -> str:
     context = typer.Context(root, info_name="twin")
     general = (
         "`twin COMMAND --help` says the same. `twin -q COMMAND` prints one line, `twin -v COMMAND` every file it "
-        "wrote. `twin --install-completion` makes your shell complete commands. Bad input ends in one line and exit "
-        "code 2."
+        "wrote. `twin --docs` prints the folder of these pages as files. `twin --install-completion` makes your shell "
+        "complete commands. Bad input ends in one line and exit code 2."
     )
     parts = ["# Commands", general]
     for name, command in root.commands.items():  # type: ignore[attr-defined]

@@ -142,12 +142,33 @@ def _print_version(asked: bool) -> None:
         raise typer.Exit
 
 
+def _print_docs(asked: bool) -> None:
+    """The folder of the guides: inside an installed package, or at the top of a clone."""
+    if asked:
+        folders = [Path(__file__).resolve().parents[level] / "docs" for level in (0, 1)]
+        found = next((folder for folder in folders if (folder / "formats.md").is_file()), None)
+        if found is None:
+            raise InputError("--docs", "", "this installation has no guides; they are the folder docs of the sources")
+        print(found)
+        raise typer.Exit
+
+
 @app.callback()
 def _root(
     version: Annotated[
         bool,
         typer.Option(
             "--version", metavar="", help="Print the version and stop.", is_eager=True, callback=_print_version
+        ),
+    ] = False,
+    docs: Annotated[
+        bool,
+        typer.Option(
+            "--docs",
+            metavar="",
+            help="Print the folder of the guides and stop: docs/fit.md is its file fit.md.",
+            is_eager=True,
+            callback=_print_docs,
         ),
     ] = False,
     quiet: Annotated[
@@ -226,8 +247,9 @@ def simulate(
 ) -> None:
     """Modes, a hammer test in time and a replay of one posture.
 
-    Prints the modes and writes robot.xml (MJCF for any MuJoCo viewer), hammer.h5 (simulated FRFs), figures, modes.rrd
-    (mode animation, see twin view) and simulate.json into the output folder, out/FILE by default. With --json,
+    Prints the modes and writes these files into the output folder, out/FILE by default: simulate.html (the report),
+    robot.yaml, robot.xml (MJCF for any MuJoCo viewer), hammer.h5 (simulated FRFs), figures, modes.rrd (animated modes,
+    see twin view) and simulate.json. A replay adds replay.h5 (a motion log) and an animation of each run. With --json,
     files are written only where --out says so. A posture file:
 
     ```yaml
@@ -277,9 +299,10 @@ def modal(
 
     It works on any structure: axis positions and a robot are needed only to draw shapes on the robot.
 
-    Takes one or several postures and force levels. Prints frequencies and damping ratios (exponential windows taken
-    out) and writes modes.yaml (modal table), UFF 55 shapes, stabilisation charts, FRF overlays, MAC, shapes on the
-    robot and modal.json into the output folder, out/RECORDING by default. Remarks say what the data do not determine.
+    Takes one or several postures and force levels. Prints frequencies and damping ratios; exponential windows are
+    taken out. Remarks say what the data do not determine. Writes these files into the output folder, out/RECORDING by
+    default: modal.html (the report), modes.yaml (modal table), POSTURE_modes.unv (shapes, UFF 55), POSTURE_modes.rrd
+    (animated shapes, see twin view), figures and modal.json. With --json, files are written only where --out says so.
 
     With --operational: modes of a structure in operation. It reads universal files with time responses, or
     frf-campaign HDF5 with postures/NAME/running/response. The excitation is not measured, so it must be broadband.
@@ -341,7 +364,7 @@ def fit(
     Maximum-posterior fit of every spring and damper, over all postures and force levels at once. Masses, centres of
     mass, inertias, posture angles and channel gains are free within the robot's tolerances. Priors and tolerances are
     data in robot.yaml. The fit starts several times, and says if the starts do not agree. With three postures or more
-    the last one is held out and predicted.
+    the last one is held out and predicted. With fewer, every blow is predicted from the others.
 
     ```
     twin fit measured_frf.h5                     # robot: the file's, else kr90
@@ -350,10 +373,11 @@ def fit(
     twin fit modes.yaml --objective paper        # the paper's Eq. 23
     ```
 
-    A number in ( ) is not determined by the data: it is a bound, or mostly the prior. The command writes robot.yaml,
-    robot.xml (MJCF), fit.html, figures and fit.json into the output folder, out/RECORDING by default. With --json,
-    files are written only where --out says so. Next: twin compare judges the new robot on other recordings, and
-    twin diagnose looks for physics it lacks.
+    A number in ( ) is not determined by the data: it is a bound, or mostly the prior. docs/fit.md explains every line.
+    The command writes these files into the output folder, out/RECORDING by default: fit.html (the report), robot.yaml,
+    robot.xml (MJCF), posterior.h5 (how certain the numbers are, for twin lobes and twin map), figures and fit.json.
+    With --json, files are written only where --out says so. Next: twin compare judges the new robot on other
+    recordings, and twin diagnose looks for physics it lacks.
     """
     if objective not in ("posterior", "paper"):
         raise InputError("--objective", objective, "expected posterior or paper")
@@ -388,11 +412,14 @@ def excite(
 ) -> None:
     """Trajectories that excite every identifiable parameter, within all limits at all times.
 
-    Fourier series of minimum condition number (or D-optimal) under position, velocity, acceleration and workspace
-    limits (of a robot that states them). Writes trajectory.h5, CSV, figures and excite.json into the output folder,
-    out/excite by default. A posture file replays trajectory.h5. For a controller add --rest: without it the motion
-    starts at speed. Collisions are not checked, and a robot of twin describe states no workspace: try at a tenth of
-    the speed. KUKA programs hold A = -q, as the axes of the shipped robots turn against KUKA's.
+    Fourier series of minimum condition number (or D-optimal). They keep the limits of position, velocity, acceleration
+    and workspace that the robot states. Writes excite.html (the report), trajectory.h5, one CSV per trajectory, figures
+    and excite.json into the output folder, out/excite by default. With --json, files are written only where --out says
+    so. A posture file replays trajectory.h5.
+
+    For a controller add --rest: without it the motion starts at speed. Collisions are not checked, and a robot of
+    twin describe states no workspace: try at a tenth of the speed. KUKA programs (.src) hold A = -q, because the axes
+    of the shipped robots turn against KUKA's.
 
     ```
     twin excite --robot kr90 --count 1
@@ -425,8 +452,9 @@ def identify(
         tuple[float, float] | None,
         typer.Option(
             metavar="PASS STOP",
-            help="Low-pass filter of torques and regressor, Hz; 3 4 by default, chosen for a log shorter than 40 s.",
-            show_default=False,
+            help="Low-pass filter of torques and regressor, Hz. For a log shorter than 40 s, by default the one that "
+            "predicts held-out torque best.",
+            show_default="3 4",
         ),
     ] = None,
     weighting: Annotated[
@@ -440,9 +468,10 @@ def identify(
 
     Least squares on base parameters, then the physically consistent set nearest to the description. The robot's physics
     entries say which friction laws, compensators and cables are fitted; --without takes one out. Whole runs are held
-    out, or contiguous blocks if there is one run only. The command writes robot.yaml, robot.xml, figures and
-    identify.json into the output folder, out/LOG by default. Dropped, jittered or saturated samples are repaired with a
-    note, or refused.
+    out, or contiguous blocks if there is one run only. Dropped, jittered or saturated samples are repaired with a
+    note, or refused. docs/fit.md explains every line. The command writes identify.html (the report), robot.yaml,
+    robot.xml (MJCF), figures and identify.json into the output folder, out/LOG by default. With --json, files are
+    written only where --out says so.
 
     ```
     twin identify log.h5
@@ -500,7 +529,7 @@ def compare(
     twin compare log.h5 modes.yaml measured_frf.h5 -o out/compare
     ```
 
-    compare.json and figures are written only where --out says so.
+    compare.html (the report), compare.json and figures are written only where --out says so.
     """
     with _bars() as progress:
         found = twin.compare(
@@ -529,7 +558,8 @@ def diagnose(
         float | None,
         typer.Option(
             metavar="M",
-            help="Look for more no longer than this per recording; the answer says what was left out.",
+            help="Minutes after which the search of a hammer test or modal table starts no further round; the answer "
+            "says what was left out. For a motion log: minutes after which no wider filter band is tried.",
             show_default="3, more for a large recording",
             callback=_within(0.0, 1e6),
         ),
@@ -546,9 +576,11 @@ def diagnose(
     - **located** (motion logs): a law without a name is missing at a known joint; its formula is given;
     - **unexplained**: there is a mismatch beyond noise, and it is none of these.
 
-    Several recordings get one model. The command writes the new robot.yaml and robot.xml (always), diagnosis.json, the
-    report diagnosis.html, figures, and the modes before and after (see twin view) into the output folder,
-    out/RECORDING by default. With --json, files are written only where --out says so.
+    Several recordings get one model. The command writes these files into the output folder, out/RECORDING by default:
+    diagnosis.html (the report), diagnosis.json, the new robot.yaml and robot.xml (always), figures, and
+    modes-before.rrd and modes-after.rrd (see twin view). Hammer tests without a nonlinear answer add posterior.h5, for
+    twin lobes and twin map. With --json, files are written only where --out says so. docs/diagnosis.md explains the
+    answer.
 
     ```
     twin diagnose measured_frf.h5
@@ -644,9 +676,10 @@ def lobes(
     twin lobes posture.yaml --in-time 3 --blow 5  # after a blow of 5 N·s
     ```
 
-    Prints limits and writes lobes.json and lobes.png (chart, frequency at the limit, forced vibration and surface
-    location error of the safe cut) into the output folder, out/GIVEN by default. With --json, files are written only
-    where --out says so. docs/milling.md explains every number. Next: twin map does the same over the workspace.
+    Prints limits and writes lobes.html (the report), lobes.json and figures into the output folder, out/GIVEN by
+    default. The figures show the chart, the frequency at the limit, the forced vibration and the surface location error
+    of the safe cut. With --json, files are written only where --out says so. docs/milling.md explains every number.
+    Next: twin map does the same over the workspace.
     """
     if out is None and not json:
         out = Path("out") / (given.stem or given.name)
@@ -738,8 +771,9 @@ def map_(
     twin map cut.yaml --random 200 --lobes 60  # full lobes
     ```
 
-    Writes map.h5, figures, map.rrd (see twin view) and map.json into the output folder, out/map by default. With
-    --json, files are written only where --out says so. The same command continues an interrupted map.
+    Writes map.html (the report), map.h5, figures, map.rrd (see twin view) and map.json into the output folder, out/map
+    by default. With --json, files are written only where --out says so. The same command continues an interrupted map.
+    docs/map.md explains every number.
     """
     from twin.commands.map import make_map as run
 
@@ -771,7 +805,7 @@ def view(
     robot: Robot = None,
     without: Without = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write a .rrd instead of opening a viewer.")
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write this .rrd instead of opening a viewer.")
     ] = None,
     json: Json = False,
     seed: NoSeed = 0,
@@ -779,7 +813,8 @@ def view(
     """Look at modes, replays and robots in the rerun viewer.
 
     Opens the animations of an output folder or a .rrd. A robot is shown in the middle of its limits. A hammer test or
-    a modal table is shown in its first posture, moving in the modes of the model. A motion log is replayed.
+    a modal table is shown in its first posture, moving in the modes of the model. A motion log is replayed. Of a robot
+    or a recording, out/NAME.rrd is written first, or the file that --out names.
 
     ```
     twin view out/milling

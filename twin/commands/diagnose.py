@@ -50,7 +50,8 @@ def diagnose(
         hold_out: postures or runs not fitted to, by name; by default those the others cover best.
         out: folder for the new model, report, figures and diagnosis.json; ``None`` writes nothing.
         seed: of the starts.
-        minutes: that the search of each recording looks for more; 3 by default, more where the recording is large.
+        minutes: after which the search of a hammer test or modal table starts no further round, and that of a motion
+            log tries no wider filter band; 3 by default, more where the recording is large.
         progress: makes progress bars.
 
     Raises:

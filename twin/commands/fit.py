@@ -112,7 +112,7 @@ class FitResult(Fitting, Result):
         fit = self.fit
         lines = [f"{self.robot.name} fitted to {self.source}"]
         if fit.misfit > ASTRAY:
-            lines.append(f"  no interval holds: {self.warnings[0]}")
+            lines.append(f"  do not use these numbers: {self.warnings[0]}")
         lines.append(f"  {'':18} {'stiffness':>11} {'90 % interval':>24}   {'damping':>11} {'90 % interval':>24}")
         for site in dict.fromkeys(_site(e) for e in self.estimates if e.parameter.kind in ("spring", "entry")):
             cells = {_quantity(e): e for e in self.estimates if _site(e) == site}
@@ -121,7 +121,7 @@ class FitResult(Fitting, Result):
             for name in cells:
                 if name not in ("stiffness", "damping") and cells[name].parameter.kind == "entry":
                     lines.append(f"  {'':18} {name} {_cell(cells[name]).strip()}")
-        lines.append("  ( ) the data do not hold it: a bound, or mostly the prior")
+        lines.append("  ( ) not determined by the data: a bound, or mostly the prior")
         errors = "  ".join(
             f"{name.replace('_', ' ')} {value:.2%}" for name, value in self.error.items() if value is not None
         )

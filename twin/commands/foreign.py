@@ -111,7 +111,7 @@ def import_files(files: Sequence[str | Path], map_: str | Path, out: str | Path 
         raise InputError("--out", str(out), "expected the name of a file that ends in .h5")
     plan = read_map(Path(map_), universal)
     if plan.robot == ASK:
-        expected = "state the robot: a shipped name or a path relative to the map; without the line less is checked"
+        expected = "state the robot: a shipped name or a path relative to the map; without this line, less is checked"
         raise InputError(map_, "robot", expected)
     robot = None if plan.robot is None else load_robot(plan.robot, relative_to=Path(map_).parent)
     content: Campaign | MotionLog

@@ -52,7 +52,7 @@ def check_out(out: str | Path | None, *, alone: bool = True) -> None:
     if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
         raise InputError("--out", str(out), f"cannot be written: no permission in {parent}")
     if alone and not hold(str(out.resolve())):
-        raise InputError("--out", str(out), "another run is writing there; expected a folder of its own, or to wait")
+        raise InputError("--out", str(out), "another run is writing there; wait for it, or name another folder")
 
 
 def check_spared(out: str | Path | None, recordings: "Sequence[Recording]") -> None:

@@ -83,7 +83,7 @@ def _write_modes(robot: Robot, q: np.ndarray, target: Path) -> None:
 def _write_posture(robot: Robot, q_deg: Sequence[float] | np.ndarray, path: Path, target: Path) -> None:
     """The robot of a recording in its first posture, moving in the model's modes."""
     if not len(q_deg):
-        raise InputError(path, "q_deg", "expected axis positions of a robot; twin modal draws what is none")
+        raise InputError(path, "q_deg", "expected axis positions of a robot; twin modal draws other structures")
     if len(q_deg) != robot.axis_count:
         raise InputError(
             path, "q_deg", f"expected {robot.axis_count} values for robot {robot.name}, found {len(q_deg)}"

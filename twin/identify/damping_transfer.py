@@ -91,9 +91,9 @@ class Transfer:
             return f"damping elsewhere: not tested; within a factor of {self.factor90:.2g}, as on the KR90 of Table 7"
         postures = ", ".join(dict.fromkeys(miss.posture for miss in self.misses))
         ratios = [miss.predicted / miss.measured for miss in self.misses]
-        beside = f"within a factor of {self.factor90:.2g} (90 %) beside the doubt of the fitted dampers"
+        beside = f"within a factor of {self.factor90:.2g} (90 %), besides the uncertainty of the fitted dampers"
         if self.factor90 < 1.005:
-            beside = "the doubt of the fitted dampers explains that"
+            beside = "the uncertainty of the fitted dampers explains that"
         ends = f"{min(ratios):.3g} to {max(ratios):.3g}"
         return f"damping elsewhere: predicted at {ends} of what was measured in {postures}; {beside}"
 

@@ -386,17 +386,17 @@ def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
             f"missing{_of_rigid_axes(result.robot)}"
         )
     if len(fitted.starts) > 1 and fitted.agreeing < 2:
-        found.append("the minimum may be a false one: try more starts")
+        found.append("the starts do not agree, so the minimum may be a false one: try more starts (--starts)")
     if fitted.rival is not None and fitted.rival < CLOSE_RIVAL * fitted.scale:
         found.append(
-            f"a second minimum costs only {fitted.rival / fitted.scale:.1f} more (in ½χ² over the misfit): the data "
-            "hardly tell the two apart; intervals are about the first"
+            f"a second minimum fits almost as well (½χ² over the misfit is {fitted.rival / fitted.scale:.1f} larger): "
+            "the data hardly tell the two apart; the intervals describe the first"
         )
     elif fitted.rival is not None:
         lost = len(fitted.starts) - fitted.agreeing
         found.append(f"{lost} of {len(fitted.starts)} starts ended in a worse minimum")
     if not fitted.converged:
-        found.append("the last step was still larger than the tolerance")
+        found.append("the fit stopped before it converged: its last step was still larger than the tolerance")
     saturated = np.isfinite(fitted.parameters.bound) & (np.abs(fitted.z) >= fitted.parameters.bound)
     stopped: list[tuple[bool, str]] = []  # a gain or a sensor's place is looked at first, and sooner mended
     for e, full in zip(result.estimates, saturated, strict=True):
