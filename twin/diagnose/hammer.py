@@ -150,8 +150,8 @@ class _Ask:
     """What is asked, see :func:`diagnose_campaign`.
 
     ``sorted``: the postures are known to be of one robot. ``leak``: how records leak that end
-    while modes ring, ``leak_settled``: that was found beside an answer. ``start``: where the model that
-    found it came to rest, its first coordinates those of the base model.
+    while modes ring, ``leak_settled``: that was found beside an answer, ``whole``: they are taken not to leak.
+    ``start``: where the model that found it came to rest, its first coordinates those of the base model.
     """
 
     given: Robot
@@ -165,6 +165,7 @@ class _Ask:
     sorted: bool = False
     leak: Leak | None = None
     leak_settled: bool = False
+    whole: bool = False
     start: FloatArray | None = None
 
 
@@ -289,8 +290,12 @@ def _leaking(
 ) -> Finding | None:
     """What a campaign says whose records end while modes ring; ``None`` where that does not show.
 
-    How they leak is found again beside the best that is known: the base model alone has it wrong by what it lacks.
+    How they leak is found again beside the best that is known: the base model alone has it wrong by what it lacks. A
+    model that is far off may gain by leaking though no record does. If nothing explains the recordings then, they are
+    taken as whole.
     """
+    if ask.whole:
+        return None
     if ask.leak is None:
         found = cut_off(campaign, base, fit, sample, every)
     elif fit.hypothesis.pieces and not ask.leak_settled:
@@ -301,6 +306,11 @@ def _leaking(
         return None
     leak, near, notes = found
     finding = _diagnosed(campaign, replace(ask, leak=leak, leak_settled=ask.leak is not None, start=near.z))
+    far = finding.error["after"]["train"] ** 2 - finding.error["noise_floor"] ** 2 > FAR**2
+    if ask.leak is None and finding.word == "unexplained" and far:
+        whole = _diagnosed(campaign, replace(ask, whole=True))
+        if whole.word != "unexplained":
+            return whole
     finding.warnings = [*notes, *finding.warnings]
     return finding
 
