@@ -28,6 +28,7 @@ FINE_DIFFERENCE, ROUGH_DIFFERENCE, WIDE = 1e-4, 4e-3, 0.02  # prior deviations, 
 STAYED = 2.0  # prior deviations, over which the law's torque keeps what its derivatives have beside those held
 WORTH_SPREADING = 20  # strikes per recording: fewer are stepped by one process
 WEIGHED = 0.1  # prior deviations, of differences of the load on a joint
+ERRATIC = 4  # steps in turn: where 1/64 of one still raises the cost, decays are erratic (an open gap's)
 BEND_AHEAD = 0.1  # of a step: where its bend is looked at
 
 
@@ -329,6 +330,7 @@ class Stepped(Cost):
     """
 
     law: Law = field(kw_only=True)
+    setbacks: int = ERRATIC
     site: str = ""
     blow: dict[str, Blow] = field(default_factory=dict)
     fixed: FloatArray | None = None

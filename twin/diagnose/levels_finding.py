@@ -1,6 +1,6 @@
 """What force levels that disagree say, as a finding: the law at its joint, errors with blows stepped, MuJoCo's word."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -29,7 +29,7 @@ from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
 from twin.model.parameters import independent
 from twin.model.recorded import Recorded, placed, without_limits
-from twin.parallel import Progress
+from twin.parallel import Progress, ahead
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 from twin.robot.mechanism import assemble
@@ -71,17 +71,35 @@ def levels_finding(
     levels = explain_levels(campaign, base, search.base, sample, search.robust, tick, search.processes)
     if levels is None:
         return None
-    decision = decide_levels(levels)
-    word, answer = judge(decision), None
-    if word == "adequate":
+    decision, how = decide_levels(levels), blows(campaign) or {}
+    if judge(decision) == "adequate":
         return None
+    with ahead(lambda: smallest_visible_laws(base, search.base, sample, how), search.processes) as visible:
+        return _of_law(campaign, given, base, source, found, search, levels, decision, visible, progress, seed)
+
+
+def _of_law(
+    campaign: Campaign,
+    given: Robot,
+    base: Robot,
+    source: str,
+    found: Triage,
+    search: Search,
+    levels: Levels,
+    decision: Decision,
+    visible: Callable[[], list[dict[str, Any]]],
+    progress: Progress | None,
+    seed: int,
+) -> Finding:
+    """The finding of levels that a law explains; ``visible`` returns the smallest visible laws."""
+    sample, how, unsure = Sample(tuple(found.used), 1 / found.shared), blows(campaign) or {}, 0.0
+    word, answer = judge(decision), None
     if word in ("named", "ambiguous"):
         answer = _answer(campaign, base, found, search, levels, decision, progress)
         word = answer.word
     best, none, other = search.base, decision.none, decision.other
     if answer:
         best, none, other = answer.best, answer.none, answer.other
-    how, unsure = blows(campaign) or {}, 0.0
     records, errors = frf_records(
         without_limits(without_laws(given)), search.base, search.base, found.used, found.kept, found.shared,
         search.processes,
@@ -116,7 +134,7 @@ def levels_finding(
         source, "frf-campaign", word, [], none, other, given,
         as_written(before, given), as_written(best.robot, given), errors, list(found.held_out), records,
         _location(source, records, levels.places[0].site), sites,
-        smallest_visible_laws(base, search.base, sample, how), warnings=[*found.warnings, *notes, *strained(best)],
+        visible(), warnings=[*found.warnings, *notes, *strained(best)],
         finalists=finalists(levels.base, levels.fits), unsure=unsure,
     )  # fmt: skip
     for item in missing:

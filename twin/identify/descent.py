@@ -14,6 +14,8 @@ SLACK = 0.003  # of the misfit beyond noise: gains below it are not waited for
 LACKING = 10.0  # χ² per datum: a model that misses by more lacks something, whatever its numbers
 ASTRAY = 100.0  # times the variance of noise: from here on nothing that a fit says of its numbers holds
 PIVOTS = 10  # of all at once that may leave as many on the wrong side; as Júdice and Pires
+SHORTENED = 100  # steps in turn that raise a cost: one is shorter than ``SHORTEST`` long before
+SHORTEST = 1e-6  # of a step, in prior deviations: less is rounding
 CRAWL = 3e-4  # of the misfit beyond that: a step that gains less hardly moves
 
 
@@ -23,10 +25,12 @@ class Descended:
     Attributes:
         free: the parameters that z stands for.
         bends: whether :meth:`bend` will be asked for; what it needs is then kept.
+        setbacks: steps in turn, each a quarter of the last, that may raise the cost before the descent ends.
     """
 
     free: Parameters
     bends: bool = True
+    setbacks: int = SHORTENED
 
     @property
     def data(self) -> float:
@@ -94,7 +98,7 @@ def minimise(
         slope = objective.free.along(z, gradient)
         curvature, axes = np.linalg.eigh(information + np.diag(np.maximum(log * (slope - z), 0)))
         along = axes.T @ gradient
-        while True:
+        for _ in range(objective.setbacks):
             step, damping = _within(reach, curvature, axes, along)
             if bound is not None:
                 bowl = axes @ ((curvature + damping)[:, None] * axes.T)
@@ -111,8 +115,10 @@ def minimise(
             if np.isfinite(trial) and trial < cost:
                 break
             reach, bent = 0.25 * min(reach, float(np.linalg.norm(step))), True
-            if reach < 1e-6:
+            if reach < SHORTEST:
                 return z, cost, information, False
+        else:
+            return z, cost, information, False
         kept = (cost - trial) / max(promised, 1e-300)
         bent = bent or not KEPT < kept < 1 / KEPT
         if kept < 0.25:
