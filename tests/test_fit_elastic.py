@@ -559,3 +559,14 @@ def test_shapes_are_where_the_table_has_its_points(kr90: Robot, tmp_path: Path) 
     with pytest.warns(Told, match=r"nothing says where on kr90 10Z"):
         postures = modal_postures(replace(table, points=None), bare)
     assert postures["milling"].shape is None
+
+
+def test_noise_is_pooled_and_a_right_model_leaves_no_more_than_it(tmp_path: Path) -> None:
+    """Five blows: line by line the noise scatters by two, and a right model missed by 1.35 times its variance."""
+    path = campaign(
+        tmp_path, "blows", "--coherence", "estimated", "--lines", "48", "--spacing-hz", "0.5", "--seed", "7"
+    )
+    fitting = fit(path, robot="kr90")
+    scatter = np.sqrt(2 / fitting.fit.data)
+    assert abs(fitting.fit.misfit - 1) < 5 * scatter + 0.02  # pooled from five blows, it is known to a few percent
+    assert not any("times their noise" in said for said in fitting.warnings)

@@ -1,11 +1,13 @@
 """Do the fit's 90 % intervals cover the truth nine times in ten? Campaigns of the independent truth code, fitted.
 
-    python tools/study_coverage.py [--campaigns 60] [--postures 4] [--estimated] [--nodes] [--processes 2]
-                                   [--out coverage.json]
+    python tools/study_coverage.py [--campaigns 60] [--postures 4] [--estimated] [--nodes] [--deviations]
+                                   [--processes 2] [--out coverage.json]
 
 Every campaign has a robot of its own (stiffness ×/÷ 1.3, damping ×/÷ 2, below 150 N·m·s/rad ×/÷ 10, masses ±3 %,
 centres of mass ±1 cm, inertias ±3 %, posture ±0.2°, gains ±1 %), noise with coherence, and postures of its own; the
 last is held out. With `--nodes` every sensor and blow is elsewhere, and turned, by the tolerances of the description.
+All is drawn uniformly within these limits, whose standard deviation is 1/√3 of what a description states. With
+`--deviations` the limits are √3 times as far, so that the spread is as stated.
 Reported: coverage pooled and by parameter for parameters called identifiable, the held-out error over the floor (noise,
 and what the tolerances leave open), agreement of starts, time.
 """
@@ -17,21 +19,38 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
 
 from tools.truth.__main__ import main as truth
+from tools.truth.chain import Tolerances
 from tools.truth.recording import HammerTest, draw_postures, draw_truth, streams, write_campaign
 from twin.identify.elastic import fit_frf, with_nodes
 from twin.identify.elastic_compare import expected_error, judge, noise_floor
 from twin.identify.uncertainty import estimates
 from twin.measure.campaign import read_campaign
-from twin.model.recorded import placed, prepare
+from twin.model.recorded import believed, placed
 from twin.robot.description import Robot, load_robot
 
 ORDER = "zxy"
+
+
+def stated_spread() -> Tolerances:
+    """Limits of uniform draws whose standard deviations are the usual limits."""
+    t, wider = Tolerances(), np.sqrt(3)
+    ratios = {name: getattr(t, name) ** wider for name in ("stiffness", "damping", "damping_poor", "friction")}
+    shares = {name: getattr(t, name) * wider for name in ("mass", "com", "inertia", "posture_deg", "gain")}
+    return replace(t, **ratios, **shares)
+
+
+def spread_as_stated(path: Path, seed: int, postures: int, coherence: Literal["expected", "estimated"]) -> None:
+    """A campaign of a robot whose numbers scatter by the standard deviations that its description states."""
+    where = draw_postures(postures, streams(seed)[1])
+    robot_truth = draw_truth(seed, (), where, stated_spread())
+    test = replace(HammerTest(), coherence=coherence)
+    write_campaign(path, robot_truth, where, test, streams(seed)[3], answer=path.with_suffix(".truth.json"))
 
 
 def off(path: Path, seed: int, postures: int, robot: Robot) -> None:
@@ -45,18 +64,22 @@ def off(path: Path, seed: int, postures: int, robot: Robot) -> None:
     write_campaign(path, spoilt, where, HammerTest(), streams(seed)[3], answer=path.with_suffix(".truth.json"))
 
 
-def one(seed: int, postures: int, options: list[str], nodes: bool = False, starts: int = 4) -> dict[str, Any]:
+def one(
+    seed: int, postures: int, options: list[str], nodes: bool = False, deviations: bool = False, starts: int = 4
+) -> dict[str, Any]:
     """Generate, fit and judge one campaign."""
     robot = load_robot("kr90")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "campaign.h5"
         if nodes:
             off(path, seed, postures, robot)
+        elif deviations:
+            spread_as_stated(path, seed, postures, "estimated" if "estimated" in options else "expected")
         else:
             truth(["campaign", "--out", str(path), "--seed", str(seed), "--postures", str(postures), *options])
         campaign = read_campaign(path)
         answer = json.loads(path.with_suffix(".truth.json").read_text(encoding="utf-8"))["truth"]["chain"]
-    recordings = list(prepare(campaign, robot).values())
+    recordings = list(believed(campaign, robot, "campaign")[0].values())
     train, held_out = recordings[:-1], recordings[-1]
     began = time.perf_counter()
     fit = fit_frf(robot, train, starts=starts, seed=seed)
@@ -100,13 +123,16 @@ def main(
         typer.Option("--estimated", help="coherence as an analyser estimates it from five blows, not its expectation"),
     ] = False,
     nodes: Annotated[bool, typer.Option("--nodes", help="sensors and blows are off by their tolerances")] = False,
+    deviations: Annotated[
+        bool, typer.Option("--deviations", help="the robots scatter by the standard deviations that are stated")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="every campaign's numbers, as JSON")] = None,
 ) -> None:
     """Run the study and print its summary."""
     options = ([] if sag else ["--no-sag"]) + (["--coherence", "estimated"] if estimated else [])
     with ProcessPoolExecutor(processes) as pool:
         seeds = range(first, first + campaigns)
-        found = list(pool.map(one, seeds, *([x] * campaigns for x in (postures, options, nodes))))
+        found = list(pool.map(one, seeds, *([x] * campaigns for x in (postures, options, nodes, deviations))))
     if out:
         out.write_text(json.dumps(found, indent=1), encoding="utf-8")
     held = [p for run in found for p in run["parameters"] if p["identifiable"]]

@@ -3,9 +3,9 @@
 from twin.diagnose.frf_faults import sound
 from twin.diagnose.joint_reaction import blows
 from twin.diagnose.struck import amplitude_entries, judge_struck
-from twin.diagnose.triage import believed
 from twin.identify.elastic_compare import Comparison, comparison, judge
 from twin.measure.campaign import Campaign
+from twin.model.recorded import believed
 from twin.robot.description import Robot
 
 

@@ -10,9 +10,9 @@ from twin.diagnose.frf_faults import understated
 from twin.diagnose.note import Note
 from twin.errors import InputError
 from twin.measure.campaign import Campaign, PostureFRF, frf_variance
-from twin.measure.frf_noise import ANALYSER, perfect, pooled_variance, shared_lines
+from twin.measure.frf_noise import ANALYSER, perfect
 from twin.measure.spectra import Check, driving_points, linearity, reciprocity
-from twin.model.recorded import Recorded, base_name, prepare
+from twin.model.recorded import Recorded, base_name, believed
 from twin.robot.description import Robot
 
 POOLED_LINES = 5  # lines over which disagreement is pooled
@@ -81,21 +81,6 @@ def _told(some: Sequence[Check]) -> str:
     if worst.kind == "linearity":
         told = f"{worst.kind} {worst.subject}: the FRFs differ beyond noise, so they depend on the force"
     return told if len(some) == 1 else f"{told} in the worst of {len(some)} postures where this fails"
-
-
-def believed(campaign: Campaign, robot: Robot, source: str) -> tuple[dict[str, Recorded], float]:
-    """Recordings by group with their variance pooled over lines, in which a channel that has no coherence counts for
-    nothing; and how many lines share their noise.
-
-    Raises:
-        InputError: the recording does not fit the robot.
-    """
-    recordings, shared = {}, shared_lines(list(campaign.postures.values()))
-    for name, recorded in prepare(campaign, robot, source).items():
-        variance = pooled_variance(campaign.postures[name], shared)
-        lines = np.isin(campaign.postures[name].frequency, recorded.frequency)
-        recordings[name] = replace(recorded, variance=variance[lines])
-    return recordings, shared
 
 
 def triage(campaign: Campaign, robot: Robot, source: str, hold_out: list[str] | None) -> Triage:

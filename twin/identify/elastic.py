@@ -202,7 +202,7 @@ def _ended(
     )  # fmt: skip
 
 
-def with_nodes(described: Robot, recordings: Sequence[Recorded], fit: Fit, perfect: float = 1.0) -> Fit:
+def with_nodes(described: Robot, recordings: Sequence[Recorded], fit: Fit) -> Fit:
     """The fit with nodes and directions of all sensors and blows free within their tolerances.
 
     They belong to the recordings, like angles of postures. It is the fit as it was where that has no less evidence, or
@@ -211,7 +211,6 @@ def with_nodes(described: Robot, recordings: Sequence[Recorded], fit: Fit, perfe
     Args:
         described: the description that was fitted, whose values are the prior means.
         recordings: what was fitted to, their nodes as stated.
-        perfect: χ² per datum of a perfect model under the noise as stated.
     """
     own, setup = list[Parameter](), recordings[0].setup
     sides: tuple[tuple[Channels, Side], ...] = (setup.response, "response"), (setup.excitation, "excitation")
@@ -231,14 +230,12 @@ def with_nodes(described: Robot, recordings: Sequence[Recorded], fit: Fit, perfe
     if not allowed(z):
         return fit
     found = _ended(robot, parameters, recordings, z, 1.0, (fit.starts, fit.agreeing, fit.rival))
-    return found if allowed(found.z) and _energy(found, perfect) < _energy(fit, perfect) else fit
+    return found if allowed(found.z) and _energy(found) < _energy(fit) else fit
 
 
-def _energy(fit: Fit, noise: float) -> float:
-    """Less the logarithm of a fit's evidence (Laplace), the variance of its data being ``noise`` times as stated."""
-    prior = 0.5 * float(fit.z @ fit.z)
-    narrower = np.linalg.slogdet(fit.fisher / noise + np.eye(len(fit.z)))[1]
-    return (fit.cost - prior) / noise + prior + 0.5 * float(narrower)
+def _energy(fit: Fit) -> float:
+    """Less the logarithm of a fit's evidence (Laplace)."""
+    return fit.cost + 0.5 * float(np.linalg.slogdet(fit.fisher + np.eye(len(fit.z)))[1])
 
 
 def agreement(starts: Sequence[Start]) -> tuple[int, float | None]:

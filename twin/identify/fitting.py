@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.special import gammaincinv
 
 from twin.errors import InputError
 from twin.identify.damping_transfer import Miss, Transfer, damping_doubt, misses_of_frf, transfer
@@ -34,14 +33,14 @@ from twin.identify.uncertainty import (
     estimates,
     profile,
 )
-from twin.measure.campaign import VARIANCE_FLOOR_QUANTILE, Campaign, Channels, ComplexArray, FloatArray, dead_channels
+from twin.measure.campaign import Campaign, Channels, ComplexArray, FloatArray, dead_channels
 from twin.measure.modal import identify_modes
 from twin.measure.modal_table import ModalTable
 from twin.measure.shapes import mac
 from twin.model.linear import linearise
 from twin.model.modes import Modes, modes
 from twin.model.parameters import SATURATED, Parameters, free_parameters, require_springs
-from twin.model.recorded import Recorded, base_name, noise_stated, placed, prepare, without_limits
+from twin.model.recorded import Recorded, base_name, believed, noise_stated, placed, without_limits
 from twin.model.sensitivity import Structure, structure
 from twin.parallel import Progress
 from twin.robot.description import Robot, parse_robot
@@ -108,7 +107,7 @@ def fit_campaign(
 ) -> Fitting:
     """Fit a description to a hammer test; options as of :func:`twin.fit`, ``profiled``: with the weakest's profiles."""
     require_springs(described)
-    recordings = list(prepare(campaign, described, source, band_hz).values())
+    recordings = list(believed(campaign, described, source, band_hz)[0].values())
     names = list(dict.fromkeys(r.setup.name for r in recordings))
     aliases = {group: base_name(campaign, group) for group in campaign.postures}
     held = _held_out(source, hold_out, names, aliases)
@@ -117,16 +116,13 @@ def fit_campaign(
     left = names if leave_one_out and len(names) > 1 else []
     tick = progress("fit", (starts + 1) * (1 + len(left)))
 
-    perfect = _perfect_misfit(campaign)
-
     def run(used: list[Recorded]) -> Fit:
         free = free_parameters(
             described, dict.fromkeys(r.setup.name for r in used), campaign.response.label, tolerances=tolerances
         )
         found = fit_frf(described, used, free, starts=starts, seed=seed, progress=tick)
-        noise = perfect * (1 + BEYOND_NOISE * np.sqrt(2 / max(found.data, 1)))
-        missed = tolerances and found.noise_known and found.misfit > noise
-        return with_nodes(described, used, found, perfect) if missed else found
+        missed = tolerances and found.noise_known and found.misfit > 1 + BEYOND_NOISE * np.sqrt(2 / max(found.data, 1))
+        return with_nodes(described, used, found) if missed else found
 
     fitted = run(train)
     final = _checked(fitted.parameters.apply(described, fitted.values))
@@ -162,7 +158,7 @@ def fit_campaign(
         for k in weakest:
             tick(1)
             result.profiles[fitted.parameters.names[k]] = profile(described, train, fitted, found[k])
-    result.warnings = [*_warnings(result, perfect), *_freed_nodes(fitted), *_data_warnings(campaign, recordings)]
+    result.warnings = [*_warnings(result), *_freed_nodes(fitted), *_data_warnings(campaign, recordings)]
     return result
 
 
@@ -376,9 +372,9 @@ def _of_rigid_axes(robot: Robot) -> str:
     return f", and whether the gear of {', '.join(rigid)} is as rigid as described" if rigid else ""
 
 
-def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
+def _warnings(result: Fitting) -> list[str]:
     found, fitted = [], result.fit
-    if fitted.misfit > LARGE_MISFIT * perfect_misfit:
+    if fitted.misfit > LARGE_MISFIT:
         times = np.sqrt(fitted.misfit)
         means = "which widens the intervals" if fitted.misfit < ASTRAY else "so that no interval holds"
         found.append(
@@ -420,19 +416,6 @@ def _warnings(result: Fitting, perfect_misfit: float = 1.0) -> list[str]:
         for frequency in posture["measured_only"]:
             found.append(f"{name}: no mode of the model pairs with the measured one at {frequency:.4g} Hz")
     return found
-
-
-def _perfect_misfit(campaign: Campaign) -> float:
-    """χ² per datum of a perfect model whose noise is estimated line by line, from the fewest averages there are.
-
-    (n/χ²)-scatter of the estimate, floored as :func:`twin.measure.campaign.frf_variance` does; 1.8 for three hits.
-    """
-    averages = [p.averages for p in campaign.postures.values() if p.averages and p.averages > 1]
-    if not averages:
-        return 1.0
-    n = min(averages)
-    variance = gammaincinv(n - 1, (np.arange(1000) + 0.5) / 1000) / n  # chi-squared, 2 (n − 1) degrees of freedom
-    return float(np.mean(1 / np.maximum(variance, np.quantile(variance, VARIANCE_FLOOR_QUANTILE))))
 
 
 def _freed_nodes(fit: Fit) -> list[str]:

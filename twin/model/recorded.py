@@ -17,6 +17,7 @@ from twin.measure.campaign import (
     frf_variance,
     laplace,
 )
+from twin.measure.frf_noise import pooled_variance, shared_lines
 from twin.model.parameters import Parameters
 from twin.model.sensitivity import Observed, Setup, Structure, frf, frf_slopes
 from twin.ranges import FARTHEST_M
@@ -105,6 +106,23 @@ def prepare(
             QUANTITIES.index(posture.quantity), posture.frf[lines], variance[lines], stated,
         )  # fmt: skip
     return found
+
+
+def believed(
+    campaign: Campaign, robot: Robot, source: str, band_hz: tuple[float, float] | None = None
+) -> tuple[dict[str, Recorded], float]:
+    """Recordings by group with their variance pooled over lines, in which a channel that has no coherence counts for
+    nothing; and how many lines share their noise.
+
+    Raises:
+        InputError: the recording does not fit the robot.
+    """
+    recordings, shared = {}, shared_lines(list(campaign.postures.values()))
+    for name, recorded in prepare(campaign, robot, source, band_hz).items():
+        variance = pooled_variance(campaign.postures[name], shared)
+        lines = np.isin(campaign.postures[name].frequency, recorded.frequency)
+        recordings[name] = replace(recorded, variance=variance[lines])
+    return recordings, shared
 
 
 def recorded_posture(robot: Robot, q_deg: FloatArray, source: str, field: str) -> FloatArray:
