@@ -947,13 +947,17 @@ def test_numbers_of_a_link_stand_beside_what_it_may_carry(site: str, more: float
         return Fitted(hypothesis, parameters, z, parameters.values(z), robot, cost, 1.0, np.eye(len(z)), 1e4, True)
 
     ranked = [fit(numbers, 5000.0), fit(NONE, 9000.0), fit(load, 5000.0 + more)]
-    decision, _ = _or_its_link(Decision(ranked, [0.97, 0.0, 0.01], 0.01, 0.01), fit(NONE, 9000.0), robot)
+    decision, links = _or_its_link(Decision(ranked, [0.97, 0.0, 0.01], 0.01, 0.01), fit(NONE, 9000.0), robot)
+    assert bool(links) == (names == 2)  # then weighing is the next test
     likely = [p for p in decision.probability if p > 0.1]
     assert len(likely) == names
     assert judge(decision) == ("named" if names == 1 else "ambiguous")
     if names == 2:
         assert [one.hypothesis.key for one in decision.ranked[:2]] == [numbers.key, "payload@flange"]
         assert likely == pytest.approx([0.49, 0.49])
+        told = missing_of(decision, fit(NONE, 9000.0))
+        assert {m.first.key for m in told} == {"parameter@link3.mass", "parameter@link3.inertia"}
+        assert {rival.key for m in told for rival, _ in m.rivals} == {"payload@flange"}
 
 
 class Canyon(Objective):

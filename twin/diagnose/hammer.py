@@ -463,9 +463,9 @@ def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Deci
         gone = [piece for piece in pieces if piece.key not in fit.hypothesis.identity]
         new = [piece for piece in fit.hypothesis.pieces if piece.key not in first.hypothesis.identity]
         link = _carrier(new[0], base) if len(new) == 1 else None
-        of_it = link and gone and all(piece.law is None and piece.site.startswith(link) for piece in gone)
-        if of_it and data_cost(fit) - data_cost(first) < seen:
-            return _halved(decision, fit), frozenset()
+        of_it = gone and all(piece.law is None and piece.site.startswith(str(link)) for piece in gone)
+        if link and of_it and data_cost(fit) - data_cost(first) < seen:
+            return _halved(decision, fit), frozenset(p.name for p in fit.parameters if p.name.startswith(link))
     return decision, frozenset()
 
 

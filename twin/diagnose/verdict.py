@@ -464,18 +464,18 @@ def rival_of(decision: Decision) -> Fitted | None:
 def missing_of(decision: Decision, base: Fitted) -> list[Missing]:
     """Answers of a decision, one for each thing in its first hypothesis; evidence is left to be written.
 
-    A hypothesis of several things gives each its own alternatives: those that stand in its place beside the others.
+    A hypothesis of several things gives each its own alternatives: those that stand in its place beside the others, or
+    in the place of it and some of them.
     """
     first = decision.ranked[0]
     sets = [frozenset(parts(fit)) for fit in decision.ranked]
     found = []
     for part in parts(first):
-        kept = sets[0] - {part}
         probability = sum(p for s, p in zip(sets, decision.probability, strict=True) if part in s)
         others = []
         for fit, s, p in zip(decision.ranked, sets, decision.probability, strict=True):
-            if p >= NEGLIGIBLE and part not in s and kept <= s and len(s) == len(sets[0]):
-                others.append((candidate(fit, next(iter(s - kept)), base), p))
+            if p >= NEGLIGIBLE and part not in s and len(s - sets[0]) == 1:
+                others.append((candidate(fit, next(iter(s - sets[0])), base), p))
         found.append(Missing(candidate(first, part, base), probability, tuple(others), ""))
     return found
 
