@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from tools.trials.wrong import case
 from tools.truth.recording import ANTI_ALIAS, HammerTest
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose.frf_leak import _step, cut_off, leaking, refined, rewindowed
+from twin.diagnose import hammer
+from twin.diagnose.frf_leak import Leak, _step, cut_off, leaking, refined, rewindowed
+from twin.diagnose.patience import Patience
 from twin.diagnose.refit import Fitted
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
@@ -201,3 +205,30 @@ def test_raw_hits_that_leak_are_windowed() -> None:
     clipped = replace(hits, force=np.minimum(hits.force, 0.5))  # the FRFs came from other hits than these
     given = replace(campaign, postures={"one": replace(posture, hits=clipped)})
     assert rewindowed(given) == (given, [])
+
+
+@pytest.mark.parametrize(
+    ("after", "word", "whole", "told"),
+    [
+        (1.0, "unexplained", "named", "whole"),  # the leak was a mistake of a model that was far off
+        (1.0, "unexplained", "unexplained", "leaking"),
+        (0.01, "unexplained", "named", "leaking"),  # near the noise it was none
+        (1.0, "named", "named", "leaking"),
+    ],
+)
+def test_a_leak_that_explains_nothing_is_taken_back(
+    monkeypatch: pytest.MonkeyPatch, after: float, word: str, whole: str, told: str
+) -> None:
+    note, ask = object(), hammer._Ask(load_robot("kr90"), "", None, 0, None, None, 1, Patience())
+    leak, fit = Leak(1.0, 1e-3), SimpleNamespace(z=np.zeros(1))
+
+    def diagnosed(campaign: object, asked: hammer._Ask) -> SimpleNamespace:
+        error = {"after": {"train": after}, "noise_floor": 0.003}
+        return SimpleNamespace(word=whole if asked.whole else word, error=error, warnings=[], whole=asked.whole)
+
+    monkeypatch.setattr(hammer, "cut_off", lambda *_: (leak, fit, [note]))
+    monkeypatch.setattr(hammer, "_diagnosed", diagnosed)
+    found: Any = hammer._leaking(None, None, fit, None, [], ask)  # type: ignore[arg-type]
+    assert found.whole == (told == "whole")
+    assert found.warnings == ([] if told == "whole" else [note])
+    assert hammer._leaking(None, None, fit, None, [], replace(ask, whole=True)) is None  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.hypotheses import entry_hypothesis
-from twin.diagnose.parted import divided
+from twin.diagnose.parted import divided, on_a_described_link
 from twin.model.parameters import free_parameters
 from twin.robot.bodies import fuse
 from twin.robot.description import load_robot
@@ -59,8 +59,29 @@ def test_the_whole_that_moves_stays_the_same():
         np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
 
 
+def test_all_that_a_link_is_off_by_may_be_the_payload():
+    robot, piece, parameters = _setting()
+    z = _with(parameters, piece, robot, 30.0, [1.4, 0.3, -0.1])
+    found, fall = on_a_described_link(robot, parameters, z, piece)
+    link = [k for k, name in enumerate(parameters.names) if name.startswith("link3.")]
+    assert fall == pytest.approx(0.5 * z[link] @ z[link])
+    np.testing.assert_array_equal(found[link], 0.0)
+    own = parameters.values(found)[-len(piece.own) :]
+    assert own[0] == pytest.approx(LOAD[0])
+    assert own[1:] == pytest.approx(LOAD[1])
+
+
+def test_a_link_that_weighs_less_than_described_leaves_no_payload():
+    robot, piece, parameters = _setting()
+    z = np.zeros(len(parameters))
+    z[parameters.names.index("link3.mass")] = -15.0
+    z[parameters.names.index("payload@flange.mass")] = -3.0
+    assert on_a_described_link(robot, parameters, z, piece) is None
+
+
 def test_what_is_no_part_of_a_link_is_left_alone():
     robot, _, _ = _setting()
     spring = entry_hypothesis(robot, "base_compliance", "base.rx", {"stiffness": 1e8, "damping": 1e4})
     parameters = spring.parameters(free_parameters(robot))
     assert divided(robot, parameters, np.zeros(len(parameters)), spring, present=True) is None
+    assert on_a_described_link(robot, parameters, np.zeros(len(parameters)), spring) is None

@@ -16,7 +16,7 @@ from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
 from twin.diagnose.left_out import that_foretell
 from twin.diagnose.refit import NONE, Fitted
-from twin.diagnose.search import Search, _may_be_seen, _stand_ins, inexact
+from twin.diagnose.search import Search, _better, _may_be_seen, _stand_ins, inexact
 from twin.diagnose.within import allowed, excused, members, taken_in, without
 from twin.identify.objective import Sample
 from twin.measure.campaign import Channels
@@ -155,6 +155,19 @@ def test_a_size_is_sought_where_it_could_get_a_name(kr90: Robot, gain: float, de
     z[len(z) - len(soft.own)] = deviations
     search: Any = SimpleNamespace(base=replace(bare, cost=100.0), fits={})
     assert _may_be_seen(replace(fit, z=z, cost=100.0 - gain), search) is may
+
+
+@pytest.mark.parametrize(("gain", "better"), [(5.0, False), (200.0, True)])
+def test_moments_of_a_payload_have_to_pay_for_themselves(kr90: Robot, gain: float, better: bool) -> None:
+    """Three numbers that the data hold exactly cost more evidence than 5 in ln likelihood."""
+    own = {"mass": 40.0, "com": [1.6, 0.0, 0.0]}
+    point = entry_hypothesis(kr90, "payload", "flange", own)
+    body = entry_hypothesis(kr90, "payload", "flange", {**own, "inertia": [1.0, 1.0, 1.0]})
+    before = replace(fitted(kr90, point, np.array([40.0, 1.6, 0.0, 0.0])), cost=500.0, misfit=10.0)
+    after = fitted(kr90, body, np.array([40.0, 1.6, 0.0, 0.0, 1.0, 1.0, 1.0]))
+    after = replace(after, cost=500.0 - gain, misfit=10.0 - 2 * gain / before.data)
+    assert _better(after, before) is better
+    assert _better(replace(after, cost=after.cost - 1), after)  # the same numbers: the lower cost
 
 
 def test_laws_that_cannot_be_off_cast_no_doubt(kr90: Robot) -> None:

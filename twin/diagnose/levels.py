@@ -53,6 +53,7 @@ EXPLAINS, SMOOTH_ERROR = (
 )  # χ² per datum below which it does; model error at which recordings are smooth enough
 WHOLE_TEMPERS, HOLDS = (0.1, 0.03, 0.01), 0.01  # of whole decays; the model error at which a law holds there
 LOCATING, ROUGH_STEPS, RACING, LAST, CLOSE_STEPS, SETTLING_STEPS, LINEAR_STEPS = 8, 10, 4, 8, 5, 10, 15  # iterations
+FIRST_STEPS = 3  # of the rough ones: those that are then out of reach of the best go no further
 ROUGH_GAIN, COARSE_GAIN, FINE_GAIN = 0.3, 0.5, 0.1  # in ln likelihood: less is not waited for
 
 
@@ -345,7 +346,7 @@ def _rough_race(
     few = {place.site: shown.telling(place, FEW_BLOWS)[0] for place in places}
     begun = [(law, place, z) for place in places for law in amplitude_laws() for z in (*starts, place.z)]
 
-    def rough(number: int) -> tuple[Law, FloatArray, float]:
+    def first(number: int) -> tuple[Law, FloatArray, float]:
         law, place, z = begun[number]
         objective, _ = with_law(robot, base, law, place.site, few[place.site], shown.blow)
         amplitude = _amplitude(objective, z)
@@ -353,14 +354,24 @@ def _rough_race(
         values = base.parameters.values(z)
         k = values[base.parameters.names.index(f"{place.site}.stiffness")]
         points = [point(objective, values, size) for size in law.sizes(k, amplitude)]
-        end, cost, _, _ = minimise(objective, points[int(np.argmin(objective.costs(points)))], ROUGH_STEPS, ROUGH_GAIN)
+        end, cost, _, _ = minimise(objective, points[int(np.argmin(objective.costs(points)))], FIRST_STEPS, ROUGH_GAIN)
         return objective.law, end, cost
 
-    ends: list[tuple[float, Trial]] = []
-    for (_, place, _), (law, z, cost) in zip(begun, spread(rough, len(begun), processes), strict=True):
+    tried = []
+    for (_, place, _), (law, z, cost) in zip(begun, spread(first, len(begun), processes), strict=True):
         objective, hypothesis = with_law(robot, base, law, place.site, few[place.site], shown.blow)
-        ends.append((cost, (replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z)))
+        tried.append((cost, (replace(objective, law=law, rate_hz=COARSE_HZ), hypothesis, z)))
         tick(1)
+    least = min(cost for cost, _ in tried)
+    near = [trial for cost, trial in tried if cost <= LAW_REACH * least]
+
+    def further(number: int) -> tuple[FloatArray, float]:
+        objective, _, z = near[number]
+        return minimise(replace(objective, logarithmic=True), z, ROUGH_STEPS - FIRST_STEPS, ROUGH_GAIN)[:2]
+
+    ends: list[tuple[float, Trial]] = []
+    for trial, (z, cost) in zip(near, spread(further, len(near), processes), strict=True):
+        ends.append((cost, (*trial[:2], z)))
     best: dict[str, tuple[float, Trial]] = {}
     for cost, trial in sorted(ends, key=lambda item: item[0]):
         best.setdefault(trial[1].key, (cost, trial))

@@ -72,11 +72,14 @@ def explain_beside(
     if not found:
         return Beside(law, None, [], [])
     first, objective = _both(robot, base, stepped, law, found[0])
-    if not law.converged:  # fitted again from where the richer ended: that is no discovery
+
+    def worth() -> bool:
+        return first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
+
+    if worth() and not law.converged:  # fitted again from where the richer ended: that is no discovery
         simpler = fit_law(stepped, law.hypothesis, np.concatenate([first.z[:n], first.z[len(found[0].z) :]]))
         law = simpler if simpler.cost < law.cost else law
-    worth = first.evidence() - law.evidence() >= WORTH * max(1.0, law.misfit)
-    if not worth:
+    if not worth():
         return Beside(law, None, [], [])
     both = [(found[0], first, objective)]
     both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1:STEPPED_AGAIN]]

@@ -29,7 +29,7 @@ from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits
 from twin.model.parameters import independent
 from twin.model.recorded import Recorded, placed, without_limits
-from twin.parallel import Progress, ahead
+from twin.parallel import Progress, ahead, spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 from twin.robot.mechanism import assemble
@@ -100,12 +100,14 @@ def _of_law(
     best, none, other = search.base, decision.none, decision.other
     if answer:
         best, none, other = answer.best, answer.none, answer.other
+    plain = without_limits(without_laws(given))
+
     records, errors = frf_records(
-        without_limits(without_laws(given)), search.base, search.base, found.used, found.kept, found.shared,
-        search.processes,
-    )  # fmt: skip
+        plain, search.base, search.base, found.used, found.kept, found.shared, search.processes
+    )
     if answer:
-        records, errors["after"] = stepped_records(records, answer.objective, answer.best, found.used, found.kept, how)
+        predicted, errors["after"] = whole_decays(answer.objective, answer.best, found, how)
+        records = _with(records, "after", predicted)
         if levels.window:
             unsure = _unsure(answer, found.used, how, seed)
     errors["noise_floor"] = noise_floor(sample.recordings)
@@ -123,9 +125,8 @@ def _of_law(
                 word, alone, objective = judge(answer.beside.decision), answer.beside.law, levels.objectives[0]
             else:
                 word, none = "adequate", 1 - other
-            records, errors["before"] = stepped_records(
-                records, objective, alone, found.used, found.kept, how, stage="before"
-            )
+            predicted, errors["before"] = whole_decays(objective, alone, found, how)
+            records = _with(records, "before", predicted)
             before = alone.robot
     sites = {place.site: levels.places[-1].cost - place.cost for place in levels.places}
     if unsure > errors["noise_floor"]:
@@ -304,19 +305,16 @@ def _location(source: str, records: Sequence[FrfRecord], site: str) -> list[dict
 # --- the law on whole recordings --------------------------------------------------------------------------------------
 
 
-def stepped_records(
-    records: Sequence[FrfRecord],
-    objective: Stepped,
-    fit: Fitted,
-    used: Sequence[Recorded],
-    kept: Sequence[Recorded],
-    blow: dict[str, Blow],
-    stage: Stage = "after",
-) -> tuple[list[FrfRecord], dict[str, float | None]]:
-    """Records with the law's prediction as a stage, and its errors; on held-out recordings posture angles and gains
-    are estimated again, nothing else."""
+def whole_decays(
+    objective: Stepped, fit: Fitted, found: Triage, blow: dict[str, Blow]
+) -> tuple[list[ComplexArray], dict[str, float | None]]:
+    """The law's prediction of what was used, then of what was held out, and its errors.
+
+    On held-out recordings posture angles and gains are estimated again, nothing else.
+    """
     law, sizes, site, robot = law_of(fit.robot)
-    used, kept = (placed(some, fit.parameters, fit.values) for some in (used, kept))  # nodes where the fit has them
+    # nodes lie where the fit has them
+    used, kept = (placed(recordings, fit.parameters, fit.values) for recordings in (found.used, found.kept))
     own = objective.base
     longer = objective.own(fit.z)[1]
     blow = {group: replace(b, pulse_s=b.pulse_s * longer) for group, b in blow.items()}
@@ -325,14 +323,19 @@ def stepped_records(
         robot, independent([own[k] for k in belongs]), Sample(tuple(used)), law=law, site=site, blow=blow, fixed=sizes,
         processes=objective.processes,
     )  # fmt: skip
-    predicted = steps.predicted(np.array([fit.z[k] for k in belongs]))
-    error: dict[str, float | None] = {"train": relative_error(used, predicted), "held_out": None}
-    if kept:
+
+    def part(number: int) -> list[ComplexArray]:
+        if number == 0:
+            return steps.predicted(np.array([fit.z[k] for k in belongs]))
         judged = replace(steps, parameters=recording_set(robot, kept), sample=Sample(tuple(kept)))
-        rest = judged.predicted(settle(judged))
-        error["held_out"] = relative_error(kept, rest)
-        predicted = [*predicted, *rest]
-    return _with(records, stage, predicted), error
+        return judged.predicted(settle(judged))
+
+    predicted, *rest = spread(part, 2 if kept else 1, objective.processes)
+    error: dict[str, float | None] = {"train": relative_error(used, predicted), "held_out": None}
+    for there in rest:
+        error["held_out"] = relative_error(kept, there)
+    predicted = [*predicted, *(H for there in rest for H in there)]
+    return predicted, error
 
 
 def _struck_as_given(
