@@ -11,7 +11,6 @@ from tools.truth.__main__ import main as truth
 from twin.commands.compare import compare_hammer
 from twin.diagnose.edit import is_nonlinear
 from twin.diagnose.hammer import diagnose_campaign
-from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import (
     Levels,
     _begun,
@@ -33,6 +32,7 @@ from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Finding, estimates_of
 from twin.identify.descent import minimise
+from twin.identify.joint_reaction import Blow, Stepped, blows
 from twin.identify.objective import Objective, Sample
 from twin.measure.campaign import Campaign, read_campaign
 from twin.model.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform

@@ -27,7 +27,6 @@ from twin.diagnose.frf_leak import Leak, cut_off, cut_short, leaking, refined, r
 from twin.diagnose.frf_off import data_cost, off_description
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, about, settled_with, shared
-from twin.diagnose.joint_reaction import blows
 from twin.diagnose.left_out import LeftOut, left_out, that_foretell
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
@@ -62,6 +61,7 @@ from twin.diagnose.verdict import (
 from twin.diagnose.within import base_with, taken_in, without
 from twin.identify.damping_transfer import misses_of_frf, transfer
 from twin.identify.elastic_compare import noise_floor
+from twin.identify.joint_reaction import blows
 from twin.identify.objective import Sample
 from twin.identify.posterior import Posterior
 from twin.measure.campaign import Campaign, FloatArray

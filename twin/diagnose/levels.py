@@ -15,7 +15,9 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import Decision, decide, unexplained
 from twin.diagnose.hypotheses import Hypothesis, together
-from twin.diagnose.joint_reaction import (
+from twin.diagnose.refit import NONE, Fitted, descend
+from twin.identify.descent import minimise
+from twin.identify.joint_reaction import (
     FADED,
     PULSE_S,
     PULSE_SPREAD,
@@ -25,8 +27,6 @@ from twin.diagnose.joint_reaction import (
     blows,
     inverse2,
 )
-from twin.diagnose.refit import NONE, Fitted, descend
-from twin.identify.descent import minimise
 from twin.identify.objective import Sample
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.blow import COARSE_HZ, RATE_HZ

@@ -14,12 +14,12 @@ import numpy as np
 
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.joint_reaction import Stepped
 from twin.diagnose.levels import FAR_OFF, LINEAR_STEPS, Levels, fit_law, with_law
 from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
 from twin.diagnose.search import REFIT_LINES, WORTH, Search, one_more
+from twin.identify.joint_reaction import Stepped
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.parallel import Progress

@@ -9,7 +9,6 @@ import numpy as np
 
 from twin.diagnose.decide import Decision, finalists
 from twin.diagnose.hypotheses import suspects
-from twin.diagnose.joint_reaction import Blow, Stepped, blows
 from twin.diagnose.levels import WINDOW, Levels, decide_levels, explain_levels, settled
 from twin.diagnose.levels_beside import Beside, explain_beside
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
@@ -22,6 +21,7 @@ from twin.diagnose.struck import amplitude_entries, judge_struck, law_of, settle
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
 from twin.identify.elastic_compare import noise_floor, recording_set, relative_error
+from twin.identify.joint_reaction import Blow, Stepped, blows
 from twin.identify.objective import Sample
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray

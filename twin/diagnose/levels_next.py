@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.joint_reaction import Blow
 from twin.diagnose.levels import RACE_LINES, Levels, View, excited, point, with_law
 from twin.diagnose.refit import Fitted
 from twin.diagnose.triage import HOMOGENEOUS, POOLED_LINES
 from twin.errors import InputError
+from twin.identify.joint_reaction import Blow
 from twin.identify.objective import Sample
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.model.recorded import Recorded

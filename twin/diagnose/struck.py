@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from twin.diagnose.joint_reaction import PULSE_SPREAD, Blow, Stepped, blows
 from twin.diagnose.note import Note
 from twin.identify.descent import minimise
 from twin.identify.elastic_compare import Judged, recording_set, relative_error
+from twin.identify.joint_reaction import PULSE_SPREAD, Blow, Stepped, blows
 from twin.identify.objective import Sample
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.blow import COARSE_HZ
