@@ -26,15 +26,12 @@ from twin.diagnose.joint import followed
 from twin.diagnose.note import Note
 from twin.diagnose.sentences import sentence
 from twin.diagnose.torque import Log, diagnose_log, pooled, predicted_by, wider_bands, with_evidence
-from twin.diagnose.torque_design import Block, Design
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, refine, settle, start
 from twin.diagnose.torque_judge import Judge
-from twin.diagnose.torque_noise import _correlation, prediction_filter
 from twin.diagnose.torque_revise import _as_suspected, _with_element, at_once, seen_at_rest_only
 from twin.diagnose.torque_robot import _rounded, robot_of
 from twin.diagnose.torque_search import _of_another_size
 from twin.diagnose.torque_step import too_narrow
-from twin.diagnose.torque_stops import _creeping, stop_columns
 from twin.diagnose.torque_suspects import log_suspects
 from twin.diagnose.torque_system import (
     Columns,
@@ -58,9 +55,12 @@ from twin.measure.signals import lowpass
 from twin.model.regressor import inertia_six
 from twin.model.replay import inverse_dynamics
 from twin.model.torque_base import APART, PRESLIDING, _apart
+from twin.model.torque_design import Block, Design
 from twin.model.torque_laws import State, entry_torque, model_torque
+from twin.model.torque_noise import _correlation, prediction_filter
 from twin.model.torque_rows import Bands, in_joints
 from twin.model.torque_signal import Run, bands_of, prepare
+from twin.model.torque_stops import _creeping, stop_columns
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot, parse_robot

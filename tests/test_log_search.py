@@ -14,17 +14,15 @@ from test_diagnose_logs import recorded
 from tools.trials.wrong import case
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
-from twin.diagnose import torque_clock, torque_revise, torque_search, torque_step
+from twin.diagnose import torque_revise, torque_search, torque_step
 from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.torque import _strained, base_system, diagnose_log, log_records, pooled, searched
-from twin.diagnose.torque_clock import clock_note, on_time
+from twin.diagnose.torque import _clocks, _strained, base_system, diagnose_log, log_records, pooled, searched
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, reach, settle, start
 from twin.diagnose.torque_judge import Judge, Told, free_gains, vibration
 from twin.diagnose.torque_left_out import left_out_runs, without_run
 from twin.diagnose.torque_look import _recorded_alike, decided, in_its_link, look, number_groups
 from twin.diagnose.torque_nearest import nearest, step_nearer
-from twin.diagnose.torque_noise import _likelihoods
 from twin.diagnose.torque_off import as_described
 from twin.diagnose.torque_revise import one_for_two
 from twin.diagnose.torque_search import Search, _borne_out, _too_many
@@ -43,6 +41,9 @@ from twin.diagnose.torque_system import (
 from twin.diagnose.torque_visible import smallest_visible
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
+from twin.model import torque_clock
+from twin.model.torque_clock import on_time
+from twin.model.torque_noise import _likelihoods
 from twin.model.torque_signal import Prepared, prepare
 from twin.robot.description import Robot, load_robot
 
@@ -232,7 +233,8 @@ def test_a_clock_is_as_fast_as_it_was_recorded() -> None:
     twice = on_time(on_time(log, {"run1": 4e-4}), {"run1": 4e-4})
     once = on_time(log, {"run1": 8e-4})
     assert np.abs(twice.runs["run1"].torque - once.runs["run1"].torque).max() < 1e-4
-    assert "+800 ppm in 'run1'" in clock_note({"run1": 8e-4})
+    (note,) = _clocks({"run1": 8e-4})
+    assert "+800 ppm in 'run1'" in note
 
 
 @pytest.mark.slow

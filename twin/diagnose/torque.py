@@ -17,8 +17,6 @@ from twin.diagnose.patience import Patience
 from twin.diagnose.records import STAGES, FrfRecord, LogRecord, Stage, pooled_floor
 from twin.diagnose.refit import Fitted
 from twin.diagnose.sentences import sentence
-from twin.diagnose.torque_clock import clock_note, clock_rates, described_torque, on_time
-from twin.diagnose.torque_excerpt import excerpt
 from twin.diagnose.torque_faults import sound
 from twin.diagnose.torque_fit import base_fit, profiled, worth
 from twin.diagnose.torque_following import Following
@@ -33,7 +31,6 @@ from twin.diagnose.torque_robot import that_can_exist, with_presliding
 from twin.diagnose.torque_search import Search, explain
 from twin.diagnose.torque_states import RunStates
 from twin.diagnose.torque_step import REFITTED, Step, left_out, possible
-from twin.diagnose.torque_stops import stops_of
 from twin.diagnose.torque_suspects import Suspect, log_suspects, not_sought, with_values
 from twin.diagnose.torque_system import System, system_of
 from twin.diagnose.torque_visible import smallest_visible
@@ -41,14 +38,17 @@ from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
+from twin.measure.motion_excerpt import excerpt
 from twin.measure.motion_log import MotionLog
 from twin.measure.recordings import Recording
 from twin.measure.torque_unit import unit_note
 from twin.model.torque_base import Base, base_of, with_whole_friction
+from twin.model.torque_clock import clock_rates, described_torque, on_time
 from twin.model.torque_laws import model_torque
 from twin.model.torque_numbers import GAIN, number_columns, numbers_of
 from twin.model.torque_rows import Bands, in_joints
 from twin.model.torque_signal import Prepared, Run, prepare
+from twin.model.torque_stops import stops_of
 from twin.parallel import Progress
 from twin.physics import CATALOGUE, effect_named, effect_of
 from twin.physics.effect import axis_of
@@ -91,7 +91,8 @@ def diagnose_log(
     robot = with_whole_friction(robot)
     asked, prepared = log, prepare(log, robot, source, hold_out, bands)
     log, prepared, faults, rates = _on_one_clock(log, prepared, source, hold_out)
-    log, hold_out, parts = excerpt(log, hold_out, prepared.bands)
+    log, hold_out, pieces = excerpt(log, hold_out, prepared.bands.fit[1])
+    parts = [Note(text, severity="note") for text in pieces]
     if parts:
         prepared, faults = prepare(log, robot, source, hold_out, prepared.bands), [*faults, *parts]
 
@@ -233,7 +234,12 @@ def base_system(prepared: Prepared, processes: int = 1) -> System:
 
 def _clocks(rates: dict[str, float]) -> list[Note]:
     """A note on clocks that run apart, s/s, if any do."""
-    return [clock_note(rates)] if rates else []
+    told = ", ".join(f"{1e6 * rate:+.0f} ppm in '{name}'" for name, rate in rates.items())
+    text = (
+        f"the clock of torque runs apart from that of positions: torque falls behind by {told}; it was put back "
+        "before the diagnosis"
+    )
+    return [Note(text, "clock", "fail", runs=tuple(rates))] if rates else []
 
 
 def _runs(prepared: Prepared) -> list[Run]:

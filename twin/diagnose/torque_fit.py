@@ -11,7 +11,6 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
-from twin.diagnose.torque_noise import start_columns
 from twin.diagnose.torque_robot import robot_of
 from twin.diagnose.torque_suspects import Suspect, canonical, with_values
 from twin.diagnose.torque_system import (
@@ -24,6 +23,7 @@ from twin.diagnose.torque_system import (
     own_prior,
     own_values,
     refer,
+    start_columns,
     unshrunk,
     whitened_entry,
     without,

@@ -12,12 +12,12 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from twin.diagnose.calibration import calibration
-from twin.diagnose.torque_noise import prediction_filter
 from twin.diagnose.torque_system import System
 from twin.diagnose.verdict import Candidate, Missing
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
 from twin.model.torque_laws import State
+from twin.model.torque_noise import prediction_filter
 from twin.model.torque_signal import Run
 from twin.physics import effect_of
 from twin.robot.description import Entry, Robot

@@ -9,15 +9,16 @@ import numpy as np
 from scipy.signal import lfilter
 
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.torque_design import Block, Design
-from twin.diagnose.torque_noise import dry_friction, noise_order, plain_fit, whitening, whole_rows
-from twin.diagnose.torque_stops import Stop, stops_in
 from twin.diagnose.torque_suspects import Suspect, with_values
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter, Parameters, independent, join
 from twin.model.torque_base import DIFFERENCES, Base, base_of, with_sliding
+from twin.model.torque_design import Block, Design
 from twin.model.torque_laws import State, entry_torque, model_torque
+from twin.model.torque_noise import dry_friction, noise_order, plain_fit, whitening, whole_rows
 from twin.model.torque_signal import Prepared, Run
+from twin.model.torque_stops import Stop, stops_in
+from twin.parallel import spread
 from twin.physics import CATALOGUE
 from twin.robot.description import Entry
 
@@ -132,7 +133,7 @@ class System:
     def assemble(self) -> None:
         """Whiten design and data."""
         base = self.base
-        self.stops, self.through = stops_in(self), None
+        self.stops, self.through = stops_in(base, self.whitening, self.masks, self.turning, self.late), None
         self.A = self.design = self._designed([None] * len(base.runs))
         self.data = self.y = self.full(self.whiten(base.rest))[:, 0]
 
@@ -449,12 +450,49 @@ def system_of(prepared: Prepared, rich: Sequence[Suspect], runs: list[Run] | Non
     system = System(base, np.zeros((n, noise_order(base.runs) + 1)), base.parameters)
     refer(system, np.zeros(len(base.parameters)))
     for _ in range(2):  # the second time with friction, load and torque as fitted
-        z = plain_fit(system)
+        z = plain_fit(base)
         refer(system, z)
-    system.whitening, system.level, system.noise = whitening(system, rich, processes)
+    extra = _richest(system, rich, processes)
+    system.whitening, system.level, system.noise = whitening(base, extra, system.order, processes)
     system.assemble()
     refer(system, system.z)
     return system
+
+
+def _richest(system: System, rich: Sequence[Suspect], processes: int) -> list[list[FloatArray]]:
+    """Per joint columns (m,) over all runs that span what suspects could add."""
+    extra: list[list[FloatArray]] = [[] for _ in system.whitening]
+    for shapes in spread(lambda k: _shapes(system, rich[k]), len(rich), processes):
+        for column in shapes:
+            for j, own in enumerate(extra):
+                if any(part[:, j].any() for part in column):
+                    own.append(np.concatenate([part[:, j] for part in column]))
+    return extra
+
+
+def _shapes(system: System, suspect: Suspect) -> list[list[FloatArray]]:
+    """A few columns that span what a suspect could add, run by run (m, n); of starts of either sign one."""
+    starts = suspect.starts
+    if len(starts) > 40:
+        return []
+    size = np.abs(starts)
+    few = [start for k, start in enumerate(starts) if not any(np.array_equal(size[k], x) for x in size[:k])]
+    return [column for start in few for column in start_columns(system, suspect, start)]
+
+
+def start_columns(system: System, suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
+    """The entry's torque (m, n) per run at a start, if any, and what a prior deviation of every size adds."""
+    own = suspect.hypothesis.own
+    here = [] if suspect.vanishes else [system.torque(with_values(suspect.hypothesis, start), at_once=True)]
+    columns = list(here)
+    for k in suspect.sizes:
+        shifted = start.copy()
+        shifted[k] += DIFFERENCES[1] * own[k].deviation
+        moved = system.torque(with_values(suspect.hypothesis, shifted), at_once=True)
+        for still in here:
+            moved = [a - b for a, b in zip(moved, still, strict=True)]
+        columns.append([part / DIFFERENCES[1] for part in moved])
+    return columns
 
 
 def own_prior(own: Sequence[Parameter], values: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from twin.measure.torque_unit import unit_note
 from twin.model.base_parameters import BaseParameters, base_parameters, structural_base
 from twin.model.regressor import Regressor, inertial_vector, pseudo_inertia
 from twin.model.torque_base import with_whole_friction
+from twin.model.torque_noise import MOST_TAKEN, ROUNDED
 from twin.model.torque_rows import (
     PASSED,
     TOO_SHORT,
@@ -32,8 +33,6 @@ from twin.physics.motion import gradual_sign
 from twin.robot.description import Robot
 from twin.robot.frames import inertia_six
 
-MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit is allowed to have explained away
-ROUNDED = 8 / 4096 / 12**0.5  # of a torque's RMS: noise of a 12-bit converter whose range is four times that RMS
 SHORT_S = 40.0  # of motion in all: 4 Hz of it have 800 rows of a joint
 LOW_PASSES = ((8.0, 10.0), (16.0, 20.0), (32.0, 40.0))  # Hz: low-passes tried on what is shorter
 

@@ -4,22 +4,22 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from twin.diagnose.note import Note
 from twin.measure.motion_log import MotionLog, MotionRun
-from twin.model.torque_rows import Bands
 
 # Seconds times hertz of the low-pass, six thousand rows of a joint: a little more than logs of the proof.
 LOG_ENOUGH = 2400.0
 OF_A_PIECE = 200.0  # the same of a piece
 
 
-def excerpt(log: MotionLog, hold_out: list[str] | None, bands: Bands) -> tuple[MotionLog, list[str] | None, list[Note]]:
-    """A log of no more than ``LOG_ENOUGH``, the names in it of what is held out, and a note; a short log as it is.
+def excerpt(log: MotionLog, hold_out: list[str] | None, hz: float) -> tuple[MotionLog, list[str] | None, list[str]]:
+    """A log of no more than ``LOG_ENOUGH``, the names in it of what is held out, and a sentence; a short log as it is.
+
+    ``hz`` is where the low-pass of its torque ends.
 
     A search takes time in proportion to the log, and what it finds in some minutes of motion an hour tells no better.
     Every piece keeps its time, so that what drifts over the log still does.
     """
-    hz, seconds = bands.fit[1], _seconds(log)
+    seconds = _seconds(log)
     if seconds * hz <= LOG_ENOUGH:
         return log, hold_out, []
     length, count = OF_A_PIECE / hz, LOG_ENOUGH / OF_A_PIECE
@@ -44,7 +44,7 @@ def excerpt(log: MotionLog, hold_out: list[str] | None, bands: Bands) -> tuple[M
         f"{_seconds(some):.0f} s of {seconds:.0f} s are looked at, in {len(some.runs)} pieces spread over the log, "
         "where the axes move most"
     )
-    return some, held or None, [Note(text, severity="note")]
+    return some, held or None, [text]
 
 
 def _seconds(log: MotionLog) -> float:

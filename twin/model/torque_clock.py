@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from twin.diagnose.note import Note
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun
 from twin.model.regressor import Regressor
@@ -29,16 +28,6 @@ def clock_rates(runs: Sequence[Run], torque: Sequence[FloatArray]) -> dict[str, 
 def on_time(log: MotionLog, rates: Mapping[str, float]) -> MotionLog:
     """A log with its torque where it belongs."""
     return replace(log, runs={name: _on_time(run, rates.get(name, 0.0)) for name, run in log.runs.items()})
-
-
-def clock_note(rates: Mapping[str, float]) -> Note:
-    """That clocks run apart, s/s by run."""
-    told = ", ".join(f"{1e6 * rate:+.0f} ppm in '{name}'" for name, rate in rates.items())
-    text = (
-        f"the clock of torque runs apart from that of positions: torque falls behind by {told}; it was put back "
-        "before the diagnosis"
-    )
-    return Note(text, "clock", "fail", runs=tuple(rates))
 
 
 def described_torque(regressor: Regressor, run: Run) -> FloatArray:

@@ -1,19 +1,15 @@
 """Where an axis stops, starts or turns back: rows in which its friction is unknown, as directions of their own."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import lfilter
 
 from twin.measure.campaign import FloatArray
 from twin.measure.signals import lowpass
-from twin.model.torque_base import NOISE_ORDER
+from twin.model.torque_base import NOISE_ORDER, Base
 from twin.model.torque_signal import Run
-
-if TYPE_CHECKING:
-    from twin.diagnose.torque_system import System
 
 RINGING = 16  # rows that the low-pass rings before and after a step
 
@@ -32,27 +28,33 @@ class Stop:
     share: FloatArray
 
 
-def stops_in(system: "System", held: float = 0.1) -> list[list[Stop]]:
+def stops_in(
+    base: Base, whitening: FloatArray, masks: Sequence[np.ndarray], turning: FloatArray, late: float, held: float = 0.1
+) -> list[list[Stop]]:
     """Where an axis stops, starts or turns back: directions of the whitened rows, with the prior of its friction.
 
-    ``held`` is the share of dry friction that presliding holds through a standstill: doubt, how the axis crept to it.
+    Args:
+        whitening: (n, order + 1) filters of the joints; ``masks`` (m,) rows of each run that stay after them.
+        turning: (n, n) speeds of the drives per speed of the axes; empty where each drive turns its axis alone.
+        late: s by which torque is recorded late.
+        held: share of dry friction that presliding holds through a standstill: doubt, how the axis crept to it.
     """
     out: list[list[Stop]] = []
-    for j, whitening in enumerate(system.whitening):
+    for j, own in enumerate(whitening):
         found: list[Stop] = []
         at = 0
-        for run, mask in zip(system.base.runs, system.masks, strict=True):
+        for run, mask in zip(base.runs, masks, strict=True):
             place = at + np.cumsum(mask) - 1
-            events = stop_columns(run, j, held * bool(system.base.sliding[j]), system.late)
-            if len(system.turning) and np.count_nonzero(system.turning[j]) > 1:  # where its drive turns back, too
-                state = replace(run.dense, velocity=run.dense.velocity @ system.turning.T)
-                drive = stop_columns(replace(run, dense=state), j, recorded_late=system.late)
+            events = stop_columns(run, j, held * bool(base.sliding[j]), late)
+            if len(turning) and np.count_nonzero(turning[j]) > 1:  # where its drive turns back, too
+                state = replace(run.dense, velocity=run.dense.velocity @ turning.T)
+                drive = stop_columns(replace(run, dense=state), j, recorded_late=late)
                 events = sorted([*events, *drive], key=_begins)
             for near, columns in events:
                 inside = mask[near]
                 if not inside.any():
                     continue
-                W = lfilter(whitening, [1.0], system.base.friction[j] * columns, axis=0)[inside]
+                W = lfilter(own, [1.0], base.friction[j] * columns, axis=0)[inside]
                 first = int(place[near][np.argmax(inside)])
                 start, end = first, first + len(W)
                 near_by: list[Stop] = [earlier for earlier in found[-6:] if earlier.span.stop > start]

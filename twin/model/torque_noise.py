@@ -6,7 +6,6 @@ put back line by line (leverage).
 """
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
@@ -14,20 +13,17 @@ import scipy.linalg
 from scipy.linalg.lapack import dormqr, dsytrd
 from scipy.signal import lfilter
 
-from twin.diagnose.torque_design import Block, Design
-from twin.diagnose.torque_stops import stop_columns
-from twin.diagnose.torque_suspects import Suspect, with_values
-from twin.identify.rigid import MOST_TAKEN, ROUNDED
 from twin.measure.campaign import FloatArray
-from twin.model.torque_base import DIFFERENCES, NOISE_ORDER, Base
+from twin.model.torque_base import NOISE_ORDER, Base
+from twin.model.torque_design import Block, Design
 from twin.model.torque_laws import USUAL_SHARE, smooth_columns
 from twin.model.torque_signal import Run
+from twin.model.torque_stops import stop_columns
 from twin.parallel import spread
 from twin.physics import effect_of
 
-if TYPE_CHECKING:
-    from twin.diagnose.torque_system import System
-
+MOST_TAKEN = 0.8  # share of the noise's power at a frequency that a fit is allowed to have explained away
+ROUNDED = 8 / 4096 / 12**0.5  # of a torque's RMS: noise of a 12-bit converter whose range is four times that RMS
 MUCH_TAKEN = 0.2  # share of the rows of a log that the richest model fits by itself
 
 
@@ -40,9 +36,8 @@ def noise_order(runs: Sequence[Run]) -> int:
     return int(np.clip(np.median(lengths) / 6, 2, NOISE_ORDER)) if lengths else 2
 
 
-def plain_fit(system: "System") -> FloatArray:
+def plain_fit(base: Base) -> FloatArray:
     """z by least squares with white noise at the level of the residual."""
-    base = system.base
     y = np.concatenate([rest[r.valid] for rest, r in zip(base.rest, base.runs, strict=True)])
     noise = 0.05 * np.sqrt(np.mean(y**2, axis=0)) + 1e-9
     blocks = tuple(_rows(base, j)[np.concatenate([r.valid for r in base.runs])] for j in range(y.shape[1]))
@@ -108,17 +103,14 @@ def whole_rows(valid: np.ndarray, order: int) -> np.ndarray:
 
 
 def whitening(
-    system: "System", rich: Sequence[Suspect], processes: int = 1
+    base: Base, extra: Sequence[Sequence[FloatArray]], order: int, processes: int = 1
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    base, n = system.base, len(system.whitening)
-    extra: list[list[FloatArray]] = [[] for _ in range(n)]  # per joint, columns over all runs
-    for shapes in spread(lambda k: _shapes(system, rich[k]), len(rich), processes):
-        for column in shapes:
-            for j in range(n):
-                if any(part[:, j].any() for part in column):
-                    extra[j].append(np.concatenate([part[:, j] for part in column]))
+    """Of every joint: prediction-error filter (n, order + 1), level of the noise filtered so (n,), and its RMS (n,).
+
+    ``extra`` are columns (m,) per joint, runs together, that the richest model has beside the base.
+    """
     data = np.concatenate(base.rest)
-    found = spread(lambda j: _noise(base, j, data[:, j], extra[j], system.order), n, processes)
+    found = spread(lambda j: _noise(base, j, data[:, j], extra[j], order), len(extra), processes)
     filters, level, noise = zip(*found, strict=True)
     return np.array(filters), np.array(level), np.array(noise)
 
@@ -258,31 +250,6 @@ def _ridge(size: FloatArray, most: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if np.sum(size / (size + np.exp(middle))) > most else (low, middle)
     return float(np.exp(high))
-
-
-def _shapes(system: "System", suspect: Suspect) -> list[list[FloatArray]]:
-    """A few columns that span what a suspect could add, run by run (m, n); of starts of either sign one."""
-    starts = suspect.starts
-    if len(starts) > 40:
-        return []
-    size = np.abs(starts)
-    few = [start for k, start in enumerate(starts) if not any(np.array_equal(size[k], x) for x in size[:k])]
-    return [column for start in few for column in start_columns(system, suspect, start)]
-
-
-def start_columns(system: "System", suspect: Suspect, start: FloatArray) -> list[list[FloatArray]]:
-    """The entry's torque (m, n) per run at a start, if any, and what a prior deviation of every size adds."""
-    own = suspect.hypothesis.own
-    here = [] if suspect.vanishes else [system.torque(with_values(suspect.hypothesis, start), at_once=True)]
-    columns = list(here)
-    for k in suspect.sizes:
-        shifted = start.copy()
-        shifted[k] += DIFFERENCES[1] * own[k].deviation
-        moved = system.torque(with_values(suspect.hypothesis, shifted), at_once=True)
-        for still in here:
-            moved = [a - b for a, b in zip(moved, still, strict=True)]
-        columns.append([part / DIFFERENCES[1] for part in moved])
-    return columns
 
 
 def span_of(runs: Sequence[Run], j: int) -> tuple[float, float, float]:
