@@ -29,12 +29,10 @@ from twin.diagnose.torque import Log, diagnose_log, pooled, predicted_by, wider_
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, refine, settle, start
 from twin.diagnose.torque_judge import Judge
 from twin.diagnose.torque_revise import _as_suspected, _with_element, at_once, seen_at_rest_only
-from twin.diagnose.torque_robot import _rounded, robot_of
 from twin.diagnose.torque_search import _of_another_size
 from twin.diagnose.torque_step import too_narrow
 from twin.diagnose.torque_suspects import log_suspects
 from twin.diagnose.torque_system import (
-    Columns,
     Trial,
     extended,
     own_prior,
@@ -58,9 +56,11 @@ from twin.model.torque_base import APART, PRESLIDING, _apart
 from twin.model.torque_design import Block, Design
 from twin.model.torque_laws import State, entry_torque, model_torque
 from twin.model.torque_noise import _correlation, prediction_filter
+from twin.model.torque_robot import _rounded
 from twin.model.torque_rows import Bands, in_joints
 from twin.model.torque_signal import Run, bands_of, prepare
 from twin.model.torque_stops import _creeping, stop_columns
+from twin.model.torque_whitened import Columns
 from twin.physics import CATALOGUE
 from twin.physics.motion import Motion
 from twin.robot.description import Entry, Robot, load_robot, parse_robot
@@ -854,7 +854,7 @@ def test_links_within_what_a_log_knows_cost_it_no_more_than_their_tension(drifti
     covariance = np.linalg.inv(fit.information)
     z = fit.z + 2 * covariance[gain] / np.sqrt(covariance[gain, gain])
     told = dict(zip(fit.parameters.names, fit.parameters.values(z), strict=True))
-    robot = follow(robot_of(follow.system, z))
+    robot = follow(follow.system.robot(z))
     assert follow.values(robot)["torque_gain"] == pytest.approx(told["torque_gain"], rel=1e-3)
     own, moved = (predicted_by(r, drifting.content, drifting, drifting.held_out) for r in (drifting.robot, robot))
 

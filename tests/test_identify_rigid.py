@@ -13,7 +13,7 @@ from twin.commands.example import EXAMPLES
 from twin.commands.simulate import simulate
 from twin.errors import InputError
 from twin.identify.excitation import Fourier
-from twin.identify.rigid import LOW_PASSES, Identification, consistent, identify, nearest_possible
+from twin.identify.rigid import LOW_PASSES, Identification, consistent, identify
 from twin.identify.rigid_compare import compare_log
 from twin.measure import motion_log
 from twin.measure.motion_log import (
@@ -26,6 +26,7 @@ from twin.measure.motion_log import (
 )
 from twin.measure.signals import advance, differentiate, lowpass
 from twin.measure.torque_unit import unit_note
+from twin.model.possible import nearest_possible
 from twin.model.regressor import Regressor, pseudo_inertia
 from twin.model.replay import inverse_dynamics
 from twin.model.torque_rows import Bands, holding, joint_run, relative_error, rows_of

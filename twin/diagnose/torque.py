@@ -27,7 +27,6 @@ from twin.diagnose.torque_next import next_log
 from twin.diagnose.torque_off import as_described, bare, far_off, numbers_of_answer, taken_back, told
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_revise import at_once, seen_at_rest_only
-from twin.diagnose.torque_robot import that_can_exist, with_presliding
 from twin.diagnose.torque_search import Search, explain
 from twin.diagnose.torque_states import RunStates
 from twin.diagnose.torque_step import REFITTED, Step, left_out, possible
@@ -46,6 +45,7 @@ from twin.model.torque_base import Base, base_of, with_whole_friction
 from twin.model.torque_clock import clock_rates, described_torque, on_time
 from twin.model.torque_laws import model_torque
 from twin.model.torque_numbers import GAIN, number_columns, numbers_of
+from twin.model.torque_robot import that_can_exist, with_presliding
 from twin.model.torque_rows import Bands, in_joints
 from twin.model.torque_signal import Prepared, Run, prepare
 from twin.model.torque_stops import stops_of
@@ -216,7 +216,7 @@ def _finding(
             *_bodies(prepared, search, errors),
         ],
         fit=after, finalists=_finalists(search, found_plays), held_out_misfit=search.bare,
-        written=with_presliding(search.system, after.z, robot_after),
+        written=with_presliding(search.system, after.z, search.system.entries(after.z), robot_after),
         following=Following(search.system, after, gaps), bare=Following(search.plain, base),
         bands=prepared.bands, content=log,
     )  # fmt: skip

@@ -13,11 +13,12 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.torque_fit import settle, start
 from twin.diagnose.torque_suspects import Suspect
-from twin.diagnose.torque_system import Columns, System, Trial
+from twin.diagnose.torque_system import System, Trial
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameter
 from twin.model.torque_laws import USUAL_SHARE
 from twin.model.torque_noise import span_of
+from twin.model.torque_whitened import Columns
 from twin.physics import effect_of
 from twin.robot.description import Entry
 

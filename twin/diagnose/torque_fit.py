@@ -11,12 +11,10 @@ import numpy as np
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import NONE, Fitted
-from twin.diagnose.torque_robot import robot_of
 from twin.diagnose.torque_suspects import Suspect, canonical, with_values
 from twin.diagnose.torque_system import (
     CONVERGED,
     FARTHEST_SHAPE,
-    Columns,
     System,
     Trial,
     doubt_of,
@@ -30,6 +28,7 @@ from twin.diagnose.torque_system import (
 )
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import Parameters, independent, join
+from twin.model.torque_whitened import Columns
 
 LEAST_SLIP = 0.01  # of a usual torque: what pulls the other way is looked for as little
 
@@ -57,7 +56,7 @@ def _fitted(
     values = np.array([p.value(x) for p, x in zip(parameters, parameters.root @ z, strict=True)])
     entries = with_values(hypothesis, values[len(values) - len(hypothesis.own) :]) if hypothesis.own else []
     return Fitted(
-        hypothesis, parameters, z, values, partial(robot_of, system, z, entries), 0.5 * (chi2 + float(z @ z)),
+        hypothesis, parameters, z, values, partial(system.robot, z, entries), 0.5 * (chi2 + float(z @ z)),
         chi2 / max(data, 1), information, data, True,
     )  # fmt: skip
 

@@ -9,13 +9,13 @@ import numpy as np
 from twin.diagnose.joint import places_axis
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_play import Play, with_play
-from twin.diagnose.torque_robot import robot_of, with_presliding
 from twin.diagnose.torque_suspects import with_values
 from twin.diagnose.torque_system import System, own_prior
 from twin.measure.campaign import FloatArray
 from twin.model.parameters import axis_parameters, entry_parameter
 from twin.model.regressor import inertial_vector
 from twin.model.torque_numbers import follow
+from twin.model.torque_robot import with_presliding
 from twin.physics import CATALOGUE
 from twin.robot.description import Robot
 
@@ -45,8 +45,8 @@ class Following:
         """A description that has settled links, axes and payloads, with the rest where the log then has it."""
         system, fit = self.system, self.fit
         z = self._given(robot)
-        log = robot_of(system, z, with_values(fit.hypothesis, self._values(z)[fit.own]))
-        log = with_presliding(system, z, reduce(with_play, self.gaps, log))
+        log = system.robot(z, with_values(fit.hypothesis, self._values(z)[fit.own]))
+        log = with_presliding(system, z, system.entries(z), reduce(with_play, self.gaps, log))
         physics = [entry for entry in robot.physics if _shown_by_blows(entry.effect)]
         physics += [entry for entry in log.physics if not _shown_by_blows(entry.effect)]
         return follow(robot, log).model_copy(update={"drives": log.drives, "physics": physics})

@@ -10,12 +10,13 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_step import REFITTED, Step
-from twin.diagnose.torque_system import Columns, System, Trial, extended, linearised, refer, relinearised, with_wider
+from twin.diagnose.torque_system import System, Trial, extended, linearised, refer, relinearised, with_wider
 from twin.measure.campaign import FloatArray
 from twin.model.torque_base import Base, base_of
 from twin.model.torque_laws import USUAL_SHARE, smooth_columns
 from twin.model.torque_noise import span_of
 from twin.model.torque_signal import Run
+from twin.model.torque_whitened import Columns
 from twin.parallel import spread
 from twin.physics import effect_named
 

@@ -12,10 +12,11 @@ from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import base_fit, fitted, reach, settle, start
 from twin.diagnose.torque_step import Step
 from twin.diagnose.torque_suspects import Suspect
-from twin.diagnose.torque_system import Columns, System, Trial, with_wider
+from twin.diagnose.torque_system import System, Trial, with_wider
 from twin.measure.campaign import FloatArray
 from twin.model.regressor import body_of
 from twin.model.torque_numbers import GAIN, effect_of_number
+from twin.model.torque_whitened import Columns
 from twin.parallel import spread
 from twin.physics import effect_named, effect_of
 from twin.physics.effect import link_end

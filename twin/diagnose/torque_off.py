@@ -18,7 +18,6 @@ from twin.diagnose.refit import Fitted
 from twin.diagnose.torque_fit import base_fit
 from twin.diagnose.torque_look import in_its_link, number_groups
 from twin.diagnose.torque_revise import pruned
-from twin.diagnose.torque_robot import robot_of
 from twin.diagnose.torque_search import Search
 from twin.diagnose.torque_step import Step, accepted, possible, too_narrow
 from twin.diagnose.torque_system import System, relinearised, with_wider
@@ -60,7 +59,7 @@ def as_described(search: Search) -> Fitted:
         return base
     held = _held(plain, sorted(names))
     z = held.plain(base_fit(held).z)
-    return replace(base, z=z, described=robot_of(plain, z))
+    return replace(base, z=z, described=plain.robot(z))
 
 
 def told(search: Search, refused: Sequence[Fitted] = ()) -> Search:

@@ -1,187 +1,44 @@
-"""The whitened rows of a log with the base model and the entries found so far, linear about where it is."""
+"""The base model of a log and the entries found so far, on whitened rows: linearised, extended, and without some."""
 
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.torque_suspects import Suspect, with_values
 from twin.measure.campaign import FloatArray
-from twin.model.parameters import Parameter, Parameters, independent, join
-from twin.model.torque_base import DIFFERENCES, Base, base_of, with_sliding
-from twin.model.torque_design import Block, Design
-from twin.model.torque_laws import State, entry_torque, model_torque
-from twin.model.torque_noise import dry_friction, noise_order, plain_fit, whitening, whole_rows
+from twin.model.parameters import Parameter, independent, join
+from twin.model.torque_base import DIFFERENCES, base_of, with_sliding
+from twin.model.torque_laws import model_torque
+from twin.model.torque_noise import dry_friction, noise_order, plain_fit, whitening
+from twin.model.torque_robot import robot_of
 from twin.model.torque_signal import Prepared, Run
-from twin.model.torque_stops import Stop, stops_in
+from twin.model.torque_whitened import Columns, Whitened
 from twin.parallel import spread
 from twin.physics import CATALOGUE
-from twin.robot.description import Entry
+from twin.robot.description import Entry, Robot
 
 FARTHEST_SHAPE = 3.0  # prior deviations of a shape (a speed, an order, a travel)
 CONVERGED = 0.02  # of ½ χ²: less is no gain
 
 
-@dataclass(frozen=True)
-class Columns:
-    """Whitened columns (N_active, k), zero on every joint that is not in ``joints``."""
-
-    joints: tuple[int, ...]
-    rows: FloatArray
-
-
 @dataclass
-class System:
-    """Whitened rows of a log and the base model on them; N rows, joint by joint, run by run.
+class System(Whitened):
+    """Whitened rows of a log, and on them the base model with the entries found so far.
 
     Attributes:
-        whitening: (n, order + 1) prediction-error filter per joint over the noise's deviation.
-        parameters: the base model's numbers; ``found`` entries that belong to it, beyond the description's.
-        design: whitened torque per prior deviation of the description's numbers, as (N, z).
-        A: the same and what was found, as the recording has it at the tolerances in force. ``data`` (N,): whitened
-            torque less the description's. ``y`` (N,): the same less what A is not linear in.
-        state: per run, what laws that act on other torques see.
-        level: (n,) mean square of whitened noise: below one, for the low-pass leaves rows dependent.
-        noise: (n,) RMS of the noise at the rows, N·m (N).
-        widened: number in z → factor on the prior deviation its description gives it.
+        found: entries that belong to the base model beyond the description's.
         slopes: of what was found, by name: numbers they depend on, and whitened slopes there.
         screened: whitened columns of the suspects' starts, which stay the same when something is found.
-        recording: (1 + n,) delay in rows and gains through which slopes and starts were recorded, where there are any.
-            ``through``: the design as such a recording has it.
-        stops: per joint, what is left out of every judgement where the axis comes to rest or starts.
-        turning: (n, n) speeds of the drives per speed of the axes, where drives were found to turn with other axes too.
-        late: s by which the stops are late, where the torque was found to be recorded late.
+        recording: what slopes and starts were :attr:`recorded_through`, where there are any.
     """
 
-    base: Base
-    whitening: FloatArray
-    parameters: Parameters
     found: tuple[Suspect, ...] = ()
-    A: Design = field(default_factory=lambda: Design(0, 0, (), np.zeros(0)))
-    design: Design = field(default_factory=lambda: Design(0, 0, (), np.zeros(0)))
-    data: FloatArray = field(default_factory=lambda: np.zeros(0))
-    y: FloatArray = field(default_factory=lambda: np.zeros(0))
-    state: list[State] = field(default_factory=list)
-    level: FloatArray = field(default_factory=lambda: np.ones(0))
-    noise: FloatArray = field(default_factory=lambda: np.ones(0))
-    stops: list[list[Stop]] = field(default_factory=list)
-    screened: dict[str, Columns] = field(default_factory=dict)
-    widened: dict[int, float] = field(default_factory=dict)
     slopes: dict[str, tuple[FloatArray, Columns]] = field(default_factory=dict)
+    screened: dict[str, Columns] = field(default_factory=dict)
     recording: FloatArray = field(default_factory=lambda: np.zeros(0))
-    through: tuple[FloatArray, Design] | None = None
-    turning: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    late: float = 0.0
-
-    @property
-    def order(self) -> int:
-        """Of the autoregression."""
-        return self.whitening.shape[1] - 1
-
-    @cached_property
-    def masks(self) -> list[np.ndarray]:
-        """Rows (m,) of each run whose whitened residual rests on valid rows only."""
-        return [whole_rows(run.valid, self.order) for run in self.base.runs]
-
-    @property
-    def count(self) -> int:
-        """Rows per joint."""
-        return int(sum(mask.sum() for mask in self.masks))
-
-    def rows(self, joint: int) -> slice:
-        """Rows of a joint."""
-        return slice(joint * self.count, (joint + 1) * self.count)
-
-    def whiten(self, *columns: Sequence[FloatArray]) -> Columns:
-        """Columns, each the torque (m, n) of every run, whitened; joint by joint, for most act on one."""
-        acting = np.any([part.any(axis=0) for column in columns for part in column], axis=0)
-        joints, runs = tuple(np.flatnonzero(acting).tolist()), range(len(self.base.runs))
-        out = [self.whitened(j, [np.stack([c[k][:, j] for c in columns]).T for k in runs]) for j in joints]
-        return Columns(joints, np.concatenate(out) if out else np.zeros((0, len(columns))))
-
-    def whitened(self, joint: int, parts: Sequence[FloatArray]) -> FloatArray:
-        """Torque (m,) or (m, k) of a joint in every run, whitened (count, k)."""
-        filtered = [
-            lfilter(self.whitening[joint], [1.0], part, axis=0)[mask]
-            for part, mask in zip(parts, self.masks, strict=True)
-        ]
-        rows = np.concatenate(filtered)
-        rows = rows.reshape(len(rows), -1)
-        for stop in self.stops[joint] if self.stops else ():
-            part = rows[stop.span]
-            part -= stop.directions @ (stop.share[:, None] * (stop.directions.T @ part))
-        return rows
-
-    def full(self, columns: Columns) -> FloatArray:
-        """Columns on all rows (N, k)."""
-        out = np.zeros((len(self.whitening) * self.count, columns.rows.shape[1]))
-        for part, j in enumerate(columns.joints):
-            out[self.rows(j)] = columns.rows[part * self.count : (part + 1) * self.count]
-        return out
-
-    def on(self, rows: FloatArray, columns: Columns) -> FloatArray:
-        """Those of N rows where columns act (N_active, …)."""
-        joints = columns.joints
-        if joints and joints[-1] - joints[0] == len(joints) - 1:
-            return rows[joints[0] * self.count : (joints[-1] + 1) * self.count]
-        return np.concatenate([rows[self.rows(j)] for j in joints]) if joints else rows[:0]
-
-    def assemble(self) -> None:
-        """Whiten design and data."""
-        base = self.base
-        self.stops, self.through = stops_in(base, self.whitening, self.masks, self.turning, self.late), None
-        self.A = self.design = self._designed([None] * len(base.runs))
-        self.data = self.y = self.full(self.whiten(base.rest))[:, 0]
-
-    def _designed(self, states: Sequence[State | None]) -> Design:
-        """The base model's columns whitened, as the states' recordings have them."""
-        base, axes = self.base, range(len(self.whitening))
-        parts = ([base.design(k, j, state) for k, state in enumerate(states)] for j in axes)
-        blocks = tuple(Block(j, base.acting(j), self.whitened(j, part)) for j, part in zip(axes, parts, strict=True))
-        return Design(self.count, len(axes), blocks, np.ones(len(base.parameters)))
-
-    def recorded(self, alike: float = 0.01) -> Design:
-        """The base model's columns as the recording has them, at the tolerances in force.
-
-        Through a recording whose gains, and delay in rows, are so much ``alike``, they are what they were.
-        """
-        now = recording_of(self)
-        if not np.any(now[0]) and np.all(now[1:] == 1):
-            return self.design.scaled(self.widened)
-        if self.through is None or np.abs(self.through[0] - now).max() > alike:
-            self.through = now, self._designed(self.state)
-        return self.through[1].scaled(self.widened)
-
-    @cached_property
-    def information(self) -> FloatArray:
-        """Gauss–Newton matrix (z, z), prior included."""
-        return self.A.gram + np.eye(self.A.width)
-
-    @cached_property
-    def inverse(self) -> FloatArray:
-        """Of the information."""
-        return np.asarray(np.linalg.inv(self.information))
-
-    @cached_property
-    def z(self) -> FloatArray:
-        """The base model's optimum."""
-        return np.asarray(np.linalg.solve(self.information, self.A.transposed(self.y)))
-
-    @cached_property
-    def residual(self) -> FloatArray:
-        """y − A z (N,)."""
-        return self.y - self.A.times(self.z)
-
-    def plain(self, z: FloatArray) -> FloatArray:
-        """z in the deviations of the description."""
-        out = z.copy()
-        for k, factor in self.widened.items():
-            out[k] *= factor
-        return out
 
     def entries(self, z: FloatArray, without: Suspect | None = None) -> list[Entry]:
         """What was found so far, at z."""
@@ -202,24 +59,9 @@ class System:
             at += len(found.hypothesis.own)
         return list(range(at, at + len(suspect.hypothesis.own)))
 
-    def torque(self, entries: Sequence[Entry], at_once: bool = False) -> list[FloatArray]:
-        """What entries add (m, n), run by run; a coupled drive's friction may turn round ``at_once``, to begin with."""
-        out = []
-        for run, state in zip(self.base.runs, self.state, strict=True):
-            known = replace(state, at_once=at_once)
-            parts = [entry_torque(run, known, e, e.values) for e in entries]
-            out.append(parts[0] if len(parts) == 1 else sum(parts, np.zeros_like(run.torque)))
-        return out
-
-    def across(self, columns: Columns) -> FloatArray:
-        """CᵀA (k, z)."""
-        return self.A.across(columns.joints, columns.rows)
-
-    def projected(self, columns: Columns) -> tuple[FloatArray, FloatArray]:
-        """CᵀPC (k, k) and CᵀPy (k,), the base model's numbers eliminated."""
-        across = self.across(columns)
-        pull = columns.rows.T @ self.on(self.residual, columns)
-        return columns.rows.T @ columns.rows - across @ self.inverse @ across.T, pull
+    def robot(self, z: FloatArray, entries: Sequence[Entry] = ()) -> Robot:
+        """The description at the nearest to z that can exist, with what was found and more entries."""
+        return robot_of(self, z, (*self.entries(z), *entries))
 
 
 def refer(system: System, z: FloatArray, alike: float = 1e-3) -> list[FloatArray]:
@@ -228,19 +70,12 @@ def refer(system: System, z: FloatArray, alike: float = 1e-3) -> list[FloatArray
     Through a recording whose gains, and delay in rows, are so much ``alike``, columns are what they were.
     """
     added = _refer(system, z, system.entries(z))
-    now = recording_of(system)
+    now = system.recorded_through
     if len(system.recording) and np.abs(now - system.recording).max() > alike:
         system.screened, system.slopes, system.recording = {}, {}, now
     elif not len(system.recording):
         system.recording = now
     return added
-
-
-def recording_of(system: System) -> FloatArray:
-    """(1 + n,) delay in rows, and gains, through which a system's torque is recorded."""
-    state = system.state[0]
-    rows = (state.delay + state.lag) * system.base.runs[0].rate_hz
-    return np.array([rows, *np.atleast_2d(state.gain).mean(axis=0)])
 
 
 def _refer(system: System, z: FloatArray, entries: Sequence[Entry]) -> list[FloatArray]:

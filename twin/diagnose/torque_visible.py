@@ -8,7 +8,8 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.torque_fit import evaluate
 from twin.diagnose.torque_suspects import Suspect
-from twin.diagnose.torque_system import Columns, System, own_prior, own_values
+from twin.diagnose.torque_system import System, own_prior, own_values
+from twin.model.torque_whitened import Columns
 from twin.parallel import spread
 from twin.ranges import implausible
 

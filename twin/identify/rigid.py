@@ -13,7 +13,8 @@ from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import LEAST_MOTION, MotionLog, MotionRun, refuse_saturated, refuse_without_motion
 from twin.measure.torque_unit import unit_note
 from twin.model.base_parameters import BaseParameters, base_parameters, structural_base
-from twin.model.regressor import Regressor, inertial_vector, pseudo_inertia
+from twin.model.possible import floors, nearest_possible
+from twin.model.regressor import Regressor, inertial_vector
 from twin.model.torque_base import with_whole_friction
 from twin.model.torque_noise import MOST_TAKEN, ROUNDED
 from twin.model.torque_rows import (
@@ -222,16 +223,8 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     H = G.T @ G + np.diag(np.where(prior > 0, prior, 1e-6))
     linear = -G.T @ target
     x = x0 + step @ nearest_possible(regressor, H, linear, x0, step, margin)
-    floor, least = _floors(regressor, margin)
+    floor, least = floors(regressor, margin)
     return np.where(floor, np.maximum(x, least), x)
-
-
-def _floors(regressor: Regressor, margin: float) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Which parameters (p,) have a least value of their own, and that (p,)."""
-    columns = regressor.columns
-    floor = np.array([column.nonnegative and column.group != "link" for column in columns])
-    rotor = np.array([column.group == "rotor" for column in columns])
-    return floor, np.where(rotor, margin * regressor.described, 0.0)
 
 
 def _inverse_root(covariance: FloatArray, least: float = 1e-12) -> FloatArray:
@@ -241,42 +234,6 @@ def _inverse_root(covariance: FloatArray, least: float = 1e-12) -> FloatArray:
         raise np.linalg.LinAlgError("no parameter is identifiable")
     value, vectors = np.linalg.eigh(covariance / np.outer(deviation, deviation))
     return (vectors / np.sqrt(np.maximum(value, least * value[-1]))).T / deviation
-
-
-def nearest_possible(
-    regressor: Regressor, H: FloatArray, linear: FloatArray, x0: FloatArray, step: FloatArray, margin: float = 1e-3
-) -> FloatArray:
-    """d (m,) of least ½ dᵀH d + linearᵀd at which x0 + step d (p,) is a robot that can exist, as in `consistent`."""
-    import clarabel  # type: ignore[import-untyped]
-    from scipy import sparse
-
-    rows, bounds, cones = [], [], []
-    floor, least = _floors(regressor, margin)
-    if floor.any():
-        rows.append(-step[floor])
-        bounds.append((x0 - least)[floor])
-        cones.append(clarabel.NonnegativeConeT(int(floor.sum())))
-    root2 = np.sqrt(2.0)
-    triangle = [(i, j) for j in range(4) for i in range(j + 1)]
-    for i in range(regressor.robot.axis_count):
-        part = slice(10 * i, 10 * i + 10)
-        scale = np.sqrt(np.diag(pseudo_inertia(regressor.described[part])))
-        # congruence keeps definiteness and makes the numbers of one size
-        unit = np.stack([pseudo_inertia(row) for row in np.eye(10)], axis=-1) / np.outer(scale, scale)[:, :, None]
-        pick = np.array([unit[a, c] * (1 if a == c else root2) for a, c in triangle])
-        rows.append(-pick @ step[part])
-        bounds.append(pick @ (x0[part] - margin * regressor.described[part]))
-        cones.append(clarabel.PSDTriangleConeT(4))
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix(np.triu(H)), linear, sparse.csc_matrix(np.concatenate(rows)), np.concatenate(bounds), cones,
-        settings,
-    )  # fmt: skip
-    solution = solver.solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
-        raise ArithmeticError(f"no physically consistent set found: {solution.status}")
-    return np.array(solution.x)
 
 
 def _prior_steps(regressor: Regressor, estimate: Estimate) -> FloatArray:

@@ -1,16 +1,15 @@
-"""The robot that a fit to a log describes: bodies that can exist, entries as they are written, presliding."""
+"""The robot that numbers of a log's model describe: bodies that can exist, entries as they are written, presliding."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import nnls
 
-from twin.diagnose.torque_system import System
-from twin.identify.rigid import nearest_possible
 from twin.measure.campaign import FloatArray
-from twin.model.regressor import body_of, pseudo_inertia
+from twin.model.possible import nearest_possible, possible
 from twin.model.torque_base import PRESLIDING, PRESLIDING_TRAVELS, dry_level
 from twin.model.torque_numbers import corrected, numbers_of
+from twin.model.torque_whitened import Whitened
 from twin.physics import CATALOGUE, effect_of
 from twin.physics.effect import axis_of
 from twin.robot.description import Entry, Robot
@@ -18,34 +17,34 @@ from twin.robot.description import Entry, Robot
 INWARDS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # shares of the way to the described robot, whose links are bodies
 
 
-def robot_of(system: System, z: FloatArray, entries: Sequence[Entry] = ()) -> Robot:
+def robot_of(rows: Whitened, z: FloatArray, entries: Sequence[Entry] = ()) -> Robot:
     """The description at the nearest to z that can exist, with entries."""
-    base, z = system.base, that_can_exist(system, z)
-    values = base.values(system.plain(z))
+    base, z = rows.base, that_can_exist(rows, z)
+    values = base.values(rows.plain(z))
     columns = base.regressor.columns
     values, changes = values[: len(columns)], values[len(columns) :]
     floor = [column.nonnegative and column.group != "link" for column in columns]
     fitted = base.regressor.robot_with(np.where(floor, np.maximum(values, 0.0), values))
     numbers = numbers_of(base.regressor.robot)
-    told = {system.parameters.names[k] for k in system.widened}
+    told = {rows.parameters.names[k] for k in rows.widened}
     fitted = corrected(fitted, numbers, [p.mean + x for p, x in zip(numbers, changes, strict=True)], told)
-    added = [_rounded(entry, fitted) for entry in (*system.entries(z), *entries)]
+    added = [_rounded(entry, fitted) for entry in entries]
     return fitted.model_copy(update={"physics": [*fitted.physics, *added]})
 
 
-def with_presliding(system: System, z: FloatArray, robot: Robot, slight: float = 1e-3) -> Robot:
+def with_presliding(rows: Whitened, z: FloatArray, added: Sequence[Entry], robot: Robot, slight: float = 1e-3) -> Robot:
     """The description at z with the fit's ordinary ``presliding``, which its Coulomb friction gives up.
 
     After a reversal a bristle of travel t has turned round by 1 − exp(−x/t). An element of yield torque Y and stiffness
     K has turned by min(K x/(2 Y), 1). Elements of all travels together turn as the fitted bristles do: a least-squares
     fit on a logarithmic grid, none below zero (Masing's rule; Iwan, J. Appl. Mech. 33, 1966). An element of less than a
-    ``slight`` share of dry friction is left out.
+    ``slight`` share of dry friction is left out. ``added`` are entries that the model has beside the description's.
     """
-    base = system.base
+    base = rows.base
     travels, first = base.presliding[0].shape[2], base.spread.shape[1]
-    z = system.plain(z)
+    z = rows.plain(z)
     alone = first + travels + base.regressor.robot.axis_count * base.ripple[0].shape[2]
-    found = [entry for entry in system.entries(z) if entry.site.startswith("joint")]
+    found = [entry for entry in added if entry.site.startswith("joint")]
     dry_name, slip_name = effect_of("dry").name, effect_of("slip").name
     physics = list(robot.physics)
     for j in np.flatnonzero(base.sliding).tolist():
@@ -85,20 +84,20 @@ def _slip_elements(travels: FloatArray, share: FloatArray, count: int = 10) -> t
     return ends, torque
 
 
-def that_can_exist(system: System, z: FloatArray) -> FloatArray:
+def that_can_exist(rows: Whitened, z: FloatArray) -> FloatArray:
     """The nearest to z (n,), as the fit measures it, whose links are bodies and whose friction is not below zero.
 
     What the data do not hold gives way; what was found stays as it is.
     """
-    base, size, shared = system.base, len(system.base.parameters), system.base.spread.shape[1]
+    base, size, shared = rows.base, len(rows.base.parameters), rows.base.spread.shape[1]
     regressor = base.regressor
-    values = base.values(system.plain(z))[: len(regressor.columns)]
+    values = base.values(rows.plain(z))[: len(regressor.columns)]
     links = values[: 10 * regressor.robot.axis_count].reshape(-1, 10)
     others = [v for v, column in zip(values, regressor.columns, strict=True) if column.nonnegative]
-    if min(others, default=0.0) >= 0 and all(_possible(link) for link in links):
+    if min(others, default=0.0) >= 0 and all(possible(link) for link in links):
         return z
-    step = base.spread[: len(values)] * system.plain(np.ones(len(z)))[:shared]
-    A = system.information[:size, :size]
+    step = base.spread[: len(values)] * rows.plain(np.ones(len(z)))[:shared]
+    A = rows.information[:size, :size]
     follow = np.linalg.solve(A[shared:, shared:], A[shared:, :shared])
     H = A[:shared, :shared] - A[shared:, :shared].T @ follow  # of the links, all else where it fits best
     described = -z[:shared]
@@ -111,17 +110,10 @@ def that_can_exist(system: System, z: FloatArray) -> FloatArray:
         out = z.copy()
         out[:shared] += inside
         out[shared:size] -= follow @ inside
-        links = base.values(system.plain(out))[: links.size].reshape(links.shape)
-        if all(_possible(link) for link in links):
+        links = base.values(rows.plain(out))[: links.size].reshape(links.shape)
+        if all(possible(link) for link in links):
             break
     return out
-
-
-def _possible(vector: FloatArray) -> bool:
-    if vector[0] <= 0 or np.linalg.eigvalsh(pseudo_inertia(vector))[0] <= 0:
-        return False
-    principal = np.linalg.eigvalsh(body_of(vector)[2])
-    return bool(principal[0] > 0 and principal[0] + principal[1] > principal[2] * (1 + 1e-9))
 
 
 def _rounded(entry: Entry, robot: Robot) -> Entry:
