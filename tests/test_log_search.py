@@ -23,6 +23,7 @@ from twin.diagnose.torque_judge import Judge, Told, free_gains, vibration
 from twin.diagnose.torque_left_out import left_out_runs, without_run
 from twin.diagnose.torque_look import _recorded_alike, decided, in_its_link, look, number_groups
 from twin.diagnose.torque_nearest import nearest, step_nearer
+from twin.diagnose.torque_next import smallest_visible
 from twin.diagnose.torque_off import as_described
 from twin.diagnose.torque_revise import one_for_two
 from twin.diagnose.torque_search import Search, _borne_out, _too_many
@@ -38,7 +39,6 @@ from twin.diagnose.torque_system import (
     relinearised,
     system_of,
 )
-from twin.diagnose.torque_visible import smallest_visible
 from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log
 from twin.model import torque_clock

@@ -101,7 +101,6 @@ def _of_law(
     if answer:
         best, none, other = answer.best, answer.none, answer.other
     plain = without_limits(without_laws(given))
-
     records, errors = frf_records(
         plain, search.base, search.base, found.used, found.kept, found.shared, search.processes
     )

@@ -23,7 +23,7 @@ from twin.diagnose.torque_following import Following
 from twin.diagnose.torque_left_out import left_out_runs
 from twin.diagnose.torque_locate import disturbances, spots
 from twin.diagnose.torque_nearest import nearest
-from twin.diagnose.torque_next import next_log
+from twin.diagnose.torque_next import next_log, smallest_visible
 from twin.diagnose.torque_off import as_described, bare, far_off, numbers_of_answer, taken_back, told
 from twin.diagnose.torque_play import Play, missing_play, plays, with_play
 from twin.diagnose.torque_revise import at_once, seen_at_rest_only
@@ -32,7 +32,6 @@ from twin.diagnose.torque_states import RunStates
 from twin.diagnose.torque_step import REFITTED, Step, left_out, possible
 from twin.diagnose.torque_suspects import Suspect, log_suspects, not_sought, with_values
 from twin.diagnose.torque_system import System, system_of
-from twin.diagnose.torque_visible import smallest_visible
 from twin.diagnose.verdict import Finding, Missing, Word, estimates_of, missing_of, off_descriptions
 from twin.diagnose.verdict import judge as word_of
 from twin.identify.uncertainty import NINETY

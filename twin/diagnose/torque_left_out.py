@@ -11,11 +11,10 @@ import numpy as np
 
 from twin.diagnose.left_out import LeftOut
 from twin.diagnose.records import LogRecord, Stage
-from twin.diagnose.torque_curved import with_entries
 from twin.diagnose.torque_fit import base_fit, evaluate
 from twin.diagnose.torque_judge import Judge
 from twin.diagnose.torque_search import Search
-from twin.diagnose.torque_step import freed_by
+from twin.diagnose.torque_step import freed_by, with_entries
 from twin.diagnose.torque_system import System, extended, refer, relinearised, with_wider
 from twin.model.torque_base import base_of
 from twin.model.torque_signal import Prepared, Run

@@ -14,15 +14,15 @@ import numpy as np
 
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import finalists
+from twin.diagnose.departures import STRAINED
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted
-from twin.diagnose.torque_curved import with_curved_friction
 from twin.diagnose.torque_discover import discover, unnamed
 from twin.diagnose.torque_fit import base_fit, evaluate, fitted, from_every_start, refine, settle, start, worth
 from twin.diagnose.torque_judge import Judge, free_gains, vibration
 from twin.diagnose.torque_look import decided, look, nothing_of
 from twin.diagnose.torque_revise import all_grown, bounded, foretelling, one_for_two, pruned, revised
-from twin.diagnose.torque_step import REFITTED, Step, accepted, left_out, what_is_left, with_step
+from twin.diagnose.torque_step import REFITTED, Step, accepted, left_out, what_is_left, with_entries, with_step
 from twin.diagnose.torque_suspects import Suspect
 from twin.diagnose.torque_system import System, Trial, extended, relinearised, unshrunk, with_doubts, with_wider
 from twin.measure.campaign import FloatArray
@@ -30,6 +30,7 @@ from twin.model.torque_base import Base
 from twin.model.torque_signal import Run
 from twin.parallel import Progress
 from twin.physics import effect_of
+from twin.physics.effect import axis_of
 from twin.physics.statements import Part
 
 FRICTION: tuple[Part, ...] = ("viscous", "dry")  # kinds that every joint has
@@ -148,13 +149,61 @@ def explain(
     def beside(curved: System) -> Search:
         return found(curved, free_gains(curved, processes), _lacking_kinds(curved, suspects))
 
-    if curved := with_curved_friction(system, lacking[1], suspects, judge):
+    if curved := _with_curved_friction(system, lacking[1], suspects, judge):
         return beside(curved)
     search = found(system, free, lacking)
     if max(search.held_out_misfit, search.after.misfit) > calibration()["held_out_adequate"]:
-        curved = with_curved_friction(system, search.system, suspects, judge)  # it shows better beside what was found
+        curved = _with_curved_friction(system, search.system, suspects, judge)  # it shows better beside what was found
         return beside(curved) if curved else search
     return search
+
+
+def _with_curved_friction(
+    system: System, whole: System, suspects: Sequence[Suspect], judge: Judge | None
+) -> System | None:
+    """The model with friction that bends with speed at most joints, alike; ``None`` where it does not.
+
+    Lubricated gears need less torque at high speed than viscous friction would have, cycloidal or harmonic ones often
+    more (Bittencourt, Gunnarsson, J. Dyn. Sys. Meas. Control 134, 2012). A description has dry and viscous friction.
+    What bends alike at most joints is how its drives are; what bends at one joint alone is a suspect as any other.
+
+    Args:
+        system: base model; ``whole`` with the friction that all joints lack.
+        suspects: the law without a name that each joint may have is what bends.
+        judge: runs not used, which such a model must predict better.
+    """
+    turning = system.base.regressor.robot.coupling != 0  # a drive that turns with several axes bends with all of them
+    alone = np.flatnonzero((turning.sum(axis=0) == 1) & (turning.sum(axis=1) == 1))
+    laws = [s for s in suspects if s.effect.part == "law" and axis_of(s.hypothesis.site) in alone]
+    if len(laws) < 2:
+        return None
+    here = whole
+    for law in laws:
+        here = extended(here, unshrunk(settle(whole, start(whole, law))))
+    here = relinearised(here)
+    before, after = base_fit(whole), base_fit(here)
+    off = _bends(here, laws)
+    strongest = int(np.argmax(np.abs(off)))
+    alike = off * np.sign(off[strongest]) > STRAINED
+    gained = after.evidence() - before.evidence()
+    if np.delete(alike, strongest).mean() <= 0.5 or gained < calibration()["further"] * len(laws):
+        return None
+    if judge is not None and judge.density(here, after) <= judge.density(whole, before):
+        return None
+    added = here.found[len(whole.found) :]
+    return with_entries(system, here, [law for law, bent in zip(added, alike, strict=True) if bent])
+
+
+def _bends(system: System, laws: Sequence[Suspect]) -> FloatArray:
+    """Deviations (n,) that each law's size is off zero; a joint that is missed by more than noise tells less."""
+    found = []
+    for law in laws:
+        (own,) = system.own(law)
+        joint = axis_of(law.hypothesis.site)
+        rest = system.residual[system.rows(joint)]
+        misfit = max(1.0, float(rest @ rest) / (system.count * float(system.level[joint])))
+        found.append(float(system.z[own]) / np.sqrt(system.inverse[own, own] * misfit))
+    return np.array(found)
 
 
 def _found(

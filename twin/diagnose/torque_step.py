@@ -1,5 +1,6 @@
 """What was found in a log, one step of the search each, and the rows with it and without it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -171,3 +172,10 @@ def own_rows(system: System, suspect: Suspect) -> tuple[FloatArray, FloatArray]:
     own, at = suspect.hypothesis.own, system.own(suspect)
     doubt = np.sqrt(np.diag(np.linalg.inv(system.information))[at])
     return own_values(own, system.z[at]), doubt * [0.0 if p.log else p.deviation for p in own]
+
+
+def with_entries(system: System, other: System, found: Sequence[Suspect]) -> System:
+    """A system with what was found in another one, fitted again from where it is there."""
+    for suspect in found:
+        system = extended(system, evaluate(system, suspect, other.z[other.own(suspect)]))
+    return relinearised(system)
