@@ -14,7 +14,7 @@ from tools.truth.recording import ANTI_ALIAS, HammerTest
 from tools.truth.robots import machines, write_description
 from tools.truth.wrong import record
 from twin.diagnose import hammer
-from twin.diagnose.frf_leak import Leak, _step, cut_off, leaking, refined, rewindowed
+from twin.diagnose.frf_leak import _step, cut_off, leaking, refined, rewindowed
 from twin.diagnose.patience import Patience
 from twin.diagnose.refit import Fitted
 from twin.diagnose.search import converge
@@ -22,6 +22,7 @@ from twin.diagnose.triage import triage
 from twin.identify.objective import Sample
 from twin.measure.campaign import Campaign, Channels, Hits, PostureFRF, read_campaign
 from twin.measure.spectra import spectra
+from twin.model.cut_off import Leak
 from twin.model.leakage import leakage, leakage_later, leakage_slopes
 from twin.model.linear import state_matrix
 from twin.model.parameters import free_parameters

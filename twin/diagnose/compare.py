@@ -1,9 +1,9 @@
 """A robot beside a hammer test as a diagnosis sees it: by its linear model, or its blows stepped in time."""
 
 from twin.diagnose.frf_faults import sound
-from twin.diagnose.struck import amplitude_entries, judge_struck
 from twin.identify.elastic_compare import Comparison, comparison, judge
 from twin.identify.joint_reaction import blows
+from twin.identify.struck import amplitude_entries, judge_struck
 from twin.measure.campaign import Campaign
 from twin.model.recorded import believed
 from twin.robot.description import Robot

@@ -1,8 +1,7 @@
 """Records that end while the robot still rings: FRFs made again from raw hits, or models that leak as they do."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,120 +9,42 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
 from twin.diagnose.search import REFIT_LINES
-from twin.errors import InputError
+from twin.identify.joint_reaction import PULSE_S
 from twin.identify.objective import Objective, Sample
-from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
+from twin.measure.campaign import Campaign, FloatArray
 from twin.measure.frf_noise import ANALYSER
-from twin.measure.spectra import END_LEVEL, needed_window_rate, posture_from_hits
-from twin.model.leakage import leakage, leakage_later, leakage_slopes
-from twin.model.parameters import independent
-from twin.model.recorded import Recorded, fields_of
-from twin.model.sensitivity import Observed, Structure, observe_all, poles
+from twin.measure.spectra import windowed_again
+from twin.model.cut_off import CutOff, Leak, record_length_s, ringing, rings_most
+from twin.model.leakage import leakage
+from twin.model.recorded import Recorded
+from twin.model.sensitivity import Observed, observe_all
 from twin.robot.description import Robot
 
-LIGHTEST = 0.01  # damping ratio of the modes of robots, at least: descriptions know little of dampers
 LEFT = 0.1  # of a mode's swing at the end of a record without a window: 10 % of it leak
 MISSED = 1.2  # misfit of a fit that misses something
 SLIGHT = ANALYSER  # of its swing: no FRF shows that so much of a mode is cut off
 LEAST = 0.75  # of a record is after the blow, at least
 TRIED_RAD = 0.5  # of the fastest mode that rings at the end, by which records are tried longer
 SETTLED_SHARE = 0.01  # of the steps by which lengths of records and blows are found
-LEAK_STEPS, SHORTENED = 6, 3  # of these, and trials of one, each a quarter of the last
+LEAK_STEPS, QUARTERED = 6, 3  # of these, and trials of one, each a quarter of the last
 INEXACT = 0.005  # of what records lack: blows differ in length by a tenth, and the mean of some by less
 JITTER_S = 3e-4  # by which the middles of blows differ, whose lengths differ by a tenth
-PULSE_S, SPREAD = 8e-3, 0.218  # of a usual blow; root of the second moment of a half-sine over its length
+SPREAD = 0.218  # root of the second moment of a half-sine over its length
 RESCANNED = 3  # times at most that the length of a record is looked for again beside a better model
 EXPLAINED = 0.5  # of the misfit beyond noise that leakage has to explain: a model that is far off gains some by chance
 
 
 def rewindowed(campaign: Campaign) -> tuple[Campaign, list[Note]]:
     """A campaign whose raw hits are windowed where its FRFs leak, and a note that says so."""
-    postures, rates = dict(campaign.postures), []
-    for name, p in campaign.postures.items():
-        if p.hits is None or p.hits.windowed or not p.frf.size:
-            continue
-        rate = needed_window_rate(p.hits)
-        length_s = p.hits.response.shape[-1] / p.hits.sample_rate_hz
-        if END_LEVEL * np.exp((rate - p.exponential_window_rate) * length_s) < SLIGHT:
-            continue
-        try:
-            made, _ = posture_from_hits(name, p.q_deg, p.brakes, p.hits, fmax=float(p.frequency[-1]))
-        except InputError:  # no hit of a point can be used: the FRFs came from others
-            continue
-        keep = made.frequency >= p.frequency[0] * (1 - 1e-9)
-        assert made.coherence is not None
-        postures[name] = replace(
-            made, frequency=made.frequency[keep], frf=made.frf[keep], coherence=made.coherence[keep],
-            peak_force_n=p.peak_force_n, pulse_s=p.pulse_s, record_s=p.record_s,
-        )  # fmt: skip
-        rates.append(rate)
-    if not rates:
+    again = {name: found for name, p in campaign.postures.items() if (found := windowed_again(name, p, SLIGHT))}
+    if not again:
         return campaign, []
     text = (
         f"records end while the robot still rings, and the FRFs leak: they were made again from the raw hits under an "
-        f"exponential window of {max(rates):.3g} 1/s"
+        f"exponential window of {max(rate for _, rate in again.values()):.3g} 1/s"
     )
+    postures = {**campaign.postures, **{name: made for name, (made, _) in again.items()}}
     return replace(campaign, postures=postures), [Note(text, "leakage", "fail")]
-
-
-@dataclass(frozen=True)
-class Leak:
-    """How records leak.
-
-    Attributes:
-        share: of a record after the middle of the blow, whose second moment is ``spread_s``².
-        earlier: of every group by how many s the blows on each point came earlier than that, (ne,).
-        variance: of every group (nf, nr, ne), with what the model may be off by; without it the recording's own.
-    """
-
-    share: float
-    spread_s: float
-    earlier: Mapping[str, FloatArray] = field(default_factory=dict)
-    variance: Mapping[str, FloatArray] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class CutOff(Recorded):
-    """A recording whose records ended ``record_s`` after the middle of the blows, while modes still rang."""
-
-    exact: ClassVar[bool] = False
-    record_s: float
-    spread_s: float
-    earlier_s: FloatArray
-
-    @classmethod
-    def of(cls, r: Recorded, posture: PostureFRF, how: "Leak") -> "CutOff":
-        """A recording that leaks."""
-        known = fields_of(r)
-        if len(how.variance.get(r.group, ())) == len(r.s):
-            known["variance"] = how.variance[r.group]
-        earlier = how.earlier.get(r.group, np.zeros(r.frf.shape[2]))
-        return cls(**known, record_s=how.share * _record_s(posture), spread_s=how.spread_s, earlier_s=earlier)
-
-    def respond(self, seen: Observed, model: Structure) -> ComplexArray:
-        """FRFs (nf, nr, ne) of a model as they leak."""
-        return np.asarray(super().respond(seen, model) - self.lacks(seen))
-
-    def lacks(self, seen: Observed) -> ComplexArray:
-        """What records lack of the FRFs of a model, (nf, nr, ne)."""
-        lost = leakage(seen, self.s, self.power, self.record_s, self.spread_s)
-        return np.asarray(lost + self.earlier_s * self.later(seen) if self.earlier_s.any() else lost)
-
-    def later(self, seen: Observed) -> ComplexArray:
-        """What records lack more per second by which blows come earlier, (nf, nr, ne)."""
-        return leakage_later(seen, self.s, self.power, self.record_s, self.spread_s)
-
-    def respond_slopes(self, seen: Observed, model: Structure, rate: Observed) -> tuple[ComplexArray, ComplexArray]:
-        """The same and its derivatives (n, nf, nr, ne)."""
-        H, dH = super().respond_slopes(seen, model, rate)
-        L, dL = leakage_slopes(seen, rate, self.s, self.power, self.record_s, self.spread_s)
-        earlier = self.earlier_s * self.later(seen) if self.earlier_s.any() else 0.0
-        dH -= dL
-        return np.asarray(H - L - earlier), dH
-
-    def probed(self, count: int) -> Recorded:
-        """What receptance is asked for with ``count`` more excitations: the structure's own, which leaks nothing."""
-        return replace(Recorded(**fields_of(self)), power=0)
 
 
 def cut_off(
@@ -138,7 +59,7 @@ def cut_off(
     A whole record is taken to be as long as stated, or as the spacing of its lines says. Where in it the blows are, and
     how long they are, is fitted: a mode's phase at the end tells the former to less than a millisecond.
     """
-    described, fitted = (_worst(robot, sample.recordings, campaign)[0] for robot in (base, fit.robot))
+    described, fitted = (rings_most(robot, sample.recordings, campaign)[0] for robot in (base, fit.robot))
     if fit.misfit < MISSED or max(described, fitted) < SLIGHT:
         return None
     thin = sample.thin(REFIT_LINES)
@@ -167,11 +88,11 @@ def cut_off(
     leak, better = refined(leak, campaign, base, near, sample, every)
     if plain.cost - better.cost < calibration()["seen"]:
         return None
-    left, group, frequency_hz = _worst(better.robot, sample.recordings, campaign)
+    left, group, frequency_hz = rings_most(better.robot, sample.recordings, campaign)
     text = (
         f"{group}: the mode near {frequency_hz:.3g} Hz still has {left:.0%} of its amplitude at the end of a record of "
-        f"{_record_s(campaign.postures[group]):.3g} s. The FRFs contain leakage, and the model was given the same "
-        "leakage. Put an exponential window on the records and state it, or record longer"
+        f"{record_length_s(campaign.postures[group]):.3g} s. The FRFs contain leakage, and the model was given the "
+        "same leakage. Put an exponential window on the records and state it, or record longer"
     )
     return leak, better, [Note(text, "leakage", "fail")]
 
@@ -189,7 +110,7 @@ def refined(
     reach = np.array([TRIED_RAD / _longest(campaign) / _fastest(thin), 0.5 * leak.spread_s])
     for _ in range(LEAK_STEPS):
         step = np.clip(_step(lambda how: leaking(thin, campaign, how), leak, better, base, reach), -reach, reach)
-        for _ in range(SHORTENED):
+        for _ in range(QUARTERED):
             found = _moved(leak, step)
             if (again := fitted(found, better.z)).cost < better.cost:
                 break
@@ -208,8 +129,8 @@ def refined(
 
 def _lengths(fit: Fitted, thin: Sample, campaign: Campaign) -> list[Leak]:
     """Leaks of records cut off at many instants, closer to each other than the fastest ringing mode turns."""
-    ringing = [rate for left, _, rate in _ringing(fit.robot, thin.recordings, campaign) if left > SLIGHT]
-    longest, fastest = _longest(campaign), max(ringing, default=_fastest(thin))
+    rates = [rate for left, _, rate in ringing(fit.robot, thin.recordings, campaign) if left > SLIGHT]
+    longest, fastest = _longest(campaign), max(rates, default=_fastest(thin))
     usual = SPREAD * max([p.pulse_s for p in campaign.postures.values() if p.pulse_s] or [PULSE_S])
     return [Leak(x, usual) for x in np.linspace(LEAST, 1.0, int((1 - LEAST) * longest * fastest / TRIED_RAD) + 2)]
 
@@ -257,7 +178,7 @@ def _earlier(some: Sample, fit: Fitted) -> dict[str, FloatArray]:
 
 def _longest(campaign: Campaign) -> float:
     """Length of the longest record, s."""
-    return max(_record_s(posture) for posture in campaign.postures.values())
+    return max(record_length_s(posture) for posture in campaign.postures.values())
 
 
 def _fastest(sample: Sample) -> float:
@@ -318,34 +239,12 @@ def _doubted(sample: Sample, fit: Fitted) -> dict[str, FloatArray]:
     return found
 
 
-def _record_s(posture: PostureFRF) -> float:
-    """Length of a posture's records: as stated, or as the spacing of its lines says, which may have been thinned."""
-    return posture.record_s or 1 / float(np.median(np.diff(posture.frequency)))
-
-
-def _ringing(robot: Robot, recordings: Sequence[Recorded], campaign: Campaign) -> Iterator[tuple[float, str, float]]:
-    """Of every mode of the band the share of its swing at the end of a record, whose record, and rad/s."""
-    for r in recordings:
-        record_s, window = _record_s(campaign.postures[r.group]), float(r.s[0].real)
-        ((seen, _),) = observe_all(robot, [r.setup], independent([]), np.zeros(0))
-        pole, _ = poles(seen)
-        for one in pole[(np.abs(pole) > np.abs(r.s[0])) & (np.abs(pole) < np.abs(r.s[-1]))]:
-            decay = max(-float(one.real), LIGHTEST * abs(one)) + window
-            yield float(np.exp(-decay * record_s)), r.group, abs(one)
-
-
-def _worst(robot: Robot, recordings: Sequence[Recorded], campaign: Campaign) -> tuple[float, str, float]:
-    """The largest share of its swing that a mode of the band has at the end of a record, whose, and its Hz."""
-    left, group, rate = max(_ringing(robot, recordings, campaign), default=(0.0, "", 0.0))
-    return left, group, rate / 2 / np.pi
-
-
 def cut_short(robot: Robot, campaign: Campaign, recordings: Sequence[Recorded]) -> list[Note]:
     """A note where modes of the description still ring at the end of a record whose FRFs state no window."""
-    left, group, frequency_hz = _worst(robot, recordings, campaign)
+    left, group, frequency_hz = rings_most(robot, recordings, campaign)
     if left <= LEFT:
         return []
-    record_s = _record_s(campaign.postures[group])
+    record_s = record_length_s(campaign.postures[group])
     text = (
         f"{group}: lines are {1 / record_s:.3g} Hz apart, so a record as stated is {record_s:.3g} s long. At its end "
         f"the mode near {frequency_hz:.3g} Hz still has {left:.0%} of its amplitude. Unless lines were dropped, "

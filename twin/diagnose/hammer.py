@@ -23,7 +23,7 @@ from twin.diagnose.departures import STRAINED
 from twin.diagnose.described import described, geometry, nodes_within
 from twin.diagnose.edit import check_linear, is_nonlinear, with_modes
 from twin.diagnose.frf_faults import put_right, without_hum
-from twin.diagnose.frf_leak import Leak, cut_off, cut_short, leaking, refined, rewindowed
+from twin.diagnose.frf_leak import cut_off, cut_short, leaking, refined, rewindowed
 from twin.diagnose.frf_off import data_cost, off_description
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, about, settled_with, shared
@@ -43,7 +43,7 @@ from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, WITHIN, Search, conv
 from twin.diagnose.sensor_weight import weightless
 from twin.diagnose.sentences import sentence
 from twin.diagnose.states import sorted_out
-from twin.diagnose.struck import moved_far, without_laws
+from twin.diagnose.struck import moved_far
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import (
     Candidate,
@@ -64,8 +64,10 @@ from twin.identify.elastic_compare import noise_floor
 from twin.identify.joint_reaction import blows
 from twin.identify.objective import Sample
 from twin.identify.posterior import Posterior
+from twin.identify.struck import without_laws
 from twin.measure.campaign import Campaign, FloatArray
 from twin.measure.recordings import Recording
+from twin.model.cut_off import Leak
 from twin.model.parameters import Parameters, free_parameters, require_springs, written_names
 from twin.model.recorded import Recorded, base_name, prepare, without_limits
 from twin.parallel import Progress, ahead

@@ -241,6 +241,31 @@ def needed_window_rate(hits: Hits) -> float:
     return float(np.log(level / END_LEVEL) / (nt / hits.sample_rate_hz)) if level > END_LEVEL else 0.0
 
 
+def windowed_again(name: str, posture: PostureFRF, slight: float) -> tuple[PostureFRF, float] | None:
+    """A posture's FRFs made again from its raw hits under a window that they need, and its rate, 1/s.
+
+    ``None`` where there are no raw hits, or under the window that there is no more than a ``slight`` share is cut off.
+    """
+    hits = posture.hits
+    if hits is None or hits.windowed or not posture.frf.size:
+        return None
+    rate = needed_window_rate(hits)
+    length_s = hits.response.shape[-1] / hits.sample_rate_hz
+    if END_LEVEL * np.exp((rate - posture.exponential_window_rate) * length_s) < slight:
+        return None
+    try:
+        made, _ = posture_from_hits(name, posture.q_deg, posture.brakes, hits, fmax=float(posture.frequency[-1]))
+    except InputError:  # no hit of a point can be used: the FRFs came from others
+        return None
+    keep = made.frequency >= posture.frequency[0] * (1 - 1e-9)
+    assert made.coherence is not None
+    whole = replace(
+        made, frequency=made.frequency[keep], frf=made.frf[keep], coherence=made.coherence[keep],
+        peak_force_n=posture.peak_force_n, pulse_s=posture.pulse_s, record_s=posture.record_s,
+    )  # fmt: skip
+    return whole, rate
+
+
 def _gated(force: FloatArray) -> FloatArray:
     """The blow alone, with cosine flanks over its margins."""
     start, end = _blow(force)
