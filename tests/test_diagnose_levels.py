@@ -32,8 +32,9 @@ from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Finding, estimates_of
 from twin.identify.descent import minimise
-from twin.identify.joint_reaction import Blow, Stepped, blows
+from twin.identify.joint_reaction import Stepped
 from twin.identify.objective import Objective, Sample
+from twin.measure.blows import Blow, blows
 from twin.measure.campaign import Campaign, read_campaign
 from twin.model.blow import RATE_HZ, Strike, _drive, pulse_transform, torques, transform
 from twin.model.held_law import UnderLaw

@@ -20,9 +20,10 @@ from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.triage import Triage, triage
 from twin.identify.descent import minimise
 from twin.identify.elastic_compare import judge
-from twin.identify.joint_reaction import Stepped, blows
+from twin.identify.joint_reaction import Stepped
 from twin.identify.objective import Sample
 from twin.identify.struck import judge_struck, law_of
+from twin.measure.blows import blows
 from twin.measure.campaign import FloatArray
 from twin.measure.recordings import read_campaign
 from twin.model.parameters import SIX, Parameters, free_parameters

@@ -2,8 +2,8 @@
 
 from twin.diagnose.frf_faults import sound
 from twin.identify.elastic_compare import Comparison, comparison, judge
-from twin.identify.joint_reaction import blows
 from twin.identify.struck import amplitude_entries, judge_struck
+from twin.measure.blows import blows
 from twin.measure.campaign import Campaign
 from twin.model.recorded import believed
 from twin.robot.description import Robot

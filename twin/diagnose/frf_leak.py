@@ -9,12 +9,12 @@ from twin.diagnose.calibration import calibration
 from twin.diagnose.note import Note
 from twin.diagnose.refit import Fitted, descend
 from twin.diagnose.search import REFIT_LINES
-from twin.identify.joint_reaction import PULSE_S
 from twin.identify.objective import Objective, Sample
+from twin.measure.blows import PULSE_S, record_length_s
 from twin.measure.campaign import Campaign, FloatArray
 from twin.measure.frf_noise import ANALYSER
 from twin.measure.spectra import windowed_again
-from twin.model.cut_off import CutOff, Leak, record_length_s, ringing, rings_most
+from twin.model.cut_off import CutOff, Leak, ringing, rings_most
 from twin.model.leakage import leakage
 from twin.model.recorded import Recorded
 from twin.model.sensitivity import Observed, observe_all

@@ -61,10 +61,10 @@ from twin.diagnose.verdict import (
 from twin.diagnose.within import base_with, taken_in, without
 from twin.identify.damping_transfer import misses_of_frf, transfer
 from twin.identify.elastic_compare import noise_floor
-from twin.identify.joint_reaction import blows
 from twin.identify.objective import Sample
 from twin.identify.posterior import Posterior
 from twin.identify.struck import without_laws
+from twin.measure.blows import blows
 from twin.measure.campaign import Campaign, FloatArray
 from twin.measure.recordings import Recording
 from twin.model.cut_off import Leak

@@ -17,17 +17,9 @@ from twin.diagnose.decide import Decision, decide, unexplained
 from twin.diagnose.hypotheses import Hypothesis, together
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.identify.descent import minimise
-from twin.identify.joint_reaction import (
-    FADED,
-    PULSE_S,
-    PULSE_SPREAD,
-    Blow,
-    BlowByBlow,
-    Stepped,
-    blows,
-    inverse2,
-)
+from twin.identify.joint_reaction import PULSE_SPREAD, BlowByBlow, Stepped, inverse2
 from twin.identify.objective import Sample
+from twin.measure.blows import FADED, PULSE_S, Blow, blows
 from twin.measure.campaign import Campaign, FloatArray
 from twin.model.blow import COARSE_HZ, RATE_HZ
 from twin.model.joint_laws import NAMELESS

@@ -20,10 +20,11 @@ from twin.diagnose.sentences import sentence
 from twin.diagnose.triage import Triage
 from twin.diagnose.verdict import Finding, Missing, Word, estimates, judge, missing_of, rival_of, strained
 from twin.identify.elastic_compare import noise_floor, recording_set, relative_error
-from twin.identify.joint_reaction import Blow, Stepped, blows
+from twin.identify.joint_reaction import Stepped
 from twin.identify.objective import Sample
 from twin.identify.struck import amplitude_entries, judge_struck, law_of, settle, without_laws
 from twin.identify.uncertainty import NINETY
+from twin.measure.blows import Blow, blows
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, simulate_hits

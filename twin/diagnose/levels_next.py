@@ -15,8 +15,8 @@ from twin.diagnose.levels import RACE_LINES, Levels, View, excited, point, with_
 from twin.diagnose.refit import Fitted
 from twin.diagnose.triage import HOMOGENEOUS, POOLED_LINES
 from twin.errors import InputError
-from twin.identify.joint_reaction import Blow
 from twin.identify.objective import Sample
+from twin.measure.blows import Blow
 from twin.measure.campaign import ComplexArray, FloatArray
 from twin.model.recorded import Recorded
 from twin.physics import CATALOGUE, amplitude_laws

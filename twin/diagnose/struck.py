@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from twin.diagnose.note import Note
-from twin.identify.joint_reaction import blows
+from twin.measure.blows import blows
 from twin.measure.campaign import Campaign
 from twin.model.expansion import with_channels
 from twin.model.hammer import HammerTest, usual_duration

@@ -9,19 +9,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.identify.objective import Changes, Cost, rates
-from twin.measure.campaign import Campaign, Channels, ComplexArray, FloatArray, PostureFRF
+from twin.identify.objective import Cost
+from twin.measure.blows import PULSE_S, Blow
+from twin.measure.campaign import Channels, ComplexArray, FloatArray
 from twin.model.blow import COLUMNS, RATE_HZ, Strike, pulse_transform, torques, transform
 from twin.model.held_law import Receptances, UnderLaw, receptances
 from twin.model.parameters import Parameters
+from twin.model.rates import Changes, rates
 from twin.model.recorded import Recorded
 from twin.model.sensitivity import Observed, Setup, Structure, contract, moving, observe, observe_all
 from twin.parallel import spread
 from twin.physics.joint_law import NO_LOAD, Law
 from twin.robot.description import Robot
 
-PULSE_S, PULSE_SPREAD = 0.008, 0.2  # of a rubber tip and the prior deviation of its logarithm, where no raw hits tell
-FADED = 7.0  # e-foldings after which a windowed decay is not stepped any further
+PULSE_SPREAD = 0.2  # prior deviation of the logarithm of ``PULSE_S``
 OWN_STIFFNESS, OWN_LOSS = 0.5, 0.1  # prior deviations of a blow's own k and ωc (at 15 Hz), of the joint's stiffness
 BLOW_STEPS = 6  # iterations of a blow's own stiffness
 FINE_DIFFERENCE, ROUGH_DIFFERENCE, WIDE = 1e-4, 4e-3, 0.02  # prior deviations, of differences of stepped blows
@@ -30,50 +31,6 @@ WORTH_SPREADING = 20  # strikes per recording: fewer are stepped by one process
 WEIGHED = 0.1  # prior deviations, of differences of the load on a joint
 ERRATIC = 4  # steps in turn: where 1/64 of one still raises the cost, decays are erratic (an open gap's)
 BEND_AHEAD = 0.1  # of a step: where its bend is looked at
-
-
-# --- how it was hit ---------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Blow:
-    """How one group of a campaign was hit: peak N, length of the half sine s, and of the decay s.
-
-    ``known``: raw hits tell the length.
-    """
-
-    peak_n: float
-    pulse_s: float
-    length_s: float
-    known: bool = False
-
-
-def blows(campaign: Campaign) -> dict[str, Blow] | None:
-    """By group; ``None`` where a peak force is not recorded.
-
-    Where the record's length is not stated, it is taken to be one over the spacing of its lines.
-    """
-    found = {}
-    for name, posture in campaign.postures.items():
-        if posture.peak_force_n is None:
-            return None
-        length = posture.record_s or 1 / float(np.median(np.diff(posture.frequency)))
-        if posture.exponential_window_rate > 0:
-            length = min(length, FADED / posture.exponential_window_rate)
-        known = posture.hits is not None or posture.pulse_s is not None
-        found[name] = Blow(posture.peak_force_n, _pulse_length(posture), length, known)
-    return found
-
-
-def _pulse_length(posture: PostureFRF) -> float:
-    """Of the half sine with the momentum and peak of the recorded hits, else as stated, s."""
-    if posture.hits is None:
-        return posture.pulse_s or PULSE_S
-    force = posture.hits.force - np.median(posture.hits.force, axis=-1, keepdims=True)
-    peak = force.max(axis=-1)
-    near = force > 0.05 * peak[..., None]
-    momentum = np.sum(force * near, axis=-1) / posture.hits.sample_rate_hz
-    return float(np.median(np.pi / 2 * momentum / peak))
 
 
 # --- a joint's reaction, blow by blow ---------------------------------------------------------------------------------

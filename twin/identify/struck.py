@@ -8,8 +8,9 @@ from scipy.optimize import minimize_scalar
 
 from twin.identify.descent import minimise
 from twin.identify.elastic_compare import Judged, recording_set, relative_error
-from twin.identify.joint_reaction import PULSE_SPREAD, Blow, Stepped
+from twin.identify.joint_reaction import PULSE_SPREAD, Stepped
 from twin.identify.objective import Sample
+from twin.measure.blows import Blow
 from twin.measure.campaign import FloatArray
 from twin.model.blow import COARSE_HZ
 from twin.model.parameters import independent

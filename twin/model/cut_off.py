@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from twin.measure.blows import record_length_s
 from twin.measure.campaign import Campaign, ComplexArray, FloatArray, PostureFRF
 from twin.model.leakage import leakage, leakage_later, leakage_slopes
 from twin.model.parameters import independent
@@ -74,11 +75,6 @@ class CutOff(Recorded):
     def probed(self, count: int) -> Recorded:
         """What receptance is asked for with ``count`` more excitations: the structure's own, which leaks nothing."""
         return replace(Recorded(**fields_of(self)), power=0)
-
-
-def record_length_s(posture: PostureFRF) -> float:
-    """Length of a posture's records: as stated, or as the spacing of its lines says, which may have been thinned."""
-    return posture.record_s or 1 / float(np.median(np.diff(posture.frequency)))
 
 
 def ringing(robot: Robot, recordings: Sequence[Recorded], campaign: Campaign) -> Iterator[tuple[float, str, float]]:
