@@ -16,7 +16,7 @@ from twin.diagnose.torque_system import System
 from twin.diagnose.verdict import Candidate, Missing
 from twin.identify.uncertainty import NINETY
 from twin.measure.campaign import FloatArray
-from twin.model.torque_laws import State
+from twin.model.torque_laws import State, play_columns
 from twin.model.torque_noise import prediction_filter
 from twin.model.torque_signal import Run
 from twin.physics import effect_of
@@ -100,7 +100,7 @@ def _widest(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint
 def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: int, share: float) -> Play:
     numbers = calibration()
     scale = float(np.sqrt(np.mean(np.concatenate([s.load[:, joint] for _, s in used]) ** 2))) + 1e-12
-    X, g, y, valid = _columns(used, joint, scale, share)
+    X, g, y, valid = play_columns(used, joint, scale, share)
     rich = np.column_stack([X, g])[valid]
     rest = y - np.column_stack([X, g]) @ np.linalg.lstsq(rich, y[valid], rcond=1e-9)[0]
     e = np.where(valid, rest, 0.0)
@@ -119,7 +119,7 @@ def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: 
     gain = 0.5 * gap * pull - occam
     held = None
     if aside:
-        X2, g2, y2, valid2 = _columns(aside, joint, scale, share)
+        X2, g2, y2, valid2 = play_columns(aside, joint, scale, share)
         white2 = _white(whitening, np.column_stack([X2, g2, y2]), valid2)
         basis2 = np.linalg.qr(white2[:, :-2])[0]
         column2, data2 = (white2[:, k] - basis2 @ (basis2.T @ white2[:, k]) for k in (-2, -1))
@@ -132,27 +132,6 @@ def _play(used: list[tuple[Run, State]], aside: list[tuple[Run, State]], joint: 
     return Play(
         joint, gap, float(deviation), gain, gap * pull, held, float(np.sqrt(2 * needed / max(information, 1e-30)))
     )
-
-
-def _columns(
-    parts: list[tuple[Run, State]], joint: int, scale: float, share: float
-) -> tuple[FloatArray, FloatArray, FloatArray, np.ndarray]:
-    """Free smooth columns (m, c), the gap's per unit, the recorded twist, and which rows count, runs together."""
-    free, step, twist = [], [], []
-    for k, (run, state) in enumerate(parts):
-        assert run.twist is not None
-        load = state.load[:, joint] / scale
-        zero = np.zeros((len(run.time), len(parts)))
-        zero[:, k] = 1.0
-        speed = run.dense.velocity[:, joint]
-        smooth = np.stack([load, load * np.abs(load), load**3, speed, run.dense.sign(speed)], -1)
-        free.append(np.column_stack([run.filtered(smooth), zero]))
-        step.append(0.5 * run.filtered(np.tanh(load / share)))
-        twist.append(run.twist[:, joint])
-    X = np.concatenate(free)
-    X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)
-    X = X[:, np.any(X != 0, axis=0)]
-    return X, np.concatenate(step), np.concatenate(twist), np.concatenate([run.valid for run, _ in parts])
 
 
 def _white(whitening: FloatArray, columns: FloatArray, valid: np.ndarray) -> FloatArray:

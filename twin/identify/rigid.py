@@ -13,6 +13,7 @@ from twin.measure.campaign import FloatArray
 from twin.measure.motion_log import LEAST_MOTION, MotionLog, MotionRun, refuse_saturated, refuse_without_motion
 from twin.measure.torque_unit import unit_note
 from twin.model.base_parameters import BaseParameters, base_parameters, structural_base
+from twin.model.linear import symmetric
 from twin.model.possible import floors, nearest_possible
 from twin.model.regressor import Regressor, inertial_vector
 from twin.model.torque_base import with_whole_friction
@@ -162,7 +163,7 @@ def _sandwich(
     information = sum(np.einsum("mjb,mjc->bc", A, A) for A in weighted)
     scale = 1 / np.sqrt(np.diag(information))
     inverse = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    root = scale[:, None] * np.linalg.cholesky(_symmetric(inverse / np.outer(scale, scale)))
+    root = scale[:, None] * np.linalg.cholesky(symmetric(inverse / np.outer(scale, scale)))
     spread = np.zeros((b, b))
     effective = np.zeros(n)
     for j in range(n):
@@ -217,7 +218,7 @@ def consistent(regressor: Regressor, estimate: Estimate, margin: float = 1e-3) -
     step = _prior_steps(regressor, estimate)
     prior = np.array([1.0 if column.group in ("link", "rotor") else 0.0 for column in columns])
     usable = estimate.identifiable
-    root = _inverse_root(_symmetric(estimate.covariance[np.ix_(usable, usable)]))
+    root = _inverse_root(symmetric(estimate.covariance[np.ix_(usable, usable)]))
     G = root @ K[usable] @ step
     target = root @ (estimate.value[usable] - K[usable] @ x0)
     H = G.T @ G + np.diag(np.where(prior > 0, prior, 1e-6))
@@ -264,10 +265,6 @@ def _prior_steps(regressor: Regressor, estimate: Estimate) -> FloatArray:
         elif column.group != "link":
             step[k, k] = max(abs(column.value), largest.get(k, 0.0), 1e-3)
     return step
-
-
-def _symmetric(matrix: FloatArray) -> FloatArray:
-    return 0.5 * (matrix + matrix.T)
 
 
 @dataclass(frozen=True)

@@ -193,7 +193,7 @@ def linearise(mechanism: Mechanism, model: mujoco.MjModel | None = None) -> Line
     M = mass_matrix(model, data)
     if nv:
         damping, stiffness = transition_matrices(model, data)
-        C, K = _symmetric(M @ damping), _symmetric(M @ stiffness)
+        C, K = symmetric(M @ damping), symmetric(M @ stiffness)
     else:
         C = K = np.zeros((0, 0))
     loss = np.diag([joint.loss_factor * joint.stiffness[0] for joint in order])
@@ -255,6 +255,6 @@ def _springs(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return np.maximum(stiffness, 0.0)
 
 
-def _symmetric(A: np.ndarray) -> np.ndarray:
-    # springs, gravity and dampers at rest derive from potentials; what is skew is the differences' rounding
+def symmetric(A: np.ndarray) -> np.ndarray:
+    """The symmetric part: what is skew in a covariance, or in what derives from a potential, is rounding."""
     return 0.5 * (A + A.T)

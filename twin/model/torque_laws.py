@@ -212,6 +212,32 @@ def smooth_columns(run: Run, axis: int, middle: float, half: float, speed: float
     return run.filtered(np.stack([*smooth, *stepping], -1))
 
 
+def play_columns(
+    parts: Sequence[tuple[Run, State]], joint: int, scale: float, share: float
+) -> tuple[FloatArray, FloatArray, FloatArray, np.ndarray]:
+    """Twist of a gear with play: free smooth columns (m, c), the gap's per unit, as recorded, and which rows count.
+
+    Args:
+        parts: runs with both encoders, and what laws see of them; they are put together.
+        joint: zero-based; ``scale`` of its load, and ``share`` of that over which the gap is crossed.
+    """
+    free, step, twist = [], [], []
+    for k, (run, state) in enumerate(parts):
+        assert run.twist is not None
+        load = state.load[:, joint] / scale
+        zero = np.zeros((len(run.time), len(parts)))
+        zero[:, k] = 1.0
+        speed = run.dense.velocity[:, joint]
+        smooth = np.stack([load, load * np.abs(load), load**3, speed, run.dense.sign(speed)], -1)
+        free.append(np.column_stack([run.filtered(smooth), zero]))
+        step.append(0.5 * run.filtered(np.tanh(load / share)))
+        twist.append(run.twist[:, joint])
+    X = np.concatenate(free)
+    X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)
+    X = X[:, np.any(X != 0, axis=0)]
+    return X, np.concatenate(step), np.concatenate(twist), np.concatenate([run.valid for run, _ in parts])
+
+
 def presliding_columns(run: Run, turns: Mapping[int, float], travels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What bristles of unit friction and given travels (t,) add to the sign of ẋ and to its square (m, t).
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from twin.measure.campaign import FloatArray
+from twin.model.linear import symmetric
 from twin.model.possible import nearest_possible, possible
 from twin.model.torque_base import PRESLIDING, PRESLIDING_TRAVELS, dry_level
 from twin.model.torque_numbers import corrected, numbers_of
@@ -102,7 +103,7 @@ def that_can_exist(rows: Whitened, z: FloatArray) -> FloatArray:
     H = A[:shared, :shared] - A[shared:, :shared].T @ follow  # of the links, all else where it fits best
     described = -z[:shared]
     try:
-        d = nearest_possible(regressor, 0.5 * (H + H.T), np.zeros(shared), values, step)
+        d = nearest_possible(regressor, symmetric(H), np.zeros(shared), values, step)
     except ArithmeticError:
         d = described
     for share in (0.0, *INWARDS, 1.0):  # the solver's last digits may leave a link just outside
