@@ -15,14 +15,13 @@ import numpy as np
 from twin.diagnose.calibration import calibration
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
-from twin.diagnose.search import WITHIN, in_doubt, most_noise, scatter
+from twin.diagnose.search import FIRST_ORDER, WITHIN, in_doubt, most_noise, scatter
 from twin.diagnose.within import allowed, excused, singled_out
 from twin.identify.objective import Sample
 from twin.measure.campaign import FloatArray
 from twin.parallel import spread
 from twin.robot.description import Robot
 
-FIRST_ORDER = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
 BREAKS_DOWN = 1e30  # ½ χ² of a prediction that breaks down
 
 

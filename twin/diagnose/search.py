@@ -43,6 +43,7 @@ THINNED_COST = 1.05  # on few lines a cost differs from that on all by so much
 SHORT = 0.2  # of what another has gained: less promised is not refitted
 ABREAST = 2  # refits side by side, on however many cores: what is found must not depend on them
 WORTH = 8.0  # ln evidence that a further thing must bring for the search to go on
+FIRST_ORDER = 1.3  # χ² per datum up to which a first-order model holds to the precision of the noise
 TO_THE_END = 60  # iterations for what a long valley has held up
 HELD_LINKS = 2.0  # deviations, within which 19 in 20 numbers are that are as described
 FURTHER = "further effects"  # left out where the time is up before no effect gains more
@@ -310,7 +311,7 @@ def _where_it_is(
             search.fits[fit.hypothesis.identity] = again
     present = {piece.key for piece in best.hypothesis.pieces}
     others = [variants for variants in there if variants[0].key not in present]
-    if not present or not others:
+    if not present or not others or best.misfit < FIRST_ORDER:  # so near the truth, screening passed nothing over
         return best
     few = sample.thin(SCREEN_LINES)
 
