@@ -23,11 +23,11 @@ from twin.diagnose.levels import (
     point,
     with_law,
 )
-from twin.diagnose.levels_beside import _doubted
+from twin.diagnose.levels_beside import _doubted, explain_beside
 from twin.diagnose.levels_finding import check_blows
 from twin.diagnose.levels_next import next_blows, smallest_visible_laws
 from twin.diagnose.locate import free_blows, free_laws
-from twin.diagnose.refit import NONE, descend
+from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.search import converge
 from twin.diagnose.triage import triage
 from twin.diagnose.verdict import Finding, estimates_of
@@ -277,6 +277,39 @@ def test_slip_is_settled_from_where_it_was_found(kr90: Robot, tmp_path: Path) ->
     assert fit.cost - cost > 20
     entry = law.entry(freed.own(end)[0])
     assert np.divide(entry["yield_torque"], entry["stiffness"])[2] < 0.95 * wrong.reach[2]
+
+
+def test_nothing_is_looked_for_beside_slip_whose_yields_are_wrong(
+    kr90: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a law of few numbers leaves is no sign of a partner: the search beside it has the law as it settles."""
+    slip = "hysteresis@joint2.z:stiffness=1e5|1e5|1e5,yield_torque=0.3|1|3"
+    brief = ["--postures", "1", "--spacing-hz", "0.25", "--lines", "90"]
+    campaign = recorded(tmp_path, slip, "--nominal", "--no-sag", *brief)
+    sample, blow = Sample(tuple(r.every(3) for r in prepare(campaign, kr90).values())), blows(campaign)
+    assert blow is not None
+    robot, free = without_limits(kr90), free_parameters(kr90, tolerances=False)
+    base = descend(robot, NONE, free, sample, np.zeros(len(free)), tempered=0, linear=0)
+    wrong = Slip((5e-6, 1.5e-5, 4.5e-5))  # a true one yields at 3e-6, 1e-5, 3e-5
+    stepped, hypothesis = with_law(robot, base, wrong, "joint2.z", sample, blow)
+    found = fit_law(stepped, hypothesis, point(stepped, free.values(np.zeros(len(free))), np.full(3, 1e5)))
+    levels = Levels([], [found], base, 0.0, 0.0, [stepped], sample, blow)
+    looked: list[tuple[float, list[float]]] = []
+
+    def look(robot: Robot, base: Fitted, levels: Levels, law: Fitted, *others: object) -> list[Fitted]:
+        objective = levels.objectives[0]
+        entry = objective.law.entry(*objective.own(law.z))
+        looked.append((law.misfit, np.divide(entry["yield_torque"], entry["stiffness"]).tolist()))
+        return []
+
+    monkeypatch.setattr(sys.modules[explain_beside.__module__], "_found", look)
+    beside = explain_beside(robot, base, levels, [])
+    ((misfit, reach),) = looked
+    assert beside.decision is None
+    assert found.misfit > 1.5
+    assert misfit < 1.1
+    assert reach == pytest.approx([3e-6, 1e-5, 3e-5], rel=0.1)
+    assert beside.stepped.cost(beside.law.z) == pytest.approx(beside.law.cost, rel=1e-6)
 
 
 def test_steps_follow_a_smooth_torque_by_parabolas() -> None:

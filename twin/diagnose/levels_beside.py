@@ -3,8 +3,10 @@
 The law's torque after every blow is held as stepping has it (:mod:`twin.model.held_law`), and the search for one
 linear omission runs as it does on a linear robot. What it finds moves the law's own numbers: the finalists are fitted
 again with the law stepped, their law is held, and the decision is between them. A law of few numbers is not exactly the
-robot's, and a partner may explain what it leaves. So every blow may have a further stiffness of its own at the law's
-joint, with a partner and without. Only what a partner gains beside that counts.
+robot's, and a partner may explain what it leaves. Two things keep such a partner out. A law that has more numbers to
+settle (the deflections at which slip yields) is settled first, so that the partner stands beside the best of its form.
+And every blow may have a further stiffness of its own at the law's joint, with a partner and without. Only what a
+partner gains beside that counts.
 """
 
 from collections.abc import Sequence
@@ -14,7 +16,7 @@ import numpy as np
 
 from twin.diagnose.decide import Decision, decide
 from twin.diagnose.hypotheses import Hypothesis
-from twin.diagnose.levels import FAR_OFF, LINEAR_STEPS, Levels, fit_law, with_law
+from twin.diagnose.levels import FAR_OFF, LINEAR_STEPS, Levels, fit_law, settled, with_law
 from twin.diagnose.locate import free_blows, free_laws
 from twin.diagnose.refit import NONE, Fitted, descend
 from twin.diagnose.screen import inflation
@@ -36,12 +38,14 @@ class Beside:
     """What linear physics is missing beside a law.
 
     Attributes:
-        law: the law alone, fitted again from where it ended beside something else.
+        law: the law alone, settled, and fitted again from where it ended beside something else; ``stepped`` what
+            predicts with it.
         decision: between it and with something beside it, the law held; ``None`` where nothing would be gained.
         fits: per ranked hypothesis, it and the law with the law stepped; ``objectives`` what predicts with them.
     """
 
     law: Fitted
+    stepped: Stepped
     decision: Decision | None
     fits: list[Fitted]
     objectives: list[Stepped]
@@ -63,14 +67,17 @@ def explain_beside(
     """
     law, stepped = levels.fits[0], levels.objectives[0]
     if law.misfit > FAR_OFF:
-        return Beside(law, None, [], [])
+        return Beside(law, stepped, None, [], [])
     whole = _doubted(replace(stepped, sample=levels.whole, blow=levels.blow), law.z)
     if whole is not levels.whole:
         levels, law = replace(levels, whole=whole), fit_law(stepped, law.hypothesis, law.z)
+    if stepped.law.settling() is not stepped.law:  # what few numbers leave is no sign of a partner
+        law, stepped = settled(levels, law, stepped, levels.whole, levels.blow)
+        levels = replace(levels, fits=[law, *levels.fits[1:]], objectives=[stepped, *levels.objectives[1:]])
     n = len(base.parameters)
     found = _found(robot, base, levels, law, suspects, progress)
     if not found:
-        return Beside(law, None, [], [])
+        return Beside(law, stepped, None, [], [])
     first, objective = _both(robot, base, stepped, law, found[0])
 
     def worth() -> bool:
@@ -80,7 +87,7 @@ def explain_beside(
         simpler = fit_law(stepped, law.hypothesis, np.concatenate([first.z[:n], first.z[len(found[0].z) :]]))
         law = simpler if simpler.cost < law.cost else law
     if not worth():
-        return Beside(law, None, [], [])
+        return Beside(law, stepped, None, [], [])
     both = [(found[0], first, objective)]
     both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1:STEPPED_AGAIN]]
     lines = levels.whole.thin(BESIDE_LINES)
@@ -105,7 +112,7 @@ def explain_beside(
 
     decision = decide(beside, alone, suspects, handicap=handicap, unnamed=unnamed)
     order = [next(item for item in again if item[0] is fit) for fit in decision.ranked]
-    return Beside(law, decision, [item[1] for item in order], [item[2] for item in order])
+    return Beside(law, stepped, decision, [item[1] for item in order], [item[2] for item in order])
 
 
 def _doubted(stepped: Stepped, z: FloatArray) -> Sample:

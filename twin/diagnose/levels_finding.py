@@ -122,7 +122,7 @@ def _of_law(
         else:  # the law that is described is what was refitted, and no answer
             alone, objective = best, answer.objective
             if missing and answer.beside and answer.beside.decision:
-                word, alone, objective = judge(answer.beside.decision), answer.beside.law, levels.objectives[0]
+                word, alone, objective = judge(answer.beside.decision), answer.beside.law, answer.beside.stepped
             else:
                 word, none = "adequate", 1 - other
             predicted, errors["before"] = whole_decays(objective, alone, found, how)
@@ -183,7 +183,7 @@ def _answer(
         brakes = [r.setup.brakes for r in found.recordings.values()]
         looked_at = suspects(base, campaign.response, campaign.excitation, brakes, band)
         beside = explain_beside(base, search.base, levels, looked_at, progress)
-        best = beside.law
+        best, objective = beside.law, beside.stepped
         if beside.decision and judge(beside.decision) in ("named", "ambiguous"):
             law = missing_of(replace(decision, ranked=[best, *decision.ranked[1:]]), levels.base)[0]
             objective = beside.objectives[0]
