@@ -3,10 +3,10 @@
 The law's torque after every blow is held as stepping has it (:mod:`twin.model.held_law`), and the search for one
 linear omission runs as it does on a linear robot. What it finds moves the law's own numbers: the finalists are fitted
 again with the law stepped, their law is held, and the decision is between them. A law of few numbers is not exactly the
-robot's, and a partner may explain what it leaves. Two things keep such a partner out. A law that has more numbers to
-settle (the deflections at which slip yields) is settled first, so that the partner stands beside the best of its form.
-And every blow may have a further stiffness of its own at the law's joint, with a partner and without. Only what a
-partner gains beside that counts.
+robot's, and a partner may explain what it leaves. Two things keep such a partner out. Where one seems worth it and the
+law has more numbers to settle (the deflections at which slip yields), they are settled and it is sought anew. And every
+blow may have a further stiffness of its own at the law's joint, with a partner and without. Only what a partner gains
+beside that counts.
 """
 
 from collections.abc import Sequence
@@ -65,15 +65,12 @@ def explain_beside(
         levels: what they say.
         suspects: what else may be missing.
     """
-    law, stepped = levels.fits[0], levels.objectives[0]
+    law, stepped, given = levels.fits[0], levels.objectives[0], levels
     if law.misfit > FAR_OFF:
         return Beside(law, stepped, None, [], [])
     whole = _doubted(replace(stepped, sample=levels.whole, blow=levels.blow), law.z)
     if whole is not levels.whole:
         levels, law = replace(levels, whole=whole), fit_law(stepped, law.hypothesis, law.z)
-    if stepped.law.settling() is not stepped.law:  # what few numbers leave is no sign of a partner
-        law, stepped = settled(levels, law, stepped, levels.whole, levels.blow)
-        levels = replace(levels, fits=[law, *levels.fits[1:]], objectives=[stepped, *levels.objectives[1:]])
     n = len(base.parameters)
     found = _found(robot, base, levels, law, suspects, progress)
     if not found:
@@ -88,6 +85,10 @@ def explain_beside(
         law = simpler if simpler.cost < law.cost else law
     if not worth():
         return Beside(law, stepped, None, [], [])
+    if stepped.law.settling() is not stepped.law:  # what few numbers leave is no sign of a partner
+        law, stepped = settled(levels, law, stepped, levels.whole, levels.blow)
+        levels = replace(given, fits=[law, *given.fits[1:]], objectives=[stepped, *given.objectives[1:]])
+        return explain_beside(robot, base, levels, suspects, progress)
     both = [(found[0], first, objective)]
     both += [(fit, *_both(robot, base, stepped, law, fit)) for fit in found[1:STEPPED_AGAIN]]
     lines = levels.whole.thin(BESIDE_LINES)

@@ -169,7 +169,8 @@ class Parameters:
 
     def transform(self, values: FloatArray) -> FloatArray:
         """∂ value / ∂ z, (n, n)."""
-        return np.asarray(np.where(self._scaled[0], values, 1.0)[:, None] * self.root)
+        with np.errstate(invalid="ignore"):  # of a step too far, too
+            return np.asarray(np.where(self._scaled[0], values, 1.0)[:, None] * self.root)
 
     @cached_property
     def _levers(self) -> list[tuple[int, list[int]]]:
