@@ -288,3 +288,9 @@ def test_sizes_without_a_usual_one_are_told_in_a_table(kr90: Robot) -> None:
     (table,) = diagnosis._visible_table(items, kr90)
     assert table.rows == [("coulomb_friction", "torque", "2.7 at joint1, 7.8 at joint2", "N·m")]
     assert diagnosis._visible_table(items[:1], kr90) == []
+    alone = Verdict.of(finding(kr90, [log_record()], source="motion-log", smallest_visible=items[1:]))
+    drawn = diagnosis.draw(alone)
+    assert "smallest_visible.png" not in drawn  # it would be empty
+    (section,) = [s for s in diagnosis.sections(alone, {}) if s.title == "What could have been seen"]
+    assert "picture" not in " ".join(section.text)
+    assert section.tables

@@ -81,7 +81,7 @@ def draw(verdict: Verdict) -> dict[str, Figure]:
         for name, figure in _draw_finding(finding).items():
             drawn[prefix + name] = figure
     drawn["probabilities.png"] = probabilities(verdict)
-    if verdict.smallest_visible:
+    if any(_over_usual(item, verdict.base) is not None for item in verdict.smallest_visible):
         drawn["smallest_visible.png"] = smallest_visible(verdict.smallest_visible, verdict.base)
     return drawn
 
@@ -712,10 +712,12 @@ def sections(verdict: Verdict, drawn: Mapping[str, Path]) -> list[Section]:
     if verdict.smallest_visible:
         text = (
             "The smallest size of an effect that these recordings would have shown, although all free numbers of the "
-            "model may move to hide it. The picture has the effects that have a usual size, the table the others."
+            "model may move to hide it."
         )
         figures = pick(drawn, "smallest_visible.png", CAPTIONS["smallest_visible.png"])
         tables = _visible_table(verdict.smallest_visible, verdict.base)
+        if figures and tables:
+            text += " The picture has the effects that have a usual size, the table the others."
         found.append(Section("What could have been seen", [text], tables=tables, figures=figures))
     return found
 
