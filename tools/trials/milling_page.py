@@ -115,20 +115,20 @@ def _head(cuts: Sequence[Stated]) -> list[str]:
     robots, asked = {c.name for c in cuts}, {c.name for c in cuts if "after" in c.safe}
     hidden = {c.name for c in cuts if c.effects}
     return [
-        f"{len(robots)} sealed robots of the truth code made {len(cuts)} cuts in postures that nobody struck. "
-        f"{len(hidden)} of them conceal something, of any usual size. {len(asked)} were diagnosed, "
-        f"{len({c.name for c in cuts if 'base' in c.safe})} refitted as they are described, "
-        f"{len({c.name for c in cuts if 'true' in c.safe})} with what they truly conceal. Each was struck as in "
-        "[the other trials](proof.md), in six or seven postures.",
+        f"{len(robots)} sealed robots of the truth code made {len(cuts)} cuts. No hammer test was made in the postures "
+        f"of the cuts. {len(hidden)} of the robots conceal something, of any usual size. {len(asked)} robots were "
+        f"diagnosed. {len({c.name for c in cuts if 'base' in c.safe})} were refitted as described, and "
+        f"{len({c.name for c in cuts if 'true' in c.safe})} with what they truly conceal. Each robot had a hammer test "
+        "as in [the other trials](proof.md), in six or seven postures.",
         "",
         "The spindle weighs 20 kg. Cuts have 2 to 4 teeth, an immersion of 5 to 100 %, any feed direction and 600 to "
-        "6000 rpm, up or down, straight or helical (30°, 45°), in aluminium, steel or titanium. Coefficients are "
-        "known to 15 %, postures to 0.2°. The true cut is stepped in time by `tools/truth/milling.py`, which shares no "
-        "code with the twin. It is stable where a small vibration dies out, and where a cut from rest, with its feed "
-        "and with teeth that may leave the work, settles.",
+        "6000 rpm. They are up or down milling with straight or helical teeth (30°, 45°), in aluminium, steel or "
+        "titanium. Coefficients are known to 15 %, postures to 0.2°. The true cut is stepped in time by "
+        "`tools/truth/milling.py`, which shares no code with the twin. The cut is stable if a small vibration dies out "
+        "and if a cut from rest settles. The cut from rest has the feed, and its teeth may leave the work.",
         "",
-        "`python -m tools.trials.milling prove` draws another split and writes this page. Only linear effects of "
-        "hammer tests are in it: gaps, slip and hardening, which need force levels, are not.",
+        "`python -m tools.trials.milling prove` draws another split and writes this page. The split has only linear "
+        "effects of hammer tests. Gaps, slip and hardening are left out, because they need force levels.",
         "",
     ]
 
@@ -136,9 +136,9 @@ def _head(cuts: Sequence[Stated]) -> list[str]:
 def _stable(cuts: Sequence[Stated], deepest: float) -> list[str]:
     lines = [
         "## Is the stated depth stable?", "",
-        "The depth that is stable with 90 % probability should be stable in nine of ten cuts. Beside it is the limit "
-        "of the best model, the depth that a user without intervals would trust. Cuts whose 90 % depth is the deepest "
-        f"asked for ({1e3 * deepest:g} mm) are left out.", "",
+        "The depth that is stable with 90 % probability should be stable in nine of ten cuts. The last column is for "
+        "the limit of the best model, the depth that a user without intervals would trust. Cuts whose 90 % depth is "
+        f"the deepest asked for ({1e3 * deepest:g} mm) are left out.", "",
     ]  # fmt: skip
     groups = (
         ("all", lambda c: True),
@@ -181,12 +181,14 @@ def _cost(cuts: Sequence[Stated]) -> list[str]:
         if ratio.size:
             low, middle, high = np.quantile(ratio, (0.05, 0.5, 0.95))
             lines.append(
-                f"- {NAMES[stage]}: the 90 % depth is {middle:.0%} of what the true model refitted allows in the "
-                f"median, {low:.0%} to {high:.0%} in nine of ten of {ratio.size} cuts."
+                f"- {NAMES[stage]}, {ratio.size} cuts: in the median the 90 % depth is {middle:.0%} of what the true "
+                f"model refitted allows. In nine of ten cuts it is {low:.0%} to {high:.0%} of that."
             )
     own = np.array([c.safe["true"] / c.limit["true"] for c in cuts if "true" in c.safe])
     if own.size:
-        lines.append(f"- The true model refitted: its 90 % depth is {np.median(own):.0%} of its limit in the median.")
+        lines.append(
+            f"- true model refitted: in the median the 90 % depth is {np.median(own):.0%} of this model's limit."
+        )
     return [*lines, ""]
 
 
@@ -198,7 +200,8 @@ def _by_effect(cuts: Sequence[Stated], deepest: float) -> list[str]:
         trusted = share(open_(own, "base", deepest), lambda c: not c.limit_stable["base"])
         rows.append([kind, len({c.name for c in own}), *cells, trusted])
     head = ["effect", "robots", "unsafe before", "unsafe after", "unsafe, true model", "unsafe before, at the limit"]
-    return ["## By effect", "", "Unsafe: the true robot's cut at the 90 % depth chatters.", "", *_lines(head, rows), ""]
+    title = "A cut is unsafe if the true robot chatters at the 90 % depth."
+    return ["## By effect", "", title, "", *_lines(head, rows), ""]
 
 
 def _by_cut(cuts: Sequence[Stated], deepest: float) -> list[str]:
@@ -210,7 +213,8 @@ def _by_cut(cuts: Sequence[Stated], deepest: float) -> list[str]:
             depth = np.median([1e3 * c.safe["base"] for c in own if "base" in c.safe] or [np.nan])
             rows.append([f"{title} {one:g}°" if title == "helix" else one, len(own), f"{depth:.2g} mm", *cells])
     head = ["cut", "cuts", "median depth", "stable before", "stable after", "stable, true model"]
-    return ["## By cut", "", "Stable: the true robot's cut at the 90 % depth.", "", *_lines(head, rows), ""]
+    title = "The columns count cuts at the 90 % depth that are stable on the true robot."
+    return ["## By cut", "", title, "", *_lines(head, rows), ""]
 
 
 def _damping(cuts: Sequence[Stated]) -> list[str]:
