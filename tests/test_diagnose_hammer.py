@@ -314,7 +314,7 @@ def test_a_partner_about_the_same_axis_is_fitted_though_a_richer_answer_leads_by
     lead = 2 * (simple.evidence() - rich.evidence() + 0.1) / rich.data
     search.fits[both.identity] = replace(rich, misfit=rich.misfit - lead)
     assert search.finalists[0].hypothesis == both
-    _in_its_stead(case.base, search, case.sample)
+    _in_its_stead(case.base, search, case.sample, [])
     assert frozenset({"parameter@joint1.y.stiffness"}) in search.fits
 
 
@@ -332,7 +332,7 @@ def test_of_two_that_turn_about_one_axis_neither_is_tried_twice(tmp_path: Path) 
     start = np.concatenate([base.z, np.zeros(len(parameters) - len(base.z))])
     search = Search(base, [], base.z, 0.0)
     search.fits[both.identity] = descend(case.base, both, parameters, case.sample, start)
-    _in_its_stead(case.base, search, case.sample)
+    _in_its_stead(case.base, search, case.sample, [])
     assert all(
         len({piece.key for piece in fit.hypothesis.pieces}) == len(fit.hypothesis.pieces)
         for fit in search.fits.values()
@@ -351,7 +351,7 @@ def test_a_slab_that_weighs_nothing_gives_way_to_its_springs(springs: list[str],
     search = Search(base, [], base.z, 0.0)
     search.fits[slab.identity] = descend(case.base, slab, parameters, case.sample, start, logarithmic=25)
     assert search.finalists[0].misfit < 1.5
-    _in_its_stead(case.base, search, case.sample)
+    _in_its_stead(case.base, search, case.sample, [])
     assert search.finalists[0].hypothesis.identity == {f"base_compliance@{site}" for site in springs}
 
 

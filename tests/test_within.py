@@ -17,10 +17,11 @@ from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
 from twin.diagnose.left_out import that_foretell
 from twin.diagnose.refit import NONE, Fitted
 from twin.diagnose.search import Search, _better, _may_be_seen, _stand_ins, inexact
-from twin.diagnose.within import allowed, excused, members, taken_in, without
+from twin.diagnose.within import allowed, excused, members, taken_in, turned, without
 from twin.identify.objective import Sample
 from twin.measure.campaign import Channels
 from twin.model.parameters import free_parameters
+from twin.physics import CATALOGUE
 from twin.robot.description import Entry, Robot
 from twin.robot.physical import as_written
 
@@ -54,6 +55,30 @@ def test_nodes_within_their_tolerance_are_no_finding(kr90: Robot, what: str, tim
     assert (allowed(fit, kr90) == (group,)) is is_allowed
 
 
+def test_one_blow_that_points_far_elsewhere_is_looked_at_as_the_effect_that_it_is(kr90: Robot) -> None:
+    """Alone, and beside the directions of the others; two of them are tried together, too."""
+    group = nodes(kr90, "direction")
+    blow, sensor, gain = (
+        entry_hypothesis(kr90, effect, site, CATALOGUE[effect].typical(kr90, site) or {})
+        for effect, site in (
+            ("hammer_misalignment", "hammer:7Y+"), ("sensor_misalignment", "sensor:21"), ("sensor_gain", "sensor:21Z+")
+        )
+    )  # fmt: skip
+    suspects = [[blow], [sensor], [gain]]
+    off = np.zeros(len(group.own))
+    of_blow = np.array(["7Y+.excitation" in p.name for p in group.own])
+    of_sensor = np.array([".response" in p.name for p in group.own])
+
+    assert turned(fitted(kr90, group, off), group, suspects, kr90) == []
+    assert turned(fitted(kr90, nodes(kr90), np.ones(len(nodes(kr90).own))), nodes(kr90), suspects, kr90) == []
+    alone, beside = turned(fitted(kr90, group, 0.1 * of_blow), group, suspects, kr90)
+    assert alone.identity == {blow.key}
+    assert beside.identity == {blow.key, group.key}
+    assert [p.name for p in beside.pieces[1].own] == [p.name for p, b in zip(group.own, of_blow, strict=True) if not b]
+    several = turned(fitted(kr90, group, 0.1 * (of_blow | of_sensor)), group, suspects, kr90)
+    assert {blow.key, sensor.key} in [one.identity for one in several]
+
+
 def test_one_node_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:
     """A blow 21 mm off is lost in the χ² of all nodes; alone, and beside the others, it is a hypothesis of its own."""
     group = nodes(kr90)
@@ -72,8 +97,8 @@ def test_one_node_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:
     assert len(taken_in((group,), near)) == 1  # of three coordinates, each as far off as its tolerance
     unknown = fitted(kr90, group, at + 0.021 * blow, known=1.02)
     assert members(unknown, group) == []
-    turned = nodes(kr90, "direction")  # one blow off its axis is an effect
-    assert members(fitted(kr90, turned, np.append(0.1, np.zeros(len(turned.own) - 1))), turned) == []
+    directions = nodes(kr90, "direction")  # one blow off its axis is an effect
+    assert members(fitted(kr90, directions, np.append(0.1, np.zeros(len(directions.own) - 1))), directions) == []
 
 
 def test_one_twist_far_astray_is_looked_at_by_itself(kr90: Robot) -> None:

@@ -21,7 +21,7 @@ from twin.diagnose.patience import Patience
 from twin.diagnose.refit import CRAWLING, NONE, Fitted, descend, of_its_size
 from twin.diagnose.screen import FAR, SLIGHT, Promise, Setting, inflation, model_error, screen
 from twin.diagnose.sensor_weight import weightless
-from twin.diagnose.within import allowed, members
+from twin.diagnose.within import allowed, members, turned
 from twin.identify.descent import LACKING, minimise
 from twin.identify.elastic import AGREEMENT
 from twin.identify.objective import Objective, Sample
@@ -191,7 +191,7 @@ def explain(
         if worth(best, there, search):
             _needed(robot, search, there, sample)
     if not given_up(search, best):
-        _in_its_stead(robot, search, sample)
+        _in_its_stead(robot, search, sample, suspects)
         _fuller(robot, search, sample)
     if not search.patience.over("sensors and axes elsewhere beside each other"):
         _beside_each_other(robot, search, sample, suspects)
@@ -658,13 +658,13 @@ class _Place:
     worth: float = np.inf
 
 
-def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
+def _in_its_stead(robot: Robot, search: Search, sample: Sample, suspects: Sequence[Sequence[Hypothesis]]) -> None:
     """Fits what turns the robot about the same axis as a piece of a likely answer, in its stead, to convergence.
 
     What still lacks something on a few lines (``LACKING``) is not followed to its end on all. Pieces of the best
     answer are also replaced by simpler ones that they contain, as a foundation without a mass of its own. Beside what
     was found after that piece, the simpler may do as well. So may one node that is far astray and was freed with all
-    others.
+    others, or one blow that points far elsewhere.
     """
     free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
     axes, finalists = same_axes(robot, postures), search.finalists
@@ -686,7 +686,7 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample) -> None:
             rest = [other for other in fit.hypothesis.pieces if other is not piece]
             there = {other.key for other in rest}  # both may be missing, but neither twice
             if fit is best:
-                instead += members(fit, piece)
+                instead += [*members(fit, piece), *turned(fit, piece, suspects, robot)]
             for companion in [c for c in instead if c.key not in there]:
                 hypothesis = together(*rest, companion)
                 known, parameters = search.fits.get(hypothesis.identity), hypothesis.parameters(free)

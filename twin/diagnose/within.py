@@ -129,7 +129,7 @@ def members(fit: Fitted, piece: Hypothesis) -> list[Hypothesis]:
     """Of a piece that frees all nodes or axes: what is farther astray than so many within tolerance would be.
 
     That is a node, or one number of an axis. Alone, and beside the others, which are then free in a piece of their own.
-    A single sensor or blow that points elsewhere is an effect, and no number of the description.
+    A single sensor or blow that points elsewhere is an effect, and no number of the description (:func:`turned`).
     """
     if piece.site not in EVERY or piece.site.endswith(".direction"):
         return []
@@ -140,6 +140,27 @@ def members(fit: Fitted, piece: Hypothesis) -> list[Hypothesis]:
             alone = replace(piece, site=site, own=tuple(own))
             rest = tuple(p for p in piece.own if p not in own)
             found += [alone, together(alone, replace(piece, own=rest))] if rest else [alone]
+    return found
+
+
+def turned(fit: Fitted, piece: Hypothesis, suspects: Sequence[Sequence[Hypothesis]], robot: Robot) -> list[Hypothesis]:
+    """Of a piece that frees all directions: effects on what is farther off than the tolerance of so many allows.
+
+    Each alone, or all of several, and beside the directions of the others, which are then free in a piece of their own.
+    """
+    if piece.site not in EVERY or not piece.site.endswith(".direction"):
+        return []
+    parts: dict[str, list[Parameter]] = {}
+    for p in piece.own:
+        label, side, _ = p.name.removeprefix("node:").split(".")
+        parts.setdefault(f"hammer:{label}" if side == "excitation" else f"sensor:{node_of(label)}", []).append(p)
+    far = {site for site, own in parts.items() if _astray(fit, own) > most_astray(len(own), len(parts))}
+    some = [one for one, *_ in suspects if one.site in far and one.law and one.own and one.law.tolerances(robot)]
+    found = []
+    for effects in [*([one] for one in some), *([some] if len({one.site for one in some}) > 1 else [])]:
+        sites = {one.site for one in effects}
+        rest = tuple(p for site, own in parts.items() if site not in sites for p in own)
+        found += [together(*effects), together(*effects, replace(piece, own=rest))] if rest else [together(*effects)]
     return found
 
 
