@@ -11,7 +11,7 @@ from test_kr90 import TABLE_7
 
 from twin.commands.describe import describe
 from twin.commands.simulate import simulate
-from twin.diagnose.struck import moved_far
+from twin.diagnose.large_motion import moved_far
 from twin.errors import Told
 from twin.measure.campaign import read_campaign
 from twin.measure.motion_log import MotionLog, MotionRun, read_motion_log, write_motion_log

@@ -27,6 +27,7 @@ from twin.diagnose.frf_leak import cut_off, cut_short, leaking, refined, rewindo
 from twin.diagnose.frf_off import data_cost, off_description
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, same_axes, suspects, together
 from twin.diagnose.joint import Knowledge, about, settled_with, shared
+from twin.diagnose.large_motion import moved_far
 from twin.diagnose.left_out import LeftOut, left_out, that_foretell
 from twin.diagnose.levels_finding import check_blows, levels_finding
 from twin.diagnose.levels_next import smallest_visible_laws
@@ -43,7 +44,6 @@ from twin.diagnose.search import REFIT_LINES, SCREEN_LINES, WITHIN, Search, conv
 from twin.diagnose.sensor_weight import weightless
 from twin.diagnose.sentences import sentence
 from twin.diagnose.states import sorted_out
-from twin.diagnose.struck import moved_far
 from twin.diagnose.triage import Triage, triage
 from twin.diagnose.verdict import (
     Candidate,
