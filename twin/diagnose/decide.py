@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.calibration import calibration
+from twin.diagnose.cannot_be import cannot_be
 from twin.diagnose.hypotheses import Hypothesis
 from twin.diagnose.refit import Fitted, foreseen
 from twin.diagnose.search import FIRST_ORDER, WITHIN, in_doubt, most_noise, scatter
@@ -309,8 +310,8 @@ def that_show(fits: Sequence[Fitted], robot: Robot, band_hz: tuple[float, float]
 
     Beside the other answers it only relieves numbers far from their description, and tension alone names no second
     thing. Pieces that the description allows are no answers (:func:`allowed`). What adds a mode that is nowhere in the
-    recorded band does not show either: it is a mass or a spring there, or an error. What would hang ``far`` deviations
-    of its prior off its link cannot be what it is called: a rotor on a soft shaft passes for a small mass metres away.
+    recorded band does not show either: it is a mass or a spring there, or an error. Nor may any be what it cannot be
+    (:func:`cannot_be`).
     """
     known, least = {fit.hypothesis.identity: fit for fit in fits}, calibration()["seen"]
 
@@ -326,11 +327,8 @@ def that_show(fits: Sequence[Fitted], robot: Robot, band_hz: tuple[float, float]
         frequency, half_width = values["frequency_hz"], values["damping_ratio"] * values["frequency_hz"]
         return bool(frequency - half_width <= band_hz[1] and frequency + half_width >= band_hz[0])
 
-    def there(fit: Fitted, piece: Hypothesis) -> bool:
-        lever = piece.law.lever if piece.law else ""
-        own = [(p, x) for p, x in zip(fit.parameters, fit.values, strict=True) if p.site == piece.key]
-        places = [(p, x) for p, x in own if lever and not p.log and p.quantity.partition("[")[0] == lever]
-        return all(abs(x - p.mean) <= calibration()["far"] * p.deviation for p, x in places)
+    def possible(fit: Fitted, piece: Hypothesis) -> bool:
+        return not cannot_be(fit, piece, band_hz)
 
     def shows(fit: Fitted, piece: Hypothesis) -> bool:
         rest = known.get(fit.hypothesis.identity - {piece.key})
@@ -343,7 +341,7 @@ def that_show(fits: Sequence[Fitted], robot: Robot, band_hz: tuple[float, float]
         answers = [piece for piece in fit.hypothesis.pieces if piece not in loose]
         if len(answers) > 1 and not all(shows(fit, piece) for piece in answers):
             dumb.add(id(fit))
-    for said in (heard, there):
+    for said in (heard, possible):
         dumb |= {id(fit) for fit in fits if not all(said(fit, piece) for piece in fit.hypothesis.pieces)}
     return [fit for fit in fits if id(fit) not in dumb]
 

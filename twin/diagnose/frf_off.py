@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.diagnose.calibration import calibration
+from twin.diagnose.cannot_be import cannot_be, may_be
 from twin.diagnose.departures import far_off
 from twin.diagnose.described import DOUBT, described
 from twin.diagnose.hypotheses import Hypothesis, together
@@ -55,6 +56,7 @@ def off_description(
         return None
     number = told.hypothesis.pieces[-1]
     held = {name for name, _ in number.scale}
+    held |= {f"{axis}.damping" for axis, _, what in (name.rpartition(".") for name in held) if what == "stiffness"}
     rest = fit.parameters.select(k for k, name in enumerate(written_names(fit.parameters).names) if name not in held)
     known = dict(zip(written_names(fit.parameters).names, fit.values, strict=True))
     z = rest.coordinates(np.array([known[name] for name in written_names(rest).names]))
@@ -98,8 +100,19 @@ def _one_thing(base: Robot, free: Parameters, fit: Fitted, sample: Sample) -> Fi
         near = descend(base, hypothesis, parameters, few, z, tempered=0)
         if not far_off(near):
             told = descend(base, hypothesis, parameters, sample, near.z, tempered=0, tolerance=0.02)
+            told = _or_what_may_be(base, free, told, sample)
             return None if far_off(told) else replace(told, allowed=fit.allowed)
     return None
+
+
+def _or_what_may_be(base: Robot, free: Parameters, told: Fitted, sample: Sample) -> Fitted:
+    """A fit, or where its last piece cannot be what it is called, the likeliest of what may be there instead."""
+    piece, band = told.hypothesis.pieces[-1], sample.band_hz
+    if not cannot_be(told, piece, band):
+        return told
+    instead = may_be(base, told, piece, free, sample.recordings[0].setup.q, band)
+    fits = [descend(base, h, h.parameters(free), sample, z, tempered=0, tolerance=0.02) for h, z in instead]
+    return max(fits, key=lambda fit: fit.evidence(), default=told)
 
 
 def _without_scale(hypothesis: Hypothesis, held: set[str]) -> Hypothesis:

@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from twin.diagnose.calibration import calibration
+from twin.diagnose.cannot_be import may_be
 from twin.diagnose.departures import far_off
 from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, fuller, merged, same_axes, together
@@ -664,7 +665,7 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample, suspects: Sequen
     What still lacks something on a few lines (``LACKING``) is not followed to its end on all. Pieces of the best
     answer are also replaced by simpler ones that they contain, as a foundation without a mass of its own. Beside what
     was found after that piece, the simpler may do as well. So may one node that is far astray and was freed with all
-    others, or one blow that points far elsewhere.
+    others, or one blow that points far elsewhere. What cannot be what it is called gives way to what may be there.
     """
     free, postures, few = search.base.parameters, [r.setup.q for r in sample.recordings], sample.thin(REFIT_LINES)
     axes, finalists = same_axes(robot, postures), search.finalists
@@ -696,6 +697,8 @@ def _in_its_stead(robot: Robot, search: Search, sample: Sample, suspects: Sequen
                     starts.append(known.z)
                 places.append(_Place(hypothesis, parameters, tuple(starts), worth=hopeless))
             places += _in_parts(robot, best, piece, free, behind) if fit is best else []
+            possible = may_be(robot, fit, piece, free, postures[0], sample.band_hz)
+            places += [_Place(hypothesis, hypothesis.parameters(free), (z,)) for hypothesis, z in possible]
 
     def found(number: int) -> Fitted:
         one = places[number]
