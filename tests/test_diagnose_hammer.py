@@ -275,6 +275,24 @@ def test_an_axis_that_is_likelier_comes_first_however_many_share_it() -> None:
     assert decision.alike > decision.probability[1]
 
 
+@pytest.mark.parametrize(("alone", "named"), [(3003.0, True), (3020.0, False)])
+def test_a_law_without_a_name_that_gains_what_a_name_does_is_that_name(alone: float, named: bool) -> None:
+    """It is known to first order only: a part in a thousand more than 3000 says nothing, twenty do."""
+
+    def fit(key: str, evidence: float, misfit: float) -> Any:
+        piece = SimpleNamespace(effect="one", family="one", own=())
+        hypothesis = SimpleNamespace(pieces=(piece,), own=(), key=key, identity=frozenset({key}))
+        return SimpleNamespace(hypothesis=hypothesis, evidence=lambda scale: evidence, misfit=misfit, data=27000.0)
+
+    base, name = fit("none", 0.0, 1.2), fit("a@joint3.y", 3000.0, 1.0)
+    decision = decide(
+        [name], base, [[SimpleNamespace(effect="one", family="one")]],  # type: ignore[list-item]
+        handicap=[0.0], unnamed=lambda one: {"joint3.y": alone if one is base else -0.1},
+    )  # fmt: skip
+    assert (decision.probability[0] > 0.5) is named
+    assert (decision.nameless > 0.5) is not named
+
+
 def test_a_tilt_that_only_the_height_of_its_hinge_tells_from_another_is_never_one_name(tmp_path: Path) -> None:
     """With joint 1 as it is in every posture, base tilt comes with tilt of joint 1, and the next test turns joint 1."""
     options = ("--seed", "12", "--postures", "3", "--effect", "base_compliance@base.ry")  # all three at q₁ = 0

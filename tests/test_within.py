@@ -182,6 +182,22 @@ def test_a_size_is_sought_where_it_could_get_a_name(kr90: Robot, gain: float, de
     assert _may_be_seen(replace(fit, z=z, cost=100.0 - gain), search) is may
 
 
+def test_a_mass_that_outgrows_the_robot_under_a_wider_prior_keeps_the_size_it_had(
+    monkeypatch: pytest.MonkeyPatch, kr90: Robot
+) -> None:
+    """The fit itself is no heavier than it was: dropped with its size, it left the answer to what had less evidence."""
+    tool = entry_hypothesis(kr90, "payload", "flange", {"mass": 40.0, "com": [1.6, 0.0, 0.0]})
+    light, heavy = (fitted(kr90, tool, np.array([mass, 1.6, 0.0, 0.0])) for mass in (40.0, 4000.0))
+    assert heavy.too_heavy
+    assert not light.too_heavy
+    monkeypatch.setattr(search_module, "of_its_size", lambda *_: heavy)
+    monkeypatch.setattr(search_module, "_may_be_seen", lambda *_: True)
+    base = fitted(kr90, NONE, np.zeros(0))
+    search = Search(base, [], base.z, 0.0, {tool.identity: light})
+    sample = SimpleNamespace(recordings=[SimpleNamespace(setup=SimpleNamespace(q=np.zeros(3)))])
+    assert search_module.settle(kr90, search, sample) == [light, base]  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("gain", "better"), [(5.0, False), (200.0, True)])
 def test_moments_of_a_payload_have_to_pay_for_themselves(kr90: Robot, gain: float, better: bool) -> None:
     """Three numbers that the data hold exactly cost more evidence than 5 in ln likelihood."""

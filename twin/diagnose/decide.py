@@ -257,16 +257,16 @@ def _lawless(
     """Logarithm of the weight of a law without a name, alone or beside the best answer: one effect more, at any site.
 
     Alone it is known to first order only, which holds near the truth. Recordings that were not fitted to it is taken to
-    predict as well as nothing and the names together: ``gained``, over the base model. Beside a name it must gain a
-    share ``inexact`` of what that did: no test is exactly as stated, and what it leaves takes no name back.
+    predict as well as nothing and the names together: ``gained``, over the base model. A share ``inexact`` of what the
+    best name gained is taken off: no first order is exact, no test is as stated, and that takes no name back.
     """
-    models = [(gained, 0.0, base)] if base.misfit < FIRST_ORDER else []
+    models, known = [(gained, base)] if base.misfit < FIRST_ORDER else [], 0.0
     if len(logs):
         best = int(np.argmax(logs))
-        allowance = numbers["inexact"] * max(fits[best].evidence(scale) - base.evidence(scale), 0.0)
-        models.append((logs[best], allowance, fits[best]))
+        known = numbers["inexact"] * max(fits[best].evidence(scale) - base.evidence(scale), 0.0)
+        models.append((logs[best], fits[best]))
     found = []
-    for log, known, fit in models:
+    for log, fit in models:
         gains = np.array(list(unnamed(fit).values())) - known
         if len(gains):
             found.append(log + np.logaddexp.reduce(_counted(gains, numbers)) - np.log(len(gains)))

@@ -959,7 +959,8 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
             return fit
         own = fit.z[len(fit.z) - len(fit.hypothesis.own) :]
         in_reach = fit.evidence() + 0.5 * float(own @ own) > fits[0].evidence() - LIKELY
-        fit = of_its_size(robot, free, fit, sample) if in_reach and _may_be_seen(fit, search) else fit
+        sized = of_its_size(robot, free, fit, sample) if in_reach and _may_be_seen(fit, search) else fit
+        fit = fit if sized.too_heavy else sized  # under a wider prior a mass may grow
         return fit if fit.converged else _to_its_end(robot, fit, sample)
 
     sized = list(spread(at_size, len(near), search.processes))
@@ -970,7 +971,7 @@ def settle(robot: Robot, search: Search, sample: Sample) -> list[Fitted]:
         or fits[0].evidence() - fit.evidence() < 10 * WITHIN
         or any(fit.hypothesis.under(axes) == other.hypothesis.under(axes) for other in near)
     ]
-    sized = [fit for fit in sized if not fit.too_heavy]  # under a wider prior a mass may grow
+    sized = [fit for fit in sized if not fit.too_heavy]
     return [*sorted(sized, key=lambda fit: -fit.evidence()), *far, search.base]
 
 
