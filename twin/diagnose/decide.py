@@ -286,7 +286,7 @@ def sifted(decision: Decision, robot: Robot) -> tuple[Decision, Fitted | None]:
         loose = allowed(fit, robot)
         off = [piece for piece in excused(fit, decision.ranked, robot) if piece not in loose]
         fit = replace(fit, allowed=(*loose, *off))
-        groups.setdefault(fit.hypothesis.identity - {piece.key for piece in fit.allowed}, []).append((fit, p, not off))
+        groups.setdefault(fit.answers, []).append((fit, p, not off))
     if not any(fit.allowed for some in groups.values() for fit, *_ in some):
         return decision, None
     same = bool(next(iter(groups)))  # what is likeliest of all is an answer

@@ -452,14 +452,15 @@ def _or_its_link(decision: Decision, settled: Fitted, base: Robot) -> tuple[Deci
     first, *others = decision.ranked
     pieces, seen = first.hypothesis.pieces, calibration()["seen"]
     known: dict[frozenset[str], Fitted] = {frozenset(): settled}
-    known |= {fit.hypothesis.identity: fit for fit in decision.ranked}
+    known |= {fit.answers: fit for fit in decision.ranked}
     for piece in pieces:
-        rest, link = known.get(first.hypothesis.identity - {piece.key}), _carrier(piece, base)
+        rest, link = known.get(first.answers - {piece.key}), _carrier(piece, base)
         if link is None or rest is None or data_cost(rest) - data_cost(first) >= seen:
             continue
         name = f"{link}mass"
         number = Hypothesis("parameter", name, scale=((name, 1.0),))
-        rival = replace(rest, hypothesis=together(*(p for p in pieces if p is not piece), number))
+        beside = together(*(p for p in pieces if p is not piece), number)
+        rival = replace(rest, hypothesis=beside, allowed=first.allowed)
         return _halved(decision, rival), frozenset(p.name for p in rest.parameters if p.name.startswith(link))
     for fit in others:
         gone = [piece for piece in pieces if piece.key not in fit.hypothesis.identity]

@@ -65,6 +65,11 @@ class Fitted:
     allowed: tuple[Hypothesis, ...] = ()
     exact: bool = True
 
+    @property
+    def answers(self) -> frozenset[str]:
+        """Keys of the pieces that are not ``allowed``."""
+        return self.hypothesis.identity - {piece.key for piece in self.allowed}
+
     @cached_property
     def robot(self) -> Robot:
         """The description with the values that belong to it."""

@@ -153,7 +153,33 @@ def explain(
     """Everything that may be missing, alone and together."""
     progress = progress or (lambda description, total: lambda count: None)
     best = _within_tolerances(robot, search, sample, suspects)
-    for number in range(2 * MISSING_AT_ONCE):
+    best, sample = _one_by_one(robot, search, best, sample, suspects, progress)
+    richest = max([best, *search.finalists], key=lambda fit: fit.evidence())
+    best = _needed(robot, search, richest, sample)
+    best = _rivals_without(robot, search, richest, best, sample)
+    if not search.patience.over("more effects at the joint that gains most"):
+        there = _where_it_is(robot, search, best, sample, suspects, progress)
+        if worth(best, there, search):
+            _needed(robot, search, there, sample)
+    if not given_up(search, best):
+        _in_its_stead(robot, search, sample, suspects)
+        ahead = search.finalists[0] if search.finalists else best
+        if worth(best, ahead, search) and not search.patience.over("effects beside what took the place of others"):
+            best, sample = _one_by_one(robot, search, ahead, sample, suspects, progress)
+            _needed(robot, search, best, sample)
+        _fuller(robot, search, sample)
+    if not search.patience.over("sensors and axes elsewhere beside each other"):
+        _beside_each_other(robot, search, sample, suspects)
+    return search
+
+
+def _one_by_one(
+    robot: Robot, search: Search, best: Fitted, sample: Sample, suspects: Sequence[Sequence[Hypothesis]],
+    progress: Progress,
+) -> tuple[Fitted, Sample]:  # fmt: skip
+    """The best with one missing thing after the other, and the recordings, without the weight of a sensor found."""
+    answers = len(best.hypothesis.pieces) - len(allowed(best, robot))
+    for number in range(answers, 2 * MISSING_AT_ONCE):
         if number - len(allowed(best, robot)) >= MISSING_AT_ONCE:
             break
         if number and search.patience.over(FURTHER):
@@ -184,19 +210,7 @@ def explain(
         again = number == 1 or best.hypothesis.pieces[-1] not in allowed(best, robot)
         if number and small and again and not search.patience.over("a second look for what was found first"):
             best = _reconsider(robot, search, best, sample, suspects, progress)
-    richest = max([best, *search.finalists], key=lambda fit: fit.evidence())
-    best = _needed(robot, search, richest, sample)
-    best = _rivals_without(robot, search, richest, best, sample)
-    if not search.patience.over("more effects at the joint that gains most"):
-        there = _where_it_is(robot, search, best, sample, suspects, progress)
-        if worth(best, there, search):
-            _needed(robot, search, there, sample)
-    if not given_up(search, best):
-        _in_its_stead(robot, search, sample, suspects)
-        _fuller(robot, search, sample)
-    if not search.patience.over("sensors and axes elsewhere beside each other"):
-        _beside_each_other(robot, search, sample, suspects)
-    return search
+    return best, sample
 
 
 def given_up(search: Search, best: Fitted) -> bool:
