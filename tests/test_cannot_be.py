@@ -50,6 +50,15 @@ def test_a_mass_at_the_elbow_is_none_at_the_flange(kr90: Robot) -> None:
     assert [known[f"payload@link2.com[{k}]"] for k in range(3)] == pytest.approx(list(there))
 
 
+def test_what_swings_keeps_its_direction_on_another_link(kr90: Robot) -> None:
+    usual = CATALOGUE["attached_resonator"].typical(kr90, "link3") or {}
+    one = entry_hypothesis(kr90, "attached_resonator", "link3", {**usual, "axis": [1.0, 0.0, 0.0]})
+    fit = fitted(kr90, one, **{f"{one.key}.position[2]": 9.0})
+    found = may_be(kr90, fit, one, free_parameters(kr90, ["p"], ["21Z+"]), Q, BAND_HZ)
+    assert {hypothesis.site for hypothesis, _ in found} == {"link1", "link2"}
+    assert all(hypothesis.entries[0].values["axis"] == [1.0, 0.0, 0.0] for hypothesis, _ in found)
+
+
 def test_a_mass_near_the_flange_stays_there(kr90: Robot) -> None:
     end = CATALOGUE["payload"].typical(kr90, "flange")
     assert end

@@ -950,6 +950,30 @@ def test_a_mass_stands_beside_its_link_where_frfs_do_not_tell_them_apart(more: f
     assert {"link3.mass", "link3.com.x"} < links
 
 
+def test_a_mass_stands_beside_its_link_where_a_blow_is_turned_within_tolerance() -> None:
+    """What the description allows is in both fits, and no answer."""
+    robot = without_limits(load_robot("kr90"))
+    free = free_parameters(robot, ["p"], ["21X+"])
+    load, blow = (
+        entry_hypothesis(robot, effect, site, CATALOGUE[effect].typical(robot, site) or {})
+        for effect, site in (("payload", "flange"), ("hammer_misalignment", "hammer:7Y+"))
+    )
+
+    def fit(hypothesis: Hypothesis, cost: float, **more: Any) -> Fitted:
+        parameters = hypothesis.parameters(free)
+        z = np.zeros(len(parameters))
+        return Fitted(
+            hypothesis, parameters, z, parameters.values(z), robot, cost, 1.0, np.eye(len(z)), 1e4, True, **more
+        )
+
+    best, settled = fit(together(blow, load), 5000.0, allowed=(blow,)), fit(blow, 5002.0)
+    decision, links = _or_its_link(Decision([best], [0.98], 0.01, 0.01), settled, robot)
+    assert judge(decision) == "ambiguous"
+    (missing,) = missing_of(decision, settled)
+    assert [rival.key for rival, _ in missing.rivals] == ["parameter@link3.mass"]
+    assert "link3.mass" in links
+
+
 @pytest.mark.parametrize(
     ("site", "more", "names"),
     [("link3", 2.0, 2), ("link3", 20.0, 1), ("link2", 2.0, 1)],

@@ -66,24 +66,23 @@ def _on_other_links(
     if law is None or not piece.entries or not out_of_place(fit, piece):
         return []
     own = {p.quantity: x for p, x in zip(fit.parameters, fit.values, strict=True) if p.site == piece.key}
-    here, found = _carrier(piece, robot, piece.site), []
+    here, found = carrier_at(piece, robot, piece.site), []
     place = np.array([own[f"{law.lever}[{k}]"] for k in range(3)])
-    sites = {_carrier(piece, robot, site): site for site in reversed(list(law.fixed_sites(robot.axis_count)))}
+    sites = {carrier_at(piece, robot, site): site for site in reversed(list(law.fixed_sites(robot.axis_count)))}
     for there, site in sites.items():
         typical = law.typical(robot, site)
         if there == here or not typical:
             continue
         moved = between_links(robot, q, here, there, place)
         numbers = own | {f"{law.lever}[{k}]": float(x) for k, x in enumerate(moved)}
-        given = robot.values(piece.entries[0])
-        values = {name: given[name] for name in {p.quantity.partition("[")[0] for p in piece.own}}
-        values[law.lever] = typical[law.lever]
-        other = entry_hypothesis(robot, piece.effect, site, values)
+        given = piece.entries[0].model_extra or {}
+        other = entry_hypothesis(robot, piece.effect, site, {**given, law.lever: typical[law.lever]})
         found.append((other, {p.name: numbers[p.quantity] for p in other.own}))
     return found
 
 
-def _carrier(piece: Hypothesis, robot: Robot, site: str) -> int:
+def carrier_at(piece: Hypothesis, robot: Robot, site: str) -> int:
+    """The zero-based link on which something hangs, or would at another site."""
     carrier = piece.law.carrier(robot, site) if piece.law else None
     return axis_of(site) if carrier is None else carrier
 

@@ -56,6 +56,7 @@ def off_description(
         return None
     number = told.hypothesis.pieces[-1]
     held = {name for name, _ in number.scale}
+    # a damper may make a spring's axis rigid, too: the model that has the spring as described has its damper so
     held |= {f"{axis}.damping" for axis, _, what in (name.rpartition(".") for name in held) if what == "stiffness"}
     rest = fit.parameters.select(k for k, name in enumerate(written_names(fit.parameters).names) if name not in held)
     known = dict(zip(written_names(fit.parameters).names, fit.values, strict=True))

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from twin.diagnose.calibration import calibration
-from twin.diagnose.cannot_be import may_be
+from twin.diagnose.cannot_be import carrier_at, may_be
 from twin.diagnose.departures import far_off
 from twin.diagnose.described import described
 from twin.diagnose.hypotheses import Hypothesis, companions, entry_hypothesis, fuller, merged, same_axes, together
@@ -31,7 +31,6 @@ from twin.model.parameters import Parameter, Parameters, written_names
 from twin.model.sensitivity import observe_all, poles
 from twin.parallel import Progress, spread
 from twin.physics import CATALOGUE
-from twin.physics.effect import axis_of
 from twin.robot.description import Robot
 from twin.robot.frames import between_links
 
@@ -910,14 +909,9 @@ def _where_it_was(
     """Where a companion on another link starts: what the last thing was, at the same place in space."""
     values, n = best.values.copy(), len(best.values) - len(companion.own)
     lever = [n + k for k, p in enumerate(companion.own) if p.quantity.startswith(_lever(companion))]
-    values[lever] = between_links(robot, q, _carrier(robot, last), _carrier(robot, companion), values[lever])
+    here, there = (carrier_at(piece, robot, piece.site) for piece in (last, companion))
+    values[lever] = between_links(robot, q, here, there, values[lever])
     return parameters.coordinates(values)
-
-
-def _carrier(robot: Robot, piece: Hypothesis) -> int:
-    """The zero-based link on which something hangs."""
-    carrier = piece.law.carrier(robot, piece.site) if piece.law else None
-    return axis_of(piece.site) if carrier is None else carrier
 
 
 def _taken_over(best: Fitted, gone: Sequence[Hypothesis], companion: Hypothesis, parameters: Parameters) -> FloatArray:
