@@ -10,7 +10,7 @@ import pytest
 
 from twin.diagnose import decide
 from twin.diagnose import search as search_module
-from twin.diagnose.decide import Decision, at_noise, in_doubt_beside, sifted, that_show
+from twin.diagnose.decide import Decision, in_doubt_beside, sifted, that_show
 from twin.diagnose.described import geometry
 from twin.diagnose.edit import predicted_by_algebra, predicted_by_mujoco
 from twin.diagnose.hypotheses import Hypothesis, entry_hypothesis, together
@@ -334,16 +334,6 @@ def test_a_mass_metres_off_its_link_is_no_answer(kr90: Robot, place_m: float, th
     )  # fmt: skip
     fit = fitted(kr90, hose, np.array([0.5, 15.0, 0.03, 0.9, place_m, 0.0]))
     assert that_show([fit], kr90) == ([fit] if there else [])
-
-
-@pytest.mark.parametrize(("misfit", "none"), [(1.0, 0.99), (1.5, 0.05)])
-def test_what_leaves_no_misfit_is_adequate(kr90: Robot, misfit: float, none: float) -> None:
-    """A law without a name beside nodes that were moved counts only where something beyond noise is left."""
-    group = nodes(kr90)
-    fit = replace(fitted(kr90, group, np.array([p.mean for p in group.own])), misfit=misfit, data=1e5)
-    decision = at_noise(Decision([], [], 0.05, 0.95, nameless=0.9), fit)
-    assert decision.none == pytest.approx(none)
-    assert decision.none + decision.other == pytest.approx(1)
 
 
 def test_a_sensor_and_a_blow_of_one_label_may_be_apart(kr90: Robot, milling: np.ndarray) -> None:

@@ -346,20 +346,6 @@ def that_show(fits: Sequence[Fitted], robot: Robot, band_hz: tuple[float, float]
     return [fit for fit in fits if id(fit) not in dumb]
 
 
-def at_noise(decision: Decision, fit: Fitted) -> Decision:
-    """A decision that says so where a fit of what the description allows leaves no misfit beyond noise.
-
-    What a law without a name would gain beside it is what is scattered about those numbers, from blow to blow.
-    """
-    if decision.other <= max(decision.none, *decision.probability[:1], 0.0):
-        return decision
-    if fit.misfit > most_noise(fit):
-        return decision
-    left = 1 - sum(decision.probability) - decision.none
-    least = min(left, calibration()["least_other"])
-    return replace(decision, none=decision.none + left - least, other=least, nameless=0.0)
-
-
 def half_unnamed(decision: Decision) -> Decision:
     """The decision of a search that was ended before it explained a recording: what it did not try is as likely."""
     half = [0.5 * p for p in decision.probability]

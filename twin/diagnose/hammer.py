@@ -10,7 +10,6 @@ from twin.diagnose.borne_out import all_predict, falls, gained
 from twin.diagnose.calibration import calibration
 from twin.diagnose.decide import (
     Decision,
-    at_noise,
     decide,
     finalists,
     half_unnamed,
@@ -403,7 +402,7 @@ def _decided(
     doubts = beside.allowed if beside else ()
     if beside:
         settled = base_with(base, search.base.parameters, settled, beside, sample, sample.thin(REFIT_LINES))
-        decision = in_doubt_beside(at_noise(decision, settled), settled, unseen)
+        decision = in_doubt_beside(decision, settled, unseen)
     links: frozenset[str] = frozenset()
     if judge(decision) in ("named", "ambiguous"):
         decision, links = _or_its_link(decision, settled, base)
