@@ -157,6 +157,7 @@ def test_rates_and_calibration_by_hand() -> None:
     assert error == pytest.approx(0, abs=1e-9)
     assert curve[0][1].n == 10
     assert score.calibration([(False, 0.95)] * 4)[0] == pytest.approx(0.95)
+    assert score.by_chance([0.9] * 10) == pytest.approx(0.2)  # at most two wrong in 93 % of splits, three in 99 %
 
 
 def test_the_mix_is_as_promised() -> None:

@@ -275,6 +275,7 @@ def headline(cases: Sequence[Scored]) -> dict[str, Any]:
         "right joint on unknown physics": rate(outside, lambda c: _joint(c.truth[0]) in c.location),
         "90 % intervals hold the truth": _rate(inside),
         "calibration error": calibration([claim(c) for c in sure])[0],
+        "calibration error that 19 in 20 calibrated splits stay below": by_chance([claim(c)[1] for c in sure]),
         "calibration error, faint ones too": calibration([claim(c) for c in [*null, *one]])[0],
         "Brier score": float(np.mean([brier(c) for c in sure])) if sure else np.nan,
         "log score": float(np.mean([log_score(c) for c in sure])) if sure else np.nan,
@@ -378,6 +379,13 @@ def calibration(claims: Sequence[tuple[bool, float]], bins: int = 10) -> tuple[f
         curve.append((float(p[here].mean()), Rate(int(right[here].sum()), int(here.sum()))))
         error += here.mean() * abs(right[here].mean() - p[here].mean())
     return float(error), curve
+
+
+def by_chance(claimed: Sequence[float], draws: int = 4000, seed: int = 0) -> float:
+    """Calibration error that 19 of 20 splits with these probabilities stay below if every one of them is right."""
+    rng = np.random.default_rng(seed)
+    errors = [calibration([(rng.random() < p, p) for p in claimed])[0] for _ in range(draws if claimed else 0)]
+    return float(np.quantile(errors, 0.95)) if errors else float("nan")
 
 
 def temperature(cases: Sequence[Scored]) -> tuple[float, tuple[float, float], tuple[float, float]]:
