@@ -10,8 +10,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tools.trials.visible import SEEN
+from twin.measure.campaign import FloatArray
 
 Z95 = 1.959964
 LEVEL = 0.9  # of the credible set
@@ -372,20 +374,30 @@ def calibration(claims: Sequence[tuple[bool, float]], bins: int = 10) -> tuple[f
     if not claims:
         return float("nan"), []
     right, p = np.array([c[0] for c in claims]), np.array([c[1] for c in claims])
-    index = np.minimum((p * bins).astype(int), bins - 1)
-    error, curve = 0.0, []
-    for b in np.unique(index):
-        here = index == b
-        curve.append((float(p[here].mean()), Rate(int(right[here].sum()), int(here.sum()))))
-        error += here.mean() * abs(right[here].mean() - p[here].mean())
-    return float(error), curve
+    inside = _bins(p, bins)
+    curve = [(float(p[here].mean()), Rate(int(right[here].sum()), int(here.sum()))) for here in inside]
+    return float(_error(right, p, inside)), curve
 
 
-def by_chance(claimed: Sequence[float], draws: int = 4000, seed: int = 0) -> float:
+def by_chance(claimed: Sequence[float], bins: int = 10, draws: int = 4000, seed: int = 0) -> float:
     """Calibration error that 19 of 20 splits with these probabilities stay below if every one of them is right."""
-    rng = np.random.default_rng(seed)
-    errors = [calibration([(rng.random() < p, p) for p in claimed])[0] for _ in range(draws if claimed else 0)]
-    return float(np.quantile(errors, 0.95)) if errors else float("nan")
+    if not claimed:
+        return float("nan")
+    p = np.array(claimed)
+    right = np.random.default_rng(seed).random((draws, len(p))) < p
+    return float(np.quantile(_error(right, p, _bins(p, bins)), 0.95))
+
+
+def _bins(p: FloatArray, bins: int) -> list[NDArray[np.bool_]]:
+    """Which probabilities (n,) lie in each bin that holds any."""
+    index = np.minimum((p * bins).astype(int), bins - 1)
+    return [index == b for b in np.unique(index)]
+
+
+def _error(right: NDArray[np.bool_], p: FloatArray, inside: Sequence[NDArray[np.bool_]]) -> FloatArray:
+    """Expected calibration error (...) of answers (..., n) that are right or not."""
+    miss = right - p
+    return np.sum([np.abs(miss[..., here].sum(axis=-1)) for here in inside], axis=0) / len(p)
 
 
 def temperature(cases: Sequence[Scored]) -> tuple[float, tuple[float, float], tuple[float, float]]:
